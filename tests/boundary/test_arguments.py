@@ -50,7 +50,7 @@ def test_what_is_no_argument_is_named(name):
         (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
         (
             partial(M3.simulate, np.zeros(12), np.full((3, 6), 1500.0)),
-            "commands: go from 1500 to 1500, and motors take 0 to 1",
+            "commands: go from 1500 to 1500, but motors take 0 to 1",
         ),
         (
             partial(airpuck.track, M3, airpuck.SetPoint(5, 0, 0), 0.1),

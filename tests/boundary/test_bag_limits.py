@@ -133,7 +133,7 @@ def test_long_messages_of_other_topics_are_passed_over(tmp_path: Path):
     [
         ("UPDATE messages SET data = zeroblob(30000000) WHERE id < 5", "too big"),
         ("UPDATE topics SET name = hex(zeroblob(400000))", "too long a name"),
-        ("UPDATE message_definitions SET encoded_message_definition = zeroblob(9)", "no text"),
+        ("UPDATE message_definitions SET encoded_message_definition = zeroblob(9)", "not text"),
     ],
 )
 def test_blobs_in_a_database(tmp_path: Path, statement: str, says: str):

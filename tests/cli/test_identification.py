@@ -99,8 +99,8 @@ def test_the_ladder_is_shown_with_what_each_rung_buys():
     assert " +0.0 % (-2.0 to +2.0)" in rows[3]
     # ln(4.04/4) = 1.0 %; half of 0.03 in squares is 1.5 %.
     assert words == (
-        "M3 is the simplest that is as good as any: its errors are 1.0 ± 1.5 % above the errors "
-        "of M5, the best"
+        "M3 is the simplest model within the tolerance: its errors are 1.0 ± 1.5 % above the "
+        "errors of M5, the best"
     )
     # The report's page shows the same.
     [block] = selection_section(selection).blocks

@@ -40,7 +40,7 @@ def test_a_bad_output_is_refused_before_anything_is_read(places, name, option, k
     bad = {"": "is empty", "x" * 300: "255 bytes", "file/x": "cannot be written"}
     bad["/proc/none/x"] = "cannot be written"
     if kind == "file":
-        bad |= {"folder": "is a folder", "/": "is the root", "/dev/null": "no ordinary file"}
+        bad |= {"folder": "is a folder", "/": "is the root", "/dev/null": "not an ordinary file"}
     elif kind == "folder":
         bad["file"] = "is a file"
     else:

@@ -29,7 +29,7 @@ def test_from_raw_bags_to_a_report_page(tmp_path: Path):
         timeout=300,
     )
     assert done.returncode == 0, done.stderr
-    assert "times of arrival" in done.stderr
+    assert "arrival times" in done.stderr
     page = (tmp_path / "out" / "report" / "index.html").read_text()
     assert page.lower().startswith("<!doctype html>")
     # The truth that make_bags.py flies; the vehicle file believes 0.4 N and 5e-4 kg m².

@@ -70,7 +70,7 @@ def test_a_healthy_craft_is_not_alarmed(plant):
     for health in told:
         assert health.flying
         assert health.findings == ()
-        assert "as the model says" in str(health)
+        assert "agree with the model" in str(health)
 
 
 @pytest.mark.slow
@@ -123,7 +123,7 @@ def test_says_nothing_without_commands_or_at_a_rail():
     for k in range(100):
         silent.pose(k / 240, np.zeros(3))
     assert not silent.health().flying
-    assert "needs poses and commands" in str(silent.health())
+    assert "must be in flight" in str(silent.health())
     leaning = HealthMonitor(MODEL, compiled=False)
     reach = 1.1 - MODEL.vehicle.radius_m
     for k in range(100):

@@ -303,7 +303,7 @@ def test_an_idle_motor_is_named():
     command = flight.command.copy()
     command[:, 2] = 0.0
     known = identifiability(replace(flight, command=command))
-    silent = [note for note in known.notes if "say nothing about" in note]
+    silent = [note for note in known.notes if "contain no information about" in note]
     assert len(silent) == 3
     assert all("motor_b_1" in note for note in silent)
     assert known.free - known.rank == 3

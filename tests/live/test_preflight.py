@@ -24,4 +24,4 @@ def test_without_poses_it_says_so(domain):
     status, out, err = Process("preflight", "-q", domain=domain).end(90)
     assert status == 2
     assert "none came" in out
-    assert err.startswith("airpuck: not ready to fly: mend poses")
+    assert err.startswith("airpuck: not ready to fly: fix poses")

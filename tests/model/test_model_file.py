@@ -163,7 +163,7 @@ def test_a_bare_name_is_told_how_published_parameters_are_called(tmp_path, monke
         read_model("M3")
     with pytest.raises(InputError, match=r"M9: there is no such file$"):
         read_model("M9")
-    with pytest.raises(InputError, match="is a folder, and a file is wanted"):
+    with pytest.raises(InputError, match="is a folder; a file is expected"):
         read_model(tmp_path)
 
 

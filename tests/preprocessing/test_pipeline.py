@@ -151,8 +151,16 @@ def test_a_given_delay_is_used(recording):
         ("command", bad_value(100, 1, -0.1), r"outside \[0, 1\]"),
         ("pose", lambda s, r, v: (s, r, v * [1000, 1000, 1]), "for millimetres"),
         ("pose", lambda s, r, v: (s, r, v * [1, 1, 180 / np.pi]), "looks like degrees"),
-        ("pose", lambda s, r, v: (s // 1000, r // 1000, v), "every 4.17e-06 s, which no motion"),
-        ("pose", lambda s, r, v: (1000 * (s - s[0]), r, v), "every 4.17 s, which no motion"),
+        (
+            "pose",
+            lambda s, r, v: (s // 1000, r // 1000, v),
+            "every 4.17e-06 s, which is implausible for motion capture",
+        ),
+        (
+            "pose",
+            lambda s, r, v: (1000 * (s - s[0]), r, v),
+            "every 4.17 s, which is implausible for motion capture",
+        ),
         ("pose", lambda s, r, v: (s[:50], r[:50], v[:50]), "too short"),
         ("pose", lambda s, r, v: (s[:0], r[:0], v[:0]), "pose stream is empty"),
         ("command", lambda s, r, v: (s, r, v * 0), "never moved the craft"),

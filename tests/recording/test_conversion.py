@@ -134,7 +134,7 @@ def test_two_coordinates_cannot_be_turned_up():
 def test_nine_numbers_that_are_no_rotation():
     rotations = random_rotations(3).as_matrix()
     for wrong in (2 * rotations, -rotations, rotations[:, ::-1]):
-        with pytest.raises(InputError, match="no rotation matrix"):
+        with pytest.raises(InputError, match="not a rotation matrix"):
             poses_of(np.zeros((3, 2)), wrong.reshape(3, 9), "matrix", mapping())
 
 

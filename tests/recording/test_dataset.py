@@ -123,7 +123,7 @@ def test_a_damaged_copy_is_downloaded_again(tmp_path: Path, server: Server):
 
 def test_another_content_is_refused_and_not_kept(tmp_path: Path, server: Server):
     (tmp_path / "served" / "models/paper/M0/params.json").write_bytes(b"{'evil': 1}")
-    with pytest.raises(InputError, match="another content than expected") as caught:
+    with pytest.raises(InputError, match="unexpected content") as caught:
         fetch(folder=tmp_path / "copy", base_url=server.url)
     assert "params.json" in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -186,7 +186,7 @@ def test_files_of_which_nothing_is_known(tmp_path: Path):
     assert 'pose = {file = "...", time = "...", position' in message
     assert 'command = {file = "...", time = "...", values' in message
     assert "out of mocap.csv, motors.csv" in message
-    with pytest.raises(InputError, match=r"one CSV file; .* out of frame, t, x, y, theta"):
+    with pytest.raises(InputError, match=r"a single CSV file; .* out of frame, t, x, y, theta"):
         read_recording(tmp_path / "mocap.csv")
 
 

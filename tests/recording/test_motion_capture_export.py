@@ -182,7 +182,7 @@ def test_the_export_itself_may_be_given(tmp_path: Path):
     (tmp_path / "motors.csv").write_text(COMMANDS)
     found = read_recording(tmp_path / "take.csv", mapping=RecordingMapping(command=COMMAND))
     assert_is_the_motion(found)
-    with pytest.raises(InputError, match="holds poses only; name the file of the commands"):
+    with pytest.raises(InputError, match="contains only poses; name the file of the commands"):
         read_recording(tmp_path / "take.csv")
 
 

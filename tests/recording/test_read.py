@@ -31,7 +31,7 @@ def test_a_folder_stands_for_the_only_recording_inside(tmp_path: Path, bag: Path
 
 def test_several_recordings_are_not_guessed_at(tmp_path: Path, bag: Path):
     write_csv(flight(), tmp_path / "csv")
-    with pytest.raises(InputError, match="holds several recordings; give one of bag, csv"):
+    with pytest.raises(InputError, match="contains several recordings; give one of bag, csv"):
         read_recording(tmp_path)
 
 
@@ -61,12 +61,12 @@ def test_csv_files_beside_metadata_of_a_bag_that_is_elsewhere(tmp_path: Path, ba
     ("name", "says"),
     [
         ("nowhere", "no such file or folder"),
-        ("empty", "holds no recording"),
+        ("empty", "contains no recording"),
         ("file.csv", "has no header"),
-        ("traj.npz", "is preprocessed already"),
-        ("data.pt", "is preprocessed already"),
-        ("notes.txt", "is no recording"),
-        ("pipe", "no regular file"),
+        ("traj.npz", "is already preprocessed"),
+        ("data.pt", "is already preprocessed"),
+        ("notes.txt", "is not a recording"),
+        ("pipe", "not a regular file"),
     ],
 )
 def test_what_is_no_recording(tmp_path: Path, name: str, says: str):

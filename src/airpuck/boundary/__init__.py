@@ -1,4 +1,4 @@
-"""What comes from a user and goes back: limits, the one error, TOML, files replaced in one step.
+"""The user boundary: limits, the one error class, TOML files, atomic replacement of files.
 
 `numbers` has the limits of numbers, `limits` the limits of files.
 

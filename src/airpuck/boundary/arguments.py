@@ -1,4 +1,4 @@
-"""Arguments of public functions: names of options, and values of the right kind."""
+"""Arguments of public functions: option names, and values of the right kind."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from airpuck.boundary.settings import unknown
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-#: Kinds of values that stand for others: a NumPy number is a number, too.
+#: Kinds of values that are also accepted: a NumPy number is a number, too.
 _KINDS: dict[Any, tuple[Any, str]] = {
     float: (Real, "a number"),
     int: (Integral, "a whole number"),
@@ -35,14 +35,14 @@ _KINDS: dict[Any, tuple[Any, str]] = {
 
 
 def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
-    """Return the option of a name; InputError names all of them, and the nearest."""
+    """Return the named option; an InputError lists all names and suggests the nearest."""
     if isinstance(name, str) and name in options:
         return options[name]
     raise InputError(unknown(name, options), field=field)
 
 
 def checked(function: Function) -> Function:
-    """Return a function that refuses arguments of another kind than it is annotated with."""
+    """Decorate a function to reject arguments that do not fit their annotations."""
     signature = inspect.signature(function)
     hints = _hints(function, signature)
 
@@ -58,7 +58,7 @@ def checked(function: Function) -> Function:
 
 
 def _hints(function: Callable[..., Any], signature: inspect.Signature) -> dict[str, Any]:
-    """Return the annotations of arguments; without those that only a type checker knows."""
+    """Return the annotations of arguments, except those that only a type checker can resolve."""
     hints = {}
     for name, parameter in signature.parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
@@ -91,14 +91,14 @@ def _fits(value: Any, hint: Any) -> bool:
             return _elements_fit(value, inner)
         return True
     if not isinstance(origin, type) or hasattr(origin, "array_type"):
-        return True  # anything, and arrays, which are converted and checked by their shape
+        return True  # Any, or an array, which is converted and whose shape is checked
     if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):
         return True
     return isinstance(value, origin)
 
 
 def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
-    """Return whether the elements of a sequence are of a kind; a text is no sequence."""
+    """Return whether the elements of a sequence are of a kind; a string is not a sequence."""
     if isinstance(value, str | bytes):
         return False
     if isinstance(value, np.ndarray) or not inner:
@@ -110,7 +110,7 @@ def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
 
 
 def _problem(value: Any, hint: Any) -> str:
-    """Return what an argument takes."""
+    """Describe what an argument accepts."""
     names = [name for one in _alternatives(hint) for name in _names(one)]
     if names and isinstance(value, str):
         return unknown(value, names)
@@ -144,6 +144,6 @@ def _words(hint: Any) -> str:
 
 
 def _shown(value: object) -> str:
-    """Show a short value; of others the type."""
+    """Show a short value; for others, the type."""
     simple = value is None or isinstance(value, str | bool | Real)
     return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"

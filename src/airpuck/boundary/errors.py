@@ -1,4 +1,4 @@
-"""The one error that is meant for a user."""
+"""The one error class intended for users."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ _LONGEST = 2000
 
 
 class InputError(ValueError):
-    """An input cannot be used; the message says what to do about it.
+    """An input cannot be used; the message says how to fix it.
 
     The command line prints the message as one line and exits with status 2. Any other exception is
-    a mistake of this package.
+    a bug in this package.
 
     Parameters
     ----------
     problem : str
-        What is wrong and what to do about it, without a final full stop.
+        The problem and its remedy, without a final full stop.
     file : path-like, optional
         The file or folder concerned.
     field : str, optional
@@ -27,8 +27,8 @@ class InputError(ValueError):
 
     Notes
     -----
-    All three may hold text from a file. They are kept on one line, and escaped: a name must not be
-    able to move the cursor, to colour the terminal or to turn the direction of text.
+    All three may contain text from a file. They are put on one line and escaped: a name must not
+    move the cursor, colour the terminal or reverse the direction of text.
     """
 
     def __init__(

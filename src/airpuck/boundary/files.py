@@ -21,22 +21,22 @@ from airpuck.boundary.parsing import load_toml
 #: A `Section`, or a settings class.
 Schema = TypeVar("Schema")
 
-#: Smaller ones are nothing that is measured, and their squares and inverses leave the arithmetic.
+#: Nothing measured is smaller, and squares and inverses of smaller numbers underflow or overflow.
 Positive = Annotated[float, pydantic.Field(ge=1e-9)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 #: Between 0 and 1.
 Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 
-#: What pydantic calls an unknown key, of a `Section` and of a settings class.
+#: Pydantic's error types for an unknown key, of a `Section` and of a settings class.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-#: How pydantic names validators and the types of a union.
+#: Pydantic's names for validators and for the types of a union.
 _OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
 
-#: How pydantic says of what kind something too short or too long is, and how much of it there is.
+#: Pydantic's phrase for the kind of a value that is too short or too long, and its actual size.
 _OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, not .*")
 
-#: What a file is, by a table or key that no other kind has.
+#: Kinds of files, each by a table or key that no other kind has.
 _KINDS = {
     "times_s": "a time-optimal plan",
     "hold_s": "a plan of an excitation",
@@ -51,7 +51,7 @@ _KINDS = {
 
 
 class Section(pydantic.BaseModel):
-    """Base of every table in our TOML files: immutable, and an unknown key is an error."""
+    """Base of every table in our TOML files: immutable; an unknown key is an error."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -72,7 +72,7 @@ class Section(pydantic.BaseModel):
 def read_toml(
     path: str | os.PathLike[str], schema: type[Schema], *, base: Schema | None = None
 ) -> Schema:
-    """Read a TOML file and check it against a schema; what it leaves out is as in `base`."""
+    """Read a TOML file and check it against a schema; omitted fields keep the values of `base`."""
     content = load_toml(path)
     if base is not None:
         content = laid_over(_adapter(schema).dump_python(base, mode="json"), content)
@@ -80,19 +80,19 @@ def read_toml(
 
 
 def read_packaged(name: str, schema: type[Schema]) -> Schema:
-    """Read a TOML file that comes with the package, and check it against a schema."""
+    """Read a packaged TOML file, and check it against a schema."""
     with resources.as_file(resources.files("airpuck") / "packaged" / name) as path:
         return read_toml(path, schema)
 
 
 @cache
 def _adapter(schema: type) -> Any:
-    """Return what checks values against a schema."""
+    """Return a validator for a schema."""
     return pydantic.TypeAdapter(schema)
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace in `base` what the content names, table by table; arrays are replaced whole."""
+    """Replace values of `base` by the content's, table by table; arrays are replaced whole."""
     merged = dict(base)
     for key, value in content.items():
         below = base.get(key)
@@ -108,14 +108,14 @@ def checked(
     """Check a mapping against a schema."""
     adapter = _adapter(schema)
     try:
-        # As JSON: there, strictness is about types (no truth value is a number, no text either)
-        # and not about Python's containers.
+        # Validate as JSON: there, strict mode concerns types (booleans and strings are not numbers)
+        # instead of Python's containers.
         return adapter.validate_json(json.dumps(content, default=str), strict=True)
     except pydantic.ValidationError as error:
         # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()
         first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
-        # Names of validator functions and of Python's types are of no use to a user.
+        # Names of validator functions and Python types do not help a user.
         field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
         problem = first["msg"].removeprefix("Value error, ").rstrip(".")
         problem = problem.replace("Input should be", "must be")
@@ -146,7 +146,7 @@ def write_toml(
 
     comment = "".join(f"# {line}".rstrip() + "\n" for line in header.splitlines())
     text = f"{comment}\n" if comment else ""
-    # tomli_w gives every number of an array its own line; rows of a matrix read better as rows.
+    # tomli_w puts every number of an array on its own line; rows of a matrix read better as rows.
     rows = re.compile(r"\[\n((?:[ ]+[^\[\]\n]+,\n)+)[ ]*\]")
     dumped = rows.sub(
         lambda row: "[" + ", ".join(x.strip(" ,") for x in row[1].splitlines()) + "]",

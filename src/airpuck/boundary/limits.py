@@ -1,7 +1,7 @@
-"""How much is taken from outside: every limit with its reason, and the functions that keep them.
+"""Limits on input from outside, each with its reason, and the functions that enforce them.
 
 A file can claim any size, and a small one can unpack to any size. So sizes, counts and depth are
-bounded before anything is allocated, and what is unpacked is counted while it streams, whatever a
+bounded before anything is allocated, and unpacked bytes are counted while they stream, whatever a
 header says. Every limit lies several times above an hour of flight (864 000 poses, 216 000
 commands).
 """
@@ -29,47 +29,48 @@ YAML_BYTES = 128 * 1024
 KEYS = 10_000
 #: Values of a text file. A covariance of 300 parameters has 90 000.
 VALUES = 200_000
-#: How deep tables and arrays may be nested, and names dotted. Ours are four deep.
+#: Largest nesting depth of tables and arrays, and of dotted names. Ours are four deep.
 DEPTH = 32
-#: Whole numbers, as NumPy and other readers of TOML and JSON hold them [bits].
+#: Size of whole numbers that NumPy and other readers of TOML and JSON can hold [bits].
 INTEGER_BITS = 64
 
-#: Files and folders in a folder that is hashed: a recording has some, a user's package hundreds.
+#: Files and folders in a folder that is hashed: a recording has a few, a user's package hundreds.
 FOLDER_FILES = 5_000
 
-#: Propellers of a craft: matrices of models grow with their square.
+#: Propellers of a craft: model matrices grow with the square of their number.
 PROPELLERS = 256
 
 #: All members of a .npz or .pt archive, unpacked [bytes]: some hours of flight.
 ARCHIVE_BYTES = 2**30
-#: The list of an archive's members, and what is read of it at once [bytes]. Ours have seven.
+#: The directory of an archive, and the amount read from it at once [bytes]. Ours have seven
+#: members.
 ARCHIVE_READ = MIB
 #: Text inside an archive [bytes].
 ABOUT_BYTES = 4 * MIB
-#: Spans that a trajectory excludes; a flight with a fault a second has 3600 an hour.
+#: Spans that a trajectory excludes; with one fault a second, a flight has 3600 an hour.
 SPANS = 100_000
 
-#: What one chunk of a bag may unpack to [bytes]. Recorders close chunks at 0.8 to 8 MB, but a
-#: larger message has a chunk of its own.
+#: Largest unpacked size of a chunk in a bag [bytes]. Recorders close chunks at 0.8 to 8 MB, but a
+#: larger message has its own chunk.
 CHUNK_BYTES = 256 * MIB
-#: What the chunks of a bag may unpack to: a constant [bytes] plus a multiple of the file's size.
-#: Zstandard packs poses and commands 3 to 10 times.
+#: Largest unpacked size of all chunks in a bag: a constant [bytes] plus a multiple of the file's
+#: size. Zstandard compresses poses and commands by a factor of 3 to 10.
 UNPACKED_BYTES = 256 * MIB
 UNPACKED_RATIO = 100
-#: What a record counts as at least [bytes], as handling it takes time and memory.
+#: Minimum size that a record counts for [bytes], since handling it takes time and memory.
 RECORD_BYTES = 256
 #: One message of a topic that is read [bytes]; an odometry message has 720.
 MESSAGE_BYTES = MIB
-#: The index of a bag [bytes]; 100 GB in chunks of 0.8 MB have one of 11 MB.
+#: The index of a bag [bytes]; 100 GB in chunks of 0.8 MB have an index of 11 MB.
 INDEX_BYTES = 16 * MIB
-#: Topics of a bag. The largest robots have some hundreds.
+#: Topics of a bag. The largest robots have a few hundred.
 TOPICS = 10_000
 
-#: The definition of one message type with all types within [bytes]. Odometry takes 3 kB.
+#: The definition of one message type with all nested types [bytes]. Odometry takes 3 kB.
 DEFINITION_BYTES = 32 * 1024
-#: Fields that a definition makes code of; rosbags takes 2 ms for each.
+#: Fields of a definition that become code; rosbags takes 2 ms for each.
 DEFINITION_SIZE = 2_000
-#: Fields of a message including nested types, each as often as it occurs.
+#: Fields of a message including nested types, counted each time they occur.
 FIELDS = 10_000
 
 #: Columns of a CSV file. Motion capture with all markers has up to a few thousand.
@@ -97,26 +98,27 @@ def refused(
 
 @contextlib.contextmanager
 def within_means(file: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn what a file can do to this process within the limits into an error in one line."""
+    """Convert errors that a hostile file within the limits can cause into a one-line InputError."""
     try:
         yield
     except MemoryError as error:
         raise InputError(
-            "needs more memory than there is; cut it into parts, or free some", file=file
+            "needs more memory than is available; split it into parts, or free some memory",
+            file=file,
         ) from error
     except RecursionError as error:
         raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=file) from error
 
 
 def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
-    """Read a whole file, if it is not too long; devices and pipes are cut off there as well."""
+    """Read a whole file up to a maximum length, which also cuts off devices and pipes."""
     try:
         with Path(path).open("rb") as file:
             content = file.read(most + 1)
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
     except IsADirectoryError:
-        raise InputError("is a folder, and a file is wanted", file=path) from None
+        raise InputError("is a folder; a file is expected", file=path) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason})", file=path) from error
@@ -128,7 +130,7 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
 def read_text(
     path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8-sig"
 ) -> str:
-    """Read a whole file of text, if it is not too long; editors put a mark before it."""
+    """Read a whole text file up to a maximum length, skipping a byte-order mark."""
     try:
         return read_bytes(path, most).decode(encoding)
     except UnicodeDecodeError as error:
@@ -136,10 +138,10 @@ def read_text(
 
 
 def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
-    """Raise InputError for too deep or too many tables and arrays, and for too long integers."""
+    """Raise InputError for too many or too deep tables and arrays, and for too long integers."""
     values = keys = 0
     level = [content]
-    # Breadth first: no recursion, and what an alias repeats is counted each time.
+    # Breadth first: no recursion, and repeated aliases are counted each time.
     for _ in range(DEPTH):
         below = []
         for value in level:
@@ -165,7 +167,7 @@ def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
 
 
 class _ShortReads(io.FileIO):
-    """A file of which no long stretch is read at once, whatever asks for it."""
+    """A file that refuses to read long stretches at once."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read some bytes."""
@@ -175,12 +177,12 @@ class _ShortReads(io.FileIO):
 
 
 class Archive:
-    """A zip file of which members are read in blocks, up to a limit for all of them together."""
+    """A zip file whose members are read in blocks, up to a limit for all of them together."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = path
         self._left = ARCHIVE_BYTES
-        # Python's reader takes in the whole list of members; it alone is bounded by this.
+        # Python's reader loads the whole directory of members; only that is bounded by this.
         self._file = _ShortReads(path)
         try:
             self._zip = zipfile.ZipFile(self._file)
@@ -197,7 +199,7 @@ class Archive:
         self._file.close()
 
     def read(self, name: str, most: int = ARCHIVE_BYTES) -> bytearray:
-        """Read a member, counting what it unpacks to; KeyError for an unknown name."""
+        """Read a member, counting unpacked bytes; KeyError for an unknown name."""
         member = self._zip.getinfo(name)
         if member.flag_bits & 1:
             raise InputError("is encrypted; store it without", file=self._path, field=name)
@@ -208,7 +210,7 @@ class Archive:
                 field=name,
             )
         content = bytearray()
-        # Python's reader stops where the list says that the member ends.
+        # Python's reader stops where the directory says that the member ends.
         if member.file_size <= min(most, self._left):
             with self._zip.open(member) as stream:
                 while block := stream.read(ARCHIVE_READ):
@@ -225,7 +227,7 @@ class Archive:
 
 
 class Unpacking:
-    """Counts what a file of bags unpacks to, and how many records it holds."""
+    """Counts the unpacked bytes and the records of a bag."""
 
     def __init__(self, path: str | os.PathLike[str], size: int) -> None:
         self._path = path
@@ -238,7 +240,7 @@ class Unpacking:
         return (self._most - self._spent) // RECORD_BYTES
 
     def spend(self, n_bytes: int, n_records: int = 0) -> None:
-        """Count unpacked bytes or handled records; refuse the file where they are too many."""
+        """Count unpacked bytes or handled records; raise InputError beyond the limit."""
         self._spent += max(n_bytes, RECORD_BYTES * n_records)
         if self._spent > self._most:
             raise refused(
@@ -250,13 +252,13 @@ class Unpacking:
 
 
 def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Yield the lines of a CSV file that are not empty, each with its number in the file."""
+    """Yield the non-empty lines of a CSV file, each with its line number."""
     unfinished = cells = 0
 
     def lines(file: TextIO) -> Iterator[str]:
         nonlocal unfinished
         while line := file.readline(ROW_LENGTH + 1):
-            # A text in quotes may hold line breaks, so that a row can have any number of lines.
+            # Quoted text may contain line breaks, so a row can span any number of lines.
             unfinished += len(line)
             if unfinished > ROW_LENGTH:
                 raise refused("has too long a line", ROW_LENGTH, "is it the right file?", file=path)

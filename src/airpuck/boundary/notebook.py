@@ -1,4 +1,4 @@
-"""How results show in a notebook."""
+"""Display of results in notebooks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 
 def html_table(title: str, headings: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Write a small table; numbers are rounded to five digits, None and nan are left empty."""
+    """Write a small table; numbers are rounded to five digits, None and nan become empty cells."""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     return (
@@ -19,7 +19,7 @@ def html_table(title: str, headings: Iterable[str], rows: Iterable[Iterable[Any]
 
 
 def _cell(value: Any) -> str:
-    """Write one cell; numbers stand on the right."""
+    """Write one cell; numbers are right-aligned."""
     if value is None or value != value:
         return "<td></td>"
     if isinstance(value, (int, float)):
@@ -28,7 +28,7 @@ def _cell(value: Any) -> str:
 
 
 def frame(rows: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Return labelled rows as a pandas DataFrame, or unchanged where pandas is not installed."""
+    """Return labelled rows as a pandas DataFrame, or unchanged if pandas is not installed."""
     found = {label: dict(row) for label, row in rows.items()}
     if importlib.util.find_spec("pandas") is None:
         return found

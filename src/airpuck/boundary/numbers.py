@@ -1,4 +1,4 @@
-"""Ranges of the numbers that a user may give, and how shares are shown to one."""
+"""Ranges of user-supplied numbers, and display of fractions."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from airpuck.boundary.errors import InputError
 
 @dataclass(frozen=True)
 class Range:
-    """From the lowest to the highest number that makes sense, and why no other does."""
+    """The lowest and highest number that makes sense, and why no other does."""
 
     low: float
     high: float
-    #: Half a sentence.
+    #: The reason, as half a sentence.
     why: str
     unit: str = ""
-    #: Whether the lowest number itself is too low.
+    #: Whether the lowest number itself is excluded.
     above: bool = False
 
     def __str__(self) -> str:
@@ -27,7 +27,7 @@ class Range:
         return f"{_text(self.low)} to {_text(self.high)}{unit}"
 
     def check(self, value: float, field: str) -> None:
-        """Raise InputError for a number out of the range, or nan."""
+        """Raise InputError for nan or a number out of the range."""
         inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
         if not inside:
             words = str(self) if self.above else f"from {self}"
@@ -35,22 +35,22 @@ class Range:
 
 
 def percent(share: float, otherwise: str = "not determined") -> str:
-    """Write a share, or a relative error, in percent: to two digits where it is small."""
+    """Write a fraction, or a relative error, in percent: to two digits if it is small."""
     if not math.isfinite(share):
         return otherwise
     return f"{100 * share:#.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
 
 
 def _text(number: float) -> str:
-    """Write a number without more digits than it needs."""
+    """Write a number without unnecessary digits."""
     if abs(number) < 1e6:
         return f"{number:g}"
     mantissa, exponent = f"{number:.2e}".split("e")
     return f"{float(mantissa):g}e{int(exponent)}"
 
 
-#: By the unit at the end of its name, no number in a file is larger: far beyond any craft, table,
-#: motor or flight, and far from where squares overflow. Stamps count from 1970.
+#: Upper limits of numbers in files, by the unit at the end of their names: far beyond any craft,
+#: table, motor or flight, and far from where squares overflow. Time stamps count from 1970.
 _LARGEST = {
     "_kg_m2": 1e6,
     "_m_s2": 1e5,
@@ -80,7 +80,7 @@ def check_size(name: str, value: object) -> None:
             raise ValueError(f"{name} = {value:g} must be within ±{_text(most)}")
 
 
-# What flights and recordings are made of.
+# Ranges for flights and recordings.
 FLIGHT_DURATION = Range(
     0.01, 3600, "at least one command, at most an hour, which is a million poses", "s"
 )
@@ -90,40 +90,40 @@ DWELL = Range(0.1, 1000, "a craft needs about a second to reach a set point", "s
 HOLD = Range(0.001, 60, "signals that change more rarely do not excite the craft", "s")
 AMPLITUDE = Range(0, 1, "commands go from 0 to 1", above=True)
 SIGNAL = Range(0, 1, "commands go from 0 to 1")
-COORDINATE = Range(-100, 100, "the table is some metres long, and yaw some turns at most")
-DISTANCE = Range(0, 100, "the table is some metres long", "m", above=True)
+COORDINATE = Range(-100, 100, "the table is a few metres long, and yaw a few turns at most")
+DISTANCE = Range(0, 100, "the table is a few metres long", "m", above=True)
 MARGIN = Range(0, 1, "the table is about a metre wide", "m", above=True)
-DELAY = Range(0, 0.5, "radios take some 10 ms", "s")
+DELAY = Range(0, 0.5, "radios take about 10 ms", "s")
 RESERVE = Range(0, 0.9, "with less than a tenth of its thrust a craft barely moves")
 SPIN_LIMIT = Range(0.1, 40, "slower it never turns; faster no camera follows", "rad/s")
-SPEED_LIMIT = Range(0.01, 20, "the table is some metres long", "m/s")
+SPEED_LIMIT = Range(0.01, 20, "the table is a few metres long", "m/s")
 CLEARANCE = Range(0, 1, "the table is about a metre wide", "m")
 SMOOTHING = Range(0, 0.01, "with more, commands barely change in a second", "s²")
 INTERVALS = Range(10, 400, "fewer miss switches, and more take minutes")
-PULSE_ROUNDS = Range(1, 100, "the battery lasts for some minutes")
+PULSE_ROUNDS = Range(1, 100, "the battery lasts for a few minutes")
 SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")
 GAME_SEED = Range(0, 2**62 - 1, "either side has a seed of its own, and these are kept in 64 bits")
 DOMAIN = Range(0, 232, "each DDS domain has its own ports, from 7400 + 250 per domain on")
-PORT = Range(1, 65_535, "TCP has as many ports")
+PORT = Range(1, 65_535, "TCP has 65535 ports")
 GAMES = Range(1, 100_000, "each takes about a minute of one core")
-GOALS = Range(1, 1000, "somebody must be able to win")
+GOALS = Range(1, 1000, "someone must be able to win")
 WORKERS = Range(1, 1024, "each is a process of its own")
 
-# What fits and judgements are made of.
-SHARE = Range(0, 1, "a part of a recording is given by fractions of its length")
-STRIDE = Range(1, 10_000, "more samples than a flight has leave no window", "samples")
-WINDOW = Range(0.001, 60, "at least a sample; predictions of a minute are mere noise", "s")
-HORIZON = Range(0.001, 10, "predictions of more than some seconds are mere noise", "s")
+# Ranges for fits and evaluations.
+SHARE = Range(0, 1, "parts of a recording are given as fractions of its length")
+STRIDE = Range(1, 10_000, "more samples than a flight has would leave no window", "samples")
+WINDOW = Range(0.001, 60, "at least a sample; predictions of a minute are pure noise", "s")
+HORIZON = Range(0.001, 10, "predictions beyond a few seconds are pure noise", "s")
 SPACING = Range(0, 60, "windows farther apart leave most of a flight out", "s")
 EPOCHS = Range(1, 100_000, "each takes about a second")
 DEGREE = Range(1, 9, "higher powers are indistinguishable")
 WEIGHT = Range(0, 1e6, "with more, no other error counts")
-REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes a good part of a second")
-EPISODES = Range(1, 100_000, "each takes some seconds")
-CHECK_FLIGHTS = Range(1, 1000, "each takes some seconds, twice")
-LAGS = Range(5, 1000, "fewer say nothing, and nothing of a craft lasts for more than some seconds")
+REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes most of a second")
+EPISODES = Range(1, 100_000, "each takes a few seconds")
+CHECK_FLIGHTS = Range(1, 1000, "each takes a few seconds, twice")
+LAGS = Range(5, 1000, "fewer tell nothing, and no effect lasts longer than a few seconds")
 
-# What pictures are made of.
+# Ranges for pictures.
 SPEED = Range(0.001, 1000, "slower or faster, nothing can be seen")
-FRAME_RATE = Range(0.01, 50, "a GIF shows a frame for 0.02 s to some minutes", "per second")
-TABLE_SIDE = Range(0, 100, "the table is some metres long", "m", above=True)
+FRAME_RATE = Range(0.01, 50, "a GIF shows a frame for 0.02 s to a few minutes", "per second")
+TABLE_SIDE = Range(0, 100, "the table is a few metres long", "m", above=True)

@@ -1,4 +1,4 @@
-"""Files and folders that are written: checked before the work, replaced in one step."""
+"""Output files and folders: checked before the work begins, replaced in one step."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Literal
 
 from airpuck.boundary.errors import InputError
 
-#: What a user asks to be written. A new folder may exist if it is empty.
+#: Kinds of requested outputs. A new folder may exist if it is empty.
 Output = Literal["file", "folder", "new folder"]
 
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary file beside `path`, which replaces it if the block succeeds.
+    """Yield a temporary file beside `path` that replaces it if the block succeeds.
 
     If the block fails or is interrupted, an existing file does not change.
 
@@ -53,10 +53,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def temporary_name(target: Path) -> str:
-    """Return a name for what will become a file or folder, with its suffix.
+    """Return a temporary name for a file or folder, with its suffix.
 
-    It is known before there is such a file, so that no interruption can leave one behind, and
-    shorter than the longest that the system allows, whatever the file is called.
+    The name is known before the file exists, so no interruption can leave one behind. It is shorter
+    than the system's limit, whatever the final name.
     """
     return f".{target.stem[:20]}-{secrets.token_hex(4)}{target.suffix}"
 
@@ -69,7 +69,7 @@ def unwritable(path: str | os.PathLike[str], error: OSError) -> InputError:
 def check_output(
     path: str | os.PathLike[str], kind: Output = "file", *, field: str | None = None
 ) -> None:
-    """Raise InputError if a path cannot be written to, before the work is done."""
+    """Raise InputError before the work begins if a path cannot be written to."""
     target = Path(path).absolute()
     try:
         problem = _problem(target, kind)
@@ -94,7 +94,7 @@ def _problem(target: Path, kind: Output) -> str | None:
         if kind == "file" and stat.S_ISDIR(mode):
             return "is a folder; give the name of a file"
         if kind == "file" and not stat.S_ISREG(mode):
-            return "is no ordinary file; choose another place"
+            return "is not an ordinary file; choose another place"
         if kind == "file" and not os.access(target, os.W_OK):
             return "is write-protected; choose another place"
         if kind == "folder" and not stat.S_ISDIR(mode):

@@ -1,4 +1,4 @@
-"""Text formats: TOML, JSON and YAML, one entry each, within limits, without checks of content."""
+"""Text formats: one entry point each for TOML, JSON and YAML, within limits."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from airpuck.boundary.limits import (
 )
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
-#: A name of too many dotted parts, for which tomllib takes time that grows with their square.
+#: A name with too many dotted parts; tomllib's time grows with the square of their number.
 _DOTTED = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEPTH}}}")
 
 
 def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a TOML file."""
     text = read_text(path)
-    # Before it is parsed, because the parser's time is what grows.
+    # Checked before parsing, because parsing is what takes the time.
     if text.count("=") + text.count("\n[") > KEYS:
         raise refused("holds too many keys", KEYS, "is it the right file?", file=path)
     if _DOTTED.search(text):

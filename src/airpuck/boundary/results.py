@@ -1,4 +1,4 @@
-"""Results as JSON: each class declares its figures, one function converts all values."""
+"""Results as JSON: each class declares its fields, and one function converts all values."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any, ClassVar
 
 
 class Result:
-    """Base of results, whose `to_json` returns the figures that a class declares in `JSON`.
+    """Base of results; its `to_json` returns the fields that a class declares in `JSON`.
 
-    Each word of `JSON` is a figure: ``loss``, or ``delay_s=model.delay`` where the key adds a unit
-    or the value belongs to an attribute. ``rmse:x_m,y_m`` names the entries of an array.
+    Each word of `JSON` is a field: ``loss``, or ``delay_s=model.delay`` if the key adds a unit or
+    the value belongs to an attribute. ``rmse:x_m,y_m`` names the entries of an array.
     """
 
     JSON: ClassVar[str] = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
         dict
-            Values that JSON knows; None stands for a number that is not finite.
+            Values that JSON can represent; None replaces a number that is not finite.
         """
         figures = {}
         for word in self.JSON.split():
@@ -38,8 +38,8 @@ class Result:
 
 
 def plain(value: Any) -> Any:
-    """Convert arrays, results and numbers that are not finite to values that JSON knows."""
-    if hasattr(value, "tolist"):  # NumPy's, which this package does not import
+    """Convert arrays, results and non-finite numbers to values that JSON can represent."""
+    if hasattr(value, "tolist"):  # NumPy's types, which this package does not import
         value = value.tolist()
     if isinstance(value, float):
         return value if math.isfinite(value) else None

@@ -13,13 +13,13 @@ from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
 
-#: Letters that are shown of a value that is too long.
+#: Number of characters shown of a value that is too long.
 _SHOWN = 60
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What there is to know about a field of a settings object, beside its type and default.
+    """Metadata of a settings field, besides its type and default.
 
     It is written into the field's type, ``Annotated[float, Setting(…)]``. Pydantic then checks the
     range of the field.
@@ -27,13 +27,13 @@ class Setting:
 
     #: A sentence for the help.
     help: str
-    #: The numbers that it takes.
+    #: The allowed range of numbers.
     within: Range | None = None
-    #: What stands for a value in the help, such as S for seconds.
+    #: Placeholder for the value in the help, such as S for seconds.
     metavar: str | None = None
-    #: Its spelling as an option, where that is not the field's name.
+    #: Option name, if it differs from the field's name.
     option: str | None = None
-    #: The heading of its option, where that is not the settings object's.
+    #: Heading of its option in the help, if it differs from the settings object's.
     heading: str | None = None
 
     def check(self, value: Any, field: str) -> None:
@@ -85,13 +85,13 @@ class Settings:
 
 @cache
 def declared(kind: type) -> tuple[Declared, ...]:
-    """Return the fields of a settings class that carry a `Setting`, in their order."""
+    """Return the fields of a settings class that carry a `Setting`, in declaration order."""
     names = _Names(vars(sys.modules[kind.__module__]))
     return tuple(_declared(kind, get_type_hints(kind, localns=names, include_extras=True)))
 
 
 class _Names(dict[str, Any]):
-    """What a module knows; a type that it imports for type checkers only stands for any."""
+    """The module's names; a type imported only for type checkers becomes Any."""
 
     def __missing__(self, name: str) -> Any:
         return getattr(builtins, name, Any)
@@ -114,7 +114,7 @@ def setting_of(annotation: Any) -> Setting | None:
 
 
 def choices_of(annotation: Any) -> tuple[Any, ...]:
-    """Return the values of the Literal in a type; none where there is no Literal."""
+    """Return the values of the Literal in a type; empty if there is no Literal."""
     if get_origin(annotation) is Annotated:
         return choices_of(annotation.__origin__)
     if get_origin(annotation) is Literal:
@@ -130,7 +130,7 @@ def check_choice(value: Any, choices: tuple[Any, ...], field: str) -> None:
 
 
 def unknown(name: Any, known: Iterable[Any]) -> str:
-    """Return what is wrong with an unknown name: the known names, and the nearest of them."""
+    """Return an error text for an unknown name: the known names, and the nearest of them."""
     names = list(map(repr, known))
     near = get_close_matches(repr(name), names, 1) if isinstance(name, str) else []
     hint = f"; did you mean {near[0]}?" if near else ""

@@ -1,4 +1,4 @@
-"""Code of the user's own, named FILE.py:NAME, and the boundary around everything it does."""
+"""User code, named FILE.py:NAME, and the boundary around everything it does."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Returned = TypeVar("Returned")
 
 
 class UserCode:
-    """A class, or another callable, in a Python file of the user's; making this runs the file.
+    """A class, or another callable, in a user's Python file; creating this object runs the file.
 
-    Its code is called by `run`, so that no exception of its own ends this process, and nothing
-    that it prints gets between our results.
+    `run` calls its code, so that none of its exceptions ends this process, and its printed output
+    does not mix with our results.
     """
 
     def __init__(self, name: str, option: str) -> None:
@@ -37,17 +37,17 @@ class UserCode:
             raise InputError(f"has no class {self._attribute!r}", file=path, field=option)
 
     def run(self, what: str, function: Callable[..., Returned], *given: Any) -> Returned:
-        """Call a function of the user's; what it prints goes to standard error.
+        """Call a user's function; redirect its printed output to standard error.
 
         Any exception becomes an `InputError` that begins with `what` and names file and line.
         """
         try:
             with redirect_stdout(sys.stderr):
                 return function(*given)
-        # Of Ctrl-C and SIGTERM.
+        # Raised by Ctrl-C and SIGTERM.
         except KeyboardInterrupt:
             raise
-        # `sys.exit` is no reason to end, either.
+        # Catches `sys.exit`, too.
         except BaseException as error:
             if isinstance(error, InputError) and error.file == self.name:
                 raise
@@ -63,15 +63,16 @@ class UserCode:
         return InputError(problem, file=self.name, field=self._option)
 
     def _imported(self) -> Any:
-        """Run the file; return what it calls by the name."""
+        """Run the file and return the named callable."""
         specification = importlib.util.spec_from_file_location(
             f"user_{self._path.stem}", self._path
         )
         assert specification is not None and specification.loader is not None
         module = importlib.util.module_from_spec(specification)
-        # Dataclasses and pickles of the file look themselves up.
+        # Dataclasses and pickles of the file look up their module by name.
         sys.modules[specification.name] = module
-        # Modules beside the file can be imported; at the end, so that none hides an installed one.
+        # Modules beside the file can be imported; appended at the end, so that none hides an
+        # installed one.
         folder = str(self._path.absolute().parent)
         if folder not in sys.path:
             sys.path.append(folder)
@@ -79,7 +80,7 @@ class UserCode:
         return getattr(module, self._attribute, None)
 
     def _line(self, error: BaseException) -> int | None:
-        """Return the line of the file at which an exception left it, if it did."""
+        """Return the line of the file at which an exception was raised, if any."""
         path = self._path.absolute()
         if isinstance(error, SyntaxError) and error.filename and Path(error.filename) == path:
             return error.lineno

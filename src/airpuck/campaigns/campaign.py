@@ -57,7 +57,7 @@ class Campaign:
         return [_summary(setting, [result for _, result in group]) for setting, group in groups]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return {
             "items": len(self.entries),
             "computed": self.computed,

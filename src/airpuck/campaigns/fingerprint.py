@@ -33,7 +33,7 @@ def program() -> str:
 def of_file(path: str | os.PathLike[str]) -> str:
     """Hash a file."""
     if Path(path).is_dir():
-        raise InputError("is a folder, and a file is wanted", file=path)
+        raise InputError("is a folder; a file is expected", file=path)
     return sha256(path)
 
 

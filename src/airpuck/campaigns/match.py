@@ -72,7 +72,7 @@ class MatchResult:
         return round(sum(game[f"{side}_{name}"] for game in self.games for side in _SIDES))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         left, right = self.wins
         lasted = sum(game["duration_s"] for game in self.games)
         hardest = [g[f"{side}_hardest_rail_contact_m_s"] for g in self.games for side in _SIDES]

@@ -229,7 +229,7 @@ def identify_puck(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Identify drag and bounces of a puck from recordings of it."""
+    """Identify drag and bounces of a puck from recordings."""
     from airpuck.craft.table import read_table
     from airpuck.identification.puck import identify_puck, value_of
 

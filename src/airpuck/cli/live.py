@@ -295,7 +295,7 @@ def preflight(
     report(found.to_json(), json_file, *checks)
     if not found.ready:
         wrong = [check.name for check in found.checks if check.verdict == "wrong"]
-        raise InputError(f"not ready to fly: mend {', '.join(wrong)}, then check again")
+        raise InputError(f"not ready to fly: fix {', '.join(wrong)}, then check again")
 
 
 @app.command(rich_help_panel=_PANEL)

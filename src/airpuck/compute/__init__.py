@@ -1,4 +1,4 @@
-"""How array programs run: compilation, XLA, sines, precision, cores. No other package knows of it.
+"""Execution of array programs: compilation, XLA, sines, precision, cores.
 
 Entry points: `compiled.program`, `compiled.for_batches`, `compiled.for_samples`.
 """

@@ -12,7 +12,7 @@ import numpy as np
 
 
 def namespace(*values: Any) -> Any:
-    """Return the namespace that computes with values: JAX's where one of them is JAX's."""
+    """Return the namespace for computing with values: JAX's if one of them is a JAX array."""
     # A caller with a JAX array has imported JAX.
     jax = sys.modules.get("jax")
     if jax is not None and any(isinstance(value, jax.Array) for value in values):
@@ -21,7 +21,7 @@ def namespace(*values: Any) -> Any:
 
 
 def generator(key: Any) -> np.random.Generator:
-    """Return a source of random numbers from a seed, a generator or a key of JAX."""
+    """Return a random generator from a seed, a generator or a JAX key."""
     if namespace(key) is not np:
         import jax
         import jax.numpy as jnp
@@ -33,18 +33,18 @@ def generator(key: Any) -> np.random.Generator:
 
 
 def with_symbols(function: Callable[..., Any], *values: Any) -> Any:
-    """Call a function of arrays with matrices of CasADi, too, where a column is a vector.
+    """Call a function of arrays, also with CasADi matrices whose columns are vectors.
 
     NumPy calls the methods of an array's elements, such as ``cos``, so it computes with symbols as
-    with numbers. A batch of one keeps them inside arrays: a NumPy number times a bare symbol would
-    ask NumPy, not CasADi.
+    with numbers. A batch of size one keeps them inside arrays: for a NumPy number times a bare
+    symbol Python would call NumPy, not CasADi.
     """
     if not any(map(_is_symbolic, values)):
         numbers = namespace(*values) is np
         return function(*(np.asarray(v, dtype=float) if numbers else v for v in values))
     import casadi
 
-    # CasADi tries out what a symbol would be at zero, and leaves the processor's flags set.
+    # CasADi evaluates symbols at zero, which leaves the processor's error flags set.
     with np.errstate(all="ignore"):
         result = function(*(_elements(value)[..., None] for value in values))[..., 0]
     rows = result if result.ndim == 2 else result[:, None]
@@ -52,7 +52,7 @@ def with_symbols(function: Callable[..., Any], *values: Any) -> Any:
 
 
 def _elements(value: Any) -> np.ndarray:
-    """Return an array of the elements of a matrix of CasADi, or of an array."""
+    """Return an array of the elements of a CasADi matrix, or of an array."""
     if not _is_symbolic(value):
         return np.asarray(value, dtype=float)
     array = np.empty(value.shape, dtype=object)
@@ -62,19 +62,19 @@ def _elements(value: Any) -> np.ndarray:
 
 
 def _is_symbolic(value: Any) -> bool:
-    """Return whether a value is a matrix of CasADi."""
+    """Return whether a value is a CasADi matrix."""
     return type(value).__module__.partition(".")[0] == "casadi"
 
 
-#: Fits run side by side, and JAX refuses what is registered twice.
+#: Fits run in parallel threads, and JAX rejects a second registration.
 _registered: set[Any] = set()
 _registering = Lock()
 
 
 def register_pytree(kind: Any, static: str = "") -> None:
-    """Let JAX see the arrays inside a dataclass; the field `static` holds none.
+    """Let JAX see the arrays inside a dataclass; the field `static` contains none.
 
-    Another class is a constant to JAX.
+    JAX treats another class as a constant.
     """
     from jax.tree_util import register_dataclass, register_static
 
@@ -90,19 +90,19 @@ def register_pytree(kind: Any, static: str = "") -> None:
 
 
 def linear_map(matrix: Any, vector: Any) -> Any:
-    """Apply a matrix, one for all or one for each of a batch, to vectors (batch as last axis)."""
+    """Apply a matrix, shared or one per batch entry, to vectors (batch as last axis)."""
     if matrix.ndim == 2 and vector.ndim <= 2:
         return matrix @ vector
     if matrix.ndim == 2:
         matrix = matrix.reshape(matrix.shape + (1,) * (vector.ndim - 1))
-    # A sum of arrays: XLA's reduction over an axis takes several times as long on a CPU.
+    # An explicit sum: XLA's reduction over an axis takes several times as long on a CPU.
     return sum(matrix[:, i] * vector[i] for i in range(matrix.shape[1]))
 
 
 def small_product(xp: Any, left: Any, right: Any) -> Any:
     """Multiply a small matrix, or a stack of them, by others or by a vector.
 
-    A sum, since XLA calls a library for `@`, which costs more than the arithmetic.
+    An explicit sum: XLA calls a library for `@`, which costs more than the arithmetic.
     """
     if right.ndim == 1:
         return xp.sum(left * right, axis=-1)
@@ -110,7 +110,7 @@ def small_product(xp: Any, left: Any, right: Any) -> Any:
 
 
 def scan(xp: Any, body: Callable[[Any, Any], tuple[Any, Any]], carry: Any, inputs: Any) -> Any:
-    """Loop over the leading axis, as `jax.lax.scan` does."""
+    """Loop over the leading axis, like `jax.lax.scan`."""
     if xp is not np:
         import jax
 
@@ -129,7 +129,7 @@ def slopes(xp: Any, function: Callable[[Any], Any], point: Any) -> Any:
     """
     if xp is np:
         count, step = len(point), 1e-30
-        # The direction comes last, as one more axis of the batch.
+        # The direction becomes the last axis of the batch.
         moved = point[..., None] + 1j * step * np.eye(count)[:, None, :]
         return np.moveaxis(np.imag(function(moved)), -1, 0) / step
     import jax
@@ -140,7 +140,7 @@ def slopes(xp: Any, function: Callable[[Any], Any], point: Any) -> Any:
 
 
 def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) -> Any:
-    """Apply a function if a condition holds for any of a batch, else return the value unchanged."""
+    """Apply a function if a condition holds for any of a batch; else return the value."""
     if xp is not np:
         import jax
 
@@ -151,7 +151,7 @@ def if_any(xp: Any, condition: Any, function: Callable[[Any], Any], value: Any) 
 def repeat_while(
     xp: Any, condition: Callable[[Any], Any], body: Callable[[Any], Any], value: Any
 ) -> Any:
-    """Apply a function as long as a condition holds, as `jax.lax.while_loop` does."""
+    """Apply a function while a condition holds, like `jax.lax.while_loop`."""
     if xp is not np:
         import jax
 

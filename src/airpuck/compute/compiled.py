@@ -1,28 +1,29 @@
 """Compiled programs, in double precision whatever the user's own JAX is set to.
 
-Two kinds. `program` is for real time: a NumPy call costs a microsecond whatever the size of its
-arrays, and a control step has hundreds of them; one call of a compiled program costs eight, most
-of it inside JAX. So a step makes few calls, and each takes one vector and gives one, since every
-further array costs a microsecond too. `for_batches` is for passes over many samples side by side,
-`for_samples` for passes from one sample to the next.
+There are two kinds. `program` is for real time: a NumPy call costs a microsecond whatever the size
+of its arrays, and a control step needs hundreds of calls. One call of a compiled program costs
+eight microseconds, mostly inside JAX. So a step makes few calls, and each takes one vector and
+returns one, since every further array costs another microsecond. `for_batches` is for passes over
+many samples in parallel, `for_samples` for passes from one sample to the next.
 
-The functions stay plain array operations over a namespace; tests run them under NumPy. Programs are
-kept by code and content: a second controller of the same craft compiles nothing.
+The functions remain plain array operations over a namespace; tests run them under NumPy. Programs
+are cached by code and content: a second controller of the same craft compiles nothing.
 
-What XLA does on a CPU, as measured:
+XLA's behaviour on a CPU, as measured:
 
-* It gives the parts of a program with arrays above 512 bytes to several threads. That costs more
-  than the arithmetic of small programs, and takes cores from batches that run side by side. The
-  scheduler for least memory does not do so (`_OPTIONS`). Together with vectors of 512 bits it makes
-  a pass over windows a fifth faster.
+* It splits programs with arrays above 512 bytes between several threads. That costs more
+  than the arithmetic of small programs, and takes cores from batches that run in parallel. The
+  memory-minimising scheduler does not (`_OPTIONS`). Together with 512-bit vectors it makes a pass
+  over windows 20 % faster.
 * JAX hands a program of a thousand operations or more to another thread: 10 µs on one core, 60 on
-  two. Only a setting of the whole process prevents it (`airpuck.compute.process.low_latency`).
+  two. Only a process-wide setting prevents it (`airpuck.compute.process.low_latency`).
 * JAX releases the interpreter lock while it computes, so a thread pool uses all cores. Several JAX
-  devices would do so too, but need a setting of the whole process before JAX starts.
+  devices would do so too, but need a process-wide setting before JAX starts.
 * A loop that joins arrays is not vectorised. In the identification's kernel the batch is therefore
   the last axis throughout, and sensitivities are added in place, kind by kind.
 * It multiplies by zeros: Jacobians are taken by one argument at a time.
-* Tried on that kernel, and slower: one array for each kind of coordinate, the Runge-Kutta stages as
+* Alternatives tried on that kernel, all slower: one array for each kind of coordinate, the
+Runge-Kutta stages as
   an inner loop, the Jacobian of a whole step, reverse mode, no fusion emitters.
 """
 
@@ -45,10 +46,10 @@ _OPTIONS: dict[str, Any] = {
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
     "xla_cpu_prefer_vector_width": 512,
 }
-#: Programs by what they compute, least recently used first; enough for a dozen craft.
+#: Programs by their computation, least recently used first; enough for a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
-#: Samples that a pass from sample to sample takes at a time.
+#: Number of samples that a sample-by-sample pass takes at a time.
 _STRETCH = 512
 
 
@@ -60,7 +61,7 @@ def double_precision() -> contextlib.AbstractContextManager[Any]:
 
 
 def for_batches(function: Callable[..., Any], **settings: Any) -> Callable[..., Any]:
-    """Compile a function for passes over many samples; calls may run side by side in threads.
+    """Compile a function for passes over many samples; threads may call it in parallel.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def for_batches(function: Callable[..., Any], **settings: Any) -> Callable[..., 
     Returns
     -------
     callable
-        The same, in double precision, on JAX's default device.
+        The same function in double precision, on JAX's default device.
     """
     import jax
 
@@ -88,10 +89,10 @@ def for_batches(function: Callable[..., Any], **settings: Any) -> Callable[..., 
 
 
 def for_samples(step: Callable[[Any, Any, Any], tuple[Any, Any]]) -> Callable[..., Any]:
-    """Compile a pass from sample to sample; one program serves recordings of any length.
+    """Compile a sample-by-sample pass; one program serves recordings of any length.
 
-    It takes `_STRETCH` samples at a time. What the last ones lack is filled up, and left out of the
-    results.
+    It takes `_STRETCH` samples at a time. The last stretch is padded, and the padding is dropped
+    from the results.
 
     Parameters
     ----------
@@ -102,7 +103,7 @@ def for_samples(step: Callable[[Any, Any, Any], tuple[Any, Any]]) -> Callable[..
     -------
     callable
         ``(known, carry, samples) -> (carry, outputs)``, with the samples along the first axis of
-        each array, as `jax.lax.scan`.
+        each array, like `jax.lax.scan`.
     """
     import jax
     import jax.numpy as jnp
@@ -119,7 +120,7 @@ def for_samples(step: Callable[[Any, Any, Any], tuple[Any, Any]]) -> Callable[..
 
     def call(known: Any, carry: Any, samples: Any) -> tuple[Any, Any]:
         count, parts = len(jax.tree.leaves(samples)[0]), []
-        # JAX takes a plain number for another type.
+        # JAX gives a plain number another type.
         carry = jax.tree.map(np.asarray, carry)
         for first in range(0, count, _STRETCH):
             chosen = np.arange(first, first + _STRETCH)
@@ -149,12 +150,12 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
     *examples : array or float
         Arrays of the shapes that it will be called with.
     compiled : bool
-        Whether to compile it over jax.numpy, or to run it over numpy.
+        Whether to compile it over jax.numpy or run it over numpy.
 
     Returns
     -------
     callable
-        NumPy arrays in, NumPy arrays out.
+        A function from NumPy arrays to NumPy arrays.
     """
     xp: Any = np
     if compiled:
@@ -167,7 +168,7 @@ def program(function: Callable[..., Any], *examples: Any, compiled: bool) -> Cal
 
 
 def _kept_program(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-    """Compile a function, unless one of the same content was compiled before."""
+    """Compile a function, unless one with the same content was compiled before."""
     try:
         key = _content(function), tuple(np.shape(example) for example in examples)
     except (pickle.PicklingError, AttributeError, TypeError, ValueError, RecursionError):
@@ -180,7 +181,7 @@ def _kept_program(function: Callable[..., Any], *examples: Any) -> Callable[...,
 
 
 def _content(value: Any) -> Hashable:
-    """Return what identifies a value, or a function together with what it closes over."""
+    """Return a key that identifies a value, or a function and the variables it closes over."""
     if isinstance(value, FunctionType):
         around = tuple(_content(cell.cell_contents) for cell in value.__closure__ or ())
         defaults = _content(value.__defaults__), _content(value.__kwdefaults__)
@@ -193,7 +194,7 @@ def _content(value: Any) -> Hashable:
 
 
 def _compile(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-    """Compile for the CPU, as a program of one vector that gives one vector."""
+    """Compile for the CPU, as a program from one vector to one vector."""
     import jax
     import jax.numpy as jnp
 
@@ -224,20 +225,20 @@ def _compile(function: Callable[..., Any], *examples: Any) -> Callable[..., Any]
 
 
 def _joined(arguments: tuple[Any, ...]) -> np.ndarray:
-    """Lay arguments out one after the other, in double precision.
+    """Concatenate arguments in double precision.
 
-    Joining bytes takes half the time, where all are arrays of double precision without gaps.
+    Joining bytes takes half the time if all arrays are contiguous and in double precision.
     """
     try:
         if [argument.dtype for argument in arguments].count(_DOUBLE) == len(arguments):
             return np.frombuffer(b"".join(arguments))
-    except (AttributeError, TypeError):  # a plain number, or an array with gaps
+    except (AttributeError, TypeError):  # a plain number, or an array that is not contiguous
         pass
     return np.concatenate(arguments, axis=None, dtype=float)
 
 
 def _places(shapes: list[tuple[int, ...]]) -> list[tuple[slice, tuple[int, ...]]]:
-    """Return place and shape of each of several arrays that are laid out one after the other."""
+    """Return position and shape of each of several concatenated arrays."""
     edges = accumulate(map(math.prod, shapes), initial=0)
     return [(slice(a, b), shape) for (a, b), shape in zip(pairwise(edges), shapes, strict=True)]
 

@@ -13,14 +13,14 @@ from typing import Any
 
 #: Priority above ordinary processes, below the system's own.
 _PRIORITY = 10
-#: XLA reads the size of its thread pool here; it has no option for that.
+#: XLA reads the size of its thread pool from here; it has no option for that.
 _POOL = "NPROC"
-#: After this time a signal is sent again whose exception was lost [s].
+#: After this time a signal whose exception was lost is sent again [s].
 _AGAIN = 0.01
 
 
 class Stopped(KeyboardInterrupt):
-    """SIGINT or SIGTERM has come; `words` say what is left of the work."""
+    """SIGINT or SIGTERM has arrived; `words` describe what the work leaves behind."""
 
     def __init__(self, number: int, words: str = "") -> None:
         super().__init__(number, words)
@@ -36,7 +36,8 @@ def stop(number: int, _frame: Any = None) -> None:
 def stoppable() -> Iterator[None]:
     """Let SIGINT and SIGTERM raise `Stopped`, so that temporary files are removed on the way out.
 
-    Signals that are ignored, as in a background shell, or handled by somebody else stay so.
+    Signals that are ignored, as in a background shell, or that already have a handler, stay that
+    way.
     """
     usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
     here = threading.current_thread() is threading.main_thread()
@@ -44,8 +45,8 @@ def stoppable() -> Iterator[None]:
     hook = sys.unraisablehook
 
     def again(lost: Any) -> None:
-        # Python drops what is raised in a destructor or by the garbage collector, where JAX has a
-        # callback.
+        # Python drops exceptions raised in a destructor or by the garbage collector, where JAX has
+        # a callback.
         if isinstance(lost.exc_value, Stopped):
             number = lost.exc_value.number
             threading.Timer(_AGAIN, os.kill, (os.getpid(), number)).start()
@@ -64,7 +65,7 @@ def stoppable() -> Iterator[None]:
 
 
 def prioritize(*, first: bool) -> None:
-    """Ask the system to run this thread before all others, or as any other; it may refuse."""
+    """Ask the system to run this thread before all others, or normally again; it may refuse."""
     with suppress(OSError, AttributeError):
         policy, priority = (os.SCHED_FIFO, _PRIORITY) if first else (os.SCHED_OTHER, 0)
         os.sched_setscheduler(0, policy, os.sched_param(priority))
@@ -78,21 +79,20 @@ def usable_cores() -> int:
 
 
 def single_threaded_algebra() -> None:
-    """Let linear algebra use one thread; it takes effect only before NumPy is imported.
+    """Restrict linear algebra to one thread; this works only before NumPy is imported.
 
-    Matrices here are small: BLAS threads would wait for each other and keep JAX's threads from
-    working.
+    Matrices here are small: BLAS threads would wait for each other and slow down JAX's threads.
     """
     for library in ("OPENBLAS", "OMP"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 
 def keep_compiled_programs() -> None:
-    """Let JAX keep what it compiles in the user's cache folder, unless the environment says where.
+    """Store JAX's programs in the user's cache folder, unless the environment names another.
 
-    Only commands do so: a process that imports airpuck has its own settings of JAX.
+    Only commands do so: a process that imports airpuck keeps its own JAX settings.
     """
-    # Where the disk is full, the command continues without the cache and does not mention it.
+    # If the disk is full, the command continues without the cache and without a warning.
     warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
@@ -109,12 +109,12 @@ def keep_compiled_programs() -> None:
 
 
 def low_latency() -> bool:
-    """Run programs of any size in the thread that calls them, before JAX first computes.
+    """Run programs of any size in the calling thread; call this before JAX first computes.
 
-    By default JAX hands large ones to another thread, which takes 10 µs or more, and XLA hands
-    parts of them to a pool. Threads of the pool have no priority: while other processes keep the
-    cores busy, a loop with priority waits for them, up to 0.3 s (`studies/live_loop.py`). Returns
-    whether the setting came in time.
+    By default JAX passes large programs to another thread, which takes 10 µs or more, and XLA
+    passes parts of them to a pool. Threads of the pool have no priority: while other processes keep
+    the cores busy, a loop with priority waits for them, up to 0.3 s (`studies/live_loop.py`).
+    Returns whether the setting came in time.
     """
     import jax
 
@@ -122,7 +122,7 @@ def low_latency() -> bool:
         jax.config.update("jax_cpu_enable_async_dispatch", False)
         before = os.environ.get(_POOL)
         os.environ[_POOL] = "1"
-        jax.local_devices(backend="cpu")  # makes the pool
+        jax.local_devices(backend="cpu")  # creates the pool
         if before is None:
             del os.environ[_POOL]
         else:
@@ -140,8 +140,8 @@ def large_programs_are_fast() -> bool:
 def _has_computed() -> bool:
     """Return whether JAX has started its backends, after which the setting has no effect."""
     try:
-        from jax._src import xla_bridge  # no public function answers this
+        from jax._src import xla_bridge  # there is no public function for this
 
         return xla_bridge.backends_are_initialized()
     except (ImportError, AttributeError):
-        return False  # commands call `low_latency` before anything is computed
+        return False  # commands call `low_latency` before the first computation

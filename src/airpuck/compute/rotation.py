@@ -1,9 +1,9 @@
 """Cosine and sine of many angles, computed once and fast.
 
-Two habits of XLA on a CPU made sines of the same few yaws two thirds of the time of a rollout with
-sensitivities. It fuses a result into every place that uses it, and computes it anew in each; it
-drops optimisation barriers, but never fuses a product of matrices, so a product with the identity
-keeps the values. And it calls the C library for each number of double precision; fdlibm's
+Two habits of XLA on a CPU made sines of the same few yaws take two thirds of the time of a rollout
+with sensitivities. First, it fuses a result into every place that uses it, and recomputes it in
+each. It drops optimisation barriers, but never fuses a matrix product, so a product with the
+identity keeps the values. Second, it calls the C library for each double-precision number; fdlibm's
 polynomials on whole arrays take a tenth of that time.
 """
 
@@ -58,7 +58,7 @@ def _kept() -> Any:
         if jax.dtypes.canonicalize_dtype(float) == np.float64:
             rows = polynomials(jnp, angle.astype(float)).astype(angle.dtype)
         else:
-            # Not joined: XLA would multiply each part separately, and fuse that.
+            # Kept separate: joined, XLA would multiply each part separately and fuse the products.
             rows = jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
         return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows, 1, precision="highest")
 
@@ -76,22 +76,22 @@ def _kept() -> Any:
 
 
 def polynomials(xp: Any, angle: Any) -> Any:
-    """Compute cosine and sine by array operations alone, in double precision.
+    """Compute cosine and sine with array operations alone, in double precision.
 
-    An angle is a whole number of quarter turns and a rest within ±π/4, where the polynomials are
-    exact to rounding. The number of turns selects polynomial and sign.
+    An angle is a whole number of quarter turns and a remainder within ±π/4, where the polynomials
+    are exact to rounding. The number of quarter turns selects polynomial and sign.
     """
     turns = xp.round(angle * (2 / np.pi))
     rest = angle
     for part in _QUARTER:
         rest = rest - turns * part
-    # Only huge angles leave a larger rest: their sine is not known, but never above one.
+    # Only huge angles leave a larger remainder: their sine is unknown, but never above one.
     rest = xp.clip(rest, -1.0, 1.0)
     square = rest * rest
     sine = rest + rest * square * _horner(_SINE, square)
     cosine = 1 - square / 2 + square * square * _horner(_COSINE, square)
-    # One array from the start, cos(r) being sin(r + π/2): joining two arrays is not vectorised. Nor
-    # are conversions to 64 bits, on most processors.
+    # Use one array from the start, with cos(r) = sin(r + π/2): joining two arrays is not
+    # vectorised. On most processors, conversions to 64 bits are not either.
     quadrant = turns.astype(np.int32) + _rows(np.array([1, 0], np.int32), angle)
     value = xp.where(quadrant & 1, cosine, sine)
     return xp.where(quadrant & 2, -value, value)
@@ -103,7 +103,7 @@ def _rows(values: np.ndarray, angle: Any) -> np.ndarray:
 
 
 def _horner(coefficients: tuple[float, ...], x: Any) -> Any:
-    """Evaluate a polynomial, the constant first."""
+    """Evaluate a polynomial, constant term first."""
     total = coefficients[-1]
     for coefficient in reversed(coefficients[:-1]):
         total = total * x + coefficient

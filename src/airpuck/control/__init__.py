@@ -1,4 +1,4 @@
-"""Model -> motor commands.
+"""Controllers: from a model to motor commands.
 
 Entry points: `lqr.regulator`, `allocation.ThrustAllocator`, `excitation.Excitation`,
 `reference.Reference`, `authority.control_authority`.

@@ -1,4 +1,4 @@
-"""Thrust allocation: from accelerations asked for to thrusts (eq. force_qp)."""
+"""Thrust allocation: from requested accelerations to thrusts (eq. force_qp)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from jaxtyping import Float
 
 Variables = Float[np.ndarray, " m"]
 Rows = Float[np.ndarray, "3 m"]
-#: Of the variables, then of the rows.
+#: Bounds of the variables, then of the rows.
 Bounds = Float[np.ndarray, " m+3"]
 
 
 class Piqp:
     """PIQP, the paper's solver (Schwan et al. 2023), an interior-point method."""
 
-    # About 16 iterations solve a feasible problem. Where the bounds leave no interior it takes up
-    # to 100, and the last digits of the dual are never found: the primal is judged by itself.
+    # About 16 iterations solve a feasible problem. If the bounds leave no interior it takes up to
+    # 100, and the dual never reaches full precision: convergence is judged by the primal alone.
     _MOST_ITERATIONS = 100
     _EQUALITY_HOLDS = 1e-8
 
@@ -42,11 +42,11 @@ class Piqp:
             settings.rho_init = settings.delta_init = 1e-8
             settings.eps_abs = settings.eps_rel = 1e-11
             settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 1e-11
-            # By default one feasible request in twenty is taken for infeasible.
+            # With the default, one feasible request in twenty is reported infeasible.
             settings.eps_primal_inf = 1e-10
 
     def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
-        """Solve with Ax = b, the last three bounds."""
+        """Solve with Ax = b; the last three bounds are b."""
         lower, upper, b = lower[:-3], upper[:-3], upper[-3:]
         self._constrained.update(A=a, b=b, x_l=lower, x_u=upper)
         solved = self._constrained.solve() == self._solved
@@ -66,9 +66,9 @@ class Daqp:
     """DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method."""
 
     _OPTIMAL = 1
-    # The default, 3.7e-11, takes small requests with nearly parallel columns for infeasible ones.
+    # The default, 3.7e-11, reports small requests with nearly parallel columns as infeasible.
     _SINGULAR = 1e-14
-    # By default, 1e-6, one request in a million is missed by 1e-4 rad/s².
+    # The default, 1e-6, misses one request in a million by 1e-4 rad/s².
     _FEASIBLE = 1e-9
 
     def __init__(self, cost: Variables, ties: Variables) -> None:
@@ -79,7 +79,7 @@ class Daqp:
         self._ties, self._no_rows = np.diag(ties), np.zeros((0, m))
         self._bounds = np.zeros(m, dtype=np.intc)
         self._with_equality = np.concatenate([self._bounds, np.full(3, 5, dtype=np.intc)])
-        # Any feasible numbers will do here: the memory is set up for their sizes.
+        # Any feasible numbers will do here: DAQP allocates its memory for their sizes.
         lower, upper = np.append(np.zeros(m), np.ones(3)), np.ones(m + 3)
         self._constrained = daqp.Model()
         self._constrained.setup(
@@ -88,10 +88,10 @@ class Daqp:
         self._constrained.settings = {"sing_tol": self._SINGULAR, "primal_tol": self._FEASIBLE}
 
     def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
-        """Solve with Ax = b, the last three bounds."""
+        """Solve with Ax = b; the last three bounds are b."""
         model = self._constrained
-        # With `sense` it begins anew; otherwise from the last active set, so that an answer would
-        # depend on the problem before it.
+        # With `sense` it starts cold; otherwise it starts from the last active set, so an answer
+        # would depend on the previous problem.
         if model.update(A=a, bupper=upper, blower=lower, sense=self._with_equality) < 0:
             return None
         x, _, flag, _ = model.solve()
@@ -110,15 +110,16 @@ class Daqp:
 SOLVERS = {"daqp": Daqp, "piqp": Piqp}
 
 
-#: What became of a request. ``exact``: met. ``scaled``: linear or angular acceleration reduced in
-#: its direction (s1, s2 < 1). ``nearest``: no scaling of it can be met, the nearest acceleration is
-#: given. ``failed``: the solver gave nothing usable, the lowest thrusts are given.
+#: Outcome of a request. ``exact``: met. ``scaled``: the linear or angular acceleration is reduced
+#: along its direction (s1, s2 < 1). ``nearest``: no scaled request is feasible; the thrusts give
+#: the nearest acceleration. ``failed``: the solver found no solution; the thrusts are the lowest
+#: allowed.
 Outcome = Literal["exact", "scaled", "nearest", "failed"]
 
-#: A request counts as met in full if neither slack is further from one than this.
+#: A request counts as fully met if both slacks are this close to 1.
 _UNSCALED = 1e-6
-#: Weights of slacks and thrusts against the distance in the nearest-acceleration problem: small
-#: enough to leave the distance as it is, large enough to choose among equally near solutions.
+#: Weights of slacks and thrusts relative to the distance in the nearest-acceleration problem: small
+#: enough not to change the distance, large enough to choose among equally near solutions.
 _TIE_SLACK, _TIE_THRUST = 1e-7, 1e-8
 
 
@@ -128,10 +129,10 @@ class Allocated:
 
     #: Thrusts within their bounds [N].
     thrust: Float[np.ndarray, " n"]
-    #: s1 and s2: what was met of the linear and the angular acceleration.
+    #: s1 and s2: fractions of the linear and angular acceleration that are met.
     linear_scale: float
     angular_scale: float
-    #: What became of the request.
+    #: Outcome of the request.
     outcome: Outcome
 
 
@@ -145,9 +146,9 @@ def problem(
     lower: Any,
     upper: Any,
 ) -> tuple[Any, Any, Any, Any]:
-    """Write eq. force_qp for a solver, with thrusts and slacks √μ(1 - s) as x.
+    """Write eq. force_qp for a solver; x holds the thrusts and the scaled slacks √μ(1 - s).
 
-    So the Hessian is the identity, and the tolerance means the same for all variables.
+    This makes the Hessian the identity, so the tolerance means the same for all variables.
     """
     rows, root = np.array([1.0, 1.0, arm]), math.sqrt(slack_weight)
     asked = rows * request
@@ -162,12 +163,12 @@ def problem(
 
 
 def all_finite(values: Float[np.ndarray, " k"]) -> bool:
-    """Return whether a few numbers are all finite, in less time than any NumPy call takes."""
+    """Return whether a few numbers are all finite, faster than any NumPy call."""
     return all(map(math.isfinite, values.tolist()))
 
 
 class ThrustAllocator:
-    """Distributes an acceleration over the propellers.
+    """Allocates thrusts to the propellers to give a requested acceleration.
 
     The paper's problem (eq. force_qp),
 
@@ -175,23 +176,24 @@ class ThrustAllocator:
         s.t. (s1 vx, s1 vy, s2 v_ω) = M F + g,  lower ≤ F ≤ upper,  0 ≤ s1, s2 ≤ 1,
 
     scales a request down when it cannot be met. It is not always feasible: the motor lag makes the
-    lower bounds positive, and their acceleration may lie off the ray even of s1 = s2 = 0. Then the
-    acceleration nearest to a scaled request is given: the limit of an exact penalty on the equality
-    as its weight grows. (The limit, because the multiplier of the equality grows like 2μ/|v|: a
-    weight above it for every request would leave no digits for |F|².)
+    lower bounds positive, so even zero acceleration (s1 = s2 = 0) may be out of reach. The
+    allocator then gives the acceleration nearest to a scaled request. This is the limit of an exact
+    penalty on the equality as its weight grows. (A finite weight does not work: the multiplier of
+    the equality grows like 2μ/|v|, and a weight above it for every request would leave no digits
+    for |F|².)
 
     Parameters
     ----------
     n_propellers : int
         Number of propellers.
     arm : float
-        Lever at which angular accelerations are compared with linear ones, usually the radius of
+        Length that makes angular accelerations comparable with linear ones, usually the radius of
         gyration √(I/m) [m].
     slack_weight : float, default 1e6
-        μ. Large enough that scaling is the last resort: thrusts are below 1 N, so that |F|² is of
-        order one.
+        μ. Large enough that scaling is the last resort: thrusts are below 1 N, so |F|² is of order
+        1.
     solver : {"daqp", "piqp"}, default "daqp"
-        Both give the same answers.
+        Both solvers give the same answers.
     """
 
     def __init__(
@@ -206,7 +208,7 @@ class ThrustAllocator:
         sizes = n_propellers, 2
         ties = np.repeat([_TIE_THRUST, _TIE_SLACK], sizes)
         self._solver = SOLVERS[solver](np.full(len(ties), 2.0), ties)
-        # From √μ(1 - s) to 1 - s, whose size suits the distance.
+        # Scale √μ(1 - s) back to 1 - s, whose size suits the distance.
         self._unscale = np.repeat([1.0, self._root], sizes)
 
     def allocate(
@@ -217,23 +219,23 @@ class ThrustAllocator:
         lower: Float[np.ndarray, " n"],
         upper: Float[np.ndarray, " n"],
     ) -> Allocated:
-        """Find thrusts for an acceleration.
+        """Find the thrusts for an acceleration.
 
         Parameters
         ----------
         request : array, shape (3,)
-            v: ax, ay [m/s²], ω' [rad/s²].
+            v, the requested ax, ay [m/s²] and ω' [rad/s²].
         matrix : array, shape (3, n)
-            M(γ), from thrusts to accelerations.
+            M(γ), maps thrusts to accelerations.
         offset : array, shape (3,)
             g(ω), acceleration without thrust.
         lower, upper : array, shape (n,)
-            Bounds of the thrusts, finite [N].
+            Finite bounds of the thrusts [N].
 
         Returns
         -------
         Allocated
-            Thrusts within the bounds, whatever is asked for.
+            Thrusts within their bounds, whatever the request.
         """
         n = self._n
         x, outcome = self.solve(
@@ -242,13 +244,13 @@ class ThrustAllocator:
         if x is None:
             return Allocated(np.array(lower), 0.0, 0.0, outcome)
         linear, angular = (1 - x[n:] / self._root).tolist()
-        # Solvers keep bounds to their tolerance; motors keep them to the last digit.
+        # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.
         return Allocated(np.minimum(np.maximum(x[:n], lower), upper), linear, angular, outcome)
 
     def solve(
         self, a: Rows, lower: Bounds, upper: Bounds, finite: Any
     ) -> tuple[Variables | None, Outcome]:
-        """Solve what `problem` has written.
+        """Solve the program that `problem` wrote.
 
         Parameters
         ----------
@@ -258,9 +260,10 @@ class ThrustAllocator:
         Returns
         -------
         x : array, shape (n + 2,), or None
-            Thrusts [N], within the bounds to the solver's tolerance, and √μ(1 - s); None: failed.
+            Thrusts [N], within their bounds up to the solver's tolerance, and √μ(1 - s); None if
+            the solver failed.
         outcome : {"exact", "scaled", "nearest", "failed"}
-            What became of the request.
+            Outcome of the request.
         """
         if not finite:
             return None, "failed"

@@ -1,4 +1,4 @@
-"""What propellers that only push can do together: which motions, and how strong each is."""
+"""Control authority: the motions that push-only propellers can produce, and how strongly."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 
-#: Each motion: row of the configuration matrix, sign, and how it is said.
+#: Each motion: row of the configuration matrix, sign, and a phrase for messages.
 MOTIONS = {
     "forward": (0, 1, "pushes it forward"),
     "back": (0, -1, "pushes it back"),
@@ -19,21 +19,21 @@ MOTIONS = {
     "turn left": (2, 1, "turns it left (counter-clockwise)"),
     "turn right": (2, -1, "turns it right (clockwise)"),
 }
-#: Share of what all propellers could do together that counts as nothing.
+#: Accelerations below this fraction of what all propellers could produce together count as zero.
 _NOTHING = 1e-6
 
 
 @dataclass(frozen=True)
 class Authority:
-    """How strong each motion is that the propellers of a craft can make.
+    """How strongly a craft's propellers can drive each motion.
 
     Attributes
     ----------
     alone : mapping of str to float
-        By motion (`MOTIONS`): the largest acceleration with all others zero [m/s², rad/s²]; zero
-        where it cannot be made.
+        Largest acceleration per motion (`MOTIONS`) with all others zero [m/s², rad/s²]; zero if
+        impossible.
     together : mapping of str to float
-        The largest one, whatever the craft does beside it.
+        Largest acceleration per motion when the craft may also move otherwise.
     """
 
     alone: dict[str, float]
@@ -41,12 +41,12 @@ class Authority:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Motions that cannot be made by themselves."""
+        """Motions that the craft cannot make without another motion."""
         return tuple(name for name, most in self.alone.items() if most == 0)
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is missing, and why; empty for a craft that can go and turn everywhere."""
+        """Missing motions and the reasons; empty for a craft that can move and turn everywhere."""
         if not self.missing:
             return ()
         never = [name for name, most in self.together.items() if most == 0]
@@ -59,7 +59,7 @@ class Authority:
         return tuple(found)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         units = {name: "m_s2" if row < 2 else "rad_s2" for name, (row, _, _) in MOTIONS.items()}
         return {
             kind: {f"{name.replace(' ', '_')}_{units[name]}": most for name, most in found.items()}
@@ -68,7 +68,7 @@ class Authority:
 
 
 def control_authority(model: Model) -> Authority:
-    """Find how strong each motion of a craft can be: six linear programs in the thrusts.
+    """Compute the largest acceleration of each motion with six linear programs in the thrusts.
 
     Parameters
     ----------
@@ -78,8 +78,7 @@ def control_authority(model: Model) -> Authority:
     Returns
     -------
     Authority
-        The largest accelerations Π F for thrusts between those of the lowest and of the highest
-        command.
+        The largest accelerations Π F, for thrusts between the lowest and the highest command.
     """
     from scipy.optimize import linprog
 
@@ -104,5 +103,5 @@ def control_authority(model: Model) -> Authority:
 
 
 def _clear(most: float, scale: float) -> float:
-    """Return zero for what is nothing."""
+    """Replace negligible values by zero."""
     return float(most) if most > _NOTHING * scale else 0.0

@@ -17,7 +17,7 @@ def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarra
 
 
 def motor_lag(time_constant: float, period: float) -> tuple[float, float]:
-    """Discretise a motor (eq. dis_motor_dynamics): its speed is then A φ + B u."""
+    """Discretise a motor (eq. dis_motor_dynamics): its next speed is A φ + B u."""
     if time_constant == 0:
         return 0.0, 1.0
     return math.exp(-period / time_constant), -math.expm1(-period / time_constant)
@@ -26,7 +26,7 @@ def motor_lag(time_constant: float, period: float) -> tuple[float, float]:
 def rotation_error(
     spin: Float[np.ndarray, "*shape"], period: Float[np.ndarray, "*shape"]
 ) -> Float[np.ndarray, "*shape"]:
-    """Quantify what the discretisation neglects: the craft turns while the force is held.
+    """Quantify the error of the discretisation: the craft turns while the force is held.
 
     The discretisation applies R(γ_k) F for a whole period, but the force turns with the craft. The
     velocity gained is |∫ R(γ_k + ω t) F dt| = h F e^{iθ/2} sinc(θ/2), θ = ωh, instead of h F.

@@ -1,4 +1,4 @@
-"""The excitation experiment: random signals on top of a controller that keeps to the centre."""
+"""The excitation experiment: random signals on top of a controller that holds position."""
 
 from __future__ import annotations
 
@@ -19,52 +19,53 @@ from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
-#: Least acceleration in any direction with which a flight can be safe [m/s²].
+#: Lowest acceleration, over all directions, with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
-#: Greatest cosine between the effects of two propellers that oppose each other: 154 degrees.
+#: Largest cosine between the effects of two opposing propellers: 154 degrees.
 _OPPOSED = -0.9
-#: Share of the greatest acceleration that a stop may need.
+#: Fraction of the largest acceleration that a stop may need.
 _BRAKING = 0.5
 
 
 class Excitation(Pilot):
-    """Excites the craft by random signals, and keeps it on the table.
+    """Excites the craft with random signals while keeping it on the table.
 
-    Each pair of propellers gets one signal, uniform in ± amplitude and held for a while. It is
-    added to what the controller wants of the pair, the difference of its two commands w; then one
-    propeller gets w + s and the other -(w + s), clipped, so that one of them blows at a time
-    (sec:experiment; with the sign that the recordings show). A propeller without a partner gets its
-    command plus a signal of its own. Where the craft could not stop before the rails, the signals
-    pause until it can.
+    Each pair of propellers gets one signal, uniform in ± amplitude and held for a while. The signal
+    s is added to the difference w of the pair's two commands; one propeller then gets w + s and the
+    other -(w + s), clipped, so that only one of them blows at a time (sec:experiment; the
+    recordings show this sign). A propeller without a partner gets its command plus a signal of its
+    own. Whenever the craft could not stop before the rails, the signals pause until it can.
 
-    The controller believes that motors have no lag. One that knew the lag would compensate the
-    signals, since it hears what was sent.
+    The controller assumes motors without lag. A controller that modelled the lag would compensate
+    the signals, because it is told the commands actually sent.
 
     Parameters
     ----------
     model : Model
-        What the controller believes the craft to be; a nominal one does.
+        The controller's model of the craft; a nominal model is enough.
     reference : Reference, optional
-        What it steers to; by default the centre of the table.
+        Reference of the controller; by default the centre of the table.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one. Its law is the LQR, whatever it says.
+        Tuning of the controller; by default the packaged one. The law is always the LQR, whatever
+        the tuning names.
     amplitude : float or sequence of float, default 1
-        Largest signal, of all or of each: those of the pairs, then those of the propellers without
-        a partner, each in the vehicle's order. One of several may be 0.
+        Largest signal, either one number for all or one each: first the pairs, then the propellers
+        without a partner, each in the vehicle's order. Individual values may be 0.
     hold : float, default 0.2
         Time between changes of the signals [s].
     seed : int, default 0
         Seed of the signals.
     table : Table, optional
-        Where the rails are; by default the paper's table.
+        The table with its rails; by default the paper's.
     margin : float, default 0.05
-        Distance to the rails at which the craft must be able to stop [m].
+        Distance from the rails at which the craft must be able to stop [m].
 
     Raises
     ------
     InputError
         If amplitude, hold or margin are out of range, if the propellers of a pair do not oppose
-        each other, or if all together cannot push in every direction and turn the craft both ways.
+        each other, or if all propellers together cannot push in every direction and turn the craft
+        both ways.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class Excitation(Pilot):
         table: Table | None = None,
         margin: float = 0.05,
     ) -> None:
-        # It believes that motors have no lag; see above.
+        # The controller assumes motors without lag; see the class.
         self.controller = controller = TrackingController(
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
             reference or SetPoint(0.0, 0.0, 0.0),
@@ -88,9 +89,9 @@ class Excitation(Pilot):
             reject_disturbance=False,
             compensate_delay=False,
         )
-        #: What the controller steers to.
+        #: The controller's reference.
         self.reference = controller.reference
-        #: What is measured and sent is the controller's concern only.
+        #: Measurements and sent commands concern only the controller.
         self.pose, self.measured, self.sent = controller.pose, controller.measured, controller.sent
         if not hold >= controller.tuning.period_s:
             raise InputError(
@@ -123,7 +124,7 @@ class Excitation(Pilot):
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])
-        #: Periods in which the signals paused.
+        #: Number of periods in which the signals paused.
         self.pauses = 0
 
     def step(self, time: float) -> Step:
@@ -137,12 +138,12 @@ class Excitation(Pilot):
         Returns
         -------
         Step
-            The controller's command plus the signals; without them where the controller idles or
+            The controller's command plus the signals; without signals if the controller idles or
             the rails are near.
         """
         step = self.controller.step(time)
         if math.isfinite(time) and (self._begun is None or time < self._begun):
-            # The first time, or the first of a clock that was set back.
+            # The first step, or the first after the clock was set back.
             self._begun, self._changes = time, 0
         if not step.flies or step.estimate is None:
             return step
@@ -155,13 +156,13 @@ class Excitation(Pilot):
         return replace(step, command=np.clip(signed, vehicle.command_min, vehicle.command_max))
 
     def _change(self, time: float) -> None:
-        """Take the signals of a time, whichever steps were possible before."""
+        """Draw the signals in force at a time, whether or not earlier steps were run."""
         assert self._begun is not None
         # Half a nanosecond keeps rounding from delaying a change.
         due = int((time - self._begun + 5e-10) / self._hold) + 1
         if due <= self._changes:
             return
-        # As if those that were missed had been drawn, one number of 64 bits each.
+        # Skip the missed draws, one 64-bit number each.
         self._bits.advance((due - 1 - self._changes) * len(self._signal))
         self._signal = self._rng.uniform(-self._amplitude, self._amplitude)
         self._changes = due
@@ -190,10 +191,10 @@ def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.nd
 
 
 def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n signals"]]:
-    """Return how the controller's commands and the signals are mixed.
+    """Return two matrices that mix the controller's commands and the signals.
 
-    The first matrix turns the commands of a pair into ± their difference, and leaves single
-    propellers as they are; the second gives plus and minus its signal to a pair, plus to a single
+    The first maps the commands of a pair to ± their difference and leaves single propellers
+    unchanged. The second adds a signal with opposite signs to a pair, and once to a single
     propeller.
     """
     vehicle, effects = model.vehicle, model.propeller_effects
@@ -216,13 +217,13 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
 
 
 def _weakest_effort(model: Model) -> float:
-    """Return the greatest acceleration in the combination of push and turn in which it is least.
+    """Return the largest acceleration in the weakest combination of push and turn [m/s²].
 
-    Angular accelerations count times the radius of gyration [m/s²].
+    Angular accelerations are multiplied by the radius of gyration.
     """
     each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
-    # Between directions to which a propeller stands at right angles, what all give together is
-    # concave: it is least where two do.
+    # Between two directions that are each perpendicular to a propeller, the total is concave. The
+    # minimum therefore lies where two propellers are perpendicular.
     first, second = np.triu_indices(each.shape[1], 1)
     normal = np.cross(each[:, first], each[:, second], axis=0)
     size = np.linalg.norm(normal, axis=0)
@@ -234,9 +235,9 @@ def _weakest_effort(model: Model) -> float:
 
 
 def _weakest_push(model: Model) -> float:
-    """Return the greatest acceleration in the direction in which it is least [m/s²].
+    """Return the largest acceleration in the weakest direction [m/s²].
 
-    Of what the propellers give together at full speed, without regard to the moment.
+    With all propellers at full speed, ignoring moments.
     """
     full = model.dynamics.thrust.sum(axis=1)
     angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)

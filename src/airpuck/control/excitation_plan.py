@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 from airpuck.boundary import numbers
 from airpuck.boundary.settings import Setting, Settings
 
-#: Largest signal: of all, or of each.
+#: Largest signal: one number for all, or one each.
 Amplitude = Annotated[
     float | tuple[float, ...],
     Setting(
@@ -38,14 +38,15 @@ class ExcitationPlan(Settings):
     Attributes
     ----------
     amplitude : float or tuple of float
-        Largest signal, of all or of each: those of the pairs, then those of the propellers without
-        a partner. One of several may be 0.
+        Largest signal, either one number for all or one each: first the pairs, then the propellers
+        without a partner. Individual values may be 0.
     hold_s : float
         Time between changes of the signals.
     duration_s : float
         Length of the flight.
     margin_m : float
-        Distance to the rails at which the craft must be able to stop; else the signals pause.
+        Distance from the rails at which the craft must be able to stop; otherwise the signals
+        pause.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The problem of the predictive law: physics along a plan of commands, linearised there.
+"""The predictive law's quadratic program: the physics, linearised along a plan of commands.
 
 Pure functions over an array namespace. See docs/control.md, "Predictive control".
 """
@@ -20,34 +20,34 @@ from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.rollout import step
 from airpuck.physics.thrust import thrust, thrust_curvature
 
-#: Bounds of the effectiveness that the prediction counts with; a dead motor is left a little, so
-#: that its return is noticed, and no estimate may make the law timid.
+#: Bounds of the effectiveness used in the prediction. A dead motor keeps a little, so that the
+#: controller notices when it recovers; no estimate may make the law timid.
 _EFFECTIVENESS = (0.02, 1.5)
-#: Share of the thrust that is counted on for braking before a fence.
+#: Fraction of the thrust assumed for braking before a fence.
 _BRAKING = 0.5
-#: Where motors that are dead leave nothing against some direction [m/s²].
+#: Braking assumed where dead motors leave no thrust in some direction [m/s²].
 _LEAST_BRAKING = 0.1
-#: Distance to a fence per spin, and at most [m s/rad, m].
+#: Distance to a fence per yaw rate, and its maximum [m s/rad, m].
 _TURNING, _MOST_ROOM = 8e-4, 0.015
-#: Errors of the yaw between which a plan keeps its way round: a little less than half a turn either
-#: way [rad].
+#: Yaw errors between which a plan keeps its direction of rotation: a little less than half a turn
+#: either way [rad].
 _UNDECIDED = np.pi - 0.5
-#: Below this the direction of a speed, or away from a disc's middle, is not known [m/s, m].
+#: Below this speed, or this distance from a disc's centre, the direction is undefined [m/s, m].
 _NOWHERE = 1e-9
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """How the horizon is cut into steps, and the steps into blocks with one command each."""
+    """Division of the horizon into steps, and of the steps into blocks with one command each."""
 
-    #: Length of a step [s].
+    #: Duration of a step [s].
     step: float
-    #: Steps of each block.
+    #: Number of steps in each block.
     lengths: tuple[int, ...]
 
     @classmethod
     def of(cls, regulator: Regulator) -> Blocks:
-        """Cut the horizon as the settings say; the last block may be shorter."""
+        """Divide the horizon according to the settings; the last block may be shorter."""
         count = max(round(regulator.horizon_s / regulator.step_s), 1)
         given = regulator.block
         ends = np.cumsum([*given, *given[-1:] * count]).clip(max=count)
@@ -61,13 +61,13 @@ class Blocks:
 
     @property
     def times(self) -> Float[np.ndarray, " N"]:
-        """Ends of the steps, from when the first command begins to act [s]."""
+        """End times of the steps after the first command begins to act [s]."""
         return self.step * np.arange(1, sum(self.lengths) + 1)
 
     def shifted(self, plan: Float[np.ndarray, "B n"], elapsed: float) -> Float[np.ndarray, "B n"]:
-        """Return a plan a while later: the mean of the old commands over each block.
+        """Return a plan shifted in time: the mean of the old commands over each block.
 
-        The last command goes on.
+        The last command is held.
         """
         edges = self.step * np.concatenate([[0], np.cumsum(self.lengths)])
         beyond = np.append(edges, edges[-1] + max(elapsed, self.step))
@@ -78,7 +78,7 @@ class Blocks:
 
 
 class Ahead(NamedTuple):
-    """What is asked for at the ends of the steps."""
+    """The reference at the ends of the steps."""
 
     #: x, y, γ and their rates.
     states: Float[np.ndarray, "N 6"]
@@ -86,12 +86,12 @@ class Ahead(NamedTuple):
     accelerations: Float[np.ndarray, "N 3"]
     #: Weights of squared errors of the states.
     weights: Float[np.ndarray, "N 6"]
-    #: Weight of the error at the end of the horizon, in place of the last of those.
+    #: Weight of the error at the end of the horizon; it replaces the last row of `weights`.
     terminal: Float[np.ndarray, "6 6"]
 
 
 class Stages(NamedTuple):
-    """A linear-quadratic problem in what changes of a plan: δu of each step, δz after it.
+    """A linear-quadratic problem in the changes of a plan: δu in each step, δz after it.
 
     min Σ |e + δz|²_weights + |a + felt δz|²_effort + |δφ|²_bend + |u + δu|²_used
     s.t. δz⁺ = [δp; 0] + onward (δz without position, δu),  lower ≤ G δz ≤ upper (soft).
@@ -100,18 +100,20 @@ class Stages(NamedTuple):
     #: States and accelerations along the plan, at the ends of the steps.
     states: Num[Any, "N s"]
     accelerations: Num[Any, "N 3"]
-    #: Derivative of a state by the one before, the position left out, and the command.
+    #: Derivative of a state with respect to the previous state (without its position) and the
+    #: command.
     onward: Num[Any, "N s p"]
-    #: Derivative of the accelerations by the state there, the position left out.
+    #: Derivative of the accelerations with respect to the state at that time (without its
+    #: position).
     felt: Num[Any, "N 3 q"]
-    #: Errors e of states and a of accelerations; weights of the former.
+    #: Errors e of states and a of accelerations; weights of e.
     error: Num[Any, "N 6"]
     excess: Num[Any, "N 3"]
     weights: Num[Any, "N 6"]
     terminal: Num[Any, "6 6"]
-    #: Weights of squared changes of motor speeds, for the bend of the thrust curves.
+    #: Weights of squared changes of motor speeds, from the curvature of the thrust curves.
     bend: Num[Any, "N n"]
-    #: Yaw still to turn, the way round that is taken.
+    #: Yaw still to turn, in the chosen direction of rotation.
     way: Num[Any, ""]
     #: The commands.
     plan: Num[Any, "B n"]
@@ -152,7 +154,7 @@ def stages(
         start, pushed = xp.concatenate([state, speed]), reject_disturbance * disturbance
         along = linearised(xp, believed, blocks.step, start, plan[owner], pushed)
         states, accelerations = along[:2]
-        # Whole turns do not count, and at half a turn the way round does not waver.
+        # Ignore whole turns; near half a turn, keep the chosen direction of rotation.
         left = state[2] - wanted[0, 2]
         apart = wrapped(xp, left)
         turned_over = (apart * way < 0) & (xp.abs(way) > _UNDECIDED) & (xp.abs(apart) > _UNDECIDED)
@@ -170,10 +172,10 @@ def stages(
 def _bend(
     xp: Any, dynamics: Dynamics, effort: Num[Any, " 3"], h: float, along: Any, asked: Any
 ) -> Num[Any, "N n"]:
-    """Return the convex part of what the bend of the thrust curves adds to the Hessian.
+    """Return the convex part of the Hessian that the curvature of the thrust curves adds.
 
-    A motor at full speed loses less than nothing by its slope, which is flat there; without this
-    term the next plan would let it go.
+    At full speed a motor's thrust curve is flat, so slowing it down seems to cost nothing. Without
+    this term the next plan would slow it down.
     """
     states, _, onward, felt = along
     error, excess, weights, terminal = asked
@@ -188,11 +190,12 @@ def _bend(
         costate = slope + xp.concatenate([costate[:2], by_motion])
         return costate, costate
 
-    # What each end costs: itself, and by what follows from it; nothing follows from the last.
+    # Cost gradient at each end of a step: its own, plus what follows from it; nothing follows the
+    # last.
     after = xp.concatenate([onward[1:], xp.zeros_like(onward[:1])])
     _, costates = scan(xp, back, xp.zeros(states.shape[1]), (slope[::-1], after[::-1]))
     costates = xp.pad(costates[::-1], ((0, 1), (0, 0)))
-    # A motor speed at the end of a step pushes for half of it and half of the next.
+    # A motor speed at the end of a step acts for half of that step and half of the next.
     mean = (costates[:-1] + costates[1:]) / 2
     price = h * mean[:, 3:6] + h * h / 2 * mean[:, :3] + pushed
     cos, sin = xp.cos(states[:, 2:3]), xp.sin(states[:, 2:3])
@@ -237,10 +240,10 @@ def linearised(
 
 
 def _brake(xp: Any, dynamics: Dynamics, most: float) -> Num[Any, ""]:
-    """Return an acceleration that a craft can count on in every direction [m/s²].
+    """Return an acceleration that a craft can reach in every direction [m/s²].
 
-    A share of what the propellers that work give together in their weakest one: it turns and
-    allocates as well, and packets get lost.
+    A fraction of the acceleration that the working propellers reach in their weakest direction: the
+    craft also turns and allocates, and packets get lost.
     """
     ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     turned = np.column_stack([np.cos(ways), np.sin(ways)])
@@ -258,17 +261,17 @@ def _limits(
     fence: Num[Any, "2 2"],
     discs: Num[Any, "D 3"],
 ) -> tuple[Num[Any, "N c 6"], Num[Any, "N c"], Num[Any, "N c"]]:
-    """Write what is limited as linear functions of changes of the states, with their bounds."""
+    """Write the limits as bounded linear functions of changes of the states."""
     count, one = len(states), np.eye(6)
 
     def all_of(value: Any) -> Any:
         return xp.broadcast_to(value, (count,))
 
-    # A craft that moves towards the fence must be there some time later only, and must still be
-    # able to brake: |v|/2a later at its speed is v²/2a on.
+    # Limit a craft that moves towards the fence only at a later time, and require that it can still
+    # brake: at speed v, a position |v|/2a later lies v²/2a further on.
     later = limits.headway_s + xp.abs(states[:, 3:5]) / (2 * brake)
     rows = [one[i] + later[:, i, None] * one[3 + i] for i in (0, 1)]
-    # One that turns pushes elsewhere than was meant, when a packet is late or lost.
+    # A craft that turns pushes in an unintended direction when a packet is late or lost.
     room = xp.minimum(_TURNING * xp.abs(states[:, 5:]), _MOST_ROOM)
     room = xp.minimum(room, (fence[1] - fence[0]) / 2)
     low, high = [[*(fence[0] + room).T], [*(fence[1] - room).T]]
@@ -292,6 +295,6 @@ def _limits(
 
 
 def _direction(xp: Any, vectors: Num[Any, "N 2"]) -> Num[Any, "N 2"]:
-    """Scale vectors to length one; those that point nowhere, to zero."""
+    """Normalise vectors; a vector without a direction becomes zero."""
     length = xp.sqrt(xp.sum(vectors**2, axis=1, keepdims=True))
     return xp.where(length > _NOWHERE, vectors / xp.maximum(length, _NOWHERE), 0.0)

@@ -20,8 +20,8 @@ from airpuck.control.horizon import Blocks, Stages
 from airpuck.control.tuning import Regulator
 from airpuck.craft.vehicle import Vehicle
 
-#: What the squared change of a command costs, beside its effect. The linearisation holds near the
-#: plan only: without this, plans of a craft that turns fast jump between two ways to brake.
+#: Cost of a squared change of a command, apart from its effect. The linearisation holds only near
+#: the plan: without this cost, plans of a craft that turns fast jump between two ways to brake.
 _DAMPING = 0.5
 
 
@@ -29,11 +29,11 @@ _DAMPING = 0.5
 class Answer:
     """A solution."""
 
-    #: Of the plan.
+    #: Change of the plan.
     change: Float[np.ndarray, "B n"]
-    #: What that changes of x, y, γ and their rates, at the ends of the steps.
+    #: Resulting changes of x, y, γ and their rates at the ends of the steps.
     moved: Float[np.ndarray, "N 6"]
-    #: Which limits it is at: of the commands, block by block; then of the states, step by step.
+    #: Active limits: of the commands, block by block; then of the states, step by step.
     binding: Bool[np.ndarray, " r"]
     #: Whether a limit of the states is exceeded.
     exceeded: bool
@@ -54,42 +54,42 @@ class Sizes:
         self.least, self.greatest = vehicle.command_min, vehicle.command_max
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the solver's memory: what a compiled `form` is known by."""
+        """Return everything except the solver's memory: the key of a compiled `form`."""
         return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver", "_astray")}
 
 
-#: How DAQP takes a limit.
+#: How DAQP treats a limit.
 _HARD, _SOFT = 0, 8
-#: What DAQP says of a solution within all limits, and beyond soft ones.
+#: DAQP's exit flags for a solution within all limits, and for one beyond soft limits.
 _OPTIMAL, _SOFTENED = 1, 2
 
 
 class Condensed(Sizes):
-    """DAQP on the commands alone; it goes on from the last active set."""
+    """DAQP on the commands alone, started from the last active set."""
 
     def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator, count: int) -> None:
         super().__init__(vehicle, blocks, regulator)
         import daqp
 
         n, rows = self.n, count * len(blocks.owner)
-        #: From all commands to those of a step.
+        #: Maps all commands to the commands of a step.
         self._each = np.zeros((len(blocks.owner), n, self.m))
         for k, block in enumerate(blocks.owner):
             self._each[k, :, block * n : (block + 1) * n] = np.eye(n)
         self._senses = np.repeat([_HARD, _SOFT], [self.m, rows]).astype(np.intc)
-        # Any feasible numbers will do here: the memory is set up for their sizes.
+        # Any feasible numbers will do here: DAQP allocates its memory for their sizes.
         empty = np.eye(self.m), np.zeros(self.m), np.zeros((rows, self.m))
         one = np.ones(self.m + rows)
         self._model = daqp.Model()
         self._model.setup(*empty, one, -one, self._senses)
         self._model.settings = {"iter_limit": self.most}
         self._astray = False
-        # To exceed by s costs w s + w s²/2. The settings of all at once are for scaled rows.
+        # A violation s costs w s + w s²/2. DAQP's own setting for all rows applies to scaled rows.
         linear, curved = self.penalty * one, one / self.penalty
         self._model.soft_weights(rho_l=curved, rho_u=curved, w_l=linear, w_u=linear)
 
     def form(self, xp: Any, s: Stages) -> tuple[Any, ...]:
-        """Leave the states out: Hessian, gradient, rows, lower and upper bounds, and the states."""
+        """Eliminate the states: return Hessian, gradient, rows, bounds and the states."""
         m = self.m
 
         def onward(moved: Any, given: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -119,13 +119,14 @@ class Condensed(Sizes):
         return hessian, gradient, limited, lower, upper, pose
 
     def solve(self, formed: Sequence[Float[np.ndarray, "..."]]) -> Answer | None:
-        """Solve from the last active set; anew after one that led nowhere."""
+        """Solve from the last active set; start cold if the last attempt failed."""
         hessian, gradient, rows, lower, upper, pose = formed
         if not math.isfinite(hessian.sum() + gradient.sum() + rows.sum()):
             return None
         given = {"H": hessian, "f": gradient, "A": rows, "bupper": upper, "blower": lower}
-        # The active set of a very different problem can send it round in circles; but one that was
-        # found anew and not to the end is worth going on with. One attempt a period: it is to end.
+        # The active set of a very different problem can make DAQP cycle. After a cold start that
+        # ran out of iterations, however, its active set is worth continuing from. There is one
+        # attempt per period, so the time stays bounded.
         start = {"sense": self._senses} if self._astray else {}
         if self._model.update(**given, **start) >= 0:
             x, _, flag, info = self._model.solve()

@@ -1,4 +1,4 @@
-"""What a law of the controller is, and what a control step gives."""
+"""The interface of a control law, and the result of a control step."""
 
 from __future__ import annotations
 
@@ -18,31 +18,32 @@ from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
-#: What became of a prediction. ``optimal``: within all limits. ``softened``: beyond a limit of the
-#: craft's motion, by as little as possible. ``iteration limit``: the solver gave nothing usable,
-#: the plan of the step before is flown on. ``fallback``: there is none, an LQR steers.
+#: Outcome of a prediction. ``optimal``: within all limits. ``softened``: exceeds a limit of the
+#: craft's motion by as little as possible. ``iteration limit``: the solver found no solution; the
+#: plan of the previous step continues. ``fallback``: there is no plan; an LQR steers.
 Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
 _Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
-#: How a control step ended. The outcomes of allocation and prediction fly; all others idle the
-#: motors; a guard around the controller sets ``unsafe``.
+#: How a control step ended. With an outcome of allocation or prediction the craft flies; all others
+#: idle the motors. A guard around the controller sets ``unsafe``.
 Status = Outcome | Predicted | _Refused
-#: What holds a plan back.
+#: What limits a plan.
 Bound = Literal["nothing", "motor", "motion"]
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a predictive law expects.
+    """The trajectory that a predictive law expects.
 
     Attributes
     ----------
     times : array, shape (N,)
-        From when the command begins to act [s].
+        Times, from when the command begins to act [s].
     states : array, shape (N, 6)
         x, y, γ and their rates at these times.
     active : tuple of str
-        Limits at which the plan is somewhere: ``motor``, ``rail``, ``speed``, ``spin``, ``disc``.
+        Limits that are active somewhere in the plan: ``motor``, ``rail``, ``speed``, ``spin``,
+        ``disc``.
     """
 
     times: Float[np.ndarray, " N"]
@@ -51,7 +52,7 @@ class Prediction:
 
     @property
     def bound_by(self) -> Bound:
-        """What holds the plan back most: the craft's motion is limited, its motors are, nothing."""
+        """What limits the plan most: a limit of the craft's motion, the motors, or nothing."""
         if set(self.active) - {"motor"}:
             return "motion"
         return "motor" if self.active else "nothing"
@@ -64,19 +65,19 @@ class Step:
     Attributes
     ----------
     command : array, shape (n,)
-        Motor commands to send, finite and within the vehicle's limits; an array of the caller's
-        own, to change at will.
+        Motor commands to send, finite and within the vehicle's limits; the caller owns the array
+        and may change it.
     status : str, default "open loop"
         ``exact``, ``scaled``, ``nearest`` (`LQR`), ``optimal``, ``softened``, ``iteration limit``,
-        ``fallback`` (`MPC`): the craft flies, ``open loop``: without a law; anything else: the
-        motors idle, and this is why.
+        ``fallback`` (`MPC`): the craft flies; ``open loop``: it flies without a law; any other
+        status is the reason why the motors idle.
     request : array, shape (3,), default 0
-        Acceleration asked of the allocation (`LQR`), or expected of the plan of the step before,
-        moved on (`MPC`) [m/s², m/s², rad/s²]; zero when idle.
+        Acceleration requested of the allocation (`LQR`), or expected from the shifted plan of the
+        previous step (`MPC`) [m/s², m/s², rad/s²]; zero when idle.
     estimate : Estimate or None
-        State at the time at which the command will begin to act; None when idle.
+        State when the command will begin to act; None when idle.
     prediction : Prediction or None
-        What a predictive law expects from then on.
+        The trajectory that a predictive law expects from then on.
     """
 
     command: Float[np.ndarray, " n"]
@@ -92,54 +93,54 @@ class Step:
 
 
 class Moment(NamedTuple):
-    """One control step, as a law sees it."""
+    """The inputs of one control step, as a law sees them."""
 
     reference: Reference
-    #: When the command is sent, and how much later it begins to act [s].
+    #: When the command is sent, and the delay until it acts [s].
     now: float
     delay: float
     #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command
-    #: begins to act, and the results of the stage there.
+    #: begins to act, and the results of the stage.
     foresee: Callable[..., tuple[Estimate, Sequence[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
 class LawOptions:
-    """What a controller passes on to its law."""
+    """Settings that a controller passes to its law."""
 
-    #: Whose rails a predictive law keeps to.
+    #: The table whose rails a predictive law avoids.
     table: Table = field(default_factory=Table)
-    #: Of the LQR; by default that of the tuning's weights.
+    #: Gain of the LQR; by default computed from the tuning's weights.
     gain: Float[np.ndarray, "3 6"] | None = None
     #: Whether the estimated disturbance is compensated.
     reject_disturbance: bool = True
-    #: Whether to compile the mathematics or to run it in NumPy.
+    #: Whether to compile the mathematics or run it in NumPy.
     compiled: bool = True
 
 
 class Law:
-    """Finds the command for a craft whose state is predicted to when the command begins to act.
+    """Computes the command for a craft whose state is predicted to when the command begins to act.
 
-    A step takes the law's state and returns the next one; the law itself stays as it is. Whatever
-    can be a pure function of the prediction goes into `stage`: the controller compiles it together
-    with the prediction of its estimator, since every call of a program costs time.
+    A step takes the law's state and returns the next one; the law itself does not change. Pure
+    functions of the prediction belong in `stage`: the controller compiles them together with the
+    prediction of its estimator, since every call of a program costs time.
 
     Parameters
     ----------
     model : Model
         The craft.
     tuning : Tuning
-        Period, weights, and what else is chosen.
+        Period, weights and the other chosen settings.
     options : LawOptions, optional
-        What the controller was told.
+        Settings from the controller.
 
     Attributes
     ----------
     stage : callable or None
-        (array namespace, state, motor speeds, disturbance, effectiveness, *inputs) to arrays; None:
-        there is none.
+        (array namespace, state, motor speeds, disturbance, effectiveness, *inputs) to arrays; None
+        if the law has no stage.
     inputs : tuple of array
-        Inputs of the stage beside the estimate, as examples of their shapes.
+        Inputs of the stage besides the estimate, as examples of their shapes.
     """
 
     stage: Callable[..., tuple[Any, ...]] | None = None
@@ -153,17 +154,17 @@ class Law:
         Returns
         -------
         object
-            By default None: such a law remembers nothing.
+            By default None, for a law without memory.
         """
         return None
 
     def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
-        """Find the command to send now.
+        """Compute the command to send now.
 
         Parameters
         ----------
         state : object
-            From `init` or the step before.
+            State from `init` or the previous step.
         moment : Moment
             Reference and time, and the prediction of the craft.
 
@@ -172,13 +173,13 @@ class Law:
         step : Step
             The command.
         state : object
-            For the next step.
+            State for the next step.
         """
         raise NotImplementedError
 
 
 class UserLaw(Law):
-    """A law of a user's class, behind the boundary."""
+    """A law from a user's class, with its results checked."""
 
     def __init__(self, own: Law, code: UserCode) -> None:
         self._own, self._code = own, code
@@ -189,7 +190,7 @@ class UserLaw(Law):
         return self._code.run("init()", self._own.init)
 
     def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
-        """Find the command; see `Law.step`."""
+        """Compute the command; see `Law.step`."""
         what = f"step() at {moment.now:.2f} s"
         found = self._code.run(what, self._own.step, state, moment)
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Step)):
@@ -198,7 +199,7 @@ class UserLaw(Law):
 
 
 def staged(law: Law, model: Model, compiled: bool) -> Callable[..., tuple[Estimate, Sequence[Any]]]:
-    """Return the stage of a law for estimates that are given: (estimate, *inputs) → `foresee`'s."""
+    """Return a law's stage for given estimates: (estimate, *inputs) → the result of `foresee`."""
     if law.stage is None:
         return lambda estimate: (estimate, ())
     axes, motors = np.zeros(3), np.zeros(model.vehicle.n_propellers)

@@ -1,4 +1,4 @@
-"""The laws there are, by name."""
+"""The available laws, by name."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 
-#: Subclasses of `airpuck.control.law.Law`, or where one is that is slow to import. Wherever a law
-#: is named, FILE.py:NAME names one of the user's.
+#: Subclasses of `airpuck.control.law.Law`, or the location of one that is slow to import. Wherever
+#: a law is named, FILE.py:NAME names a user's law.
 LAWS: dict[str, Callable[..., Any] | str] = {
     "lqr": "airpuck.control.lqr.LQR",
     "mpc": "airpuck.control.mpc.MPC",
@@ -19,7 +19,7 @@ LAWS: dict[str, Callable[..., Any] | str] = {
 
 
 def check_law(name: str) -> str:
-    """Return the name of a law; raise InputError if it is none."""
+    """Return the name of a law; raise InputError for an unknown name."""
     if name not in LAWS and ".py:" not in name:
         known = ", ".join(map(repr, LAWS))
         raise InputError(f"must be {known} or FILE.py:NAME, not {name!r}")
@@ -27,12 +27,12 @@ def check_law(name: str) -> str:
 
 
 def law_label(name: str) -> str:
-    """Return how a law is called in labels and names of files: without its file."""
+    """Return the name of a law for labels and file names: without its path."""
     return name.rpartition(":")[2]
 
 
 def law_named(name: str) -> Callable[..., Any]:
-    """Return what makes the law of a name from model, tuning and options."""
+    """Return a factory that makes the named law from model, tuning and options."""
     found = LAWS.get(check_law(name))
     if found is None:
         return _own(name)
@@ -43,7 +43,7 @@ def law_named(name: str) -> Callable[..., Any]:
 
 
 def _own(name: str) -> Callable[..., Any]:
-    """Return what makes a law of the user's, behind the boundary."""
+    """Return a factory that makes a user's law and checks its results."""
     code = UserCode(name, "--regulator")
 
     def make(*given: Any) -> Any:

@@ -41,7 +41,7 @@ def cost_to_go(
     q: Float[np.ndarray, "n n"],
     r: Float[np.ndarray, "m m"],
 ) -> Float[np.ndarray, "n n"]:
-    """Return P of xᵀPx, what the regulator's way from x to zero costs."""
+    """Return P of xᵀPx, the cost of the regulator from x to zero."""
     from scipy.linalg import LinAlgError, solve_discrete_are
 
     try:
@@ -78,11 +78,11 @@ def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
 
 
 class LQR(Law):
-    """A quadratic regulator of the accelerations, and the allocation of thrusts to give them.
+    """A quadratic regulator for the accelerations, and a thrust allocation that produces them.
 
-    Moves the state one period on with the accelerations that the motors already determine; asks for
-    v_{k+1} = a_ref - K (x_{k+1} - x_ref), the yaw error the shorter way; takes off the disturbance,
-    and finds the commands that make the motors give it (eq. force_qp).
+    It predicts the state one period ahead with the accelerations already determined by the motors.
+    It requests v_{k+1} = a_ref - K (x_{k+1} - x_ref), with the shorter way round for the yaw error,
+    subtracts the disturbance, and computes the commands that produce the result (eq. force_qp).
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class LQR(Law):
     tuning : Tuning
         Weights, period and allocation.
     options : LawOptions, optional
-        Among them the gain K for the state x, y, γ, vx, vy, ω.
+        Options, including the gain K for the state x, y, γ, vx, vy, ω.
 
     Raises
     ------
@@ -101,10 +101,10 @@ class LQR(Law):
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
-        InverseThrust(model.dynamics.thrust)  # refuses curves that fall
+        InverseThrust(model.dynamics.thrust)  # Raises InputError for curves that fall.
         n, period, allocation = model.vehicle.n_propellers, tuning.period_s, tuning.allocation
         slack_weight = allocation.slack_weight
-        #: May be exchanged at any time.
+        #: May be replaced at any time.
         self.gain = regulator(tuning.weights, period) if options.gain is None else options.gain
         self.stage = plan_stage(model, period, slack_weight, options.reject_disturbance)
         self.inputs = np.zeros(6), np.zeros(3), self.gain
@@ -118,7 +118,7 @@ class LQR(Law):
 
     def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
         """Allocate thrusts for the accelerations that lead to the target, and invert them."""
-        # The target is that of one period after the command begins to act.
+        # The target applies one period after the command begins to act.
         target = moment.reference.at(moment.now, moment.delay + self._period)
         estimate, results = moment.foresee(target.state, target.acceleration, self.gain)
         plan = AllocationProblem(*results)
@@ -130,17 +130,18 @@ class LQR(Law):
         return Step(self._idle.copy(), "failed", plan.request, estimate), state
 
 
-#: Bounds of the effectiveness that the allocation counts with. A motor that seems dead is still
-#: asked for a little, so that its return is noticed; and no estimate may make the controller timid.
+#: Bounds of the effectiveness used by the allocation. A motor that seems dead still gets a small
+#: request, so that the controller notices when it recovers; no estimate may make the controller
+#: timid.
 _EFFECTIVENESS = (0.1, 1.5)
 
 
 class AllocationProblem(NamedTuple):
     """Inputs of the thrust allocation of one control step."""
 
-    #: Acceleration wanted [m/s², m/s², rad/s²].
+    #: Requested acceleration [m/s², m/s², rad/s²].
     request: Num[Any, " 3"]
-    #: Motor speeds one period on if nothing is commanded.
+    #: Motor speeds one period later without a command.
     coasting: Num[Any, " n"]
     #: The quadratic program; see `airpuck.control.allocation.problem`.
     a: Num[Any, "3 m"]
@@ -152,7 +153,7 @@ class AllocationProblem(NamedTuple):
 def plan_stage(
     model: Model, period: float, slack_weight: float, reject_disturbance: bool
 ) -> Callable[..., AllocationProblem]:
-    """Return look-ahead, law and the program of the allocation as one function.
+    """Return prediction, law and allocation program as one function.
 
     (xp, state, motor speeds, disturbance, effectiveness, target state, target acceleration, gain)
     → plan.
@@ -171,7 +172,7 @@ def plan_stage(
         feedforward: Num[Any, " 3"],
         gain: Num[Any, "3 6"],
     ) -> AllocationProblem:
-        # A motor that is believed weak counts for less; nothing is divided by its effectiveness.
+        # A motor that seems weak gets less weight; nothing is divided by its effectiveness.
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
         believed = state, speed, disturbance, effectiveness
         following, matrix, offset = look_ahead(xp, dynamics, period, *believed)
@@ -195,9 +196,9 @@ def look_ahead(
     disturbance: Num[Any, " 3"],
     effectiveness: Num[Any, " n"],
 ) -> tuple[Num[Any, " 6"], Num[Any, "3 n"], Num[Any, " 3"]]:
-    """Return the state one period on, and the map M F + g from thrusts to accelerations there.
+    """Return the state one period later, and the map M F + g from thrusts to accelerations there.
 
-    Until then the accelerations are settled: motors turn as they do now.
+    Until then the accelerations are fixed: they follow from the present motor speeds.
     """
     a, b = point_mass(period)
     matrix, offset = acceleration_map(xp, dynamics, state[2], state[5])
@@ -217,7 +218,7 @@ def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
     _, drive = motor_lag(float(dynamics.motor_time_constant), period)
 
     def command(xp: Any, solution: Any, lower: Any, upper: Any, coasting: Any) -> tuple[Any]:
-        # Solvers keep bounds to their tolerance; motors keep them to the last digit.
+        # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.
         force = xp.clip(solution[:n], lower[:n], upper[:n])
         speed = inverse_thrust(xp, dynamics.thrust, force)
         return (xp.clip((speed - coasting) / drive, least, most),)

@@ -1,8 +1,8 @@
 """Predictive control: limits of motors, rails and time inside the prediction.
 
-Each step linearises the physics along the plan of the last one, moved on in time, and solves one
-quadratic program for a better plan: the real-time iteration of Diehl, Bock and Schlöder (SIAM
-Journal on Control and Optimization 43, 2005). See docs/control.md, "Predictive control".
+Each step linearises the physics along the previous plan, shifted in time, and solves one quadratic
+program for a better plan: the real-time iteration of Diehl, Bock and Schlöder (SIAM Journal on
+Control and Optimization 43, 2005). See docs/control.md, "Predictive control".
 """
 
 from __future__ import annotations
@@ -30,51 +30,51 @@ from airpuck.model.model_file import Model
 
 #: Commands of the first plan: in the middle of the thrust curves, where they are steep.
 _FIRST = 0.3
-#: A plan is flown on without an answer of the solver for this long [s].
+#: How long a plan continues without an answer from the solver [s].
 _FLOWN_ON = 0.1
-#: Commands that are decided at once; many more take longer than a period.
+#: Largest number of decision variables; many more take longer than a period.
 _MOST_COMMANDS = 200
-#: The least time to an arrival that counts [s].
+#: Shortest time to an arrival that is used [s].
 _SOON = 0.02
 
 
 class Ongoing(NamedTuple):
     """What the predictive law remembers."""
 
-    #: Commands of the latest plan, block by block, and since when they hold [s].
+    #: Commands of the latest plan, block by block, and the time from which they hold [s].
     plan: Float[np.ndarray, "blocks n"]
     since: float
-    #: When the solver last had an answer [s].
+    #: When the solver last succeeded [s].
     answered: float
-    #: What is still to turn, the way round that was chosen [rad].
+    #: Yaw still to turn, in the chosen direction of rotation [rad].
     way: Float[np.ndarray, ""]
 
 
 class MPC(Law):
-    """Finds the commands over the next horizon that track best within all limits.
+    """Computes the commands over the next horizon that track best within all limits.
 
-    Where the solver has no answer, the plan of the step before is flown on for 0.1 s; after that,
-    or where there is none, an `LQR` steers.
+    If the solver fails, the plan of the previous step continues for 0.1 s. After that, or without a
+    plan, an `LQR` steers.
 
     Parameters
     ----------
     model : Model
         The craft; its thrust curves must rise.
     tuning : Tuning
-        Its section `regulator`; the rest is the LQR's.
+        The section `regulator` applies to this law; the rest to the LQR.
     options : LawOptions, optional
-        Among them the table whose rails it keeps to; the gain is the LQR's.
+        Options, including the table whose rails the law avoids; the gain is for the LQR.
 
     Raises
     ------
     InputError
-        If a thrust curve falls somewhere, the weights give no regulator, or there are more commands
-        to decide than can be in time.
+        If a thrust curve falls somewhere, if the weights give no regulator, or if there are too
+        many decision variables to solve in time.
     """
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
-        #: Steers where there is no plan.
+        #: Steers when there is no plan.
         self.fallback = LQR(model, tuning, options)
         regulator, vehicle = tuning.regulator, model.vehicle
         limits = regulator.limits
@@ -110,7 +110,7 @@ class MPC(Law):
 
     @property
     def fence(self) -> Float[np.ndarray, "2 2"]:
-        """Where the middle of the craft may be: lowest x and y, highest x and y [m]."""
+        """Where the craft's centre may be: lowest x and y, highest x and y [m]."""
         return self._fence.copy()
 
     @fence.setter
@@ -122,9 +122,9 @@ class MPC(Law):
 
     @property
     def keep_out(self) -> Float[np.ndarray, "D 3"]:
-        """Discs to keep out of: x and y of their middles, and how near the craft's may come [m].
+        """Discs to keep out of: centres, and the smallest distances of the craft's centre [m].
 
-        They may move; their number is the tuning's.
+        They may move; the tuning sets their number.
         """
         return self._keep_out.copy()
 
@@ -147,7 +147,7 @@ class MPC(Law):
     def posed(
         self, state: Ongoing, reference: Reference, now: float, delay: float
     ) -> tuple[tuple[np.ndarray, ...], Ongoing]:
-        """Return the stage's inputs (the plan, targets, limits) and the plan as it goes on."""
+        """Return the stage's inputs (the plan, targets, limits) and the shifted plan."""
         if not 0 <= now - state.since <= self._blocks.times[-1]:
             state = self.init()
         elif now > state.since:
@@ -169,14 +169,14 @@ class MPC(Law):
     def _to_arrive(
         self, arrival: Arrival, delay: float
     ) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "6 6"]]:
-        """Return weights for which only the arrival counts."""
-        # An error of the precision asked for costs as much as 1 m/s² or rad/s² for a second.
+        """Return weights that count only the arrival."""
+        # An error equal to the given precision costs as much as 1 m/s² or rad/s² for a second.
         sharp = np.tile(self._efforts, 2) / arrival.precision**2
         times, left = self._blocks.times, max(arrival.remaining - delay, _SOON)
         weights = np.zeros_like(self._weights)
         if left > times[-1]:
             return weights, _way_left(left - times[-1], self._efforts, sharp)
-        # Between two ends of steps each counts by its share.
+        # Split the weight between the two nearest ends of steps.
         after = int(np.searchsorted(times, left))
         share = 1 - (times[after] - left) / self._blocks.step
         weights[after] = share * sharp
@@ -204,7 +204,7 @@ class MPC(Law):
         return replace(step, status="fallback") if step.flies else step, self.init()
 
     def _active(self, binding: Bool[np.ndarray, " r"], motors: int) -> tuple[str, ...]:
-        """Name the limits at which the plan, of so many commands of motors, is somewhere."""
+        """Name the limits that are active somewhere in the plan; motors come first."""
         rows = np.any(binding[motors:].reshape(-1, len(self._kinds)), axis=0)
         kinds = ["motor"] * bool(binding[:motors].any())
         kinds += [self._kinds[k] for k in np.flatnonzero(rows)]
@@ -212,7 +212,7 @@ class MPC(Law):
 
 
 def _numbers(given: Any, count: int) -> Float[np.ndarray, " k"] | None:
-    """Copy finite numbers one after the other; None if they are others, or of another count."""
+    """Copy finite numbers into one array; return None if the count differs or one is not finite."""
     try:
         found = np.array(given, dtype=float).ravel()
     except (TypeError, ValueError):
@@ -223,9 +223,10 @@ def _numbers(given: Any, count: int) -> Float[np.ndarray, " k"] | None:
 def _stage(
     posed: Callable[..., Stages], form: Callable[..., tuple[Any, ...]]
 ) -> Callable[..., tuple[Any, ...]]:
-    """Join what poses the problem and what lays it out for a solver.
+    """Combine the function that poses the problem with the one that lays it out for a solver.
 
-    A function and no method, so that another law of the same craft finds it compiled.
+    A function instead of a method, so that another law of the same craft reuses the compiled
+    program.
     """
 
     def stage(xp: Any, *given: Any) -> tuple[Any, ...]:
@@ -239,7 +240,7 @@ def _stage(
 def _fence(
     given: tuple[float, float, float, float] | None, table: Table, radius: float
 ) -> Float[np.ndarray, "2 2"]:
-    """Return the corners of where the middle of the craft may be; the middle if nowhere is left."""
+    """Return the corners of the craft centre's area; the table's centre if that is empty."""
     x, y = table.reach(radius)
     corners = np.array(given or (-x, -y, x, y)).reshape(2, 2)
     middle = corners.mean(axis=0)
@@ -249,11 +250,11 @@ def _fence(
 def _way_left(
     left: float, efforts: Float[np.ndarray, " 3"], sharp: Float[np.ndarray, " 6"]
 ) -> Float[np.ndarray, "6 6"]:
-    """Return the weight of an error at a time before an arrival: the least that it will cost.
+    """Return the weight of an error at a time before an arrival: its lowest possible cost.
 
-    That is of effort, r ∫a², and of what is left at the arrival, weighted by S = diag(sharp). By
-    what a moves in a time T, W = [T³/3, T²/2; T²/2, T], a double integrator that would arrive with
-    an error e pays eᵀ √S (1 + √S W √S / r)⁻¹ √S e.
+    The cost is the effort r ∫a² plus the remaining error at the arrival, weighted by S =
+    diag(sharp). With the reach of a in a time T, W = [T³/3, T²/2; T²/2, T], a double integrator
+    that would arrive with an error e pays eᵀ √S (1 + √S W √S / r)⁻¹ √S e.
     """
     root = np.sqrt(sharp.reshape(2, 3).T)
     moved = np.array([[left**3 / 3, left**2 / 2], [left**2 / 2, left]]) / efforts[:, None, None]

@@ -1,4 +1,4 @@
-"""What computes the commands of a flight."""
+"""Pilots: objects that compute the commands of a flight."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from airpuck.data.measurement import Kind, Measurement
 
 @runtime_checkable
 class Pilot(Protocol):
-    """Computes commands: a `TrackingController`, or a class of one's own.
+    """Computes commands: a `TrackingController`, or a user's class.
 
-    A class that inherits from it need only have `step`. One that overrides `pose` gets the poses of
-    the craft, one that overrides `measured` gets all measurements.
+    A class that inherits from it only needs `step`. Override `pose` to receive the poses of the
+    craft, or `measured` to receive all measurements.
     """
 
     #: The reference that the craft tracks; by default the middle of the table.
     reference: Reference = SetPoint(0.0, 0.0, 0.0)
-    #: What else it sees by motion capture: the ``puck``, the other side's ``mallet``.
+    #: Other bodies that it sees by motion capture: the ``puck``, the other side's ``mallet``.
     watches: tuple[Kind, ...] = ()
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a measurement; by default, hand the craft's poses to `pose`.
+        """Receive a measurement; by default, pass the craft's poses to `pose`.
 
         Parameters
         ----------
         measurement : Measurement
-            Poses of the craft and of what the pilot `watches`; those of sensors on board if the
-            flight uses them.
+            Poses of the craft and of the bodies that the pilot `watches`; readings of on-board
+            sensors if the flight uses them.
         """
         if measurement.kind == "pose":
             self.pose(measurement.stamp, measurement.values)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the craft.
+        """Receive a pose of the craft.
 
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Time stamp of the pose [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
@@ -54,17 +54,17 @@ class Pilot(Protocol):
         Parameters
         ----------
         time : float
-            Now, on the clock of the poses [s].
+            Current time, on the clock of the poses [s].
 
         Returns
         -------
         Step
-            The command; ``Step(command)`` will do.
+            The command; ``Step(command)`` is enough.
         """
         ...
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was really sent.
+        """Receive the command that was actually sent.
 
         Parameters
         ----------

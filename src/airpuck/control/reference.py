@@ -1,4 +1,4 @@
-"""References: what the craft is asked to do over time."""
+"""References: what the craft should do over time."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
 from airpuck.boundary.user_code import UserCode
 
-#: Three turns and a little; no craft is asked for more at once [rad].
+#: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0
-#: What callers may give for an array of one dimension.
+#: Values that callers may pass for a one-dimensional array.
 Numbers = Sequence[float] | np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a reference asks for at one instant."""
+    """A reference's target at one instant."""
 
     #: x, y [m], γ [rad] and their rates.
     state: Float[np.ndarray, " 6"]
@@ -34,27 +34,27 @@ class Target:
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """When a state is to be reached, and how precisely."""
+    """A state to reach at a given time, and how precisely."""
 
-    #: From now on [s].
+    #: Time until the arrival [s].
     remaining: float
-    #: Of x, y, γ and their rates; infinite: free.
+    #: Precision of x, y, γ and their rates; infinite: free.
     precision: Float[np.ndarray, " 6"]
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What a reference asks for at several times."""
+    """A reference's targets at several times."""
 
     states: Float[np.ndarray, "N 6"]
     accelerations: Float[np.ndarray, "N 3"]
-    #: If only the state at one time counts until then.
+    #: Set if only the state at one later time matters.
     arrival: Arrival | None = None
 
 
 @runtime_checkable
 class Reference(Protocol):
-    """Says where the craft should be."""
+    """Gives the desired pose and motion of the craft over time."""
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the target.
@@ -64,20 +64,20 @@ class Reference(Protocol):
         now : float
             Present time [s].
         ahead : float
-            How far ahead of now the command will have acted [s]. A reference that is known in
-            advance may use it; a set point must not anticipate its own change.
+            Delay until the command will have acted [s]. A reference that is known in advance may
+            use it; a set point must not anticipate its own change.
 
         Returns
         -------
         Target
-            State and acceleration asked for.
+            Desired state and acceleration.
         """
         ...
 
 
 @dataclass(frozen=True)
 class SetPoint:
-    """One pose to hold.
+    """A single pose to hold.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class SetPoint:
     Raises
     ------
     InputError
-        If one is no finite number.
+        If a value is not finite.
     """
 
     x: float
@@ -113,20 +113,21 @@ class SetPoint:
 
 
 class SetPoints:
-    """Poses to hold, each from its time on.
+    """A sequence of poses, each held from its own time on.
 
     Parameters
     ----------
     times : sequence of float
-        When each set point begins, increasing [s]. Before the first one the first holds.
+        Increasing start times of the set points [s]. The first set point also holds before its
+        time.
     poses : sequence of (x, y, yaw)
         The set points [m, m, rad].
 
     Raises
     ------
     InputError
-        If there are none, a set point is not three numbers, times do not increase, or a number is
-        not finite.
+        If the list is empty, a set point is not three numbers, times do not increase, or a number
+        is not finite.
     """
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
@@ -147,20 +148,20 @@ class TimedPath:
     """A trajectory to follow: poses at given times, joined by cubic splines.
 
     Velocity and acceleration of the splines are fed forward. Before the beginning and after the end
-    the craft is to stand still at the first or last pose.
+    the craft stands still at the first or last pose.
 
     Parameters
     ----------
     times : array, shape (N,)
         Increasing times [s].
     poses : array, shape (N, 3)
-        x, y [m], yaw [rad]; the yaw is continuous and may go round.
+        x, y [m], yaw [rad]; the yaw is continuous and may exceed a full turn.
 
     Raises
     ------
     InputError
-        If there are fewer than two, a pose is not three numbers, times do not increase, or a number
-        is not finite.
+        If there are fewer than two poses, a pose is not three numbers, times do not increase, or a
+        number is not finite.
     """
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
@@ -177,7 +178,7 @@ class TimedPath:
         return Target(wanted.states[0], wanted.accelerations[0])
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the same at several times; see `course`."""
+        """Return pose, velocity and acceleration at several times; see `course`."""
         times = now + ahead
         inside = times.clip(self._first, self._last)
         pose, velocity, acceleration = (spline(inside) for spline in self._splines)
@@ -186,9 +187,9 @@ class TimedPath:
 
 
 class Rendezvous:
-    """A state to reach at a given time, whatever the way there: to meet something that moves.
+    """A state to reach at a given time, along any path: to meet something that moves.
 
-    Until then, nothing else counts for a predictive law. Other laws chase a target that passes
+    Until then, a predictive law considers nothing else. Other laws chase a target that moves
     through the state at its velocity.
 
     Parameters
@@ -198,14 +199,14 @@ class Rendezvous:
     state : array, shape (6,)
         x, y, γ and their rates.
     precision : array, shape (6,), optional
-        Errors that matter as much as each other; infinite: free, such as a yaw that does not count.
+        Errors that are equally important; infinite: free, for example if the yaw does not matter.
     then : Reference, optional
-        What to track afterwards; by default the pose of the arrival.
+        Reference to track afterwards; by default the pose of the arrival.
 
     Raises
     ------
     InputError
-        If a number is not finite, or a precision not positive.
+        If a number is not finite, or a precision is not positive.
     """
 
     def __init__(
@@ -225,18 +226,18 @@ class Rendezvous:
         self.then = then or SetPoint(*self.state[:3].tolist())
 
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:
-        """Return the state to reach, or what follows; see `asked`."""
+        """Return the state to reach, or the target afterwards; see `asked`."""
         return asked(self.then, now) if self.time < now else self.state
 
     def at(self, now: float, ahead: float) -> Target:
-        """Return a state on the way through it, or what follows; see `Reference.at`."""
+        """Return a state on the line through the arrival, or a later target; see `Reference.at`."""
         if self.time < now + ahead:
             return self.then.at(now, ahead)
         wanted = self.over(now, np.array([ahead]))
         return Target(wanted.states[0], wanted.accelerations[0])
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the same at several times, and the arrival; see `course`."""
+        """Return the targets at several times, and the arrival; see `course`."""
         left = self.time - now - ahead[:, None]
         if left[0] < 0:
             return course(self.then, now, ahead)
@@ -246,19 +247,19 @@ class Rendezvous:
 
 
 def asked(reference: Reference, now: float) -> Float[np.ndarray, " 6"]:
-    """Return the state that is asked for now, to be shown and logged.
+    """Return the desired state now, for display and logging.
 
-    Where a reference has a method `asked`, its word counts: a state to reach later is one place,
-    though `Reference.at` gives a way through it.
+    If a reference has a method `asked`, use its result: a state to reach later is one place,
+    although `Reference.at` gives a path through it.
     """
     own = getattr(reference, "asked", None)
     return reference.at(now, 0.0).state if own is None else own(now)
 
 
 def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-    """Return what a reference asks for at several times.
+    """Return a reference's targets at several times.
 
-    At once where it has a method `over`, otherwise by `Reference.at`.
+    Uses the reference's method `over` if it has one, otherwise calls `Reference.at` for each time.
     """
     over = getattr(reference, "over", None)
     if over is not None:
@@ -269,7 +270,7 @@ def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> 
 
 
 class UserReference:
-    """A reference of a user's class, behind the boundary; a `Reference`."""
+    """A reference from a user's class, with its results checked."""
 
     def __init__(self, own: Reference, code: UserCode) -> None:
         self._own, self._code = own, code
@@ -279,12 +280,12 @@ class UserReference:
         return self._code.run(f"reference.at() at {now:.2f} s", self._at, now, ahead)
 
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:
-        """Return the state that is asked for now; see `asked`."""
+        """Return the desired state now; see `asked`."""
         what = f"reference.asked() at {now:.2f} s"
         return self._code.run(what, lambda: _finite(asked(self._own, now), 6, "state"))
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the same at several times; see `course`."""
+        """Return the targets at several times; see `course`."""
         return self._code.run(f"reference.over() at {now:.2f} s", self._over, now, ahead)
 
     def _at(self, now: float, ahead: float) -> Target:
@@ -303,7 +304,7 @@ class UserReference:
 
 
 def sheltered(reference: Reference, code: UserCode) -> Reference:
-    """Return a reference that a user's code gave: one of its own behind the boundary."""
+    """Return a user's reference; wrap it if its results need checking."""
     if not isinstance(reference, Reference):
         code.refuse("must give a reference, such as airpuck.SetPoint(-0.9, 0, 0)")
     if type(reference) is Rendezvous:
@@ -317,7 +318,7 @@ def sheltered(reference: Reference, code: UserCode) -> Reference:
 
 
 def _finite(given: object, shape: int | tuple[int, ...], field: str) -> np.ndarray:
-    """Return finite numbers as an array of a shape, or refuse them."""
+    """Return finite numbers as an array of a given shape, or raise InputError."""
     found = np.array(given, dtype=float)
     shape = (shape,) if isinstance(shape, int) else shape
     if found.shape != shape or not np.isfinite(found).all():
@@ -326,14 +327,14 @@ def _finite(given: object, shape: int | tuple[int, ...], field: str) -> np.ndarr
 
 
 def _held(target: Target, count: int) -> Course:
-    """Return one target for several times."""
+    """Return the same target for several times."""
     return Course(np.tile(target.state, (count, 1)), np.tile(target.acceleration, (count, 1)))
 
 
 def _checked(
     times: Numbers, poses: Sequence[Numbers] | np.ndarray, least: int, field: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Return times and poses as arrays, or refuse them."""
+    """Return times and poses as arrays, or raise InputError."""
     try:
         pose = np.array(poses, dtype=float)
     except ValueError:
@@ -373,7 +374,7 @@ def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
 def check_inside(
     reference: Reference, reach: tuple[float, float], border: str = "the geofence"
 ) -> None:
-    """Refuse set points beyond a border at ±x, ±y [m], or turned by what can only be degrees."""
+    """Reject set points beyond a border at ±x, ±y [m], and yaws that must be in degrees."""
     poses = reference.poses.tolist() if isinstance(reference, SetPoints) else []
     if isinstance(reference, SetPoint):
         poses = [(reference.x, reference.y, reference.yaw)]

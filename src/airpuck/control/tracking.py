@@ -26,43 +26,43 @@ from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 
-#: Commands that began to act longer ago than this matter to the motor speeds only [s].
+#: Commands that began to act longer ago than this affect only the motor speeds [s].
 _REMEMBERED = 0.5
 
 
 class TrackingController(Pilot):
-    """Steers the craft to a reference.
+    """Steers the craft along a reference.
 
-    Each step predicts the state to when the command will act, over the transport delay; the law
-    that the tuning names then finds the command.
+    Each step predicts the state over the transport delay, to when the command will act. The law
+    that the tuning names then computes the command.
 
     Parameters
     ----------
     model : Model
         The craft; its thrust curves must rise.
     reference : Reference
-        What to track; may be exchanged at any time.
+        Reference to track; may be replaced at any time.
     tuning : Tuning, optional
-        By default the packaged one.
+        Tuning; by default the packaged one.
     table : Table, optional
-        Whose rails a predictive law keeps to; by default the paper's.
+        The table whose rails a predictive law avoids; by default the paper's.
     gain : array, shape (3, 6), optional
-        Of the law `LQR`.
+        Gain of the law `LQR`.
     reject_disturbance : bool, default True
-        Whether the estimated disturbance is compensated. Without it a poor model leaves a
-        steady-state offset, as the paper's M0 does.
+        Whether the estimated disturbance is compensated. Without compensation a poor model leaves a
+        steady-state offset, like the paper's M0.
     compensate_delay : bool, default True
-        Whether the state is predicted over the transport delay. The paper's controller predicted
-        it to the present only.
+        Whether the state is predicted over the transport delay. The paper's controller predicted it
+        only to the present.
     compiled : bool, default True
-        Whether to compile the mathematics (a second, once) or to run it in NumPy.
+        Whether to compile the mathematics (takes a second, once) or run it in NumPy.
 
     Attributes
     ----------
     law : Law
-        Not to be exchanged: programs are compiled for it.
+        Must not be replaced: programs are compiled for it.
     state : object
-        What the law remembers.
+        The law's state between steps.
 
     Raises
     ------
@@ -97,28 +97,28 @@ class TrackingController(Pilot):
         self.state = self.law.init()
         self.filter = _estimator(model, tuning.estimation, compiled)
         self._staged = staged(self.law, model, compiled)
-        #: Prediction and stage as one program, where that is faster.
+        #: Prediction and stage as one program, if compiled.
         self._predict_and_stage = None
         if compensate_delay and self.law.stage and (not compiled or large_programs_are_fast()):
             self._predict_and_stage = self.filter.composed(self.law.stage, *self.law.inputs)
         self._gate = PoseGate()
-        #: The latest time that has certainly come; -inf: none yet.
+        #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
 
     def pose(self, time: float, pose: Numbers) -> None:
-        """Take note of a measured pose.
+        """Receive a measured pose.
 
-        One that is not finite, not newer than the last, or implausibly far from its prediction is
-        not used; ones elsewhere that agree with each other for 50 ms are believed. One that is more
-        than 50 ms older than the last shows that the last stamp was wrong, and is believed at once;
-        so is the first after 50 ms without any.
+        The controller ignores a pose that is not finite, not newer than the last, or implausibly
+        far from its prediction. Poses that agree with each other for 50 ms are accepted, wherever
+        they are. A pose more than 50 ms older than the last shows that the last stamp was wrong,
+        and is accepted at once; so is the first pose after a gap of 50 ms.
 
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Time stamp of the pose [s].
         pose : array, shape (3,)
-            x, y [m], yaw [rad]. It is copied.
+            x, y [m], yaw [rad]. The array is copied.
 
         Raises
         ------
@@ -129,20 +129,21 @@ class TrackingController(Pilot):
             self._clock = max(self._clock, time)
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a measurement.
+        """Receive a measurement.
 
-        Those of sensors on board may come later than poses with newer stamps. One that is not
-        finite, or more than 50 ms from the last pose, is not used.
+        Readings of on-board sensors may arrive later than poses with newer stamps. The controller
+        ignores a reading that is not finite, or more than 50 ms from the last pose.
 
         Parameters
         ----------
         measurement : Measurement
-            A pose of the craft (see `pose`), or one of ``imu`` and ``mouse``; others are not used.
+            A pose of the craft (see `pose`), or a reading of ``imu`` or ``mouse``; others are
+            ignored.
 
         Raises
         ------
         InputError
-            If it is not as many numbers as that sensor gives.
+            If its size differs from that sensor's.
         """
         time, kind, noise = measurement.stamp, measurement.kind, self.tuning.estimation
         if kind == "pose":
@@ -158,22 +159,23 @@ class TrackingController(Pilot):
                 self.filter.mouse(time, values, noise.mouse_m_s)
 
     def sent(self, time: float, command: Numbers) -> None:
-        """Take note of the command that was really sent.
+        """Receive the command that was actually sent.
 
-        One that is not finite is taken as not sent: the one before stays in force. A time that is
-        not finite, or more than 50 ms ahead of the last step, pose and command, is taken as now.
+        A command that is not finite counts as not sent: the previous one stays in force. A time
+        that is not finite, or more than 50 ms ahead of the last step, pose and command, is replaced
+        by the present.
 
         Parameters
         ----------
         time : float
             When [s].
         command : array, shape (n,)
-            Motor commands. They are copied.
+            Motor commands. The array is copied.
 
         Raises
         ------
         InputError
-            If there is not one command for each propeller.
+            If the number of commands differs from the number of propellers.
         """
         command = _copied(command, len(self._idle), "command")
         if not all_finite(command):
@@ -187,17 +189,17 @@ class TrackingController(Pilot):
         self.filter.run_motors(time - _REMEMBERED)
 
     def step(self, time: float) -> Step:
-        """Compute the command to send now; report with `sent` what was.
+        """Compute the command to send now; report the command actually sent with `sent`.
 
         Parameters
         ----------
         time : float
-            Now, on the clock of the poses [s].
+            Current time, on the clock of the poses [s].
 
         Returns
         -------
         Step
-            A command, whatever happened: idle with a reason where the craft cannot be steered.
+            A command in every case: idle, with a reason, if the craft cannot be steered.
         """
         refusal = self.refusal(time)
         if refusal is not None:
@@ -205,14 +207,14 @@ class TrackingController(Pilot):
         return self._act(time, partial(self._foresee, time))
 
     def _foresee(self, time: float, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
-        """Predict the craft, and compute the stage of the law there; see `Moment`."""
+        """Predict the craft and evaluate the law's stage there; see `Moment`."""
         if self._predict_and_stage is None:
             return self._staged(self.predict(time), *inputs)
         acting = time + self.model.transport_delay
         return self.filter.predict_with(self._predict_and_stage, acting, *inputs)
 
     def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
-        """Let the law find the command, and keep what it remembers."""
+        """Let the law compute the command, and store its state."""
         moment = Moment(self.reference, now, self.model.transport_delay, foresee)
         step, self.state = self.law.step(self.state, moment)
         return step
@@ -233,11 +235,11 @@ class TrackingController(Pilot):
         acting = self.filter.predict(time + self.model.transport_delay)
         if self.compensate_delay:
             return acting
-        # As if the commands on their way acted already, on a craft that is still here.
+        # As if commands in transit acted already, on a craft that has not moved yet.
         return replace(self.filter.predict(time), motor_speed=acting.motor_speed)
 
     def steer(self, estimate: Estimate, now: float) -> Step:
-        """Compute the command for an estimate, whatever the clock says.
+        """Compute the command for an estimate, regardless of the clock.
 
         Parameters
         ----------
@@ -264,7 +266,7 @@ class TrackingController(Pilot):
         Returns
         -------
         str or None
-            The status of a step that idles the motors; None if the craft can be steered.
+            Status of a step that idles the motors; None if the craft can be steered.
         """
         if not math.isfinite(time):
             return "bad input"
@@ -274,12 +276,12 @@ class TrackingController(Pilot):
 
 def _commands_all_directions(model: Model) -> bool:
     """Return whether the propellers' forces and moments span all accelerations."""
-    # Moments as forces at the radius of gyration: one unit for all three rows.
+    # Express moments as forces at the radius of gyration: one unit for all three rows.
     return bool(np.linalg.matrix_rank(model.propeller_effects, rtol=1e-6) == 3)
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
-    """Copy what a caller may change later, and check its shape."""
+    """Copy an array that a caller may change later, and check its shape."""
     copied = np.array(values, dtype=float)
     if copied.shape != (count,):
         raise InputError(f"give {count} numbers, not an array of shape {copied.shape}", field=name)
@@ -295,23 +297,23 @@ def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFi
     )
 
 
-#: No control without a pose from the last 50 ms: twelve frames of the motion capture.
+#: No control without a pose from the last 50 ms: twelve frames of motion capture.
 STALE = 0.05
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
 _JUMP = (0.1, 0.1, 1.0)
-#: Poses that agree with each other for this long, but not with the prediction, are believed [s];
+#: Poses that agree with each other for this long, but not with the prediction, are accepted [s];
 #: rounding of stamps must not cost a frame.
 _BELIEVED_AFTER = STALE - 1e-6
 
 
 class PoseGate:
-    """Hands poses on to an estimator, unless they cannot be the craft."""
+    """Passes poses to an estimator unless they cannot be the craft."""
 
     def __init__(self) -> None:
-        #: Stamps of the last pose that was received, and of the last that was used.
+        #: Stamps of the last pose received and of the last pose used.
         self.received: float | None = None
         self._used = -math.inf
-        #: The last of the poses that agree with each other only, and the stamp of their first.
+        #: Last of the poses that agree only with each other, and the stamp of the first of them.
         self._doubtful: Float[np.ndarray, " 3"] | None = None
         self._doubtful_since = 0.0
         self._bad = False
@@ -327,9 +329,9 @@ class PoseGate:
             return False
         self.received = time
         if last is None or abs(time - last) > STALE:
-            # Too long ago to predict over, or the last stamp lay in the future: begin anew.
+            # The last pose is too old to predict from, or its stamp lies in the future: restart.
             self._restart(estimator, time, pose)
-        # A prediction from before 50 ms of doubtful poses is worth no more than they are.
+        # After 50 ms of doubtful poses, the prediction deserves no more trust than the poses.
         elif time - self._used <= STALE and estimator.pose(time, pose, gate=_JUMP):
             self._used = time
             self._doubtful = None
@@ -344,7 +346,7 @@ class PoseGate:
     def refusal(
         self, time: float
     ) -> Literal["bad input", "no pose", "stale pose", "jumping pose"] | None:
-        """Return why the poses do not allow to steer now; None if they do."""
+        """Return why the poses do not allow steering now; None if they do."""
         if self._bad:
             return "bad input"
         if self.received is None:
@@ -358,12 +360,12 @@ class PoseGate:
         return self.received is not None and abs(time - self.received) <= STALE
 
     def _restart(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Start the estimator anew at a pose, keeping what is known of commands."""
+        """Restart the estimator at a pose, keeping the known commands."""
         self._doubtful = None
         self._used = time
         estimator.restart(time, pose)
 
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
-    """Return whether two poses cannot be neighbours."""
+    """Return whether two poses are too far apart for consecutive frames."""
     return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())

@@ -23,10 +23,10 @@ from airpuck.estimate.axis_filter import Noise
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
-#: Steps of a horizon, and discs: with more, a prediction takes longer than a period.
+#: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
 MOST_STEPS, _MOST_DISCS = 80, 8
 
-# Beyond these the Riccati equation is out of reach of the arithmetic.
+# Beyond these bounds the Riccati equation cannot be solved in double precision.
 Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
 PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
 
@@ -34,27 +34,27 @@ PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
 class Weights(Section):
     """Weights of the linear-quadratic regulator, on squared errors and inputs.
 
-    From 1e-6 to 1e6; those of the rates may be zero.
+    From 1e-6 to 1e6; weights of the rates may be zero.
     """
 
-    #: On x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
+    #: Weights of x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
     position: PositiveWeight
     speed: Weight
     yaw: PositiveWeight
     spin: Weight
-    #: On ax and ay [s⁴/m²], ω' [s⁴/rad²].
+    #: Weights of ax and ay [s⁴/m²], ω' [s⁴/rad²].
     acceleration: PositiveWeight
     angular_acceleration: PositiveWeight
 
     @property
     def errors(self) -> Float[np.ndarray, " 6"]:
-        """Those on x, y, γ and their rates."""
+        """Weights of x, y, γ and their rates."""
         pose, rates = [self.position, self.position, self.yaw], [self.speed, self.speed, self.spin]
         return np.array(pose + rates)
 
     @property
     def efforts(self) -> Float[np.ndarray, " 3"]:
-        """Those on the accelerations of x, y and γ."""
+        """Weights of the accelerations of x, y and γ."""
         return np.array([self.acceleration, self.acceleration, self.angular_acceleration])
 
 
@@ -63,34 +63,34 @@ class Allocation(Section):
 
     #: Quadratic programming solver.
     solver: Literal["daqp", "piqp"] = "daqp"
-    #: μ: how much more scaling down a request costs than thrust; at most 1e10.
+    #: μ: cost of scaling a request down, relative to thrust; at most 1e10.
     slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
 
 
 class PredictiveWeights(Weights):
-    """Weights of the predictive law: those of the regulator mean the same; and of the commands."""
+    """Weights of the predictive law: the regulator's, and one for the commands."""
 
-    #: On what commands are above idle.
+    #: Weight of commands above idle.
     command: PositiveWeight = 0.05
 
 
 class SoftLimits(Section):
-    """What the predictive law keeps to beside the motors' limits; exceeded rather than given up."""
+    """Limits of the predictive law besides the motors'; exceeded only if unavoidable."""
 
-    #: Where the middle of the craft may be: lowest x and y, highest x and y. By default the table
-    #: less the craft's radius and a margin.
+    #: Where the craft's centre may be: lowest x and y, highest x and y. By default the table minus
+    #: the craft's radius and a margin.
     fence_m: tuple[float, float, float, float] | None = None
     margin_m: NonNegative = 0.004
-    #: A craft that moves is to be within the fence this much later, too: commands may get lost.
+    #: A moving craft must also be inside the fence this much later, because commands may get lost.
     headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.05
-    #: Along the way that is planned.
+    #: Limits along the planned trajectory.
     speed_m_s: Positive | None = None
     spin_rad_s: Positive | None = None
-    #: Discs to keep out of: x and y of the middle, and how near the craft's middle may come.
+    #: Discs to keep out of: x and y of the centre, and the smallest distance of the craft's centre.
     keep_out_m: Annotated[
         tuple[tuple[float, float, Positive], ...], pydantic.Field(max_length=_MOST_DISCS)
     ] = ()
-    #: What a metre, metre per second or radian per second beyond a limit costs.
+    #: Cost of exceeding a limit by a metre, metre per second or radian per second.
     penalty: Annotated[float, pydantic.Field(ge=1, le=1e8)] = 1e4
 
     @pydantic.field_validator("fence_m")
@@ -104,23 +104,24 @@ class SoftLimits(Section):
 
 
 def _listed(value: Any) -> Any:
-    """Take one number as a list of one."""
+    """Accept a single number as a list of one."""
     return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
 class Regulator(Section):
-    """Which law steers, and the settings of the predictive one."""
+    """Choice of the law, and settings of the predictive one."""
 
     kind: Annotated[str, pydantic.AfterValidator(check_law)] = "lqr"
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
     step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
-    #: Steps with one command, block after block; the last number goes on. One is for all.
+    #: Number of steps per command, block after block; the last number repeats. A single number
+    #: applies to all blocks.
     block: Annotated[
         tuple[Annotated[int, pydantic.Field(ge=1, le=50)], ...],
         pydantic.Field(min_length=1, max_length=80),
         pydantic.BeforeValidator(_listed),
     ] = (1, 1, 2, 2, 3)
-    #: Of the solver, at most.
+    #: Largest number of solver iterations.
     iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 400
     weights: PredictiveWeights
     limits: SoftLimits = SoftLimits()
@@ -142,9 +143,10 @@ class Regulator(Section):
 
 
 class Estimation(Section):
-    """The state estimator, and the noise that it assumes."""
+    """The state estimator and its noise assumptions."""
 
-    #: Whether motors are taken to follow their commands, or the effectiveness of each is estimated.
+    #: Whether to assume that motors follow their commands, or to estimate the effectiveness of
+    #: each.
     estimator: Literal["kalman", "actuation"] = "kalman"
     #: Standard deviation of the motion capture.
     position_m: Positive
@@ -153,19 +155,19 @@ class Estimation(Section):
     acceleration_density: Positive
     angular_acceleration_density: Positive
     #: White noise that drives the disturbance acceleration: how fast it changes [m/s³/√Hz,
-    #: rad/s³/√Hz]. Zero: no disturbance is estimated.
+    #: rad/s³/√Hz]. Zero disables the estimate of a disturbance.
     disturbance_density: NonNegative
     angular_disturbance_density: NonNegative
-    #: Standard deviation of the on-board sensors, where there are any.
+    #: Standard deviation of the on-board sensors, if present.
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
-    #: Of ``actuation``: for how long an estimate of a motor holds.
+    #: For ``actuation``: how long an estimate of a motor remains valid.
     forgetting_s: Positive = 3.0
 
     @property
     def noise(self) -> Noise:
-        """The noise as the filter takes it."""
+        """The noise in the filter's form."""
         pairs = (
             (self.position_m, self.yaw_rad),
             (self.acceleration_density, self.angular_acceleration_density),
@@ -175,20 +177,20 @@ class Estimation(Section):
 
 
 class Tuning(Section):
-    """Everything about the controller that is chosen rather than identified.
+    """All settings of the controller that are chosen instead of identified.
 
     Attributes
     ----------
     period_s : float
         Time between commands, from 1e-3 to 0.1.
     weights : Weights
-        Of the linear-quadratic regulator.
+        Weights of the linear-quadratic regulator.
     regulator : Regulator
-        Which law steers: that one, or prediction.
+        The law: linear-quadratic or predictive, with its settings.
     allocation : Allocation
-        Of the thrust allocation.
+        Settings of the thrust allocation.
     estimation : Estimation
-        Of the state estimator.
+        Settings of the state estimator.
     """
 
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
@@ -198,7 +200,7 @@ class Tuning(Section):
     estimation: Estimation
 
     def with_estimator(self, estimator: str) -> Tuning:
-        """Return the same tuning with an estimator.
+        """Return the tuning with another estimator.
 
         Parameters
         ----------
@@ -213,7 +215,7 @@ class Tuning(Section):
         Raises
         ------
         InputError
-            If there is none of this name.
+            If the name is unknown.
         """
         if estimator not in ESTIMATORS:
             problem = f"must be {' or '.join(map(repr, ESTIMATORS))}, not {estimator!r}"
@@ -222,7 +224,7 @@ class Tuning(Section):
         return self.model_copy(update={"estimation": changed})
 
     def with_regulator(self, kind: str) -> Tuning:
-        """Return the same tuning with a law.
+        """Return the tuning with another law.
 
         Parameters
         ----------
@@ -237,7 +239,7 @@ class Tuning(Section):
         Raises
         ------
         InputError
-            If there is none of this name.
+            If the name is unknown.
         """
         try:
             check_law(kind)
@@ -265,7 +267,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
     Parameters
     ----------
     path : path-like
-        A TOML file; what it leaves out is as packaged.
+        A TOML file; omitted fields keep the packaged values.
 
     Returns
     -------
@@ -281,5 +283,5 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
 
 
 def default_tuning() -> Tuning:
-    """Return the packaged tuning, near the one that flew the paper's experiment."""
+    """Return the packaged tuning, close to the one that flew the paper's experiment."""
     return read_packaged("tuning.toml", Tuning)

@@ -1,4 +1,4 @@
-"""What is known before any flight: the vehicle and the table.
+"""The known properties of vehicle and table, before any flight.
 
 Entry points: `table.Table`, `table.read_table`.
 """

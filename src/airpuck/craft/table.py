@@ -17,7 +17,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 
-#: Of a table or a hall; one in millimetres is longer [m].
+#: Largest size of a table or hall; a longer one is in millimetres [m].
 Side = Annotated[float, pydantic.Field(gt=0, le=1000)]
 
 
@@ -29,11 +29,11 @@ class Table(Section):
     length_m, width_m : float
         Distance between opposite rails along x and along y.
     restitution : float
-        Share of the craft's normal speed that a rail gives back, 1: elastic.
+        Fraction of the craft's normal speed that a rail returns; 1: elastic.
     friction : float
-        Coulomb coefficient of friction of the craft at the rails.
+        Coulomb coefficient of friction between the craft and the rails.
     goal_width_m : float
-        Width of the openings in the middle of both short rails, at most that of the table. Only the
+        Width of the openings in the middle of both short rails, at most the table's width. Only the
         puck fits through.
     """
 
@@ -44,7 +44,7 @@ class Table(Section):
     goal_width_m: Positive = 0.40
 
     def reach(self, radius: float) -> tuple[float, float]:
-        """Return how far from the middle of the table the centre of a disc can get.
+        """Return how far from the centre of the table the centre of a disc can get.
 
         Parameters
         ----------
@@ -60,41 +60,42 @@ class Table(Section):
 
 
 class Contact(Section):
-    """How a puck bounces off something.
+    """How a puck bounces off another object.
 
-    With the default grip a homogeneous puck without spin keeps 0.84 of its speed along a rail.
+    With the default grip, a homogeneous puck without spin keeps 0.84 of its speed along a rail.
     """
 
-    #: Share of the normal speed that is given back, 1: elastic.
+    #: Fraction of the normal speed that is returned; 1: elastic.
     restitution: Fraction
-    #: Share of the slip that goes where the cone of friction allows it; 1: none is left, 0: smooth.
+    #: Fraction of the slip that is removed if the cone of friction allows it; 1: no slip remains,
+    #: 0: smooth.
     grip: Fraction = 0.48
     #: Coulomb coefficient of friction.
     friction: NonNegative = 0.3
 
 
 class Puck(Section):
-    """The puck: size, drag on the air cushion, and how it bounces off rails, mallet and craft.
+    """The puck: size, drag on the air cushion, and bounces off rails, mallet and craft.
 
-    The defaults are assumed for any table. Published identifications of the Robot Air Hockey
-    Challenge's have 31.65 mm, 10 g, a drag of 0.2 1/s, of the speed at a rail 0.79 across and 0.84
-    along it, and 0.80 at a mallet; friction is a guess. Numbers without a standard error were not
-    identified on this table (`assumed`).
+    The defaults are assumptions for any table. Published identifications of the Robot Air Hockey
+    Challenge's puck give 31.65 mm, 10 g and a drag of 0.2 1/s. At a rail it keeps 0.79 of its
+    normal speed and 0.84 of its speed along the rail; at a mallet it keeps 0.80. Friction is a
+    guess. Numbers without a standard error were not identified on this table (`assumed`).
 
     Attributes
     ----------
     radius_m, mass_kg : float
-        Of the disc.
+        Radius of the disc.
     inertia_kg_m2 : float, optional
-        About the vertical axis through the middle; the default is a homogeneous disc.
+        About the vertical axis through the centre; the default is a homogeneous disc.
     drag_1_s : float
-        Deceleration by speed.
+        Deceleration per unit of speed.
     spin_drag_1_s : float
-        The same of the spin; a viscous film under a homogeneous disc slows both alike.
+        The same for the rotation; a viscous film under a homogeneous disc slows both alike.
     rail, mallet, craft : Contact
-        Bounces; posts of the goals are as rails.
+        Bounces; goal posts behave like rails.
     standard_error : mapping of str to float
-        Of the numbers that were identified, by name: ``drag_1_s``, ``rail.restitution``.
+        Standard errors of the identified numbers, by name: ``drag_1_s``, ``rail.restitution``.
     """
 
     radius_m: Positive = 0.03165
@@ -112,19 +113,19 @@ class Puck(Section):
         for name in self.standard_error:
             if name not in self._numbers():
                 raise ValueError(
-                    f"standard_error.{name} is of no number of a puck; these are "
+                    f"standard_error.{name} does not name a puck parameter; use one of "
                     + ", ".join(self._numbers())
                 )
         return self
 
     @property
     def inertia(self) -> float:
-        """Moment of inertia about the vertical axis through the middle [kg m²]."""
+        """Moment of inertia about the vertical axis through the centre [kg m²]."""
         return self.inertia_kg_m2 or self.mass_kg * self.radius_m**2 / 2
 
     @property
     def kept_along_rail(self) -> float:
-        """Share of its speed along a rail that a puck without spin keeps where it grips."""
+        """Fraction of its speed along a rail that a puck without spin keeps where it grips."""
         return 1 - self.rail.grip / (1 + self.mass_kg * self.radius_m**2 / self.inertia)
 
     @property
@@ -145,19 +146,19 @@ class Puck(Section):
 
 
 class Mallet(Section):
-    """The human's mallet: a disc that a hand moves; what it meets does not move it."""
+    """The human's mallet: a disc moved by a hand; collisions do not move it."""
 
-    #: Of the disc.
+    #: Radius of the disc.
     radius_m: Positive = 0.04815
-    #: What a hand is taken to reach.
+    #: Largest speed of a hand.
     speed_m_s: Positive = 4.0
     acceleration_m_s2: Positive = 40.0
 
 
 class AirHockey(Section):
-    """A table to play on: the table file.
+    """A table to play on: the contents of a table file.
 
-    Settings of a twin have the same sections, so that a table file is one for ``--twin``, too.
+    Settings of a twin have the same sections, so a table file also works for ``--twin``.
 
     Attributes
     ----------
@@ -192,7 +193,7 @@ class AirHockey(Section):
 
 
 def check_play(table: Table, puck: Puck, mallet: Mallet) -> None:
-    """Raise ValueError if sizes are inconsistent."""
+    """Raise ValueError if dimensions are inconsistent."""
     if 2 * puck.radius_m >= min(table.goal_width_m, table.width_m):
         raise ValueError(
             f"puck.radius_m = {puck.radius_m:g} does not fit through a goal of "
@@ -210,8 +211,8 @@ def read_table(path: str | os.PathLike[str]) -> AirHockey:
     Parameters
     ----------
     path : path-like
-        A TOML file with any of the tables ``[table]``, ``[puck]``, ``[mallet]``; what it leaves out
-        is as by default.
+        A TOML file with any of the tables ``[table]``, ``[puck]``, ``[mallet]``; omitted fields
+        keep their defaults.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What is known about a craft before any flight: geometry, mass, limits, nominal values.
+"""The known properties of a craft before any flight: geometry, mass, limits, nominal values.
 
 The body frame has its origin at the geometric centre, x forward, y to the left; angles are
 counter-clockwise. Any number of propellers in any planar layout is allowed.
@@ -29,7 +29,7 @@ from airpuck.boundary.limits import PROPELLERS
 
 
 class Propeller(Section):
-    """One propeller: where it sits and where its thrust pushes the craft."""
+    """One propeller: its position, and the direction in which its thrust pushes the craft."""
 
     #: The column of a command that drives it, e.g. ``motor_a_1``.
     name: str = pydantic.Field(min_length=1)
@@ -40,7 +40,7 @@ class Propeller(Section):
 
 
 class Nominal(Section):
-    """Values to start an identification from; rough ones are enough."""
+    """Starting values for an identification; rough ones are enough."""
 
     #: Coefficients of φ, φ², φ³, … (φ in [0, 1]): one curve for all propellers, or one list for
     #: each.
@@ -49,7 +49,7 @@ class Nominal(Section):
     inertia_kg_m2: Positive
     #: First-order lag of motor speed behind the command.
     motor_time_constant_s: NonNegative = 0.03
-    #: From a command's time stamp to the motors.
+    #: Delay from a command's time stamp to the motors.
     transport_delay_s: NonNegative = 0.0
 
 
@@ -67,10 +67,11 @@ class Vehicle(Section):
     command_min, command_max : float
         Range of a motor command; at the minimum the motor still turns.
     propellers : tuple of Propeller
-        In the order of a command's columns.
+        Propellers, in the order of a command's columns.
     pairs : tuple of pairs of str
         Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
-        other: push in opposite directions, and turn the craft in opposite ways about its centre.
+        other: push in opposite directions, and turn the craft in opposite directions about its
+        centre.
     nominal : Nominal
         Starting values for identification.
     """
@@ -92,7 +93,7 @@ class Vehicle(Section):
         for pair in self.pairs:
             for name in pair:
                 if name not in names:
-                    raise ValueError(f"pairs: there is no propeller called {name!r}")
+                    raise ValueError(f"pairs: unknown propeller {name!r}")
         paired = [name for pair in self.pairs for name in pair]
         if len(set(paired)) != len(paired):
             raise ValueError("pairs: a propeller can be in one pair only")
@@ -106,7 +107,7 @@ class Vehicle(Section):
         return self
 
     def __eq__(self, other: object) -> bool:
-        """Compare the fields only: pydantic would compare cached arrays, too."""
+        """Compare the fields only: pydantic would also compare cached arrays."""
         if not isinstance(other, Vehicle):
             return NotImplemented
         return all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
@@ -208,12 +209,12 @@ def default_vehicle() -> Vehicle:
 
 
 def unnamed_columns(n: int) -> tuple[str, ...]:
-    """Name the columns of a command that was logged without names: they are in our order."""
+    """Name the columns of a command that was logged without names, in the vehicle's order."""
     return tuple(f"value_{number}" for number in range(1, n + 1))
 
 
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
-    """Return which column of a recorded command drives each propeller, or refuse it."""
+    """Return which column of a recorded command drives each propeller, or raise InputError."""
     names = vehicle.propeller_names
     if len(columns) != len(names):
         raise InputError(
@@ -235,12 +236,12 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
     return [columns.index(name) for name in names]
 
 
-#: Radii of crafts for tables [m].
+#: Plausible radii of craft on a table [m].
 _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
-#: Farthest propeller by the radius; mass by the square of the size [kg/m²]; inertia by mass and
-#: square of the size, that of a disc being ½.
+#: Plausible ratios: farthest propeller to radius; mass to squared radius [kg/m²]; inertia to mass
+#: times squared radius (a disc has ½).
 _FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
-#: Largest thrust of a propeller by the craft's weight; longest lag and delay [s].
+#: Largest plausible ratio of a propeller's thrust to the craft's weight; longest lag and delay [s].
 _THRUST, _TIME = 10.0, 1.0
 _GRAVITY = 9.81
 
@@ -254,7 +255,7 @@ _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 def check_sizes(
     mass: float, radius: float, positions: Float[np.ndarray, "n 2"], inertia: float
 ) -> None:
-    """Raise ValueError if sizes are inconsistent, with a guess at the wrong unit."""
+    """Raise ValueError if dimensions are inconsistent, with a guess at the wrong unit."""
     distance = np.hypot(*positions.T)
     k = int(np.argmax(distance))
     farthest = float(distance[k])
@@ -302,7 +303,7 @@ def check_nominal(mass: float, thrust: float, lag: float, delay: float) -> None:
 
 
 def _guess(value: float, units: Mapping[str, float], usual: float) -> str:
-    """Ask for the unit in which a value comes nearest to what is usual, if it comes near."""
+    """Suggest the unit in which a value would be closest to typical values, if one comes close."""
     apart = {name: abs(math.log(value * size / usual)) for name, size in units.items()}
     nearest = min(apart, key=lambda name: apart[name])
     return f": {nearest}?" if apart[nearest] < math.log(10) else ": in another unit?"

@@ -1,4 +1,4 @@
-"""One measurement of a sensor: what links give and pilots take."""
+"""A measurement from a sensor, as links deliver it and pilots receive it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-#: The sensors: poses of the craft, of the puck and of the other side's disc by motion capture; the
-#: inertial unit and the optical mouse sensor on board.
+#: The sensors: motion capture of the craft, the puck and the other side's disc; the on-board
+#: inertial unit and optical mouse sensor.
 Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
 
 
@@ -22,10 +22,11 @@ class Measurement:
     kind : str
         Which sensor: ``pose``, ``imu``, ``mouse``, ``puck``, ``mallet``.
     stamp : float
-        When it was measured, on the sensor's clock [s].
+        Time of the measurement, on the sensor's clock [s].
     values : array, shape (k,)
-        Pose, of the puck and the mallet, too: x, y [m], yaw [rad]. IMU: acceleration along the
-        body's x, y, z [m/s²], spin about them [rad/s]. Mouse: velocity along the body's x, y [m/s].
+        Pose (also of the puck and the mallet): x, y [m], yaw [rad]. IMU: acceleration along the
+        body's x, y, z [m/s²], angular velocity about them [rad/s]. Mouse: velocity along the body's
+        x, y [m/s].
     """
 
     kind: Kind

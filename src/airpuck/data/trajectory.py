@@ -1,4 +1,4 @@
-"""A trajectory: states at the sample times, commands at their own, and spans not to use."""
+"""A trajectory: states at the sample times, commands at their own times, and excluded spans."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from airpuck.boundary.notebook import html_table
 from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 
-#: Of the file; another one is refused.
+#: Format of the file; others are rejected.
 FORMAT = "airpuck trajectory 1"
 
-#: Steps below this many medians are no pauses; they alternate where their mean is this share off.
+#: Steps below this multiple of the median are not pauses; they alternate if their mean differs by
+#: this fraction.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
 
 
@@ -36,9 +37,9 @@ class Span:
     start, stop : float
         First and last time concerned [s].
     cause : str
-        Why, in a few words: ``gap``, ``frozen pose``, ….
+        The reason, in a few words: ``gap``, ``frozen pose``, ….
     confidence : float, default 1
-        Probability of the cause; 1 where it was measured.
+        Probability of the cause; 1 if it was measured.
     """
 
     start: float
@@ -60,14 +61,14 @@ class Trajectory:
     acceleration : array of float64, shape (N, 3)
         Smoothed second derivatives of x, y, γ [m/s², m/s², rad/s²].
     command_time : array of float64, shape (K,)
-        When each command was stamped, on the same axis as `time`, not decreasing [s].
+        Time stamp of each command, on the same axis as `time`, not decreasing [s].
     command : array of float64, shape (K, n)
         Motor commands in [0, 1], one column for each propeller.
     delay : float
         Transport delay: a command acts from ``command_time + delay`` on [s].
     delay_known : bool
-        False where the file's author had already shifted the commands by an unknown delay; `delay`
-        is then zero.
+        False if the file's author had already shifted the commands by an unknown delay; `delay` is
+        then zero.
     propellers : tuple of str
         Names of the command's columns.
     excluded : tuple of Span
@@ -75,11 +76,11 @@ class Trajectory:
     source : str
         The file or folder it came from.
     hashes : mapping of str to str
-        SHA-256 of every file it was made from, by name.
+        SHA-256 of every source file, by name.
     warnings : tuple of str
-        What preprocessing found that does not prevent the use of the data.
+        Problems found by preprocessing that do not prevent the use of the data.
     vehicle : Vehicle or None
-        The craft that it was preprocessed for; None where others have prepared it.
+        The craft that it was preprocessed for; None if it was prepared elsewhere.
     """
 
     time: Float[np.ndarray, " N"]
@@ -149,17 +150,17 @@ class Trajectory:
         return usual_period(self.time)
 
     def steps(self, duration: float) -> int:
-        """Return how many samples a duration is.
+        """Return a duration as a number of samples.
 
         Parameters
         ----------
         duration : float
-            A time [s].
+            Duration [s].
 
         Returns
         -------
         int
-            To the nearest sample, and at least one.
+            Rounded to the nearest sample, and at least one.
         """
         return max(round(duration / self.sample_period), 1)
 
@@ -176,13 +177,13 @@ class Trajectory:
         delay : float
             Transport delay d, from a command's stamp to the motors [s].
         assumed : float
-            Delay by which the file's author is assumed to have shifted the commands, where it is
-            not known: the vehicle's nominal one [s].
+            Delay by which the file's author is assumed to have shifted the commands if it is
+            unknown: the vehicle's nominal delay [s].
 
         Returns
         -------
         float
-            To be added to `command_time` [s].
+            Time to add to `command_time` [s].
         """
         return delay if self.delay_known else self.delay + delay - assumed
 
@@ -194,7 +195,7 @@ class Trajectory:
         Parameters
         ----------
         delay, assumed : float
-            As for `acting_delay` [s].
+            See `acting_delay` [s].
 
         Returns
         -------
@@ -278,7 +279,7 @@ class Trajectory:
         )
 
     def leave_out(self, spans: Sequence[Span]) -> Trajectory:
-        """Exclude spans beside those that are excluded already.
+        """Exclude spans in addition to those already excluded.
 
         Parameters
         ----------
@@ -328,10 +329,10 @@ class Trajectory:
 
 
 def usual_period(time: Float[np.ndarray, " N"]) -> float:
-    """Return the usual time between samples [s]: their median, or a mean where they alternate.
+    """Return the usual time between samples [s]: the median, or the mean if steps alternate.
 
-    A stream that was thinned to a rate that does not divide its own has steps of two lengths, of
-    which the median would be one.
+    A stream that was thinned to a rate that does not divide its own has steps of two lengths; the
+    median would be one of them.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -348,7 +349,7 @@ def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:
 
 
 def as_trajectories(given: Any) -> list[Trajectory]:
-    """Return one or several trajectories as a list; refuse a path or recording with what to do."""
+    """Return one or several trajectories as a list; for a path or recording, explain what to do."""
     several = isinstance(given, Iterable) and not isinstance(given, str)
     listed: list[Any] = list(given) if several else [given]
     for one in listed:
@@ -411,7 +412,7 @@ def hold(
     Returns
     -------
     array of float64, shape (N, n)
-        Before the first event, the first value.
+        Values in force; before the first event, the first value.
     """
     index = np.searchsorted(event_time, time, side="right") - 1
     return values[np.clip(index, 0, None)]
@@ -427,7 +428,8 @@ def mean_hold(
     For events that come ``d`` later, ``u_k(d) = 1/h ∫ u(s - d) ds`` over ``[t_k, t_{k+1}]`` is
     continuous and piecewise linear in ``d``, whereas `hold` jumps whenever an event passes a
     sample. The mean keeps the impulse of an event at the fraction x of a step, and spreads it in
-    time by a variance of x (1 - x) h²: as a change of a motor lag of 28 ms by at most 0.08 ms.
+    time with a variance of x (1 - x) h². This is equivalent to changing a motor lag of 28 ms by at
+    most 0.08 ms.
     """
     held = hold(event_time, values, time)
     length = np.diff(time)[:, None]
@@ -443,7 +445,7 @@ def mean_hold(
     return mean, slope
 
 
-#: Causes that are counted in words, one and several.
+#: Causes that are described in words, singular and plural.
 _NOUNS = {
     "gap": ("gap", "gaps"),
     "frozen pose": ("frozen pose", "frozen poses"),
@@ -454,12 +456,12 @@ _NOUNS = {
 
 
 def left_out_words(trajectory: Trajectory) -> str:
-    """Describe which share of a trajectory must not be used, and why.
+    """Describe which fraction of a trajectory must not be used, and why.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Perhaps with faults left out, too.
+        The trajectory, possibly with faults excluded, too.
 
     Returns
     -------
@@ -480,7 +482,7 @@ def left_out_words(trajectory: Trajectory) -> str:
 
 
 def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
-    """Return the share of a trajectory that can be used, and every span that must not be."""
+    """Return the usable fraction of a trajectory, and all excluded spans."""
     return {
         "usable": float(trajectory.usable.mean()),
         "excluded": [vars(span) for span in trajectory.excluded],
@@ -488,7 +490,7 @@ def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
 
 
 def _counted(cause: str, count: int) -> str:
-    """Write how often there was a cause."""
+    """Write how often a cause occurred."""
     if cause in _NOUNS:
         return f"{count} {_NOUNS[cause][count > 1]}"
     return cause if count == 1 else f"{count} × {cause}"

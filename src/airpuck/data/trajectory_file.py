@@ -1,4 +1,4 @@
-"""Reading what `Trajectory.save` wrote, or what claims to be that."""
+"""Reading files of `Trajectory.save`, or files that claim to be such."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from airpuck.data.trajectory import FORMAT, Span, Trajectory
 
 #: Members that are read; ``input`` follows from the others.
 _ARRAYS = ("t", "state", "acceleration", "command_time", "command")
-#: Of an array, before its numbers [bytes]; NumPy writes 128.
+#: Size of an array's header [bytes]; NumPy writes 128.
 _LONGEST_HEADER = 4096
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read what `Trajectory.save` wrote.
+    """Read a file written by `Trajectory.save`.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     Returns
     -------
     Trajectory
-        Equal to the one saved.
+        Equal to the saved trajectory.
 
     Raises
     ------
@@ -98,7 +98,7 @@ class _SpanSection(Section):
 
 
 class _About(Section):
-    """What a trajectory's file holds beside arrays; what later versions add is passed over."""
+    """Metadata of a trajectory's file, besides arrays; fields of later versions are ignored."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -132,7 +132,7 @@ def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray
         raise ValueError(f"{name} is of another version of NumPy's format")
     shape, by_column, dtype = np.lib.format.read_array_header_1_0(stream)
     if dtype.hasobject or math.prod(shape) * dtype.itemsize != len(content) - stream.tell():
-        raise ValueError(f"{name} has another size than it says")
+        raise ValueError(f"{name} does not have the size in its header")
     flat = np.frombuffer(content, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if by_column else "C")
 

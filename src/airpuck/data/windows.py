@@ -1,4 +1,4 @@
-"""Windows: short stretches of trajectories, to encode a state from and to predict over."""
+"""Windows: short stretches of trajectories, for encoding a state and predicting from it."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Windows:
     origins: tuple[int, ...] = (0,)
     #: The trajectories that were joined.
     trajectories: tuple[Trajectory, ...] = ()
-    #: Derivative of `input` with respect to the transport delay [1/s]; None where commands are held
-    #: by whole samples.
+    #: Derivative of `input` with respect to the transport delay [1/s]; None if commands are held by
+    #: whole samples.
     input_slope: Float[np.ndarray, "N n"] | None = None
 
     def __len__(self) -> int:
@@ -61,7 +61,7 @@ class Windows:
         )
 
     def past(self, starts: Int[np.ndarray, " B"] | None = None, length: int | None = None) -> Past:
-        """Gather the samples that an encoder may use, B windows as last axis."""
+        """Gather the samples that an encoder may use, with B windows as last axis."""
         starts = self.starts if starts is None else starts
         length = length or self.encoder_length
         first = starts + self.encoder_length - length
@@ -114,12 +114,12 @@ def make_windows(
     Parameters
     ----------
     trajectories : Trajectory or sequence of Trajectory
-        Where to cut; all of one craft.
+        Trajectories of one craft.
     encoder_length : int, default 20
         E, in samples.
     prediction_length : int or None, default 50
         T, in samples. None: one window from each trajectory, as long as the shortest of their
-        usable stretches allows.
+        longest usable stretches.
     stride : int, default 1
         Samples from one window's start to the next.
 
@@ -131,7 +131,7 @@ def make_windows(
     Raises
     ------
     InputError
-        If a trajectory has not a single window, or the propellers differ.
+        If a trajectory has no window at all, or the propellers differ.
     """
     trajectories = as_trajectories(trajectories)
     if prediction_length is None:

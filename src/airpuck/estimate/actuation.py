@@ -1,10 +1,10 @@
-"""An encoder that estimates what the motors really do.
+"""An encoder that estimates what the motors actually do.
 
-Over a window's past the accelerations are linear in the effectiveness of each motor, the share of
-its modelled thrust that it gives. Which effectiveness explains the measured poses is a linear
-regression with a prior, solved in closed form for all windows at once; a few priors, of a healthy
-craft, of a common loss (radio, battery, motors not armed) and of single motors that fail, compete
-by their evidence.
+Over a window's past, the accelerations are linear in the effectiveness of each motor: the fraction
+of its modelled thrust that it delivers. Finding the effectiveness that explains the measured poses
+is a linear regression with a prior, solved in closed form for all windows at once. A few priors
+compete by their evidence: a healthy craft, a common loss (radio, battery, motors not armed) and
+single failing motors.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from airpuck.physics.thrust import thrust_slope
 class EffectivenessPrior:
     """A prior of the motors: normal deviations from full effectiveness."""
 
-    #: How probable this state of the craft is.
+    #: Probability of this state of the craft.
     weight: float
-    #: Standard deviations of what all motors share, and of what each has for itself.
+    #: Standard deviations: common to all motors, and individual for each motor.
     common: float
     single: float
-    #: What it is called.
+    #: Name of the state.
     name: str = ""
 
     def covariance(self, n: int) -> Float[np.ndarray, "n n"]:
@@ -46,16 +46,17 @@ class EffectivenessPrior:
         return self.common**2 * np.ones((n, n)) + self.single**2 * np.eye(n)
 
 
-#: Healthy, all motors at a loss, single motors failing. Widths of the first by maximum likelihood
-#: on the paper's training experiment; of the others, wide enough for a motor that stands.
+#: Healthy, all motors weak, single motors failing. The widths of the first are fitted by maximum
+#: likelihood to the paper's training experiment; the others are wide enough for a stopped motor.
 PRIORS = (
     EffectivenessPrior(0.9, 0.07, 0.05, "healthy"),
     EffectivenessPrior(0.05, 0.5, 0.05, "common loss"),
     EffectivenessPrior(0.05, 0.05, 0.5, "single motors"),
 )
 
-#: By how much motors may differ from the first command of a window, standard deviation: by 0.4 if
-#: that command had just changed from any to any, which it had in one window of four.
+#: Uncertainty of the motor speeds relative to the first command of a window, as a standard
+#: deviation: 0.4 if that command had just changed between arbitrary values, which happened in one
+#: window of four.
 _FIRST_SPEED = 0.2
 
 
@@ -65,11 +66,11 @@ class Actuation:
 
     #: x, y, γ, vx, vy, ω and motor speeds at the present.
     state: Float[np.ndarray, "z B"]
-    #: Share of the modelled thrust that each motor gives, 1: all.
+    #: Fraction of the modelled thrust that each motor delivers; 1: all of it.
     effectiveness: Float[np.ndarray, "n B"]
-    #: Its standard deviation.
+    #: Standard deviation of the effectiveness.
     deviation: Float[np.ndarray, "n B"]
-    #: Of each prior.
+    #: Probability of each prior.
     probability: Float[np.ndarray, "H B"]
 
 
@@ -80,21 +81,21 @@ class ActuationEncoder:
     Attributes
     ----------
     velocity : {"smoothed", "causal"}
-        Whether the smoothed velocity of the present, which looks some samples ahead, is a
-        measurement, as in the paper's encoder; or poses up to the present are all there is.
+        Whether to use the smoothed velocity of the present as a measurement, as the paper's encoder
+        does; it looks a few samples ahead. Otherwise only poses up to the present are used.
     pose_noise : (float, float)
         Standard deviation of measured positions [m] and yaw [rad].
     velocity_noise : (float, float)
-        Standard deviation of smoothed velocities [m/s] and spin [rad/s].
+        Standard deviation of smoothed velocities [m/s] and angular velocities [rad/s].
     disturbance : (float, float)
         Density of the white accelerations that the model does not explain [m/s²/√Hz, rad/s²/√Hz];
         found by maximum likelihood on the paper's training experiment.
     priors : tuple of EffectivenessPrior
-        States of the craft that compete.
+        Competing states of the craft.
     tail : float
         Degrees of freedom of the Student distribution of the residuals.
     tempering : float
-        Power of the likelihood by which priors compete, below one since the noise is not white
+        Exponent of the likelihood by which priors compete, below one because the noise is not white
         (a power posterior: Grünwald and van Ommen, Bayesian Analysis 12, 2017).
     """
 
@@ -108,16 +109,16 @@ class ActuationEncoder:
 
     @property
     def name(self) -> str:
-        """What it is called on the command line."""
+        """The encoder's name on the command line."""
         return "actuation"
 
     @property
     def causal(self) -> bool:
-        """Whether it uses nothing that was measured after the present."""
+        """Whether it uses only measurements up to the present."""
         return self.velocity == "causal"
 
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
-        """Estimate state and dynamics to predict with; see `Encoder.begin`."""
+        """Estimate the state and the dynamics for the prediction; see `Encoder.begin`."""
         found = self.estimate(dynamics, past)
         return found.state, with_effectiveness(dynamics, found.effectiveness)
 
@@ -142,9 +143,9 @@ class ActuationEncoder:
 
             p_k = p + v (t_k - t) + ∬ a + Σ_i e_i ∬ a_i + noise,
 
-        a the modelled accelerations along the measured yaw, a_i those of motor i, both integrated
-        backwards from the present; the noise is the poses' noise plus twice integrated
-        white accelerations. p and v have no prior.
+        where a are the modelled accelerations along the measured yaw and a_i the contribution of
+        motor i, both integrated backwards from the present. The noise is that of the poses plus
+        twice integrated white accelerations. p and v have no prior.
         """
         speed = _motor_speeds(dynamics, past)
         by_motor, rest = accelerations_by_motor(dynamics, _motion(past, self.causal), speed)
@@ -191,7 +192,7 @@ class ActuationEncoder:
     def _compete(
         self, rows: Float[np.ndarray, "B N m"], aim: Float[np.ndarray, "B N"]
     ) -> tuple[Float[np.ndarray, "B m"], Float[np.ndarray, "B m m"], Float[np.ndarray, "H B"]]:
-        """Solve the regression with each prior; return the mean, weighted by their evidence."""
+        """Solve the regression with each prior; return the mean, weighted by evidence."""
         information, score, square = normal_equations(rows, aim)
         measured = rows.shape[1] - 6
         solutions, covariances, evidence = [], [], []
@@ -223,7 +224,7 @@ def _motor_speeds(dynamics: Dynamics, past: Past) -> Float[np.ndarray, "E n B"]:
 
 
 def _motion(past: Past, causal: bool) -> Float[np.ndarray, "E 6 B"]:
-    """Return the states of the past; causally, with velocities from differences of poses."""
+    """Return the past states; without look-ahead, velocities are differences of poses."""
     state = np.asarray(past.state)
     if not causal:
         return state
@@ -232,7 +233,7 @@ def _motion(past: Past, causal: bool) -> Float[np.ndarray, "E 6 B"]:
 
 
 def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
-    """Return the error of accelerations due to unknown first speeds [m/s², rad/s²]."""
+    """Return the error of accelerations due to unknown initial speeds [m/s², rad/s²]."""
     slope = thrust_slope(np.asarray(dynamics.thrust), np.full(len(dynamics.thrust), 0.5))
     spread = np.sqrt(((np.asarray(dynamics.configuration) * slope) ** 2).sum(axis=1))
     return float(_FIRST_SPEED * spread[:2].mean()), float(_FIRST_SPEED * spread[2])
@@ -245,7 +246,7 @@ def _whitening(
     noise: tuple[float, float, float],
     time_constant: float,
 ) -> Float[np.ndarray, "E E"]:
-    """Return the matrix that makes the residuals of an axis white, of variance one.
+    """Return the matrix that makes the residuals of an axis white, with unit variance.
 
     `noise` holds the poses' noise, the density of the accelerations, and the initial uncertainty of
     the accelerations.
@@ -253,7 +254,7 @@ def _whitening(
     pose, density, first = noise
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
     fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
-    # An error of the first speeds lasts, fading like the motors' lag.
+    # An error of the initial speeds decays with the motors' lag.
     accelerations = density**2 / step * np.eye(length) + first**2 * np.outer(fading, fading)
     covariance = pose**2 * np.eye(length) + integral @ accelerations @ integral.T
     return np.linalg.inv(np.linalg.cholesky(covariance))

@@ -39,17 +39,17 @@ INITIAL_DISTURBANCE = np.array([0.1, 0.1, 3.0])
 
 @dataclass(frozen=True, eq=False)
 class IndependentAxes:
-    """How beliefs of a craft change whose motors do what the model says.
+    """Equations of a craft's belief if the motors follow the model.
 
-    Given the yaw, which the cameras measure well, the axes are independent. A belief is a mean
-    (3, 3) and covariances (3, 3, 3), the axis first.
+    Given the yaw, which the cameras measure well, the axes are independent. A belief is a mean (3,
+    3) and covariances (3, 3, 3), the axis first.
     """
 
     dynamics: Dynamics
     noise: Noise
 
     def begin(self, pose: Any, before: Any, elapsed: float) -> tuple[Any, ...]:
-        """Return the belief at a pose, at rest; what was believed before does not matter."""
+        """Return the belief at a pose, at rest; the previous belief does not matter."""
         mean, covariance = np.zeros((3, 3)), np.zeros((3, 3, 3))
         mean[:, 0] = pose
         drives = np.array(self.noise.disturbance) > 0
@@ -58,7 +58,7 @@ class IndependentAxes:
         return mean, covariance
 
     def advance(self, xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:
-        """Move belief and motor speeds through durations (S,) and commands (S, n)."""
+        """Advance belief and motor speeds through durations (S,) and commands (S, n)."""
         densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
         mean, speed = propagate(xp, self.dynamics, mean, speed, *pieces)
         return mean, spread(xp, covariance, xp.sum(pieces[0]), *densities), speed
@@ -91,7 +91,7 @@ class IndependentAxes:
         return correct(mean, covariance, 1, innovation, np.array([noise**2, noise**2, np.inf]))
 
     def predict(self, xp: Any, mean: Any, covariance: Any, *given: Any) -> tuple[Any, ...]:
-        """Return state, motor speeds, disturbance and effectiveness after pieces of time."""
+        """Return state, motor speeds, disturbance and effectiveness after time intervals."""
         mean, speed = propagate(xp, self.dynamics, mean, *given)
         return xp.ravel(mean[:, :2].T), speed, mean[:, 2], xp.ones(speed.shape)
 
@@ -99,9 +99,9 @@ class IndependentAxes:
 def propagate(
     xp: Any, dynamics: Dynamics, mean: Any, motor_speed: Any, durations: Any, commands: Any
 ) -> tuple[Any, Any]:
-    """Move mean and motor speeds through pieces of time with one command each.
+    """Advance mean and motor speeds through intervals with one command each.
 
-    Each piece has the acceleration of its middle, so that the error is of second order.
+    Each interval uses the acceleration at its middle, so that the error is of second order.
     """
     tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
     for k in range(len(durations)):
@@ -116,7 +116,7 @@ def propagate(
 
 
 def to_world(vector: Float[np.ndarray, " 2"], yaw: float) -> tuple[float, float]:
-    """Turn a body vector into the world frame."""
+    """Rotate a body vector into the world frame."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     return cos * vector[0] - sin * vector[1], sin * vector[0] + cos * vector[1]
 
@@ -134,7 +134,7 @@ def spread(
 def process_noise(
     xp: Any, duration: Any, acceleration_density: Any, disturbance_density: Any
 ) -> Any:
-    """Integrate both noises, given by the squares of their densities, over a time."""
+    """Integrate both noises, given as squared densities, over a time."""
     h = duration
     by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
     by_disturbance = xp.array(

@@ -1,4 +1,4 @@
-"""Encoders: from the past of a window to what a prediction starts from (subsec:encoder)."""
+"""Encoders: from the past of a window to the initial state of a prediction (subsec:encoder)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from airpuck.physics.rigid_body import Dynamics
 
 @runtime_checkable
 class Encoder(Protocol):
-    """Estimates from the past of a batch of windows what their predictions start from."""
+    """Estimates initial states of predictions from the past of a batch of windows."""
 
     @property
     def name(self) -> str:
-        """What it is called on the command line."""
+        """The encoder's name on the command line."""
         ...
 
     @property
     def causal(self) -> bool:
-        """Whether it uses nothing that was measured after the present."""
+        """Whether it uses only measurements up to the present."""
         ...
 
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
-        """Estimate what to predict from, and what with."""
+        """Estimate the initial state and the dynamics for a prediction."""
         ...
 
 
@@ -58,16 +58,16 @@ class PaperEncoder:
 
     @property
     def name(self) -> str:
-        """What it is called on the command line."""
+        """The encoder's name on the command line."""
         return "paper"
 
     @property
     def causal(self) -> bool:
-        """False: the smoothed velocities look some samples ahead."""
+        """False: the smoothed velocities look a few samples ahead."""
         return False
 
     def begin(self, dynamics: Dynamics, past: Past) -> tuple[Any, Dynamics]:
-        """Estimate what to predict from; see `Encoder.begin`."""
+        """Estimate the initial state and the dynamics; see `Encoder.begin`."""
         return self.encode(np, dynamics, past), dynamics
 
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:

@@ -10,15 +10,15 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class ActuationEstimate:
-    """What the motors really do with their commands."""
+    """What the motors actually do with their commands."""
 
-    #: Share of the modelled thrust that each motor gives, 1: all.
+    #: Fraction of the modelled thrust that each motor delivers; 1: all of it.
     effectiveness: Float[np.ndarray, " n"]
     #: Its standard deviation; for an idling motor, which reveals nothing, the prior's.
     deviation: Float[np.ndarray, " n"]
-    #: Of each state of the craft by its name (`airpuck.estimate.actuation.PRIORS`).
+    #: Probability of each state of the craft, by name (`airpuck.estimate.actuation.PRIORS`).
     probability: dict[str, float] = field(default_factory=dict)
-    #: How much longer than the model's the transport delay seems, and the standard deviation [s].
+    #: Estimated transport delay minus the model's, and its standard deviation [s].
     delay: float = 0.0
     delay_deviation: float = 0.0
 
@@ -35,12 +35,12 @@ class Estimate:
     motor_speed: Float[np.ndarray, " n"]
     #: Acceleration that the model does not explain [m/s², m/s², rad/s²].
     disturbance: Float[np.ndarray, " 3"]
-    #: None where the estimator takes the motors to do what the model says.
+    #: None if the estimator assumes that the motors follow the model.
     actuation: ActuationEstimate | None = None
 
     @property
     def effectiveness(self) -> Float[np.ndarray, " n"]:
-        """Share of the modelled thrust that each motor gives; ones if it is not estimated."""
+        """Fraction of the modelled thrust that each motor delivers; ones if it is not estimated."""
         if self.actuation is None:
             return np.ones(len(self.motor_speed))
         return self.actuation.effectiveness

@@ -1,10 +1,9 @@
 """State estimation in closed loop, from one measurement to the next.
 
-The accelerations of x, y and γ are the model's under the commands in force, plus a disturbance d
-that varies slowly; the equations are in `airpuck.estimate.axis_filter`, and
-with unknown motors in `airpuck.estimate.multiple_models`.
-Commands act a transport delay after they were sent, measurements come at any time and may come
-late ("out of sequence").
+The accelerations of x, y and γ are the model's under the commands in force, plus a slowly varying
+disturbance d. The equations are in `airpuck.estimate.axis_filter`, and for unknown motors in
+`airpuck.estimate.multiple_models`. Commands act a transport delay after they were sent.
+Measurements come at any time and may come late ("out of sequence").
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ class HeldCommands:
         return len(self._begun)
 
     def add(self, begins: float, command: Command) -> None:
-        """Note the command that was sent last."""
-        # Those that would begin later, but were sent before, had wrong times.
+        """Record the command that was sent last."""
+        # Earlier commands that would begin later had wrong times.
         while self._begun and self._begun[-1][0] >= begins:
             self._begun.pop()
         self._begun.append((begins, np.array(command, dtype=float)))
@@ -50,11 +49,11 @@ class HeldCommands:
             self._begun.popleft()
 
     def until(self, time: float) -> list[tuple[float, Command]]:
-        """Return those that have begun to act by a time, with their beginnings."""
+        """Return the commands that have begun to act by a time, with their start times."""
         return [entry for entry in self._begun if entry[0] <= time]
 
     def cut(self, start: float, stop: float) -> list[tuple[float, Command]]:
-        """Cut a time where commands change; return durations [s] and commands of the pieces."""
+        """Split a time span where commands change; return durations [s] and commands."""
         pieces, now, acting = [], start, self._begun[0][1]
         for begins, command in self._begun:
             if begins > stop:
@@ -66,35 +65,35 @@ class HeldCommands:
         return [*pieces, (stop - now, acting)]
 
 
-#: Pieces of time with one command each that one call handles; longer times take several calls. A
-#: command begins to act between two poses of 240 Hz nearly half of the time.
+#: Number of one-command intervals that one call handles; longer times take several calls. A command
+#: begins to act between two poses of 240 Hz nearly half of the time.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
-#: How late a measurement may come where sensors have different latencies [s].
+#: How late a measurement may arrive if sensors have different latencies [s].
 _REMEMBERED = 0.1
 
-#: What the equations hold true of the craft: arrays that are never written to.
+#: A belief about the craft in the form of the equations: arrays that are never written to.
 Belief = tuple[Any, ...]
 #: Time, belief and motor speeds.
 _State = tuple[float, Belief, Float[np.ndarray, " n"]]
-#: Durations [s] and commands of pieces of time.
+#: Durations [s] and commands of intervals.
 _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
 
 class KalmanFilter:
     """Estimates state, motor speeds and disturbance; uses nothing from the future.
 
-    Motors are taken to do what the model says, unless there are other states of the craft.
+    It assumes that motors follow the model, unless other states of the craft are given.
 
     Parameters
     ----------
     model : Model
         The craft, with its transport delay.
     noise : Noise
-        What to expect of measurements and model.
+        Noise of measurements and model.
     states : States, optional
-        States of the craft that compete; by default motors do what the model says.
+        Competing states of the craft; by default motors follow the model.
     compiled : bool, default True
-        Whether to compile the mathematics (a second, once) or to run it in NumPy.
+        Whether to compile the mathematics (takes a second, once) or run it in NumPy.
     """
 
     def __init__(
@@ -123,13 +122,13 @@ class KalmanFilter:
         self._time: float | None = None
         self._belief: Any = ()
         self._motor_speed = self._idle
-        #: From the command that acts at the oldest remembered time on.
+        #: Commands, from the one in force at the oldest stored time on.
         self._commands = HeldCommands(self._idle)
-        #: Time of the motor speeds, where later than the belief's.
+        #: Time of the motor speeds, if later than the belief's.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
         self._history: deque[tuple[float, _State, str, tuple[Any, ...]]] = deque()
-        #: Whether a sensor on board has spoken, so that measurements may come late.
+        #: Whether an on-board sensor has reported, so that measurements may come late.
         self._remembers = False
 
     @property
@@ -138,33 +137,33 @@ class KalmanFilter:
         return self._time
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of a command that was sent.
+        """Record a command that was sent.
 
         Parameters
         ----------
         time : float
-            When [s]. It begins to act a transport delay later.
+            Time of sending [s]. The command begins to act a transport delay later.
         command : array, shape (n,)
-            Motor commands. They are copied.
+            Motor commands. The array is copied.
         """
         self._commands.add(time + self.model.transport_delay, command)
 
     def run_motors(self, time: float) -> None:
-        """Run the motors alone up to the last command that begins to act before a time.
+        """Advance only the motors, up to the last command that begins to act before a time.
 
-        Where that is later than the last measurement, the rest of the state is lost: the next pose
+        If that is later than the last measurement, the rest of the state is lost: the next pose
         restarts the filter.
 
         Parameters
         ----------
         time : float
-            Up to when [s].
+            Time to advance to [s].
         """
         for begins, _ in self._commands.until(time)[-1:]:
             self._turn_motors(begins)
 
     def _turn_motors(self, time: float) -> None:
-        """Run the motors alone until a time, if it is later than theirs."""
+        """Advance only the motors to a time, if it is later than theirs."""
         last = self._time if self._motors_at is None else self._motors_at
         last = -math.inf if last is None else last
         if time <= last:
@@ -187,18 +186,18 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Time stamp of the pose [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad], wrapped or not.
         gate : tuple of float, optional
-            Largest innovation, the yaw's wrapped, at which the pose is used [m, m, rad]; by
-            default any.
+            Largest innovation (with the yaw wrapped) at which the pose is used [m, m, rad]; by
+            default unlimited.
 
         Returns
         -------
         bool
-            Whether it was used; otherwise the filter does not change. A pose older than the stored
-            history is not used.
+            Whether the pose was used; otherwise the filter does not change. A pose older than the
+            stored history is not used.
         """
         if self._time is None or self._motors_at is not None:
             self.restart(time, pose)
@@ -212,7 +211,7 @@ class KalmanFilter:
             if abs(x) > gate[0] or abs(y) > gate[1] or abs(yaw) > gate[2]:
                 return False
         if self._remembers:
-            # It was plausible once: a late measurement must not change that.
+            # It passed the check once: a late measurement must not change that.
             self._remember("pose", (time, np.array(pose, dtype=float)))
         self._settle(time, tuple(belief), speed)
         return True
@@ -229,13 +228,13 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Its stamp; from before what is remembered, it is not used [s].
+            Time stamp; a measurement older than the stored history is not used [s].
         acceleration_body : array, shape (2,)
             Acceleration along the body's x and y axes [m/s²].
         gyro : float
             Spin [rad/s].
         noise : tuple of float
-            Standard deviations of acceleration and spin [m/s², rad/s].
+            Standard deviations of acceleration and angular velocity [m/s², rad/s].
         """
         given = time, np.array(acceleration_body, dtype=float), gyro, noise
         if self._advance(time, "imu", given):
@@ -243,12 +242,12 @@ class KalmanFilter:
             self._belief = self._equations.use_imu(self._belief, motors, *given[1:])
 
     def mouse(self, time: float, velocity: Float[np.ndarray, " 2"], noise: float) -> None:
-        """Use the velocity that the optical sensor under the craft measured.
+        """Use the velocity measured by the optical sensor under the craft.
 
         Parameters
         ----------
         time : float
-            Its stamp; from before what is remembered, it is not used [s].
+            Time stamp; a measurement older than the stored history is not used [s].
         velocity : array, shape (2,)
             Velocity along the body's x and y axes [m/s].
         noise : float
@@ -264,7 +263,8 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            When, at or after the last measurement [s]. The last command stays in force.
+            Time of the prediction, at or after the last measurement [s]. The last command stays in
+            force.
 
         Returns
         -------
@@ -274,15 +274,16 @@ class KalmanFilter:
         return self.predict_with(self._predict, time)[0]
 
     def composed(self, then: Callable[..., Any], *examples: Any) -> Callable[..., Any]:
-        """Join a prediction and what follows in one program: each call costs time.
+        """Combine a prediction and a function of it in one program: each call costs time.
 
         Parameters
         ----------
         then : callable
             Pure function of an array namespace, the predicted state, motor speeds, disturbance and
-            effectiveness of the motors (as in `Estimate`), and more arrays; to a tuple of arrays.
+            effectiveness of the motors (as in `Estimate`), and further arrays; it returns a tuple
+            of arrays.
         *examples : array or float
-            More arrays of the shapes that it will be called with.
+            Further arrays, with the shapes that it will be called with.
 
         Returns
         -------
@@ -300,23 +301,23 @@ class KalmanFilter:
     def predict_with(
         self, composed: Callable[..., Any], time: float, *more: Any
     ) -> tuple[Estimate, Sequence[Any]]:
-        """Predict, and compute what follows from it.
+        """Predict, and evaluate a function of the prediction.
 
         Parameters
         ----------
         composed : callable
-            What `composed` made, of this filter or one like it.
+            Result of `composed`, from this filter or an equivalent one.
         time : float
-            See `predict` [s].
+            Time of the prediction; see `predict` [s].
         *more : array or float
-            Arguments of the function that follows.
+            Further arguments of the function.
 
         Returns
         -------
         estimate : Estimate
             The prediction.
         results : sequence of array
-            What the function returns.
+            Results of the function.
         """
         belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
         results = composed(*belief, speed, *pieces, *more)
@@ -335,7 +336,7 @@ class KalmanFilter:
         Parameters
         ----------
         time : float
-            Stamp of the pose [s].
+            Time stamp of the pose [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
@@ -353,7 +354,7 @@ class KalmanFilter:
     def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
         """Advance to a measurement of an on-board sensor; return whether to use it now.
 
-        Not before the first pose; and a late one is put in its place.
+        False before the first pose; a late measurement is inserted at its time.
         """
         if self._time is None or self._motors_at is not None:
             return False
@@ -373,7 +374,7 @@ class KalmanFilter:
         self._commands.drop(self._history[0][1][0] if self._history else time)
 
     def _remember(self, sensor: str, given: tuple[Any, ...]) -> None:
-        """Note a measurement and the state before it, and let go of old ones."""
+        """Record a measurement and the state before it, and drop old ones."""
         assert self._time is not None
         state, time = (self._time, self._belief, self._motor_speed), given[0]
         self._history.append((time, state, sensor, given))
@@ -391,9 +392,9 @@ class KalmanFilter:
         return used is not False
 
     def _rewind(self, time: float) -> list[tuple[str, tuple[Any, ...]]] | None:
-        """Go back to before all measurements later than a time, and return these.
+        """Rewind to before all measurements later than a time, and return these.
 
-        None, and nothing is changed, where that is not remembered.
+        If the history does not reach back that far, return None and change nothing.
         """
         later = [entry for entry in self._history if entry[0] > time]
         if not later or later[0][1][0] > time:
@@ -404,9 +405,9 @@ class KalmanFilter:
         return [(sensor, given) for _, _, sensor, given in later]
 
     def _pieces(self, time: float, most: int) -> tuple[Any, Float[np.ndarray, " n"], _Pieces]:
-        """Return belief, motor speeds and the last `most` pieces of the time until `time`.
+        """Return belief, motor speeds and the last `most` intervals of the time until `time`.
 
-        The belief is that after all earlier pieces.
+        The belief is the one after all earlier intervals.
         """
         assert self._time is not None
         pieces, belief, speed = (
@@ -422,16 +423,17 @@ class KalmanFilter:
 
 
 def _arrays(pieces: list[tuple[float, Float[np.ndarray, " n"]]], size: int) -> _Pieces:
-    """Lay pieces out as arrays of a fixed size, filled up with pieces of no length."""
+    """Lay out intervals as arrays of a fixed size, padded with intervals of zero duration."""
     filled = pieces + [(0.0, pieces[-1][1])] * (size - len(pieces))
     durations, commands = zip(*filled, strict=True)
     return np.array(durations), np.array(commands)
 
 
 class ActuationFilter(KalmanFilter):
-    """Estimates, beside what a Kalman filter does, what each motor does with its command.
+    """A Kalman filter that also estimates what each motor does with its command.
 
-    The question of `airpuck.estimate.actuation`, with its priors and evidence, in closed loop.
+    It solves the problem of `airpuck.estimate.actuation`, with the same priors and evidence, in
+    closed loop.
     """
 
     def __init__(
@@ -448,7 +450,7 @@ class ActuationFilter(KalmanFilter):
         priors, n = encoder.priors, model.vehicle.n_propellers
         covariance = np.zeros((len(priors), n + 1, n + 1))
         covariance[:, :n, :n] = [prior.covariance(n) for prior in priors]
-        # Motors without lag give no hint of the delay: their speed jumps.
+        # Motors without lag give no information about the delay: their speed jumps.
         lags = float(model.dynamics.motor_time_constant) > 0
         covariance[:, n, n] = delay_deviation**2 * lags
         weight = np.array([prior.weight for prior in priors])

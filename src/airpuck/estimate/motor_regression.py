@@ -1,8 +1,8 @@
-"""Linear regression of poses on what each motor would do.
+"""Linear regression of poses on the contribution of each motor.
 
-Along a measured motion the modelled accelerations are a sum over the motors; integrated twice they
-are what each motor adds to the poses. How strong a motor is, and when it began to turn, follow by
-weighted least squares with priors, here for a batch of windows at once.
+Along a measured motion the modelled accelerations are a sum over the motors. Integrated twice, they
+give each motor's contribution to the poses. The strength of a motor, and when it began to turn,
+follow by weighted least squares with priors, here for a batch of windows at once.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
 
 def with_effectiveness(dynamics: Dynamics, effectiveness: Float[np.ndarray, "n B"]) -> Dynamics:
-    """Return a batch of craft whose motors give these shares of their thrust."""
+    """Return a batch of craft whose motors deliver these fractions of their thrust."""
     return replace(
         dynamics,
         thrust=np.asarray(dynamics.thrust)[..., None] * effectiveness[:, None],
@@ -28,7 +28,7 @@ def with_effectiveness(dynamics: Dynamics, effectiveness: Float[np.ndarray, "n B
 def accelerations_by_motor(
     dynamics: Dynamics, state: Float[np.ndarray, "E z B"], speed: Float[np.ndarray, "E n B"]
 ) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
-    """Return the accelerations that each motor gives along measured states, and all others."""
+    """Return each motor's accelerations along measured states, and the remaining accelerations."""
     motion = np.moveaxis(np.asarray(state)[:, 2:6], 1, 0)
     by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
@@ -37,14 +37,14 @@ def accelerations_by_motor(
 def twice_integrated(
     acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
 ) -> Float[np.ndarray, "E ... B"]:
-    """Integrate backwards from rest at the last sample, twice, linear between samples."""
+    """Integrate twice, backwards from rest at the last sample, linear between samples."""
     return integrated(acceleration, duration)[1]
 
 
 def integrated(
     acceleration: Float[np.ndarray, "E ... B"], duration: Float[np.ndarray, "e #B"]
 ) -> tuple[Float[np.ndarray, "E ... B"], Float[np.ndarray, "E ... B"]]:
-    """Return velocities and positions that end at rest, accelerations linear between samples."""
+    """Return velocities and positions that end at rest; accelerations are linear in between."""
     h = duration.reshape(len(duration), *(1,) * (acceleration.ndim - 2), -1)
     here, there = acceleration[:-1], acceleration[1:]
     velocity = _sums_from_the_end(-h / 2 * (here + there))
@@ -61,7 +61,7 @@ def _sums_from_the_end(steps: Float[np.ndarray, "e ..."]) -> Float[np.ndarray, "
 def normal_equations(
     rows: Float[np.ndarray, "B N m"], aim: Float[np.ndarray, "B N"]
 ) -> tuple[Float[np.ndarray, "B m m"], Float[np.ndarray, "B m"], Float[np.ndarray, " B"]]:
-    """Return XᵀX, Xᵀy and yᵀy of each window; rows and aim in units of their noise."""
+    """Return XᵀX, Xᵀy and yᵀy of each window; X and y are in units of the noise."""
     across = np.swapaxes(rows, 1, 2)
     return across @ rows, (across @ aim[..., None])[..., 0], (aim**2).sum(axis=1)
 

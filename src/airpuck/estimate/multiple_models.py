@@ -1,14 +1,16 @@
-"""The equations of the filters: pure functions over an array namespace.
+"""The equations of the multiple-model filters: pure functions over an array namespace.
 
-The unknowns are x = (p, v, d, e): of the axes x, y, γ the position, velocity and disturbance, and
-how far the actuation is from the model's: each motor's effectiveness minus one, and last the delay
-beyond the model's. Along the yaw, which the cameras measure well, everything is linear:
+The unknowns are x = (p, v, d, e). p, v and d are position, velocity and disturbance of the axes x,
+y, γ. e is the deviation of the actuation from the model: each motor's effectiveness minus one, and
+last the delay beyond the model's. Along the yaw, which the cameras measure well, everything is
+linear:
 
     p' = v,   v' = a + d + Σᵢ eᵢ aᵢ + w₁,   d' = w₂,
 
-a the modelled accelerations, aᵢ those of motor i, and for the delay -da/dt. Several states of the
-craft with different priors of e compete, each with a Kalman filter of its own: an interacting
-multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control 33, 1988).
+where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
+Several states of the craft with different priors of e compete, each with its own Kalman filter: an
+interacting multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
+33, 1988).
 """
 
 from __future__ import annotations
@@ -32,10 +34,11 @@ from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import lag_at, motor_step
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
-#: An innovation beyond this many standard deviations in every state is a rail or a hand; a motor
-#: would need ten frames for it. The velocities are unknown again, and no motor is blamed.
+#: An innovation beyond this many standard deviations in every state means contact with a rail or a
+#: hand; a motor would need ten frames for it. The velocities become unknown, and no motor is
+#: blamed.
 _KNOCK = 8.0
-#: Where p, v, d and e are.
+#: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
 
@@ -45,29 +48,29 @@ Belief = tuple[Any, Any, Any]
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """States of the craft that compete, and how they follow each other.
+    """Competing states of the craft, and the transitions between them.
 
-    A state lasts for some time. Then another state, or the same one, is drawn by the weights, and e
-    is drawn again from its prior.
+    A state lasts for some time. Then another state, or the same one, is drawn according to the
+    weights, and e is drawn again from its prior.
     """
 
-    #: What each is called.
+    #: Names of the states.
     names: tuple[str, ...]
-    #: How probable each is.
+    #: Probability of each state.
     weight: Float[np.ndarray, " H"]
-    #: Of e, around zero.
+    #: Covariances of e, around zero.
     covariance: Float[np.ndarray, "H m m"]
     #: Mean duration of a state [s].
     lasting: float
     #: Degrees of freedom of Student's distribution of the innovations.
     tail: float
-    #: Power of the likelihood by which states compete.
+    #: Exponent of the likelihood by which states compete.
     tempering: float
 
 
 @dataclass(frozen=True, eq=False)
 class MultipleModels:
-    """How beliefs of a craft change with time and measurements."""
+    """Equations of a craft's beliefs over time and measurements."""
 
     dynamics: Dynamics
     noise: Noise
@@ -80,7 +83,7 @@ class MultipleModels:
             covariances = _padded(states.covariance)
             means, weights = np.zeros(covariances.shape[:2]), states.weight
         else:
-            # Knowledge of the motors is kept, unless it is too old.
+            # Knowledge of the motors is kept unless it is too old.
             means, covariances, weights = self.renewed(np, before, elapsed)
         means[:, :9], covariances[:, :9, :], covariances[:, :, :9] = 0.0, 0.0, 0.0
         means[:, POSITION] = pose
@@ -90,12 +93,12 @@ class MultipleModels:
         return means, covariances, weights
 
     def renewed(self, xp: Any, belief: Belief, duration: Any) -> Belief:
-        """Let some time pass in which the state of the craft may have been redrawn."""
+        """Advance over a time in which the state of the craft may have been redrawn."""
         means, covariances, weights = belief
         states = self.states
         same = xp.exp(-duration / states.lasting)
         mean, covariance = mixed(xp, belief)
-        # After a redraw nothing is known of the actuation.
+        # After a redraw nothing is known about the actuation.
         known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
         fresh = covariance * known[:, None] * known + _padded(states.covariance)
         away = means - mean * known
@@ -106,7 +109,7 @@ class MultipleModels:
         return means, keeps * covariances + (1 - keeps) * fresh + between, after
 
     def advance(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-        """Move belief and motor speeds through pieces of time with one command each.
+        """Advance belief and motor speeds through intervals with one command each.
 
         After the belief come motor speeds (n,), durations (S,) and commands (S, n).
         """
@@ -119,7 +122,7 @@ class MultipleModels:
         moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
         added = process_noise(xp, total, *densities)
-        # From a matrix for each axis to one of all: the axis is the inner index.
+        # From a matrix for each axis to a single one: the axis is the inner index.
         by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
         by_axis = xp.reshape(by_axis, (9, 9))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
@@ -192,14 +195,14 @@ class MultipleModels:
         return means, covariances, weights / xp.sum(weights)
 
     def predict(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
-        """Return the state after pieces of time, motor speeds, disturbance and effectiveness.
+        """Return state, motor speeds, disturbance and effectiveness after time intervals.
 
-        And e with its standard deviations, and the weights.
+        Also returns e with its standard deviations, and the weights.
         """
         mean = xp.sum(weights[:, None] * means, axis=0)
         e = mean[ACTUATION]
         effectiveness = 1 + e[:-1]
-        # The estimated delay is not used: each command on its way has its own.
+        # The estimated delay is not used: each command in transit has its own.
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
         axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given)
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
@@ -211,15 +214,15 @@ class MultipleModels:
 def drift(
     xp: Any, dynamics: Dynamics, mean: Any, speed: Any, durations: Any, commands: Any
 ) -> tuple[Any, Any, Any]:
-    """Integrate the accelerations over pieces of time with one command each.
+    """Integrate the accelerations over intervals with one command each.
 
-    Each piece has the values of its middle, so that the error is of second order. Returns the
-    matrix and the offset that move any x, and the motor speeds.
+    Each interval uses the values at its middle, so that the error is of second order. Returns the
+    matrix and the offset that advance any x, and the motor speeds.
     """
     tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
     size = len(e)
-    # Of v and p by e, and what a itself gives them.
+    # Effects of e on v and p, and contributions of a itself.
     v_by_e, p_by_e = xp.zeros((3, size)), xp.zeros((3, size))
     v_by_a, p_by_a = xp.zeros(3), xp.zeros(3)
     total = 0.0
@@ -248,10 +251,10 @@ def drift(
 def sensitivity(
     xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any
 ) -> tuple[Any, Any]:
-    """Return the modelled accelerations and their derivatives by e."""
+    """Return the modelled accelerations and their derivatives with respect to e."""
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
-    # Had the commands come a little later: a(t - δ).
+    # For a later arrival of the commands: a(t - δ).
     little = 1e-4
     lag = lag_at(xp, speed, dynamics.motor_time_constant, dynamics.idle_lag)
     slope = (command - speed) / xp.maximum(lag, little)
@@ -270,5 +273,5 @@ def mixed(xp: Any, belief: Belief) -> tuple[Any, Any]:
 
 
 def _padded(covariance: Float[np.ndarray, "H m m"]) -> Float[np.ndarray, "H k k"]:
-    """Put covariances of e where e is."""
+    """Place covariances of e at the indices of e."""
     return np.pad(covariance, ((0, 0), (9, 0), (9, 0)))

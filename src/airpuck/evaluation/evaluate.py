@@ -112,7 +112,7 @@ class EveryStart(Result):
         return rmse_interval(self.errors, self.start)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return super().to_json() | {
             "interval_95": known_intervals(self.interval),
             "block_s": BLOCK_S,
@@ -198,7 +198,7 @@ class Evaluation(Result):
         return np.median(np.abs(self.at_horizon), axis=1)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
@@ -374,7 +374,7 @@ def prediction_errors(
     windows : Windows
         What to predict.
     encoder : Encoder
-        Where predictions start from.
+        Encoder that gives the initial state of predictions.
     past : array of int, shape (W,), optional
         Samples up to the present that the encoder may look at; by default the window's.
 

@@ -56,7 +56,7 @@ class FitMeasures(Result):
         return float(self.parameters * np.log(self.samples) - 2 * self.log_likelihood)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         percent = {
             name: by_channel(getattr(self, name)) for name in ("k_step", "free_run", "whole")
         }

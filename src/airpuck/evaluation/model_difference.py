@@ -62,7 +62,7 @@ class ModelDifference(Result):
         return f"{self.second} against {self.first}: {', '.join(said)}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return super().to_json() | {"interval_95": known_intervals(self.interval)}
 
 

@@ -81,7 +81,7 @@ class ModelError(Result):
         return f"{self.name} gives {self.size} {word} than modelled"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         unit = "_s" if self.name in _TIMES else ""
         sizes = {f"value{unit}": self.value, f"standard_error{unit}": self.standard_error}
         return super().to_json() | plain(sizes)

@@ -99,7 +99,7 @@ class Presentation(Result):
         return html_table("; ".join(self.structure[:1]), ("", "value", "± error", "unit"), rows)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------

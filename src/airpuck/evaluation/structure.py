@@ -98,7 +98,7 @@ class Structure(Result):
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         unit = "rad_s2" if self.channel == "yaw" else "m_s2"
         sizes = {name: getattr(self, name) for name in ("size", "mean", "half_band")}
         return super().to_json() | {f"{name}_{unit}": plain(v) for name, v in sizes.items()}

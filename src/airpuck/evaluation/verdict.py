@@ -82,7 +82,7 @@ class Verdict:
         return self.outcome == "trusted"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         names = "missed", "acceleration_errors"
         arrays = {name: getattr(self, name) for name in names}
         return {

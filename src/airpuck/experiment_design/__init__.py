@@ -1,4 +1,4 @@
-"""What to fly next, so that the next fit knows more.
+"""Experiment design: what to fly next, so that the next fit is more accurate.
 
 Entry points: `design.design`, `trials.check_design`.
 """

@@ -1,4 +1,4 @@
-"""What to fly next: the excitation that shrinks the worst-determined quantities most."""
+"""Experiment design: find the excitation that reduces the largest uncertainties most."""
 
 from __future__ import annotations
 
@@ -28,66 +28,66 @@ from airpuck.model.rungs import named_rung
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
 
-#: By what candidates are compared: the largest relative error, or the geometric mean of all.
+#: Criterion for comparing candidates: the largest relative error, or the geometric mean of all.
 Criterion = Literal["worst", "mean"]
 
 #: The first candidates: all combinations of amplitudes, hold times and margins.
 _AMPLITUDES = (1.0, 0.6)
 _HOLDS = (0.15, 0.25, 0.4, 0.6)
 _MARGINS = (0.05, 0.15)
-#: Then changes of the best: of its hold time, of its margin, and of single amplitudes.
+#: Then variations of the best: of its hold time, of its margin, and of single amplitudes.
 _STRETCHES = (0.8, 1.25)
 _WEAKER = 0.6
-#: Finalists flown at full length, and flights of each. If none keeps away from the rails, the next
-#: candidates follow.
+#: Number of finalists flown at full length, and flights of each. If none stays away from the rails,
+#: the next candidates follow.
 _FINALISTS, _FLIGHTS = 3, 3
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateFlight:
-    """An excitation, and what it is expected to give."""
+    """An excitation and its expected accuracy."""
 
-    #: What to fly.
+    #: The excitation to fly.
     plan: ExcitationPlan
-    #: Least distance to a rail in all its trials [m]; 0: it met one.
+    #: Smallest distance to a rail in all its trials [m]; 0: it touched one.
     clearance: float
-    #: Relative standard errors after the flight, with what is known before; infinite where a
+    #: Relative standard errors after the flight, including prior knowledge; infinite where a
     #: quantity stays undetermined.
     relative: Float[np.ndarray, " K"]
     #: The same from this flight alone, on the twin.
     relative_alone: Float[np.ndarray, " K"]
-    #: The criterion, smaller is better; infinite for what is refused.
+    #: The criterion, smaller is better; infinite for rejected candidates.
     score: float
-    #: Why it is not proposed; empty where it may be.
+    #: Reason for rejection; empty if it may be proposed.
     refused: str
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A proposal, and what it was chosen from."""
+    """A proposal and its alternatives."""
 
-    #: The truth of the trials, and what is known before.
+    #: The truth of the trials, which also holds the prior knowledge.
     model: Model
-    #: What candidates are compared by.
+    #: The criterion for comparing candidates.
     quantities: ComparedQuantities
     #: Relative standard errors before the flight; infinite where nothing is known.
     relative_before: Float[np.ndarray, " K"]
-    #: The excitation of the paper, of the same length.
+    #: The paper's excitation, with the same length.
     usual: CandidateFlight
-    #: The best that keeps away from the rails.
+    #: The best candidate that stays away from the rails.
     proposal: CandidateFlight
-    #: All that were flown, the best first.
+    #: All flown candidates, the best first.
     candidates: tuple[CandidateFlight, ...]
-    #: How errors of several quantities make one score.
+    #: How errors of several quantities are combined into one score.
     criterion: Criterion
     #: Variance of the residuals of the model's fit, relative to the twin's.
     residual_level: float
-    #: Of the twin and the controller in the trials.
+    #: Settings of the twin and tuning of the controller in the trials.
     settings: TwinSettings
     tuning: Tuning
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         q = self.quantities
 
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
@@ -116,7 +116,7 @@ class Design:
 
 
 def _finite(value: float) -> float | None:
-    """Return a number that JSON has."""
+    """Return a number in a form that JSON has."""
     return value if math.isfinite(value) else None
 
 
@@ -140,27 +140,27 @@ def design(
     Parameters
     ----------
     model : Model
-        What is believed of the craft; with its uncertainty, that is what is known before.
+        Model of the craft; its uncertainty is the prior knowledge.
     duration : float, default 60
         Length of the flight to propose [s].
     criterion : {"worst", "mean"}, default "worst"
         The largest relative standard error, or the geometric mean of all.
     margin : float, default 0.08
-        Least distance of the craft to the rails in every trial flight [m].
+        Smallest distance of the craft to the rails in every trial flight [m].
     rehearsal : float, default 20
         Length of the trial flights of all candidates [s]. The best are then flown at full length.
     amplitudes, holds : sequence of float
-        Amplitudes and hold times [s] to combine at first.
+        Amplitudes and hold times [s] to combine first.
     seed : int, default 0
         Seed of the trial flights.
     settings : TwinSettings, optional
-        Of the twin; by default the packaged ones.
+        Settings of the twin; by default the packaged ones.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Tuning of the controller; by default the packaged one.
     processes : int, optional
-        By default one for each core. The result does not depend on it.
+        By default one per core. The result does not depend on it.
     progress : callable, optional
-        Called with the seconds of trial flights done, and of all that are expected.
+        Called with the seconds of trial flights done, and the expected total.
 
     Returns
     -------
@@ -170,14 +170,14 @@ def design(
     Raises
     ------
     InputError
-        If a number is out of range, the model has learned nothing, or no candidate keeps the
+        If a number is out of range, the model has no learned parameters, or no candidate keeps the
         margin.
 
     Notes
     -----
-    The residuals of a real flight are larger than the twin's. Where the model says with what
-    loss it was fitted, predictions are scaled by its ratio to the loss of the usual excitation on
-    the twin; not so after a robust fit, whose loss counts faults that it does not follow. Where the
+    The residuals of a real flight are larger than the twin's. If the model records the loss of its
+    fit, predictions are scaled by its ratio to the loss of the usual excitation on the twin. This
+    does not apply after a robust fit, whose loss includes faults that it does not follow. If the
     model was fitted with a fixed delay, so is the twin's flight that its loss is compared with.
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
@@ -221,13 +221,13 @@ def design(
 
 @dataclass(eq=False)
 class _Search:
-    """Completed trial flights, and what they reveal about each plan."""
+    """Completed trial flights, and their information about each plan."""
 
     model: Model
     #: The excitation of the paper.
     usual: ExcitationPlan
     criterion: Criterion
-    #: Least distance to a rail [m].
+    #: Smallest distance to a rail [m].
     margin: float
     settings: TwinSettings
     tuning: Tuning
@@ -235,29 +235,30 @@ class _Search:
     #: Like the built-in `map`.
     run: Callable[..., Iterable[Any]]
     progress: Progress
-    #: Seconds of trial flights that are expected; it may become more.
+    #: Expected seconds of trial flights; the number may grow.
     expected: float
 
     def __post_init__(self) -> None:
         """Begin without any flights."""
         self.quantities = ComparedQuantities(self.model)
         fit = self.model.fit
-        #: Whether the loss of the model's fit says how large its residuals are.
+        #: Whether the loss of the model's fit indicates the size of its residuals.
         self.fit_has_loss = fit.get("loss") is not None and not fit.get("robust")
         self._trials: dict[ExcitationPlan, list[Trial]] = {}
-        #: Of the usual excitation, prepared as for the model's fit; None: as all flights are.
+        #: Trials of the usual excitation, prepared as for the model's fit; None: prepared like all
+        #: flights.
         self.as_fitted: list[Trial] | None = None
         self._flights, self._done_s = 0, 0.0
 
     def fly(self, plans: Sequence[ExcitationPlan], length: float, flights: int = 1) -> None:
-        """Fly plans for some seconds."""
+        """Fly plans for a few seconds."""
         for plan, trial in self.flown(self.model, plans, length, flights):
             self._trials.setdefault(plan, []).append(trial)
 
     def flown(
         self, model: Model, plans: Sequence[ExcitationPlan], length: float, flights: int
     ) -> Iterator[tuple[ExcitationPlan, Trial]]:
-        """Fly plans, each flight with a seed of its own."""
+        """Fly plans, each flight with its own seed."""
         repeated = [plan for plan in plans for _ in range(flights)]
         flown = [replace(plan, duration_s=length) for plan in repeated]
         seeds = range(self.seed + self._flights, self.seed + self._flights + len(flown))
@@ -278,7 +279,7 @@ class _Search:
         return float(self.model.fit["loss"]) / joined(flights).loss
 
     def ranked(self) -> list[CandidateFlight]:
-        """Rate all plans that were flown, the best first."""
+        """Rate all flown plans, the best first."""
         flights = [one for trials in self._trials.values() for one in _informations(trials)]
         if not flights:
             raise InputError(
@@ -322,7 +323,7 @@ class _Search:
         return CandidateFlight(plan, clearance, relative, alone, score, refused)
 
     def _score(self, relative: Float[np.ndarray, " K"]) -> float:
-        """Compute the criterion from what has a scale and no constraint holds."""
+        """Compute the criterion from quantities that have a scale and no active constraint."""
         counted = relative[np.isfinite(self.quantities.scales) & (relative > HELD)]
         if self.criterion == "worst" or not np.isfinite(counted).all():
             return float(counted.max(initial=0.0))
@@ -330,12 +331,12 @@ class _Search:
 
 
 def _informations(trials: Sequence[Trial]) -> list[Information]:
-    """Return what trials say, those left out that met a rail."""
+    """Return the information from trials, except those that met a rail."""
     return [trial.information for trial in trials if trial.information is not None]
 
 
 def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationPlan]:
-    """Return plans near one: other hold times, another margin, and one signal weaker."""
+    """Return plans near a given one: other hold times, another margin, or one weaker signal."""
     changes: list[dict[str, Any]] = [
         {"hold_s": max(round(factor * plan.hold_s, 3), period)} for factor in _STRETCHES
     ]
@@ -349,7 +350,7 @@ def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationP
 
 
 def _as_learned_next(model: Model) -> Model:
-    """Free the transport delay where the next fit will: on rungs with a motor lag."""
+    """Free the transport delay if the next fit will: on rungs with a motor lag."""
     if not named_rung(model.name).lag:
         return model
     delay = model.parameters.mask(frozenset({"transport_delay"}))

@@ -1,16 +1,16 @@
-"""Standard errors that a flight will give, forecast from shorter trial flights on the twin.
+"""Forecasts of a flight's standard errors, from shorter trial flights on the twin.
 
-A trial is flown with a model that is known, so that residuals and scores can be taken at the truth.
-The information H of a flight and the covariance M of its scores grow with its length, and the
-covariance of an estimate is H⁻¹ M H⁻¹ (White 1980). Ten blocks of a short trial say little about M.
-But how M and H differ is a property of what the residuals are made of (radio, noise of the cameras,
-windows that overlap), not of the signals: M = κ H^½ K H^½. κ is the flight's own; K is common to
-all trials, drawn to the identity by as much as the number of its blocks asks for (Ledoit and Wolf
+A trial is flown with a known model, so residuals and scores can be evaluated at the truth. The
+information H of a flight and the covariance M of its scores grow with its length, and the
+covariance of an estimate is H⁻¹ M H⁻¹ (White 1980). Ten blocks of a short trial determine M poorly.
+But how M and H differ depends on the sources of the residuals (radio, noise of the cameras,
+overlapping windows), not on the signals: M = κ H^½ K H^½. κ is specific to each flight. K is common
+to all trials, and shrunk towards the identity according to the number of blocks (Ledoit and Wolf
 2004).
 
-Errors are compared in quantities, each with a size that its error is held against. Coefficients of
-a thrust curve are not among them: they correlate by more than 0.95, and the curve is known far
-better than they are. The force at half and at full speed says how well it is known.
+Errors are compared in terms of quantities, each with a scale for its error. Coefficients of a
+thrust curve are not among them: they correlate by more than 0.95, and the curve is known far better
+than they are. The force at half and at full speed shows how well it is known.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ from airpuck.physics.thrust import thrust
 
 #: Motor speeds at which forces are compared.
 _SPEEDS = (0.5, 1.0)
-#: Step of a finite difference, in the size of a parameter; of one near zero, in this size.
+#: Step of a finite difference, relative to a parameter; absolute if the parameter is near zero.
 _STEP, _LEAST = 1e-6, 1e-3
-#: A relative error below this is rounding: a constraint holds the quantity.
+#: A relative error below this is rounding: a constraint fixes the quantity.
 HELD = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What each second of a flight says about the parameters of a known model."""
+    """Information per second of a flight about the parameters of a known model."""
 
     #: Gauss-Newton Hessian H of the loss, summed over windows, at the truth [1/s].
     hessian: Float[np.ndarray, "P P"]
-    #: Covariance of the sum of scores, from blocks of time about their mean [1/s]: an error that
+    #: Covariance of the sum of scores [1/s], from blocks of time about their mean: an error that
     #: all blocks share is a bias, which no standard error shows.
     scores: Float[np.ndarray, "P P"]
     #: Mean squared weighted prediction error.
     loss: float
-    #: Of the flight [s].
+    #: Duration of the flight [s].
     duration: float
-    #: Blocks of time behind `scores`.
+    #: Number of blocks of time behind `scores`.
     blocks: int
-    #: Variance of the mean delay of the packets whose arrival is known, times the duration [s³]:
-    #: these packets are only a sample of all.
+    #: Variance of the mean delay of the packets with known arrival, times the duration [s³]: these
+    #: packets are only a sample of all.
     packets: float = 0.0
 
 
@@ -85,7 +85,7 @@ def loss_of(model: Model) -> Loss:
 def information_of(
     trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
 ) -> Information:
-    """Compute what a flight of a known model says about its parameters."""
+    """Compute the information in a flight of a known model."""
     loss = loss_of(model).on(
         [_whole_seconds(trajectory)],
         model.vehicle,
@@ -112,7 +112,7 @@ def information_of(
 def _whole_seconds(trajectory: Trajectory) -> Trajectory:
     """Cut a flight to whole seconds: flights of one length share a compiled program.
 
-    Their samples differ by a few, since a flight is cropped to where it is commanded.
+    Flights differ by a few samples, since each is cropped to its commanded span.
     """
     second = round(1 / trajectory.sample_period)
     kept = len(trajectory) // second * second
@@ -120,7 +120,7 @@ def _whole_seconds(trajectory: Trajectory) -> Trajectory:
 
 
 def joined(flights: Sequence[Information]) -> Information:
-    """Average what several flights of one plan say, weighted by their length."""
+    """Average the information of several flights of one plan, weighted by their length."""
     weights = [one.duration for one in flights]
     means: dict[str, Any] = {
         name: np.average([getattr(one, name) for one in flights], axis=0, weights=weights)
@@ -136,10 +136,10 @@ class Forecast:
         self.model, self.level = model, level
         self._constraints = binding_constraints(model.parameters, model.free)
         size = len(model.free)
-        #: θ = basis @ y: what is learned and no constraint holds.
+        #: θ = basis @ y: the learned directions that no constraint fixes.
         self._basis = subspace(np.eye(size), model.free, self._constraints).basis
         found = [self._decomposed(trial) for trial in trials]
-        # A flight that leaves a direction undetermined says nothing of K there.
+        # A flight that leaves a direction undetermined has no information about K there.
         rank = max(one.rank for one in found)
         used = [one.rank == rank for one in found]
         shape = np.mean([one.shape for one in compress(found, used)], axis=0)
@@ -147,7 +147,7 @@ class Forecast:
         self._shape = _shrunk(shape, rank, blocks)
 
     def of(self, flight: Information, duration: float, *, alone: bool = False) -> Uncertainty:
-        """Predict the uncertainty after a flight of some seconds.
+        """Predict the uncertainty after a flight of a given length.
 
         `alone`: from this flight only, with residuals as on the twin.
         """
@@ -178,21 +178,21 @@ class Forecast:
         return precision - np.outer(gained, gained) / (1 / variance + along @ gained)
 
     def _prior(self) -> Float[np.ndarray, "R R"]:
-        """Return the precision of what is known before."""
+        """Return the precision of the prior knowledge."""
         before = self.model.known
         if before is None or not np.isfinite(before.covariance).all():
             return np.zeros((self._basis.shape[1],) * 2)
         return _pseudo_inverse(self._basis.T @ before.covariance @ self._basis)
 
     def _precision(self, flight: Information) -> Float[np.ndarray, "R R"]:
-        """Return the precision that a second of a flight gives, H M⁻¹ H = H^½ K⁻¹ H^½ / κ."""
+        """Return the precision per second of a flight, H M⁻¹ H = H^½ K⁻¹ H^½ / κ."""
         one = self._decomposed(flight)
         scaled = one.root @ _pseudo_inverse(self._shape) @ one.root / one.inflation
         back = np.divide(1.0, one.scale, out=np.zeros_like(one.scale), where=one.scale > 0)
         return scaled * np.outer(back, back)
 
     def _decomposed(self, flight: Information) -> _Decomposed:
-        """Split what a flight says into information and shape of the scores."""
+        """Split a flight's statistics into information and shape of the scores."""
         value, vector, scale = _spectrum(self._basis.T @ flight.hessian @ self._basis)
         inverse, rank = vector / np.sqrt(value) @ vector.T, len(value)
         scores = self._basis.T @ flight.scores @ self._basis * np.outer(scale, scale)
@@ -206,20 +206,20 @@ class _Decomposed(NamedTuple):
 
     #: H^½.
     root: Float[np.ndarray, "R R"]
-    #: Of the coordinates.
+    #: Scale of the coordinates.
     scale: Float[np.ndarray, " R"]
-    #: κ: the variance of the scores over the information, on average.
+    #: κ: the average ratio of the scores' variance to the information.
     inflation: float
     #: K = H^-½ M H^-½ / κ.
     shape: Float[np.ndarray, "R R"]
-    #: How many directions the flight determines.
+    #: Number of directions that the flight determines.
     rank: int
 
 
 def _shrunk(shape: Float[np.ndarray, "R R"], rank: int, blocks: int) -> Float[np.ndarray, "R R"]:
-    """Draw K, whose trace is its rank, to the identity: too few blocks make it singular.
+    """Shrink K, whose trace is its rank, towards the identity: too few blocks make it singular.
 
-    By as much as is best for the expected square of its error (Ledoit and Wolf 2004).
+    The amount minimises the expected squared error (Ledoit and Wolf 2004).
     """
     square = float((shape**2).sum())
     noise = (rank**2 + square) / max(blocks, 1)
@@ -232,7 +232,7 @@ def _spectrum(
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "R K"], Float[np.ndarray, " R"]]:
     """Return positive eigenvalues and their vectors of a matrix scaled to a unit diagonal.
 
-    And the scale; 0 where the diagonal is.
+    Also return the scale; 0 where the diagonal is 0.
     """
     diagonal = np.diag(matrix)
     scale = np.divide(1.0, np.sqrt(diagonal), out=np.zeros(len(matrix)), where=diagonal > 0)
@@ -242,7 +242,7 @@ def _spectrum(
 
 
 def _pseudo_inverse(matrix: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "R R"]:
-    """Invert a positive semidefinite matrix where it is not zero, whatever the units."""
+    """Invert a positive semidefinite matrix on its range, regardless of the units."""
     value, vector, scale = _spectrum(matrix)
     return (vector / value @ vector.T) * np.outer(scale, scale)
 
@@ -252,14 +252,14 @@ class ComparedQuantity(NamedTuple):
 
     label: str
     unit: str
-    #: An error of this size is one of 100 %. Infinite where there is none to compare with: the
+    #: An error of this size counts as 100 %. Infinite if there is nothing to compare with: the
     #: error is then shown, but does not count.
     scale: float
     value: Callable[[Model], float]
 
 
 class ComparedQuantities:
-    """What a model has learned, as quantities with comparable errors."""
+    """A model's learned parameters, as quantities with comparable errors."""
 
     def __init__(self, model: Model) -> None:
         self._quantities = q = (*_of_propellers(model), *_scalars(model))
@@ -279,9 +279,9 @@ class ComparedQuantities:
         return np.array([quantity.value(model) for quantity in self._quantities])
 
     def relative_errors(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
-        """Compute standard errors in shares of the scales, for an uncertainty of this model.
+        """Compute standard errors relative to the scales, for an uncertainty of this model.
 
-        Infinite where a quantity is not determined, nan where it has no scale.
+        Infinite where a quantity is undetermined, nan where it has no scale.
         """
         if uncertainty is None or not np.array_equal(uncertainty.estimate, self._estimate):
             return np.full(len(self.scales), np.inf)
@@ -337,7 +337,7 @@ def _turn_per_push(motor: int, model: Model) -> float:
 
 
 def _scalars(model: Model) -> Iterator[ComparedQuantity]:
-    """List everything learned that belongs to no propeller."""
+    """List all learned quantities that belong to no propeller."""
     scales = {"angle_offset": 1.0, "center_of_mass": model.radius_of_gyration}
     names, degree = model.vehicle.propeller_names, np.shape(model.parameters.thrust)[1]
     for quantity in model.parameters.quantities:

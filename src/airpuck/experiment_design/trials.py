@@ -1,4 +1,4 @@
-"""Flights of excitations on the twin: trials of candidates, and those that check a proposal."""
+"""Flights of excitations on the twin: trials of candidates, and flights that check a proposal."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from airpuck.twin.settings import TwinSettings
 if TYPE_CHECKING:
     from airpuck.experiment_design.design import Design
 
-#: Called with what is done, and with all.
+#: Called with the number done and the total.
 Progress = Callable[[float, float], None]
 
 #: First seed of the flights that check a proposal; far from the seeds of the trials.
@@ -50,22 +50,22 @@ _CHECK_SEED = 1_000_000
 class Trial(NamedTuple):
     """A flight of a plan on the twin."""
 
-    #: Least distance to a rail [m]; 0: it met one.
+    #: Smallest distance to a rail [m]; 0: it touched one.
     clearance: float
-    #: What it says about the model; None where it met a rail, which no model knows.
+    #: Its information about the model; None if it touched a rail, which no model includes.
     information: Information | None
 
 
 def fly_trial(
     model: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
 ) -> Trial:
-    """Fly a plan on a twin of a model, and compute what the flight says about the model."""
+    """Fly a plan on a twin of a model, and compute the flight's information about the model."""
     trajectory, clearance = _fly(model, settings, tuning, plan, seed)
     if not clearance:
         return Trial(clearance, None)
     delays = ()
     if model.delay_learned:
-        # As `identify` will: with the mean delay of this radio, and packets where they arrived.
+        # As in `identify`: with the mean delay of this radio, and packets at their arrival times.
         model = as_received(model, settings, tuning.period_s)
         (trajectory,), delays = retime_packets((trajectory,), model)
     return Trial(clearance, information_of(trajectory, model, plan.duration_s, delays))
@@ -74,7 +74,7 @@ def fly_trial(
 def _fly(
     model: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
 ) -> tuple[Trajectory, float]:
-    """Fly a plan; return its data and the least distance to a rail [m], 0 where it met one."""
+    """Fly a plan; return its data and the smallest distance to a rail [m], 0 if it touched one."""
     flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning)
     reach = np.array(settings.table.reach(model.vehicle.radius_m))
     free = float((reach - np.abs(flown.recording["pose"].values[:, :2])).min())
@@ -84,7 +84,7 @@ def _fly(
 
 @contextmanager
 def on_processes(processes: int | None) -> Iterator[Callable[..., Iterable[Any]]]:
-    """Give what maps like the built-in `map`, by default on one process for each core."""
+    """Yield a function like the built-in `map` that by default uses one process per core."""
     if processes is not None and processes < 1:
         raise InputError("must be at least 1", field="processes")
     count = processes or usable_cores()
@@ -95,7 +95,7 @@ def on_processes(processes: int | None) -> Iterator[Callable[..., Iterable[Any]]
     pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
 
     def run(*arguments: Any) -> Iterable[Any]:
-        # Processes begin here, and inherit that Ctrl-C, which a terminal sends to all, is blocked.
+        # The processes start here and inherit a blocked Ctrl-C, which a terminal sends to all.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             return pool.map(*arguments)
@@ -117,29 +117,29 @@ class CheckedFlights:
     """Flights of one plan, each identified separately."""
 
     labels: list[str]
-    #: Relative standard errors that were predicted for such a flight alone.
+    #: Predicted relative standard errors of such a flight alone.
     predicted: Float[np.ndarray, " K"]
-    #: Relative standard errors that each fit states.
+    #: Relative standard errors that each fit reports.
     errors: Float[np.ndarray, "N K"]
-    #: Distance of each estimate from the truth, in the same shares.
+    #: Deviation of each estimate from the truth, on the same scale.
     misses: Float[np.ndarray, "N K"]
-    #: Least distance to a rail [m].
+    #: Smallest distance to a rail [m].
     clearance: Float[np.ndarray, " N"]
 
     @property
     def typical(self) -> Float[np.ndarray, " K"]:
-        """Root mean square of the standard errors that the fits state."""
+        """Root mean square of the standard errors that the fits report."""
         return np.sqrt((self.errors**2).mean(axis=0))
 
     @property
     def ratio(self) -> Float[np.ndarray, " K"]:
-        """Ratio of `typical` to `predicted`; nan where a constraint or nothing determines it."""
+        """Ratio of `typical` to `predicted`; nan where a quantity is fixed or undetermined."""
         counts = np.isfinite(self.predicted) & (self.predicted > HELD)
         unknown = np.full(len(counts), np.nan)
         return np.divide(self.typical, self.predicted, out=unknown, where=counts)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return {
             "quantities": {
                 label: {
@@ -168,16 +168,16 @@ def check_design(
     found : Design
         From `airpuck.design`.
     flights : int, default 4
-        Of each of the two.
+        Number of flights of each of the two.
     processes : int, optional
-        By default one for each core. The result does not depend on it.
+        By default one per core. The result does not depend on it.
     progress : callable, optional
-        Called with the number of flights done, and of all.
+        Called with the number of flights done and the total.
 
     Returns
     -------
     usual, proposal : CheckedFlights
-        Predicted standard errors, those that the fits state, and what they miss.
+        Predicted standard errors, reported standard errors, and actual deviations.
     """
     numbers.CHECK_FLIGHTS.check(flights, "flights")
     candidates = (found.usual, found.proposal)
@@ -203,7 +203,7 @@ def check_design(
 def _fly_and_identify(
     truth: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"], float]:
-    """Fly and identify; return relative standard errors and misses, and the clearance."""
+    """Fly and identify; return relative standard errors, deviations and the clearance."""
     trajectory, clearance = _fly(truth, settings, tuning, plan, seed)
     model = identify(
         trajectory,

@@ -1,4 +1,4 @@
-"""When motors did not follow their commands, and whether the vehicle file has them right.
+"""Detection of motor faults, and checks of the vehicle file's motor layout.
 
 Entry points: `find.find_faults`, `layout_check.check_layout`.
 """

@@ -12,43 +12,43 @@ from airpuck.faults.hypotheses import Fault
 
 RADIO_OUT, UNEXPLAINED = "radio out", "unexplained motion"
 
-#: Share of the steps at which a fault of one kind begins: each about once an hour. Two motors at
-#: once are a thirtieth as frequent, so that they are not preferred where one explains as much.
+#: Fraction of the steps at which a fault of one kind begins: each about once an hour. Two motors at
+#: once are thirty times rarer, so that they are not preferred if one explains as much.
 _BEGINS, _PAIR = 1e-5, 1 / 30
-#: Share of the faults that end within a step, once they may.
+#: Fraction of the faults that end within a step, once they may.
 _ENDS = 0.1
-#: Share of the held commands that end within a step in a stop, by a timeout on board.
+#: Fraction of the held commands that end within a step in a stop, due to an on-board timeout.
 _TIMES_OUT = 0.02
-#: Steps after which a held command is no jitter any more.
+#: Number of steps after which a held command is no longer jitter.
 _HELD_AT_LEAST = 4
-#: Share of the steps at which something unexplained begins, and of those at which it ends.
+#: Fraction of the steps at which an unexplained motion begins, and fraction at which it ends.
 _COMES, _PASSES = 1e-3, 0.3
-#: How probable it is that a recording begins before the motors are armed.
+#: Probability that a recording begins before the motors are armed.
 _UNARMED = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """States: normal, each fault at each of its ages, and last what nothing explains."""
+    """States: normal, each fault at each age, and last unexplained motion."""
 
-    #: Probability to go from a row's state to a column's within a step.
+    #: Probability of going from a row's state to a column's within a step.
     transition: Float[np.ndarray, "S S"]
-    #: Probabilities at the start.
+    #: Initial probabilities.
     initial: Float[np.ndarray, " S"]
-    #: The states in which each cause is at work. Two may be at once.
+    #: The states in which each cause is active. Two causes may be active at once.
     causes: dict[str, Bool[np.ndarray, " S"]]
 
 
 def stalled(name: str) -> str:
-    """Name the cause of a motor that stands."""
+    """Name the cause of a stopped motor."""
     return f"{name} stalled"
 
 
 def fault_chain(faults: Sequence[Fault], names: Sequence[str]) -> Chain:
     """Build the chain.
 
-    A fault lasts for all of its ages before it can end; standing motors then stay standing. A held
-    command may also end earlier, or in a stop.
+    A fault passes through all of its ages before it can end; stopped motors then stay stopped. A
+    held command may also end earlier, or in a stop.
     """
     first = np.cumsum([1, *(fault.ages for fault in faults)])
     size = int(first[-1]) + 1

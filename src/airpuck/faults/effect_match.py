@@ -1,6 +1,6 @@
-"""Match measured effects of propellers (two forces, a moment) with expected ones by direction.
+"""Match measured and expected effects of propellers (two forces, a moment) by direction.
 
-Effects are columns; forces turn with the frame, moments do not. Lengths do not count, so that
+Effects are columns; forces rotate with the frame, moments do not. Magnitudes are ignored, so
 thrust, mass and inertia need not be right.
 """
 
@@ -20,18 +20,18 @@ _OPPOSITE = 0.5
 
 @dataclass(frozen=True)
 class EffectMatch:
-    """Whose effect a propeller has."""
+    """The expected effect that a measured propeller matches."""
 
-    #: The propeller of the model whose effect it has; None: there is none.
+    #: The propeller of the model with this effect; None: there is none.
     acts_as: int | None
-    #: 1, or -1 where it has the opposite effect.
+    #: 1, or -1 for the opposite effect.
     sign: int
-    #: Between the measured effect and the one expected of it.
+    #: Cosine between the measured and the expected effect.
     cosine: float
 
 
 def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> float:
-    """Find the rotation that carries expected forces into measured ones [rad].
+    """Find the rotation that maps expected forces to measured ones [rad].
 
     In complex numbers: the argument of their inner product (two-dimensional Procrustes).
     """
@@ -39,7 +39,7 @@ def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 
 
 
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
-    """Turn forces; moments do not change."""
+    """Rotate forces; moments do not change."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ effects
 
@@ -56,7 +56,7 @@ def match_effects(
     expected: Float[np.ndarray, "3 n"],
     motors: Int[np.ndarray, " m"],
 ) -> dict[int, EffectMatch]:
-    """Find whose effect each measured propeller has.
+    """Find the matching effect of each measured propeller.
 
     A propeller that agrees with its expected effect keeps it. The others are assigned to the
     remaining effects so that as many as possible agree, in the same or the opposite direction.
@@ -88,5 +88,5 @@ def _forces(effects: Float[np.ndarray, "3 m"]) -> np.ndarray:
 
 
 def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
-    """Scale columns to length one."""
+    """Normalise columns."""
     return columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)

@@ -13,21 +13,22 @@ from airpuck.model.model_file import Model
 
 NOT_ARMED, CONTACT = "not armed", "contact"
 
-#: Degrees of freedom of the Student distribution of what the model does not explain.
+#: Degrees of freedom of the Student distribution of the residuals.
 _TAIL = 8.0
-#: Power of the likelihood: residuals of neighbouring steps are not independent.
+#: Exponent of the likelihood: residuals of neighbouring steps are not independent.
 _TEMPERING = 0.5
-#: Residuals below this share of the usual acceleration say nothing, however good the model.
+#: Residuals below this fraction of the usual acceleration are insignificant, however good the
+#: model.
 _NEGLIGIBLE = 0.02
 #: Unexplained motion may be any acceleration up to this many usual residuals.
 _WIDE = 100.0
-#: A cause shows where it moves the acceleration by this many usual residuals.
+#: A cause is visible if it changes the acceleration by this many usual residuals.
 _SHOWS = 1.0
 #: Unexplained motion that ends within this time was a blow [s].
 _BLOW = 0.11
-#: Time constants of the motors until nothing is left of their first speeds.
+#: Number of motor time constants until the initial speeds no longer matter.
 _SETTLING = 3.0
-#: The fewest steps from which the usual residual is estimated.
+#: Fewest steps from which the usual residual is estimated.
 _FEWEST = 20
 
 
@@ -39,15 +40,16 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
     trajectory : Trajectory
         A recording.
     model : Model
-        Of a healthy craft; a first fit to the same recording will do, best a robust one.
+        Model of the healthy craft. A first fit to the same recording will do, preferably a robust
+        one.
 
     Returns
     -------
     tuple of Span
-        In the order of their starts, with causes ``not armed``, ``radio out``, ``NAME stalled``
-        (NAME a propeller's), ``contact`` (a blow) and ``unexplained motion``. Their confidence is
-        the mean posterior probability of the cause. A span covers a fault only where it shows: a
-        motor that is commanded to idle may stand unnoticed.
+        Spans in order of their starts, with causes ``not armed``, ``radio out``, ``NAME stalled``
+        (with a propeller's name), ``contact`` (a blow) and ``unexplained motion``. Their confidence
+        is the mean posterior probability of the cause. A span covers only the visible part of a
+        fault: a motor that is commanded to idle may stand unnoticed.
 
     Raises
     ------
@@ -56,10 +58,10 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
 
     Notes
     -----
-    A hidden Markov model (`fault_chain`): under each hypothesis motors have their own speeds, which
-    give a mean acceleration over each step of 25 ms. Residuals are Student's, as wide as is usual
-    in this recording, with a share that grows with the change of the modelled acceleration, since
-    packets come late. Past and future both count (`state_probabilities`).
+    A hidden Markov model (`fault_chain`): under each hypothesis, motors have their own speeds,
+    which give a mean acceleration over each step of 25 ms. Residuals follow Student's distribution
+    with the usual width of this recording, plus a part that grows with the change of the modelled
+    acceleration, since packets come late. Both past and future count (`state_probabilities`).
     """
     check_propellers(model.vehicle, trajectory)
     if trajectory.duration < _FEWEST * STEP:
@@ -70,7 +72,8 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
         return ()
     width = _usual_residual(predicted, usable)
     chain = fault_chain(predicted.faults, trajectory.propellers)
-    # The first motor speeds are a guess: until it is forgotten, accelerations say nothing.
+    # The initial motor speeds are a guess: until it is forgotten, accelerations carry no
+    # information.
     forgotten = trajectory.time[0] + _SETTLING * float(model.dynamics.motor_time_constant)
     says = usable & (trajectory.time[predicted.knots[:-1]] >= forgotten)
     likelihood = np.where(says[:, None], _log_likelihood(predicted, width), 0.0)
@@ -92,7 +95,7 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
 
 
 def _in_words(cause: str, first: int, duration: float) -> str:
-    """Distinguish motors not armed from a silent radio, and a blow from other motion."""
+    """Distinguish unarmed motors from a silent radio, and a blow from other motion."""
     if cause == RADIO_OUT and first == 0:
         return NOT_ARMED
     return CONTACT if cause == UNEXPLAINED and duration <= _BLOW else cause
@@ -103,8 +106,8 @@ def _usual_residual(
 ) -> Float[np.ndarray, "K 3"]:
     """Return the usual size of residuals at each step, from medians, which are robust to faults.
 
-    Where the modelled acceleration is nearly constant, a constant; where it changes, a share of
-    that change in addition.
+    It is a constant where the modelled acceleration barely changes; elsewhere a fraction of the
+    change is added.
     """
     residual = np.abs(predicted.measured - predicted.normal)[usable] / 0.6745
     change = np.abs(predicted.change)[usable]
@@ -136,11 +139,11 @@ def _log_likelihood(
 
 
 def _effects(predicted: Predicted, width: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K S"]:
-    """Return by how many usual residuals each state of the chain moves the acceleration."""
+    """Return how far each state moves the acceleration, in usual residuals."""
     sizes = [np.zeros((1, len(width)))]
     for modelled in predicted.faulty:
         sizes.append(np.sqrt((((modelled - predicted.normal) / width) ** 2).sum(axis=-1)))
-    # Unexplained motion has no modelled acceleration: it shows everywhere.
+    # Unexplained motion has no modelled acceleration: it is visible everywhere.
     sizes.append(np.full((1, len(width)), np.finfo(float).max))
     return np.concatenate(sizes).T
 
@@ -148,9 +151,9 @@ def _effects(predicted: Predicted, width: Float[np.ndarray, "K 3"]) -> Float[np.
 def _runs_of_causes(
     probability: dict[str, Float[np.ndarray, " K"]], faulty: Bool[np.ndarray, " K"]
 ) -> list[tuple[str, int, int]]:
-    """Return causes with their first step and the one after their last.
+    """Return causes with their first step and the step after their last.
 
-    Each cause has the steps where it is more probable than not. Faulty steps without such a cause
+    Each cause gets the steps where it is more probable than not. Faulty steps without such a cause
     go to the most probable one.
     """
     probable = {cause: p >= 0.5 for cause, p in probability.items()}

@@ -1,9 +1,9 @@
-"""Hypotheses of what the motors did, and the acceleration that each predicts.
+"""Hypotheses about the motors, and the acceleration that each predicts.
 
-Time is cut into steps. A fault begins at a step's start, and its motor speeds follow from there on:
-speeds decay where nothing drives a motor, and tend to the last command received where the radio is
-silent. So every fault is a chain of hypotheses, one for each age of the fault in steps.
-The chain of a standing motor ends in a lasting state.
+Time is divided into steps. A fault begins at a step's start, and its motor speeds follow from
+there: speeds decay if nothing drives a motor, and approach the last received command if the radio
+is silent. So every fault is a chain of hypotheses, one for each age of the fault in steps. The
+chain of a stopped motor ends in a permanent state.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from airpuck.physics.rigid_body import Dynamics
 STEP = 0.025
 #: Shorter faults are the radio's jitter [s].
 SHORTEST = 0.1
-#: For how long a radio that is silent can leave the last command in force [s].
+#: How long a silent radio can leave the last command in force [s].
 LONGEST_HOLD = 0.6
-#: Samples between the instants of a step at which accelerations are evaluated.
+#: Number of samples between the times in a step at which accelerations are evaluated.
 _SPACING = 2
 
 
@@ -36,7 +36,7 @@ _SPACING = 2
 class Fault:
     """A way in which motors do not follow their commands."""
 
-    #: Motors that stand; empty: all motors stay at the last command received.
+    #: The stopped motors; empty: all motors keep the last received command.
     motors: tuple[int, ...]
     #: Steps in its chain.
     ages: int
@@ -46,25 +46,25 @@ class Fault:
 class Predicted:
     """Mean accelerations over K steps, measured and under each hypothesis."""
 
-    #: Samples at the steps' borders.
+    #: Samples at the steps' boundaries.
     knots: Int[np.ndarray, " K1"]
     #: From the smoothed velocities [m/s², m/s², rad/s²].
     measured: Float[np.ndarray, "K 3"]
     #: Modelled with motors that follow their commands.
     normal: Float[np.ndarray, "K 3"]
-    #: By how much the modelled acceleration changes over each step.
+    #: Change of the modelled acceleration over each step.
     change: Float[np.ndarray, "K 3"]
     #: The other hypotheses.
     faults: tuple[Fault, ...]
-    #: Modelled under each of them; entry j: it began j steps before this one.
+    #: Modelled under each of them; entry j: the fault began j steps before this one.
     faulty: tuple[Float[np.ndarray, "_ K 3"], ...]
 
 
 def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
-    """Predict what each hypothesis would have done to the craft, along the measured motion."""
+    """Predict the craft's acceleration under each hypothesis, along the measured motion."""
     half = max(1, round(STEP / trajectory.sample_period / _SPACING))
     knots = np.arange(0, len(trajectory), _SPACING * half)
-    # The middles of equal parts of every step.
+    # The midpoints of equal parts of every step.
     index = knots[:-1, None] + np.arange(_SPACING // 2, _SPACING * half, _SPACING)
     lag, time = float(dynamics.motor_time_constant), trajectory.time
     speed = motor_speeds(time, trajectory.input, lag, dynamics.idle_lag)
@@ -72,7 +72,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     stopping = _stopping_steps(lag, length)
 
     def means(index: Any, speed: Any) -> tuple[Any, Any]:
-        """Mean accelerations over all steps, of each motor and of all together."""
+        """Mean accelerations over all steps, of each motor and in total."""
         state = np.moveaxis(trajectory.state[index], 2, 1)
         by_motor, rest = accelerations_by_motor(dynamics, state, np.moveaxis(speed, 2, 1))
         by_motor, rest = by_motor.mean(axis=-1), rest.mean(axis=-1)
@@ -109,7 +109,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
 
 
 def _stopping_steps(lag: float, length: float) -> int:
-    """Return after how many steps a motor that nothing drives counts as standing."""
+    """Return after how many steps an undriven motor counts as stopped."""
     return max(2, min(math.ceil(max(3 * lag, SHORTEST) / length), 20))
 
 

@@ -17,17 +17,17 @@ from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
 
-#: Axes as a mapping has them that renames none.
+#: Axes of a mapping that renames none.
 AXES = ("x", "y", "z")
-#: A turn of the forces nearer to 180 degrees than to none is two more flips, if it is within this.
+#: Two more flips are assumed if the forces are turned to within this of 180 degrees.
 _HALF_TURN = 0.5
-#: By how much another choice of signs must explain more, of at most 2.
+#: How much more another choice of signs must explain, of at most 2.
 _MARGIN = 0.15
 
 
 @dataclass(frozen=True)
 class AxisSigns:
-    """Signs that turn logged x, y and yaw into true ones."""
+    """Signs that turn logged x, y and yaw into the true ones."""
 
     x: int = 1
     y: int = 1
@@ -35,22 +35,22 @@ class AxisSigns:
 
     @property
     def flipped(self) -> tuple[str, ...]:
-        """Names of what counts the wrong way."""
+        """Names of the axes with the wrong sign."""
         return tuple(name for name in ("x", "y", "yaw") if getattr(self, name) < 0)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The same in words."""
+        """The wrong signs in words."""
         return tuple("the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped)
 
     def line(self, axes: Sequence[str]) -> str:
-        """Return the line of a mapping file that mends it; `axes`: as the mapping has them now."""
+        """Return the corrected line of a mapping file; `axes` are its present ones."""
         signs = (self.x, self.y, self.yaw)
         mended = [_turned(a) if sign < 0 else a for a, sign in zip(axes, signs, strict=True)]
         return f"axes = {mended}".replace("'", '"')
 
     def remark(self, axes: Sequence[str]) -> str:
-        """Return what is wrong and how to mend it; empty where the axes are right."""
+        """Return the problem and its remedy; empty if the axes are right."""
         what = " and ".join(self.names)
         if not what:
             return ""
@@ -71,17 +71,17 @@ class AxisSigns:
 
 
 def _turned(axis: str) -> str:
-    """Return an axis of a mapping the other way round."""
+    """Return an axis of a mapping with the opposite sign."""
     return axis.removeprefix("-") if axis.startswith("-") else f"-{axis}"
 
 
 def find_axis_signs(
     trajectory: Trajectory, modelled: Float[np.ndarray, "3 N"], longest_delay: float
 ) -> AxisSigns:
-    """Find the signs with which modelled accelerations of the body explain the measured ones best.
+    """Find the signs with which modelled body accelerations best explain the measured ones.
 
-    Forces may be turned by any angle, since the rigid body may be: their complex correlation
-    counts by its size, the correlation of moments by its value.
+    Forces may be turned by any angle, since the rigid body may be. Their complex correlation
+    therefore counts by magnitude; the correlation of moments counts by value.
     """
     scores = {}
     for y, yaw in product((1, -1), repeat=2):
@@ -110,47 +110,47 @@ def body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
 def _likeness(
     measured: Float[np.ndarray, "3 M"], modelled: Float[np.ndarray, "3 M"]
 ) -> tuple[float, float]:
-    """Return the sum of the two correlations, and the angle by which forces are turned [rad]."""
+    """Return the sum of the two correlations, and the rotation of the forces [rad]."""
     force, cause = (a[0] + 1j * a[1] for a in (measured, modelled))
     turned = _correlation(cause, force)
     return float(abs(turned) + _correlation(modelled[2], measured[2]).real), float(np.angle(turned))
 
 
 def _correlation(cause: np.ndarray, effect: np.ndarray) -> complex:
-    """Return the normalised inner product; zero where either is zero."""
+    """Return the normalised inner product; zero if either vector is zero."""
     size = np.linalg.norm(cause) * np.linalg.norm(effect)
     return complex(np.vdot(cause, effect) / size) if size > 0 else 0j
 
 
-#: Longest transport delay that is tried [s].
+#: Longest transport delay tried [s].
 _LONGEST_DELAY = 0.1
-#: Rotation of the whole layout that is worth a remark [rad].
+#: Rotation of the whole layout that is worth mentioning [rad].
 _TURNED = 0.3
-#: Share of the variance that the commands must explain before anything is concluded.
+#: Fraction of the variance that the commands must explain before anything is concluded.
 _EXPLAINED = 0.3
-#: Usable length of a recording from which anything is concluded [s].
+#: Shortest usable recording from which anything is concluded [s].
 _SHORTEST = 2.0
-#: Forces and moments tell a ratio of lengths; what is as far from 1 as this is a wrong unit, and no
-#: guess of the inertia.
+#: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
+#: poor guess of the inertia.
 _WRONG_UNIT = 5.0
-#: By how much turning the layout back must raise the mean cosine, before swapped motors are not the
+#: How much rotating the layout back must raise the mean cosine; otherwise swapped motors are the
 #: better explanation.
 _BETTER = 0.02
-#: Verdict on a propeller that agrees once the layout is turned back.
+#: Verdict on a propeller that agrees once the layout is rotated back.
 _TURNS = "turned with the whole layout"
 
 
 @dataclass(frozen=True)
 class PropellerCheck:
-    """How the measured effect of one propeller compares with the stated one."""
+    """Comparison of one propeller's measured effect with the stated one."""
 
     #: The propeller.
     name: str
     #: Cosine between the measured and the stated effect, 1: the same, -1: the opposite.
     agreement: float
-    #: The propeller of the vehicle file whose effect the measured one resembles most.
+    #: The propeller of the vehicle file with the most similar effect.
     behaves_like: str
-    #: ``agrees``, or what is wrong in words.
+    #: ``agrees``, or the problem in words.
     verdict: str
 
 
@@ -165,19 +165,19 @@ class LayoutCheck(Result):
 
     #: One for each propeller.
     propellers: tuple[PropellerCheck, ...]
-    #: Share of the acceleration's variance that the commands explain.
+    #: Fraction of the acceleration's variance that the commands explain.
     explained: float
     #: Transport delay at which they explain most [s].
     delay: float
-    #: Angle by which the whole layout seems turned against the measured yaw [rad].
+    #: Angle by which the whole layout seems rotated against the measured yaw [rad].
     rotation: float
-    #: Signs of x, y and yaw with which the rest was found.
+    #: Signs of x, y and yaw with which the other results were found.
     signs: AxisSigns
-    #: By how many times positions are too large for the measured turns: 1, or a power of ten.
+    #: Factor by which positions are too large for the measured turns: 1, or a power of ten.
     length_ratio: float = 1.0
-    #: For how long poses and commands could be used [s].
+    #: Usable time of poses and commands together [s].
     usable: float = np.inf
-    #: Our x, y, z in terms of the file's axes, as the mapping had them.
+    #: Our x, y, z in terms of the file's axes, as in the mapping.
     axes: tuple[str, ...] = AXES
 
     @property
@@ -187,7 +187,7 @@ class LayoutCheck(Result):
 
     @property
     def conclusive(self) -> bool:
-        """Whether the commands explain enough of the motion to judge."""
+        """Whether the commands explain enough of the motion for a verdict."""
         return self.explained >= _EXPLAINED and self.usable >= _SHORTEST
 
     @property
@@ -207,11 +207,11 @@ class LayoutCheck(Result):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on the layout as a whole."""
+        """Sentences about the layout as a whole."""
         if self.usable < _SHORTEST:
             return (
                 f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
-                f" s, and {_SHORTEST:g} s are needed; check the clocks and gaps of both",
+                f" s, but {_SHORTEST:g} s are needed; check the clocks and gaps of both",
             )
         if not self.conclusive:
             return (
@@ -221,8 +221,8 @@ class LayoutCheck(Result):
         remarks = [self.signs.remark(self.axes)] if self.mirrored else []
         if self.length_ratio != 1:
             remarks.append(
-                f"the craft moves {self.length_ratio:g} times as far as its turns say: mend the "
-                'unit of length in the mapping file, under [pose], such as units = ["mm"]'
+                f"the craft moves {self.length_ratio:g} times as far as its turns say: correct "
+                'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
             )
         if abs(self.rotation) > _TURNED:
             remarks.append(
@@ -238,22 +238,23 @@ class LayoutCheck(Result):
 def check_layout(
     trajectory: Trajectory, vehicle: Vehicle, *, axes: Sequence[str] = AXES
 ) -> LayoutCheck:
-    """Measure what each motor does, and compare it with what the vehicle file says.
+    """Measure each motor's effect, and compare it with the vehicle file.
 
-    The measured accelerations, turned into the body frame, are regressed on the nominal thrusts of
-    all motors. Each column of the result is one motor's effect (two forces and a moment); it is
-    compared with the columns of the vehicle's configuration matrix by its direction, so that the
-    nominal thrust, mass and inertia need not be right. Transport delays up to 0.1 s are tried,
-    since the one found by correlation relies on the layout that is in question.
+    The measured accelerations, rotated into the body frame, are regressed on the nominal thrusts of
+    all motors. Each column of the result is one motor's effect (two forces and a moment). Its
+    direction is compared with the columns of the vehicle's configuration matrix, so the nominal
+    thrust, mass and inertia need not be right. Transport delays up to 0.1 s are tried, since the
+    one found by correlation relies on the layout in question.
 
     Parameters
     ----------
     trajectory : Trajectory
         A recording in which every motor was used.
     vehicle : Vehicle
-        The vehicle file in question.
+        The vehicle file to check.
     axes : sequence of str, default ("x", "y", "z")
-        ``axes`` of the mapping with which the recording was read; remedies refer to them.
+        ``axes`` of the mapping with which the recording was read; suggested corrections refer to
+        them.
 
     Returns
     -------
@@ -261,7 +262,7 @@ def check_layout(
         A verdict for each propeller, and for the layout as a whole.
     """
     check_propellers(vehicle, trajectory)
-    # Forces and moments in one unit: the moment as a force at the radius of gyration.
+    # Express forces and moments in one unit: moments as forces at the radius of gyration.
     nominal = nominal_model(vehicle)
     stated = nominal.propeller_effects
     forces = _nominal_thrusts(trajectory, vehicle)
@@ -289,7 +290,7 @@ def check_layout(
 
 
 def _length_ratio(measured: Float[np.ndarray, "3 n"], stated: Float[np.ndarray, "3 n"]) -> float:
-    """Return by how many times too large forces are for the moments, as a power of ten."""
+    """Return by what power of ten forces are too large for the moments."""
     sizes = [[np.linalg.norm(part[:2]), np.linalg.norm(part[2])] for part in (measured, stated)]
     if np.min(sizes) == 0:
         return 1.0
@@ -305,7 +306,7 @@ def _propeller_checks(
     names: tuple[str, ...],
     found: LayoutCheck,
 ) -> tuple[PropellerCheck, ...]:
-    """Judge each propeller, in a layout that is turned as a whole where that explains more."""
+    """Judge each propeller, in a rotated layout if that explains more."""
     every = np.arange(len(names))
     likeness = seen = cosines(measured, stated)
     matches = match_effects(measured, stated, every)
@@ -328,7 +329,7 @@ def _propeller_checks(
 
 
 def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) -> float:
-    """Return the mean cosine of what was matched; what was not counts as 0."""
+    """Return the mean cosine of matched effects; unmatched ones count as 0."""
     found = [
         match.sign * likeness[k, match.acts_as]
         for k, match in matches.items()
@@ -347,7 +348,7 @@ def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarr
 def _regress(
     measured: Float[np.ndarray, "3 M"], forces: Float[np.ndarray, "n M"]
 ) -> tuple[Float[np.ndarray, "3 n"], float]:
-    """Least squares for the effect of each force, and the share of variance explained."""
+    """Least squares for the effect of each force, and the fraction of variance explained."""
     effect = np.linalg.lstsq(forces.T, measured.T, rcond=None)[0].T
     residual = measured - effect @ forces
     total = np.sum(measured**2, axis=1)

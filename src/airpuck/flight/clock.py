@@ -1,4 +1,4 @@
-"""Time on a graph: a steady clock, stamps of other clocks, and how well a loop keeps its time."""
+"""Clocks on a graph: a steady clock, stamps of other clocks, and timing statistics of a loop."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from airpuck.boundary.results import Result
 from airpuck.recording.conversion import SECOND_NS
 
-#: A stamp may lie this far ahead of its arrival: clocks of one laboratory agree to this [s].
+#: A stamp may lie this far ahead of its arrival: clocks in one laboratory agree to this [s].
 _AHEAD = 0.01
 #: A stamp older than this is late, or from another clock [s].
 _BEHIND = 0.1
-#: Another clock is believed when its stamps have agreed for this long [s], and were this many.
+#: Another clock is accepted after its stamps have agreed for this long [s], and number this many.
 _BELIEVED_AFTER, _BELIEVED_COUNT = 0.5, 20
-#: How often a difference between clocks that drift is corrected [s].
+#: Period of corrections to the difference between drifting clocks [s].
 _BLOCK = 2.0
-#: Targets on two quiet cores [s].
+#: Timing targets on two quiet cores [s].
 JITTER_P99, LATENCY_P99, DEADLINE = 2e-3, 5e-3, 1e-2
 
-#: Width of a bin [s], and how many there are.
+#: Width of a bin [s], and number of bins.
 _BIN, _BINS = 1e-5, 5000
 
 
@@ -32,7 +32,7 @@ class Clock:
         self.restart()
 
     def restart(self) -> None:
-        """Begin at 0 again."""
+        """Restart at 0."""
         self._start_ns = time.monotonic_ns()
         #: System time at the start [ns since the epoch].
         self._epoch_ns = time.time_ns()
@@ -43,30 +43,30 @@ class Clock:
         return (time.monotonic_ns() - self._start_ns) / SECOND_NS
 
     def stamp_ns(self, moment: float) -> int:
-        """Return the stamp [ns since the epoch] of a moment on this clock [s]."""
+        """Return the stamp [ns since the epoch] of a time on this clock [s]."""
         return self._epoch_ns + round(moment * SECOND_NS)
 
     def of(self, stamp_ns: int) -> float:
-        """Return the moment of a stamp on this clock [s]."""
+        """Return the time of a stamp on this clock [s]."""
         return (stamp_ns - self._epoch_ns) / SECOND_NS
 
     def sleep_until(self, due: float) -> None:
-        """Sleep until a moment on this clock [s]; return at once if it has passed."""
+        """Sleep until a time on this clock [s]; return at once if it has passed."""
         left = due - self.now
         if left > 0:
             time.sleep(left)
 
 
 class Every:
-    """A period that a loop asks about."""
+    """A period that a loop polls."""
 
     def __init__(self, period: float) -> None:
         self._period = period
-        #: When the next one begins [s].
+        #: Time at which the next period begins [s].
         self.due = 0.0
 
     def begins(self, now: float) -> bool:
-        """Return whether a new period begins now [s]; then the next is one period later."""
+        """Return whether a new period begins now [s]; if so, schedule the next one."""
         if now < self.due:
             return False
         self.due = now + self._period
@@ -81,7 +81,7 @@ class TokenBucket:
         self._left, self._counted = burst, -math.inf
 
     def take(self, now: float) -> bool:
-        """Spend a token at a time [s]; return whether there was one."""
+        """Spend a token at a time [s]; return whether one was available."""
         earned = self._rate * (now - self._counted)
         self._left, self._counted = min(self._burst, self._left + earned), now
         if self._left < 1:
@@ -91,11 +91,11 @@ class TokenBucket:
 
 
 class StampClock:
-    """Brings the stamps of one sender to the receiver's clock.
+    """Converts the stamps of one sender to the receiver's clock.
 
-    A sender on the same clock is believed at once. One on another clock is believed when its
-    stamps have agreed with each other for half a second. From then on its shortest latency counts
-    as zero, as in preprocessing, and its drift is followed.
+    A sender on the same clock is accepted at once. One on another clock is accepted when its stamps
+    have agreed with each other for half a second. From then on its shortest latency counts as zero,
+    as in preprocessing, and its drift is followed.
     """
 
     def __init__(self) -> None:
@@ -103,11 +103,11 @@ class StampClock:
         self.offset = 0.0
         #: Arrivals and ages of messages that do not fit, but agree with each other [s].
         self._odd: list[tuple[float, float]] = []
-        #: Begin of the present block, and the least age in it.
+        #: Start of the present block, and the smallest age in it.
         self._block = (-math.inf, math.inf)
 
     def time(self, stamp: float, arrival: float) -> float | None:
-        """Return when a message was stamped, on the receiver's clock; None if unbelievable."""
+        """Return when a message was stamped, on the receiver's clock; None if implausible."""
         age = arrival - stamp - self.offset
         if -_AHEAD <= age <= _BEHIND:
             self._odd.clear()
@@ -139,13 +139,13 @@ class StampClock:
 
 
 class Histogram:
-    """Counts of durations, to 10 µs; memory does not grow with their number."""
+    """A histogram of durations, to 10 µs; memory does not grow with their number."""
 
     def __init__(self) -> None:
         self.count = 0
-        #: The longest one [s].
+        #: The longest duration [s].
         self.longest = 0.0
-        #: The last bin is for all that are longer.
+        #: The last bin is for all longer durations.
         self._bins = np.zeros(_BINS + 1, np.int64)
 
     def add(self, duration: float) -> None:
@@ -155,7 +155,7 @@ class Histogram:
         self._bins[min(int(duration / _BIN), _BINS)] += 1
 
     def percentile(self, percent: float) -> float:
-        """Return a percentile [s]; nan of nothing."""
+        """Return a percentile [s]; nan if there are no durations."""
         if self.count == 0:
             return math.nan
         rank = max(math.ceil(self.count * percent / 100), 1)
@@ -163,13 +163,13 @@ class Histogram:
         return self.longest if place >= _BINS else min((place + 1) * _BIN, self.longest)
 
     def to_json(self) -> dict[str, float]:
-        """Return median, 99th percentile and greatest [ms]."""
+        """Return median, 99th percentile and maximum [ms]."""
         p50, p99 = self.percentile(50), self.percentile(99)
         return {"p50": 1e3 * p50, "p99": 1e3 * p99, "max": 1e3 * self.longest}
 
 
 class LoopTiming(Result):
-    """Timing of a loop that should act once a period."""
+    """Timing of a loop that should act once per period."""
 
     JSON = (
         "periods=latency.count missed_deadlines=missed period_jitter_ms=jitter "
@@ -178,19 +178,19 @@ class LoopTiming(Result):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        #: | time since the action before - period |.
+        #: | time since the previous action - period |.
         self.jitter = Histogram()
-        #: From when an action was due, its newest pose waiting, to when it was done.
+        #: From when an action was due, with its newest pose waiting, to when it was done.
         self.latency = Histogram()
         #: From when the newest pose was measured to when the command was sent.
         self.pose_age = Histogram()
-        #: Actions later than 10 ms, and those left out since the one before was.
+        #: Number of actions more than 10 ms late, including skipped ones.
         self.missed = 0
         #: When the last action was due and when it was done [s].
         self._last: tuple[float, float] | None = None
 
     def add(self, due: float, done: float, pose: float | None) -> None:
-        """Count an action: when it was due, when it was done, and the newest pose's stamp [s]."""
+        """Record an action: when it was due, when it was done, and the newest pose's stamp [s]."""
         if self._last is not None:
             due_before, done_before = self._last
             self.jitter.add(abs(done - done_before - self._period))
@@ -202,7 +202,7 @@ class LoopTiming(Result):
             self.pose_age.add(max(done - pose, 0.0))
 
     def warning(self) -> str | None:
-        """Return what is worse than it should be, in words; None if nothing is."""
+        """Describe timing outside the targets; None if all is well."""
         jitter, latency = self.jitter.percentile(99), self.latency.percentile(99)
         late = {
             f"period jitter {1e3 * jitter:.1f} ms": jitter > JITTER_P99,

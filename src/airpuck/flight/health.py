@@ -1,4 +1,4 @@
-"""How well a model fits the craft that flies: errors of prediction, motors, delay, as it goes."""
+"""Live monitoring of how well a model fits the craft: prediction errors, motors, delay."""
 
 from __future__ import annotations
 
@@ -21,94 +21,95 @@ from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.rollout import rollout
 from airpuck.physics.thrust import thrust
 
-#: How far ahead is predicted, and how late packets come [s].
+#: Prediction horizon, and the largest lateness of packets [s].
 HORIZON, _JITTER = 0.2, 0.007
-#: Predictions under way at a time: the next one begins after this part of the horizon.
+#: Interval between starts of predictions, as a fraction of the horizon.
 _OVERLAP = 2.0
-#: The filter's view is used when it has watched for this long [s].
+#: The filter's estimate is used once it has run for this long [s].
 _SETTLED = 0.3
-#: Without a pose or a command for this long, the motors' speeds are unknown [s].
+#: Without a pose or a command for this long, the motor speeds are unknown [s].
 _SILENT = 0.1
 #: A craft this near to a rail may be leaning on it [m].
 _AT_RAIL = 0.01
-#: Largest difference of a pose from its prediction that is no jump [m, m, rad].
+#: Largest deviation of a pose from its prediction that is not a jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
 #: A deviation of a motor, or of the delay, is reported if its interval of this many standard
-#: deviations (first two numbers) excludes all smaller deviations than this [1], or this [s].
+#: deviations (first two numbers) excludes all deviations smaller than this [1], or this [s].
 _SURE_LOSS, _SURE_LATE, _LOSS, _LATE = 4.0, 3.0, 0.1, 0.004
-#: Standard deviations above these mean that it is not known [1, s]: the commands change too little.
-#: Then they follow the noise of the poses that errors are judged by, and estimates are biased.
+#: Standard deviations above which a value counts as unknown [1, s]: the commands change too little.
+#: Estimates then follow the noise of the poses, by which errors are judged, and are biased.
 _KNOWN_LOSS, _KNOWN_DELAY = 0.05, 0.0025
-#: Shares of the squared error above this are reported, of what deviates.
+#: Fractions of the squared error above which a deviation is reported.
 _NOTABLE = 0.1
 #: Predictions needed before anything is reported.
 _ENOUGH = 20
-#: Predictions are forgotten after this many times the memory.
+#: Predictions are dropped after this multiple of the memory.
 _OLD = 3.0
-#: Steps of the differences that say what effectiveness and delay do [1, s].
+#: Steps of the finite differences with respect to effectiveness and delay [1, s].
 _LOSS_STEP, _DELAY_STEP = 0.05, 0.004
-#: Commands from before a prediction that may still matter to it [s].
+#: How far back commands may still affect a prediction [s].
 _BEFORE = 0.06
 
 #: Prior standard deviations of motors and delay from the model [1, s].
 PRIOR_LOSS, PRIOR_DELAY = 0.3, 0.02
-#: Rounds of expectation and maximisation, and the least variance.
+#: Number of expectation-maximisation iterations, and the smallest variance.
 _ROUNDS, _LEAST = 5, 1e-10
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A prediction and what became of it."""
+    """A prediction and its result."""
 
     #: When it ended [s].
     time: float
-    #: What was measured less what was predicted: x, y, yaw and their rates.
+    #: Measured minus predicted: x, y, yaw and their rates.
     error: Float[np.ndarray, " 6"]
-    #: Derivatives of the prediction by the effectiveness of each motor, and by the delay [1/s].
+    #: Derivatives of the prediction with respect to the effectiveness of each motor and the delay
+    #: [1/s].
     slopes: Float[np.ndarray, "6 m"]
-    #: Σ b bᵀ over the packets that mattered, where b is what the prediction loses by the lateness
+    #: Σ b bᵀ over the relevant packets, where b is the change of the prediction due to the lateness
     #: of one packet [1/s].
     impulses: Float[np.ndarray, "6 6"]
 
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """How a craft differs from its model, and what that explains."""
+    """Differences between a craft and its model, and how much error they explain."""
 
     #: Number of predictions.
     predictions: int
     #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
     error: Float[np.ndarray, " 3"]
-    #: Share of the modelled thrust that each motor gives; last, by how much the transport delay is
-    #: longer than the model's [s].
+    #: Fraction of the modelled thrust that each motor delivers; last, the transport delay minus the
+    #: model's [s].
     value: Float[np.ndarray, " m"]
     #: Standard deviation of each value.
     deviation: Float[np.ndarray, " m"]
-    #: By how much the sum of squared errors of the pose would be smaller, had the model known this
-    #: motor, and the delay; yaw counts with the radius of gyration. NaN without predictions.
+    #: Relative reduction of the sum of squared pose errors if the model had known this motor, or
+    #: the delay; yaw is weighted with the radius of gyration. NaN without predictions.
     share: Float[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
 class Health:
-    """Errors of a model in the last seconds, and what they imply for the craft."""
+    """Errors of a model in the last seconds, and their implications for the craft."""
 
     #: Names of the propellers.
     motors: tuple[str, ...]
-    #: Whether the craft is watched: poses and commands come, and no rail is near.
+    #: Whether the craft is being watched: poses and commands arrive, and no rail is near.
     flying: bool
-    #: Errors of prediction, effectiveness of each motor, delay.
+    #: Prediction errors, effectiveness of each motor, delay.
     found: Deviations
 
     @property
     def known(self) -> Bool[np.ndarray, " m"]:
-        """Whether the commands told enough of each motor, and last of the delay."""
+        """Whether the commands determined each motor, and last the delay, well enough."""
         limits = np.append(np.full(len(self.motors), _KNOWN_LOSS), _KNOWN_DELAY)
         return (self.found.deviation <= limits) & (self.found.predictions >= _ENOUGH)
 
     @property
     def deviates(self) -> Bool[np.ndarray, " m"]:
-        """Which motors, and last whether the delay, surely differ by what matters."""
+        """Which motors, and last whether the delay, differ significantly."""
         n = len(self.motors)
         modelled, least = np.append(np.ones(n), 0.0), np.append(np.full(n, _LOSS), _LATE)
         sure = np.append(np.full(n, _SURE_LOSS), _SURE_LATE)
@@ -137,7 +138,7 @@ class Health:
 
     def __str__(self) -> str:
         if not self.flying:
-            return "nothing to judge: needs poses and commands of a craft in flight"
+            return "nothing to judge: the craft must be in flight with poses and commands"
         if not self.found.predictions:
             return "no prediction judged yet"
         x, y, yaw = self.found.error.tolist()
@@ -145,9 +146,9 @@ class Health:
         causes = np.array([*self.motors, "delay"])
         said = list(self.findings)
         if not said and self.known.any():
-            said = ["what is known is as the model says"]
+            said = ["known values agree with the model"]
         if self.known.all() and not self.findings:
-            said = ["motors and delay as the model says"]
+            said = ["motors and delay agree with the model"]
         if not self.known.all():
             said.append(f"not known: {', '.join(causes[~self.known])} (little excitation)")
         notable = self.deviates & (self.found.share > _NOTABLE)
@@ -157,7 +158,7 @@ class Health:
         return "; ".join([text, *said])
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         found = self.found
         half = 1.96 * found.deviation
         interval = np.column_stack([found.value - half, found.value + half]).tolist()
@@ -183,7 +184,7 @@ class Health:
 
 
 class HealthMonitor:
-    """Watches a craft in flight beside its model; computes nothing that flies."""
+    """Watches a craft in flight with its model; computes nothing that affects the flight."""
 
     def __init__(self, model: Model, *, memory: float = 5.0, compiled: bool = True) -> None:
         self.model, self._memory = model, memory
@@ -191,16 +192,16 @@ class HealthMonitor:
         self._filter = KalmanFilter(model, noise, compiled=compiled)
         self._free = np.array(Table().reach(model.vehicle.radius_m)) - _AT_RAIL
         n = model.vehicle.n_propellers
-        #: Back to the first prediction's beginning.
+        #: Commands back to the first prediction's beginning.
         self._commands = HeldCommands(np.full(n, model.vehicle.command_min))
         self._commanded = -math.inf
         self._since: float | None = None
-        #: Predictions whose end has not been seen: begin and state there, with motor speeds.
+        #: Predictions that have not ended yet: start time and initial state, with motor speeds.
         self._begun: deque[tuple[float, Float[np.ndarray, " z"]]] = deque()
         self._judged: deque[Judged] = deque()
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of a command."""
+        """Receive a command."""
         if not np.isfinite(command).all():
             return
         self._filter.command(time, command)
@@ -208,7 +209,7 @@ class HealthMonitor:
         self._commands.add(time + self.model.transport_delay, command)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose."""
+        """Receive a pose."""
         last = self._filter.time
         if not np.isfinite(pose).all() or (last is not None and time <= last):
             return
@@ -237,7 +238,7 @@ class HealthMonitor:
         self._forget(time)
 
     def health(self) -> Health:
-        """Return how well the model fits, from the predictions that are remembered."""
+        """Return how well the model fits, from the stored predictions."""
         names, radius = self.model.vehicle.propeller_names, self.model.radius_of_gyration
         judged, memory = self._judged, self._memory
         found = deviations(
@@ -274,13 +275,14 @@ class HealthMonitor:
     def _impulses(
         self, begin: float, start: Float[np.ndarray, " z"], end: float
     ) -> Float[np.ndarray, "6 6"]:
-        """Return what late packets do: each withholds the thrust that it changes."""
+        """Return the effect of late packets: each withholds the thrust that it changes."""
         dynamics, tau = self.model.dynamics, float(self.model.dynamics.motor_time_constant)
         begun, commands = zip(*self._commands.until(end), strict=True)
         times = np.array(begun[1:])
         changes = np.diff(thrust(dynamics.thrust, np.array(commands).T), axis=1)
         matrix, _ = acceleration_map(np, dynamics, start[2], start[5])
-        # What motors with lag have not done before the beginning, and what they do before the end.
+        # The response of lagging motors that is missing before the start, and present before the
+        # end.
         lag = max(tau, 1e-6)
         acts = np.exp(-np.maximum(begin - times, 0) / lag) - np.exp(-(end - times) / lag)
         velocity = matrix @ changes * acts
@@ -303,10 +305,11 @@ def deviations(
     jitter: float,
     radius: float,
 ) -> Deviations:
-    """Estimate what differs by weighted least squares; the residuals give the noise.
+    """Estimate the differences by weighted least squares; the residuals give the noise.
 
-    Older predictions count less by their age over `memory` [s]. `overlap` predictions share the
-    same data, packets come late by `jitter` [s], the yaw counts with the `radius` of gyration [m].
+    The weight of predictions decays with their age over `memory` [s]. `overlap` predictions share
+    the same data, packets come late by `jitter` [s], and the yaw is weighted with the `radius` of
+    gyration [m].
     """
     prior = np.append(np.full(motors, PRIOR_LOSS), PRIOR_DELAY) ** -2.0
     modelled = np.append(np.ones(motors), 0.0)
@@ -339,11 +342,11 @@ def _spread(
     weights: Float[np.ndarray, " K"],
     spread: Float[np.ndarray, "6 6"],
 ) -> Float[np.ndarray, "6 6"]:
-    """Return the covariance of what jitter does not explain, given the last guess of it."""
+    """Return the covariance that jitter does not explain, given its last estimate."""
     gain = spread @ np.linalg.inv(spread + lateness)
     left = np.einsum("kij,kj->ki", gain, residual)
     found = (weights[:, None] * left).T @ left
     found += np.tensordot(weights, spread - gain @ spread, 1)
-    # Residuals are smaller than errors by what the parameters took.
+    # Residuals are smaller than errors by what the parameters absorb.
     found = found / weights.sum() * (1 + len(spread) / len(residual))
     return found + np.diag(np.full(6, _LEAST))

@@ -1,4 +1,4 @@
-"""The flight loop: one for the twin and for the real table."""
+"""The flight loop, used for both the twin and the real table."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Link(Protocol):
 
     @property
     def now(self) -> float:
-        """The present, on the controller's clock [s]."""
+        """The current time, on the controller's clock [s]."""
         ...
 
     def wait_until(self, time: float) -> list[Measurement]:
@@ -39,7 +39,7 @@ class Link(Protocol):
         Returns
         -------
         list of Measurement
-            Those that have arrived since the last call, in the order of their arrival.
+            Measurements that have arrived since the last call, in order of arrival.
         """
         ...
 
@@ -53,7 +53,7 @@ class Link(Protocol):
         """
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Publish what the craft is asked to do.
+        """Publish the current reference.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Link(Protocol):
         """
 
 
-#: Steps from one prediction that is kept, or sent to others, to the next.
+#: Every how many steps a prediction is stored or published.
 PREDICTIONS_EVERY = 10
 
 
@@ -76,11 +76,11 @@ class FlightLog:
     command: Float[np.ndarray, "K n"]
     #: Outcome of each step.
     status: tuple[Status, ...]
-    #: Pose asked for.
+    #: Desired pose.
     reference: Float[np.ndarray, "K 3"]
-    #: How long the pilot took for each step [s].
+    #: The pilot's computing time for each step [s].
     took: Float[np.ndarray, " K"]
-    #: What a predictive law expected, by the number of the step; of every tenth.
+    #: Predictions of a predictive law, by step number; every tenth step.
     predictions: Mapping[int, Prediction]
 
 
@@ -88,25 +88,25 @@ class FlightLog:
 class Action:
     """One period of a flight."""
 
-    #: When it should have begun [s].
+    #: Scheduled start [s].
     due: float
-    #: For when its command was computed [s].
+    #: Time for which its command was computed [s].
     time: float
-    #: The command, and why.
+    #: The command, with its status.
     step: Step
-    #: What the craft is asked to do: x, y, yaw and their rates.
+    #: The current reference: x, y, yaw and their rates.
     reference: Float[np.ndarray, " 6"]
-    #: How long the pilot took for its step [s].
+    #: The pilot's computing time [s].
     took: float
 
 
 def fly(
     pilot: Pilot, link: Link, duration: float, period: float = 0.01, *, on_board: bool = False
 ) -> FlightLog:
-    """Fly for a while.
+    """Fly for a given time.
 
-    Each period: take what has arrived, compute a command, send it. A reference is announced when it
-    changes.
+    In each period the loop takes new measurements, computes a command and sends it. It announces
+    the reference when that changes.
 
     Parameters
     ----------
@@ -115,22 +115,22 @@ def fly(
     link : Link
         The craft.
     duration : float
-        How long [s].
+        Duration [s].
     period : float, default 0.01
         Time between commands [s].
     on_board : bool, default False
-        Whether the pilot gets the measurements of the sensors on the craft.
+        Whether the pilot gets the measurements of the on-board sensors.
 
     Returns
     -------
     FlightLog
-        What was sent, and why.
+        The sent commands and their status.
 
     Raises
     ------
     InputError
         If the pilot lacks a method, its command is not one finite number for each motor, or its set
-        point is beyond the rails of a link that has some.
+        point is beyond the rails of a link that has rails.
     """
     check_pilot(pilot)
     border = getattr(link, "border", None)
@@ -162,10 +162,10 @@ def control(
     on_board: bool = False,
     early: float = 0.0,
 ) -> Iterator[Action]:
-    """Act once a period; `fly` without a log.
+    """Act once per period; `fly` without a log.
 
-    The times at which an action is due are fixed at the start: a late one does not delay those
-    after it. Those that have become due meanwhile are left out.
+    The times at which an action is due are fixed at the start: a late one does not delay the
+    following ones. Periods that became due meanwhile are skipped.
     """
     check_pilot(pilot)
     start, announced = link.now, np.full(6, np.nan)

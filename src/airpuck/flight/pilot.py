@@ -1,4 +1,4 @@
-"""A pilot of one's own: how it is loaded, and what is checked of it."""
+"""Users' pilots: loading and checking."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
-#: Methods of a pilot, and how many arguments each is called with.
+#: Methods of a pilot, and the number of arguments of each.
 _METHODS = {"measured": 1, "step": 1, "sent": 2}
 
 
 def called(pilot: Any) -> str:
-    """Return how messages call a pilot."""
+    """Return the name of a pilot in messages."""
     return getattr(pilot, "called", f"pilot {type(pilot).__name__}")
 
 
 def check_pilot(pilot: Any) -> None:
-    """Refuse what is no pilot, and name what it lacks."""
+    """Raise InputError if an object is not a pilot, naming what it lacks."""
     reference = getattr(pilot, "reference", None)
     if not isinstance(reference, Reference):
         raise InputError(
@@ -60,7 +60,7 @@ def check_pilot(pilot: Any) -> None:
 
 
 def checked_step(pilot: Any, step: Any) -> Step:
-    """Return a pilot's step, or refuse one that is none."""
+    """Return a pilot's step, or raise InputError if it is not a Step."""
     problem = _what_is_wrong(step)
     if problem:
         raise InputError(f"step() {problem}", field=called(pilot))
@@ -68,7 +68,7 @@ def checked_step(pilot: Any, step: Any) -> Step:
 
 
 def _what_is_wrong(step: Any) -> str:
-    """Say why something is no step; an empty text where it is one."""
+    """Describe why an object is not a valid step; empty if it is one."""
     if not isinstance(step, Step):
         return f"must return airpuck.Step(command), not {type(step).__name__}"
     try:
@@ -83,7 +83,7 @@ def _what_is_wrong(step: Any) -> str:
 
 
 class UserPilot(Pilot):
-    """A pilot of a user's class, behind the boundary; a `Pilot`."""
+    """A pilot from a user's class, with its results checked; a `Pilot`."""
 
     def __init__(self, own: Any, code: UserCode) -> None:
         self._own, self._code, self.called = own, code, code.name
@@ -91,12 +91,12 @@ class UserPilot(Pilot):
 
     @property
     def reference(self) -> Reference:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """What the craft is to track."""
+        """The reference that the craft tracks."""
         own = self._code.run("reference", lambda: self._own.reference)
         return sheltered(own, self._code)
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a measurement; see `Pilot.measured`."""
+        """Receive a measurement; see `Pilot.measured`."""
         what = f"{measurement.kind} at {measurement.stamp:.2f} s"
         self._code.run(what, self._own.measured, measurement)
 
@@ -109,16 +109,16 @@ class UserPilot(Pilot):
         return step
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was really sent; see `Pilot.sent`."""
+        """Receive the command that was actually sent; see `Pilot.sent`."""
         self._code.run(f"sent() at {time:.2f} s", self._own.sent, time, command)
 
 
-#: Makes a pilot.
+#: A factory of pilots.
 PilotMaker = Callable[[Model, Reference], Pilot]
 
 
 def pilot_maker(name: str) -> PilotMaker:
-    """Return what makes a user's pilot, named FILE.py:NAME, from a model and a reference."""
+    """Return a factory for a user's pilot, named FILE.py:NAME, from a model and a reference."""
     code = UserCode(name, "--pilot")
 
     def make(model: Model, reference: Reference) -> Pilot:
@@ -126,6 +126,6 @@ def pilot_maker(name: str) -> PilotMaker:
         code.run("is no pilot", check_pilot, pilot)
         return UserPilot(pilot, code)
 
-    # What flies is named by the class.
+    # Flights are labelled by the class.
     make.__name__ = name.rpartition(":")[2]
     return make

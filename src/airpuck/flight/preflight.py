@@ -1,4 +1,4 @@
-"""Checks before flight: motor order, spin directions, signs, delay and pose frame, in words."""
+"""Preflight checks: motor order, spin directions, signs, delay and pose frame, in words."""
 
 from __future__ import annotations
 
@@ -29,43 +29,46 @@ from airpuck.recording.stream import Recording
 
 Verdict = Literal["ok", "look", "wrong"]
 
-#: Shares of the modelled thrust that need no remark: a pulse's length is uncertain by the jitter.
+#: Fractions of the modelled thrust that need no comment: jitter makes a pulse's length uncertain.
 _STRENGTH = (0.7, 1.4)
-#: Difference of the transport delay that is worth a remark, and that makes a controller unsafe [s].
+#: Difference of the transport delay that is worth mentioning, and that makes a controller unsafe
+#: [s].
 _DELAY_DIFFERS, _DELAY_WRONG = 8e-3, 3e-2
-#: Poses: least rate [1/s], greatest standard deviation at rest [m, rad] and drift at first [m/s].
+#: Limits for poses: lowest rate [1/s], largest standard deviation at rest [m, rad], largest initial
+#: drift [m/s].
 _RATE, _NOISE, _DRIFT = 50.0, (1e-3, 2e-2), 0.05
-#: Units that poses may be in by mistake, and how many of each make an SI unit.
+#: Units that poses may mistakenly be in, and how many of each make an SI unit.
 _LENGTHS = {"millimetres": 1e3, "centimetres": 1e2}
 _DEGREES = 180 / np.pi
-#: Times the rails' distance from the middle beyond which no craft stands on the table.
+#: No craft stands on the table beyond this multiple of the rails' distance from the centre.
 _FAR = 2.0
-#: Rotation of the rigid body worth a remark, and that no controller should fly with [rad].
+#: Rotation of the rigid body that is worth mentioning, and that no controller should fly with
+#: [rad].
 _MISALIGNED, _TURNED = 0.12, 0.3
-#: Signs by which poses may be wrong, and what that is in words.
+#: Sign errors of poses, and their descriptions.
 _FRAMES = (
     ((1, 1, 1), ""),
     ((1, 1, -1), "the yaw has the wrong sign: it grows counter-clockwise, seen from above"),
     ((1, -1, 1), "an axis of the position has the wrong sign, or x and y are exchanged"),
     ((1, -1, -1), "seen from below: an axis and the yaw have the wrong sign"),
 )
-#: Share of the modelled effect below which a motor counts as dead.
+#: Fraction of the modelled effect below which a motor counts as dead.
 _SILENT = 0.15
 #: A pulse that fits this many times worse than the best of its motor was disturbed.
 _DISTURBED = 5.0
-#: No test turns the craft so often: a yaw that large is in degrees.
+#: The test never turns the craft this far: such a yaw is in degrees.
 _MOST_TURNS = 2
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was checked."""
+    """The result of one check."""
 
     #: What.
     name: str
-    #: Whether it is right, deserves a look, or must be mended before a flight.
+    #: Whether it is right, deserves a look, or must be fixed before a flight.
     verdict: Verdict
-    #: What was found, and what to do.
+    #: The finding and its remedy.
     words: str
 
 
@@ -75,13 +78,13 @@ class Preflight(Result):
 
     JSON = "ready checks strength=strengths delay_s=delay"
 
-    #: In the order in which to mend them.
+    #: Checks, in the order in which to fix them.
     checks: tuple[Check, ...]
-    #: Of the propellers.
+    #: Names of the propellers.
     names: tuple[str, ...]
-    #: Thrust of each, as a share of the modelled one; nan where it was not measured.
+    #: Thrust of each, as a fraction of the modelled one; nan if not measured.
     strength: Float[np.ndarray, " n"]
-    #: Median transport delay of the motors that do something [s]; nan where none does.
+    #: Median transport delay of the working motors [s]; nan if none works.
     delay: float
 
     @property
@@ -98,23 +101,23 @@ class Preflight(Result):
 def preflight(
     link: Link, model: Model, plan: PulsePlan | None = None, table: Table | None = None
 ) -> Preflight:
-    """Give each motor short pulses, and compare what the craft does with the model.
+    """Give each motor short pulses, and compare the craft's response with the model.
 
     Parameters
     ----------
     link : Link
-        The craft, resting near the middle of the table.
+        The craft, at rest near the centre of the table.
     model : Model
-        What it is believed to be.
+        Model of the craft.
     plan : PulsePlan, optional
         Strength and length of the pulses.
     table : Table, optional
-        Where the rails are.
+        Table with the rails.
 
     Returns
     -------
     Preflight
-        What is wrong, in words.
+        Findings in words.
     """
     pilot = PulseTest(model.vehicle, plan, table)
     fly(pilot, link, pilot.duration)
@@ -122,7 +125,7 @@ def preflight(
 
 
 def judge_test(pilot: PulseTest, model: Model) -> Preflight:
-    """Judge a test that was flown."""
+    """Judge a completed test."""
     if not pilot.poses:
         check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
         return _found_only(check, model)
@@ -164,13 +167,13 @@ def judge_pulses(
     command_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
 ) -> Preflight:
-    """Compare what pulses did with what the model expects of them."""
+    """Compare the effects of pulses with the model."""
     n, names = model.vehicle.n_propellers, model.vehicle.propeller_names
     pose = np.column_stack([pose[:, :2], _continuous(pose[:, 2])])
     running = (command > model.vehicle.command_min + 1e-6).any(axis=1)
     rest = time < (command_time[running.argmax()] if running.any() else np.inf)
     checks = [_pose_check(time, pose, rest)]
-    # Forces and moments in one unit: moments as forces at the radius of gyration.
+    # Express forces and moments in one unit: moments as forces at the radius of gyration.
     expected = acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
 
@@ -178,12 +181,12 @@ def judge_pulses(
     delays = np.array([response.delay for response in responses])
 
     def measured(change: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 n"]:
-        """Effects of all motors if poses were changed by these factors; nan if not tried."""
+        """Effects of all motors if poses are scaled by these factors; nan if not tried."""
         again = pulse_responses(model, time, pose * change, command_time, command, delays)
         effects = np.full((3, n), np.nan)
         for motor in {response.motor for response in again}:
             pulses = [response for response in again if response.motor == motor]
-            # Not those that something else disturbed, a rail or a hand.
+            # Exclude pulses that a rail or a hand disturbed.
             least = min(response.misfit for response in pulses)
             good = [r.effect for r in pulses if r.misfit <= _DISTURBED * least]
             effects[:, motor] = np.mean(good, axis=0)
@@ -213,14 +216,14 @@ def judge_pulses(
     for k, name in enumerate(names):
         verdict, words = _motor_verdict(names, k, likeness.get(k), float(strength[k]))
         checks.append(Check(name, verdict, words))
-    # A motor that does nothing has no delay: what fits its noise best says nothing.
+    # A dead motor has no delay: the best fit to its noise is meaningless.
     seen = delays[[moves[response.motor] for response in responses]]
     checks.append(_delay_check(seen, model.transport_delay))
     return Preflight(tuple(checks), names, strength, float(np.median(seen)))
 
 
 def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Undo the jumps of a wrapped yaw, be it in radians or, by mistake, in degrees."""
+    """Undo the jumps of a wrapped yaw, whether in radians or, by mistake, in degrees."""
     in_degrees = np.abs(yaw).max(initial=0.0) > _MOST_TURNS * 2 * np.pi
     return np.unwrap(yaw, period=360.0 if in_degrees else 2 * np.pi)
 
@@ -251,7 +254,7 @@ def _pose_check(
 def _beyond_any_table(
     pose: Float[np.ndarray, " 3"], reach: Float[np.ndarray, " 2"]
 ) -> Check | None:
-    """Check whether the craft is far from any table, and in which units it would be on it."""
+    """Check whether the craft is far from any table, and which units would put it on one."""
     distance = np.abs(pose[:2])
     if (distance <= _FAR * reach).all():
         return None
@@ -293,7 +296,7 @@ def _frame_check(
 ) -> tuple[Check, bool]:
     """Look for a frame of the poses that explains the effects of all motors, likely ones first.
 
-    A frame that explains only some does not count: it must not hide a wrong motor.
+    A frame that explains only some motors does not count: it must not hide a wrong motor.
     """
     for change, words in _FRAMES:
         effects = measured(np.array(change))
@@ -319,7 +322,7 @@ def _frame_check(
 def _motor_verdict(
     names: tuple[str, ...], k: int, likeness: EffectMatch | None, strength: float
 ) -> tuple[Verdict, str]:
-    """Judge what a motor does."""
+    """Judge the effect of a motor."""
     if likeness is None:
         if np.isnan(strength):
             return "look", "was not tried"
@@ -348,7 +351,7 @@ def _delay_check(delays: Float[np.ndarray, " p"], modelled: float) -> Check:
     )
     differs = abs(found - modelled)
     if differs > _DELAY_WRONG:
-        return Check("transport delay", "wrong", f"{words}: identify again, or mend the radio")
+        return Check("transport delay", "wrong", f"{words}: identify again, or repair the radio")
     if differs > _DELAY_DIFFERS:
         return Check("transport delay", "look", words)
     return Check("transport delay", "ok", words)

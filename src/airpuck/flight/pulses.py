@@ -30,14 +30,14 @@ _PAUSE = 0.2
 
 @dataclass(frozen=True)
 class PulsePlan:
-    """How strong and how long the pulses are."""
+    """Amplitude and duration of the pulses."""
 
-    #: Command of the motor whose turn it is; all others idle.
+    #: Command of the motor under test; all others idle.
     level: float = 0.25
     #: Length of a pulse, and of the pause after it [s].
     length: float = 0.1
     rest: float = 0.3
-    #: How often each motor has its turn.
+    #: Number of pulses for each motor.
     rounds: int = 2
 
     def __post_init__(self) -> None:
@@ -51,8 +51,8 @@ class PulseTest(Pilot):
     """Gives each motor short pulses while all others idle; a `Pilot`.
 
     It assumes no layout, thrust or frame, since any of them may be wrong. The craft stays on the
-    table because the pulses are short, the propellers of a pair take turns and undo each other's
-    motion, and the test ends near a rail or without poses.
+    table because the pulses are short and the propellers of a pair alternate and undo each other's
+    motion. The test ends near a rail or without poses.
     """
 
     def __init__(
@@ -72,22 +72,22 @@ class PulseTest(Pilot):
 
     @property
     def duration(self) -> float:
-        """How long the test takes, from the first pose on [s]."""
+        """Duration of the test, from the first pose on [s]."""
         return self.plan.rest + len(self._order) * (self.plan.length + self.plan.rest)
 
     @property
     def over(self) -> bool:
-        """Whether every motor has had its turns."""
+        """Whether every motor has had all its pulses."""
         return self._stepped - self._begun >= self.duration
 
     def pose(self, time: float, pose: Numbers) -> None:
-        """Take note of a pose; see `Pilot`."""
+        """Receive a pose; see `Pilot`."""
         values = np.array(pose, dtype=float)
         if math.isfinite(time) and values.shape == (3,) and np.isfinite(values).all():
             self.poses.append((time, values))
 
     def sent(self, time: float, command: Numbers) -> None:
-        """Take note of what was sent; see `Pilot`."""
+        """Receive the command that was sent; see `Pilot`."""
         self.sent_commands.append((time, np.array(command, dtype=float)))
 
     def step(self, time: float) -> Step:
@@ -111,13 +111,13 @@ class PulseTest(Pilot):
         return Step(idle, "open loop", np.zeros(3), None)
 
     def _begin(self, time: float) -> None:
-        """Begin the test, at first or again, and forget what came long before."""
+        """Begin the test, or restart it after a long pause."""
         self._begun, self.stopped = time, ""
         recent = [(stamp, pose) for stamp, pose in self.poses if stamp > time - _STALE]
         self.poses, self.sent_commands = recent or self.poses[-1:], []
 
     def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
-        """Return why the motors must not be driven; empty if they may."""
+        """Return why the motors must not be driven; empty if they may be."""
         if age > _STALE:
             return f"poses stopped coming {1e3 * age:.0f} ms ago"
         if (np.abs(pose[:2]) > self.reach - _MARGIN).any():
@@ -126,14 +126,14 @@ class PulseTest(Pilot):
         return ""
 
 
-#: Span of poses used before a pulse begins and after it ends [s].
+#: Time span of poses used before a pulse begins and after it ends [s].
 _BEFORE, _AFTER = 0.15, 0.25
-#: Transport delays that are tried [s], and the longest step of integration [s].
+#: Transport delays tried [s], and the longest step of integration [s].
 _DELAYS = np.arange(0.0, 0.15, 1e-3)
 _STEP = 1e-3
-#: A line needs at least this many poses on each side of a pulse.
+#: Fewest poses on each side of a pulse for fitting a line.
 _FEWEST = 20
-#: A pulse shorter than this share of the usual length was cut off.
+#: A pulse shorter than this fraction of the usual length was cut off.
 _CUT_OFF = 0.7
 
 
@@ -143,11 +143,11 @@ class PulseResponse:
 
     #: Index of the propeller.
     motor: int
-    #: Body accelerations per modelled thrust, like a column of Π [1/kg, 1/kg, 1/(kg m)].
+    #: Body accelerations per unit of modelled thrust, like a column of Π [1/kg, 1/kg, 1/(kg m)].
     effect: Float[np.ndarray, " 3"]
-    #: From the command's stamp to the motion, by which it is explained best [s].
+    #: Delay from the command's stamp to the motion, from the best fit [s].
     delay: float
-    #: Root mean square of what is left unexplained, in standard deviations of the poses' noise.
+    #: Root mean square of the residuals, in standard deviations of the poses' noise.
     misfit: float
 
 
@@ -161,15 +161,15 @@ def pulse_responses(
 ) -> list[PulseResponse]:
     """Measure the effect of each pulse of a recorded test.
 
-    Around a pulse, which begins at a rest, position and yaw are
+    Around a pulse, which begins at rest, position and yaw are
 
         p(t) = p₀ + v₀ t + a₀ t²/2 + ∬ R(γ) g F(t - d),
         γ(t) = γ₀ + ω₀ t + ω₀' t²/2 + ∬ g_γ F(t - d),
 
-    with F the thrust that the model expects of the motor, a₀ and ω₀' what is always there (idling
-    propellers, a tilted table), and g the effect in question. For a delay d this is a linear
-    regression; d is the delay with the least residual. The poses are neither smoothed
-    nor differentiated.
+    where F is the thrust that the model expects of the motor, a₀ and ω₀' are constant accelerations
+    (idling propellers, a tilted table), and g is the unknown effect. For a delay d this is a linear
+    regression; d is the delay with the smallest residual. The poses are neither smoothed nor
+    differentiated.
     """
     idle = model.vehicle.command_min
     pulses = find_pulses(command_time, command, idle)
@@ -210,7 +210,7 @@ def _response(
     pose: Float[np.ndarray, "M 3"],
     delays: Float[np.ndarray, " D"],
 ) -> PulseResponse:
-    """Regress the poses around a pulse on what it can have done, for all delays at once."""
+    """Regress the poses around a pulse on its possible effects, for all delays at once."""
     motor, begin, end = pulse
     elapsed = time - begin
     always = np.stack([np.ones_like(elapsed), elapsed, elapsed**2 / 2], axis=1)
@@ -221,7 +221,7 @@ def _response(
     noise = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
 
     def beyond(values: Float[np.ndarray, "M *k"]) -> Float[np.ndarray, "M *k"]:
-        """Take off what is always there: the regression is on the rest."""
+        """Project out the constant accelerations: the regression is on the rest."""
         return values - np.tensordot(basis, np.tensordot(basis.T, values, 1), 1)
 
     grid = np.union1d(np.arange(time[0], time[-1], _STEP), time)
@@ -231,7 +231,7 @@ def _response(
     moved = twice_integrated(shapes, np.diff(grid)[:, None])[np.searchsorted(grid, time)]
     along, across, turning = np.moveaxis(beyond(moved), 1, 0)
     none = np.zeros_like(along)
-    # The rows of x, y and γ, by the forces along and across and the moment.
+    # The rows of x, y and γ, for the forces along and across and the moment.
     columns = [[along, -across, none], [across, along, none], [none, none, turning]]
     rows = np.transpose(np.array(columns) / noise[:, None, None, None], (3, 0, 2, 1))
     aim = np.broadcast_to((beyond(pose) / noise).T.ravel(), (len(delays), 3 * len(time)))
@@ -250,7 +250,7 @@ def _force(
     lag, idle = float(model.dynamics.motor_time_constant), model.vehicle.command_min
     peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
     speed = motor_step(np, peak, idle, np.maximum(elapsed - length, 0.0), lag)
-    # Motors without lag follow at once, also in the first moment before the pulse.
+    # Motors without lag follow at once, even in the first instant before the pulse.
     speed = np.where(elapsed < 0, idle, np.where(elapsed <= length, peak, speed))
     curve = np.asarray(model.dynamics.thrust)[motor : motor + 1]
     return thrust(curve, speed[None])[0] - thrust(curve, np.array([[[idle]]]))[0]

@@ -1,4 +1,4 @@
-"""Replay: feed a recorded flight to the controller and compare its commands with those sent."""
+"""Replay: feed a recorded flight to the controller and compare its commands with the record."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.pipeline import clean_streams
 from airpuck.recording.stream import Recording
 
-#: Where the pose was not known, why.
+#: The reason, where the pose was not known.
 Estimates = list[Estimate | Status]
 
 
@@ -36,7 +36,7 @@ class Gains:
     #: Acceleration for an error in position [1/s²] and in velocity [1/s].
     position: float
     speed: float
-    #: Angular acceleration for an error in yaw [1/s²] and in spin [1/s].
+    #: Angular acceleration for an error in yaw [1/s²] and in yaw rate [1/s].
     yaw: float
     spin: float
 
@@ -47,13 +47,13 @@ class Gains:
 
     @classmethod
     def of(cls, matrix: Float[np.ndarray, "3 6"]) -> Gains:
-        """Read the gains off a matrix."""
+        """Extract the gains from a matrix."""
         return cls(*(float(matrix[i, j]) for i, j in ((0, 0), (0, 3), (2, 2), (2, 5))))
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Commands that were sent, and what the controller would have sent.
+    """Recorded commands, and the controller's commands.
 
     Attributes
     ----------
@@ -66,13 +66,13 @@ class Replay:
     reference, pose : array, shape (K, 3)
         The reference, and the estimated pose of the craft [m, m, rad].
     gains : Gains or None
-        Of the LQR; None: another law.
+        Gains of the LQR; None for another law.
     fitted : bool
         Whether the gains were fitted to the flight.
     motors : tuple of str
         Names of the motors.
     compared : array of bool, shape (K,)
-        Which commands count for the figures: those in the span at which the pose was known.
+        Which commands are compared: those in the span at which the pose was known.
     span : array of bool, shape (K,)
         Which commands lie in the span.
     """
@@ -91,7 +91,7 @@ class Replay:
 
     @property
     def outcomes(self) -> dict[str, int]:
-        """How many control steps in the span ended how."""
+        """Number of control steps in the span per outcome."""
         found = Counter(self.status[k] for k in np.flatnonzero(self.span))
         return dict(sorted(found.items()))
 
@@ -109,13 +109,13 @@ class Replay:
         return (self.computed - self.sent)[self.compared]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
         dict
             ``motors`` (``name, correlation, median_abs`` each), ``median_abs`` over all motors,
-            ``gains``, ``fitted``, ``steps``, ``outcomes``; all of the span.
+            ``gains``, ``fitted``, ``steps``, ``outcomes``; all within the span.
         """
         apart = np.abs(self.difference)
         motors = zip(self.motors, self.correlation, np.median(apart, axis=0), strict=True)
@@ -144,28 +144,28 @@ def replay(
 ) -> Replay:
     """Feed the poses of a recorded flight to the controller and compare commands.
 
-    At the time of every recorded command the controller has seen the poses that had arrived by
-    then, and uses the command that was really sent, so that differences do not add up.
+    At the time of every recorded command, the controller has received the poses that had arrived by
+    then. It continues with the recorded command, so that differences do not accumulate.
 
     Parameters
     ----------
     recording : Recording
         Poses, commands and references of a flight.
     model : Model
-        What the controller believes the craft to be.
+        The controller's model of the craft.
     tuning : Tuning, optional
-        By default the packaged one.
+        Tuning; by default the packaged one.
     fit_gains : bool, default False
         Whether to fit the regulator's four gains to the recorded commands first.
     compensate_delay, reject_disturbance : bool, default False
-        As for `TrackingController`; the paper's controller did neither.
+        See `TrackingController`; the paper's controller did neither.
     span : (float, float), default (0, 1)
         Part of the flight to compare, as fractions of its length.
 
     Returns
     -------
     Replay
-        Both commands, and how much they agree.
+        Both commands, and how well they agree.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def replay(
             file=recording.source,
         )
     if fit_gains:
-        # A motor at its limit says nothing about gains.
+        # A motor at its limit carries no information about gains.
         used = np.flatnonzero(compared & (sent.max(axis=1) < 0.98))
         _fit_gains(controller, [estimates[k] for k in used], time[used], sent[used])
     computed, status = _steer(controller, estimates, time)
@@ -235,7 +235,7 @@ def _fly_through(
 ) -> Estimates:
     """Run the estimator through the flight; return estimates, or the reason for each missing one.
 
-    The gains play no part in this.
+    Estimates do not depend on the gains.
     """
     estimates: Estimates = []
     following = 0
@@ -250,7 +250,7 @@ def _fly_through(
 
 
 def _targets(controller: TrackingController, times: Float[np.ndarray, " K"]) -> list[Target]:
-    """Return what the reference asks for one period after commands of these times act."""
+    """Return the references one period after commands sent at these times act."""
     ahead = controller.model.transport_delay + controller.tuning.period_s
     return [controller.reference.at(float(time), ahead) for time in times]
 
@@ -278,7 +278,7 @@ def _fit_gains(
     times: Float[np.ndarray, " K"],
     sent: Float[np.ndarray, "K n"],
 ) -> None:
-    """Fit the law's gains: robust linear regression for a start, then on the commands."""
+    """Fit the law's gains: first a robust linear regression, then the commands themselves."""
     from scipy.optimize import least_squares
 
     law = controller.law
@@ -292,7 +292,7 @@ def _fit_gains(
         law.gain = Gains(*(start * factors).tolist()).matrix()
         return (_steer(controller, estimates, times)[0] - sent).ravel()
 
-    # Commands have kinks where bounds begin to bind: steps of one percent look past them.
+    # Commands have kinks where bounds become active: steps of one percent average over them.
     found = least_squares(
         residuals, np.ones(4), loss="soft_l1", f_scale=0.02, diff_step=0.01, max_nfev=12
     )
@@ -305,7 +305,7 @@ def _regression(
     targets: list[Target],
     sent: Float[np.ndarray, "K n"],
 ) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Collect errors and the accelerations that the recorded commands led to.
+    """Collect errors, and the accelerations that resulted from the recorded commands.
 
     v_{k+1} = -K (x_{k+1} - reference) is linear in the gains, and v_{k+1} follows from the motor
     speeds after the recorded command.

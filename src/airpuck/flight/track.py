@@ -1,4 +1,4 @@
-"""How well a flight kept to its set points, the same for simulated and for real ones."""
+"""Tracking performance of a flight through set points, the same for simulated and real flights."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from airpuck.recording.stream import Recording
 
 #: A set point counts as reached within these distances [m, m, rad].
 TOLERANCE = (0.02, 0.02, 0.05)
-#: The steady state is the mean over the last second of a dwell, or its last quarter if it is short.
+#: The steady state is the mean over the last second of a dwell, or over its last quarter if the
+#: dwell is short.
 _STEADY_S, _STEADY_SHARE = 1.0, 0.25
 #: Figures and comparisons begin this long before the first set point that moves the craft.
 _LEAD_S = 0.5
@@ -41,20 +42,20 @@ class SetPointResult(Result):
     stop: float
     #: x, y [m], yaw [rad].
     pose: tuple[float, ...]
-    #: Until the pose stays within `TOLERANCE`; None if it does not [s].
+    #: Time until the pose stays within `TOLERANCE`; None if it never does [s].
     settling_time: float | None
-    #: How far x, y, yaw went beyond, seen from where they were at the start [m, m, rad].
+    #: How far x, y, yaw went beyond the set point, relative to the initial direction [m, m, rad].
     overshoot: tuple[float, ...]
     #: Mean pose minus set point at the end of the dwell; None if poses are missing there [m, m,
     #: rad].
     steady_state_error: tuple[float, ...] | None
-    #: Mean over the dwell of the sum of squared commands above the lowest.
+    #: Mean over the dwell of the sum of squared commands above the lowest command.
     effort: float
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A flight to set points."""
+    """A flight through set points."""
 
     #: What flew.
     label: str
@@ -75,7 +76,7 @@ class Track:
 
     @classmethod
     def of(cls, recording: Recording, vehicle: Vehicle, label: str) -> Track:
-        """Read a flight off a recording."""
+        """Extract a flight from a recording."""
         poses, commands, aligned = clean_streams(recording, vehicle)
         start = float(commands.time[0])
         return cls(
@@ -91,10 +92,11 @@ class Track:
 
     @property
     def first_move(self) -> int:
-        """Number of the first set point that differs from the start.
+        """Index of the first set point that differs from the start.
 
-        The first one of a flight does unless the craft stands there already, within `TOLERANCE`,
-        when it comes into force; later ones do if they differ from the first. Zero where none does.
+        The first set point of a flight counts unless the craft is already there, within
+        `TOLERANCE`, when it comes into force. Later ones count if they differ from the first. Zero
+        if none does.
         """
         times, poses = self.set_points.times, self.set_points.poses
         begin = min(int(self.time.searchsorted(times[0])), len(self.time) - 1)
@@ -105,7 +107,7 @@ class Track:
 
     @property
     def origin(self) -> float:
-        """Where figures and comparisons count time from [s].
+        """Start time of figures and comparisons [s].
 
         Half a second before the first set point that differs from the start, if there are poses.
         """
@@ -120,12 +122,12 @@ class Track:
         return np.where((self.time >= self.set_points.times[0])[:, None], errors, 0.0)
 
     def moves(self) -> list[SetPointResult]:
-        """Measure what became of the set points from the first that differs from the start on."""
+        """Measure how set points were reached, from the first that differs from the start."""
         begin = self.set_points.times[self.first_move]
         return [result for result in self.results() if result.start >= begin]
 
     def results(self) -> list[SetPointResult]:
-        """Measure what became of each set point."""
+        """Measure how each set point was reached."""
         times = self.set_points.times
         stops = np.append(times[1:], self.time[-1])
         found = []
@@ -140,7 +142,7 @@ class Track:
     ) -> SetPointResult:
         """Measure one set point."""
         time, error = self.time[inside], self.pose[inside] - pose
-        # The nearest of the yaws that are the same orientation, where the dwell ends.
+        # Choose the equivalent yaw nearest to where the dwell ends.
         error[:, 2] += wrapped(np, error[-1, 2]) - error[-1, 2]
         outside = np.flatnonzero((np.abs(error) > TOLERANCE).any(axis=1))
         if len(outside) == 0:
@@ -159,7 +161,7 @@ class Track:
             pose=tuple(pose.tolist()),
             settling_time=settled,
             overshoot=tuple(beyond.tolist()),
-            # Without poses there it is unknown.
+            # Unknown without poses there.
             steady_state_error=tuple(error[steady].mean(axis=0).tolist()) if steady.any() else None,
             effort=float((above**2).sum(axis=1).mean()) if given.any() else 0.0,
         )
@@ -167,7 +169,7 @@ class Track:
     def difference(
         self, other: Track, span: tuple[float, float] = (0.5, 6.5)
     ) -> Float[np.ndarray, "M 3"]:
-        """Compare with another flight, at this one's poses."""
+        """Compare with another flight at this flight's pose times."""
         begin = max(self.origin + span[0], other.time[0])
         stop = min(self.origin + span[1], other.time[-1])
         inside = (self.time >= begin) & (self.time <= stop)
@@ -180,7 +182,8 @@ class Track:
 def recorded_set_points(recording: Recording, epoch: float) -> SetPoints:
     """Return the set points that a recording logged."""
     logged = recording["reference"]
-    # In the same arithmetic as the commands: one of the same moment must not seem earlier.
+    # Use the same arithmetic as for the commands: a set point at the same time must not seem
+    # earlier.
     times = seconds(logged.received_ns) - epoch
     last = np.append(np.diff(times) > 0, True)
     times, poses = times[last], logged.values[last, :3]

@@ -31,7 +31,7 @@ class Contestant:
     Attributes
     ----------
     name : str
-        What it is called.
+        Name of the contestant.
     player : callable, optional
         Of a craft: makes its player from model, table, side (-1, 1), seed and the radius of the
         opponent's disc [m].

@@ -133,7 +133,7 @@ class Player(Pilot):
         self._craft: tuple[float, Float[np.ndarray, " 6"]] | None = None
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a measurement.
+        """Receive a measurement.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class Player(Pilot):
                 self._craft = time, np.concatenate([values, np.zeros(3)])
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Take note of the command that was really sent; see `Pilot.sent`."""
+        """Receive the command that was actually sent; see `Pilot.sent`."""
         self._controller.sent(time, command)
 
     def step(self, time: float) -> Step:
@@ -161,7 +161,7 @@ class Player(Pilot):
         Parameters
         ----------
         time : float
-            Now, on the clock of the poses [s].
+            Current time, on the clock of the poses [s].
 
         Returns
         -------

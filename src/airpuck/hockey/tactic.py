@@ -34,7 +34,7 @@ class Pitch:
     opponent_radius : float
         The other's disc [m].
     fence : array, shape (2, 2)
-        Where the middle of the craft may be: lowest x and y, highest x and y [m].
+        Where the craft's centre may be: lowest x and y, highest x and y [m].
     home : tuple of float
         Where it waits: x, y [m].
     delay : float

@@ -26,13 +26,13 @@ class Adam:
     """Stochastic gradient descent with momentum and scaling, by automatic differentiation.
 
     The defaults are the settings of the published fits (their params.json), which differ from the
-    paper's text (learning rate 10⁻³, 150 epochs). A random share of the windows is held out for the
-    test loss; since windows overlap it shows convergence, not generalisation.
+    paper's text (learning rate 10⁻³, 150 epochs). A random fraction of the windows is held out for
+    the test loss; since windows overlap, it shows convergence, not generalisation.
 
     Attributes
     ----------
     learning_rate : float or None
-        None: 10⁻⁴, and 10⁻³ where the configuration matrix is learned directly.
+        None: 10⁻⁴, or 10⁻³ if the configuration matrix is learned directly.
     inertia_factor : float
         Factor on the learning rate of the inertia, which is small in SI units.
     epochs : int
@@ -40,9 +40,9 @@ class Adam:
     batch_size : int
         Windows in a step.
     test_share : float
-        Share of windows held out.
+        Fraction of windows held out.
     regularizer_weight : float
-        Weight w_reg of the penalty on falling thrust curves; 0 for none.
+        Weight w_reg of the penalty on falling thrust curves; 0: no penalty.
     seed : int
         Seed of the split and of the batches.
     """
@@ -67,7 +67,7 @@ class Adam:
         progress: Callable[[Iteration], None] = lambda _: None,
     ) -> Outcome:
         """Minimise a prediction loss; see `Method.minimize`."""
-        # Here, since other methods share what imports this module, and it takes 0.15 s.
+        # Imported here, because other methods import this module, and it takes 0.15 s.
         import optax
 
         rng = np.random.default_rng(self.seed)
@@ -130,7 +130,7 @@ def _mean_loss(evaluate: Callable[..., Any], vector: Any, train: Any) -> float:
 
 
 def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, Any], Any]:
-    """Return the prediction loss as a function that JAX differentiates."""
+    """Return the prediction loss as a function that JAX can differentiate."""
     windows, encoder, before = loss.windows, loss.encoder, loss.windows.encoder_length
     time, state, command = map(jnp.asarray, (windows.time, windows.state, windows.input))
     weights = jnp.asarray(loss.weights)[:, None]
@@ -157,8 +157,8 @@ def monotone_penalty(xp: Any, coefficients: Any) -> Any:
     """Compute the paper's regulariser without its weight (subsec:reg_force_model).
 
     The sum over propellers of max(0, -F'(φ)) at φ = 0, at φ = 1 and, by Proposition 1
-    (prop:thrust), at the minimum of F' where that lies in between. The minimum is exact for degrees
-    up to three; for higher ones it is searched on a grid of 41 points.
+    (prop:thrust), at the minimum of F' if it lies in between. The minimum is exact for degrees up
+    to three; for higher ones it is searched on a grid of 41 points.
     """
     n, degree = coefficients.shape
     ends = xp.broadcast_to(xp.array([0.0, 1.0]), (n, 2))

@@ -1,7 +1,7 @@
-"""Intervals by resampling: blocks of time are drawn with replacement, and the model fitted again.
+"""Intervals by resampling: draw blocks of time with replacement, and fit the model again.
 
-The block bootstrap (Künsch 1989) makes no use of the curvature at the optimum: it feels
-constraints that begin to bind and curves that bend, which the sandwich estimator does not.
+The block bootstrap (Künsch 1989) makes no use of the curvature at the optimum. It captures
+constraints that become active and nonlinearity, which the sandwich estimator does not.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ def bootstrap(
     seed: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Fit:
-    """Add intervals from fits to resampled data, beside the intervals from standard errors.
+    """Add intervals from fits to resampled data to the intervals from standard errors.
 
     Parameters
     ----------
     fit : Fit
         By `LevenbergMarquardt`.
     replicates : int
-        Number of fits; some hundreds.
+        Number of fits; a few hundred.
     seed : int, default 0
         Seed of the resampling.
     progress : callable, optional
@@ -56,8 +56,8 @@ def bootstrap(
     Raises
     ------
     InputError
-        If the fit is by another method, there are too few blocks of time, or fewer than two fits
-        came to an end.
+        If the fit used another method, there are too few blocks of time, or fewer than two fits
+        converged.
     """
     replace(numbers.REPLICATES, low=2).check(replicates, "bootstrap")
     numbers.SEED.check(seed, "seed")
@@ -74,7 +74,7 @@ def bootstrap(
         delay &= np.isfinite(known.standard_errors)
         middle, half = (lower + upper) / 2, np.hypot((upper - lower) / 2, reach)
         lower, upper = np.where(delay, [middle - half, middle + half], [lower, upper])
-    # Along directions that the data do not determine, every fit stays where it started.
+    # Along directions that the data do not determine, every fit stays at its start.
     determined = fit.model.free & (np.abs(known.undetermined) <= 1e-9).all(axis=0)
     lower, upper = np.where(determined, [lower, upper], np.nan)
     found = Bootstrap(len(estimates), seed, lower, upper)
@@ -88,7 +88,7 @@ def resampled_estimates(
     seed: int = 0,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Float[np.ndarray, "N P"]:
-    """Fit to resampled data, on all cores; return the estimates of the fits that came to an end."""
+    """Fit to resampled data on all cores; return the estimates of the fits that converged."""
     loss, parameters, free = fit.objective, fit.model.parameters, fit.model.free
     assert loss is not None and loss.clusters is not None
     clusters = loss.clusters

@@ -78,9 +78,9 @@ def identify(
     vehicle : Vehicle, optional
         The craft; by default the craft that the trajectories were preprocessed for, or the paper's.
     initial : Parameters, optional
-        Where to start; by default the vehicle's nominal values.
+        Initial parameters; by default the vehicle's nominal values.
     loss : Loss, optional
-        Which prediction errors count, and how much.
+        Which prediction errors count, and their weights.
     method : Method or {"lm", "adam"}, optional
         `LevenbergMarquardt()` or "lm", the default; `Adam()` or "adam".
     preparation : Preparation, optional
@@ -91,12 +91,12 @@ def identify(
     Returns
     -------
     Fit
-        The model, and how it was found.
+        The model, and details of the fit.
 
     Raises
     ------
     InputError
-        If the data do not fit the vehicle, are too short, or the model does not exist.
+        If the data do not fit the vehicle or are too short, or the model does not exist.
     """
     began = time.perf_counter()
     if isinstance(method, str):
@@ -121,7 +121,7 @@ def identify(
 
 
 def _early_poses(problem: Problem) -> InputError | None:
-    """Return an error that names the clocks, where motion precedes the commands that cause it."""
+    """Return an error about the clocks, for motion that precedes the commands causing it."""
     dynamics = problem.start.dynamics(np, problem.vehicle)
     for trajectory in problem.trajectories:
         delay = visible_delay(trajectory, dynamics)
@@ -144,7 +144,7 @@ def identifiability(
     loss: Loss | None = None,
     preparation: Preparation | None = None,
 ) -> Identifiability:
-    """Return what data can determine, before any fit, from the information at its start.
+    """Return what the data can determine, from the information at the start of a fit.
 
     Parameters
     ----------
@@ -154,12 +154,12 @@ def identifiability(
     Returns
     -------
     Identifiability
-        In numbers and words.
+        The result in numbers and words.
 
     Raises
     ------
     InputError
-        If the data do not fit the vehicle, are too short, or the model does not exist.
+        If the data do not fit the vehicle or are too short, or the model does not exist.
     """
     problem = Problem.of(
         trajectories, model, vehicle=vehicle, initial=initial, loss=loss, preparation=preparation
@@ -174,20 +174,20 @@ class Solution:
     """State of a fit: the data in their current preparation, and the latest outcome."""
 
     problem: Problem
-    #: As preprocessed, without the spans that are left out.
+    #: Trajectories as preprocessed, without the excluded spans.
     trajectories: tuple[Trajectory, ...]
-    #: What was left out; None where faults were not searched for.
+    #: The excluded spans; None if faults were not searched for.
     exclusion: Exclusion | None = None
-    #: The trajectories with retimed packets; None where they keep their times.
+    #: The trajectories with retimed packets; None if packets keep their times.
     retimed: tuple[Trajectory, ...] | None = None
-    #: When packets arrived, in each trajectory.
+    #: Arrival times of packets in each trajectory.
     packets: tuple[PacketDelays, ...] = ()
-    #: What the last fit minimised, and how it ended; None before the first.
+    #: Loss and result of the last fit; None before the first.
     fitted: tuple[PredictionLoss, Outcome] | None = None
 
     @property
     def result(self) -> tuple[PredictionLoss, Outcome, Model]:
-        """What the last fit minimised, how it ended, and its model."""
+        """Loss, result and model of the last fit."""
         assert self.fitted is not None
         loss, outcome = self.fitted
         return loss, outcome, self.problem.model(outcome.parameters)
@@ -198,7 +198,7 @@ class Solution:
         return self.problem.loss_on(self.retimed or self.trajectories)
 
     def fit(self, method: Method, loss: PredictionLoss) -> Solution:
-        """Minimise a loss; Levenberg-Marquardt starts where the last fit ended."""
+        """Minimise a loss; Levenberg-Marquardt starts at the last fit's optimum."""
         start, free, progress = self.problem.start, self.problem.free, self.problem.progress
         if self.fitted is None or not isinstance(method, LevenbergMarquardt):
             outcome = method.minimize(loss, start, free, progress)
@@ -207,7 +207,7 @@ class Solution:
         return replace(self, fitted=(loss, outcome))
 
     def prefit(self) -> Solution:
-        """Fit to what is enough to prepare the data with: a part of the windows."""
+        """Fit to a part of the windows, enough to prepare the data with."""
         method = self.problem.method
         if not isinstance(method, LevenbergMarquardt):
             method = LevenbergMarquardt()
@@ -215,7 +215,7 @@ class Solution:
 
 
 def leave_out_faults(solution: Solution) -> Solution:
-    """Find faults with a first fit, and leave out the windows that they touch."""
+    """Find faults with a first fit, and exclude the windows that they touch."""
     if not solution.problem.excludes_faults:
         return solution
     solution = solution.prefit()
@@ -227,7 +227,7 @@ def leave_out_faults(solution: Solution) -> Solution:
 
 
 def retime(solution: Solution) -> Solution:
-    """Move packets to their arrival times by a first fit's model; then again by a second fit's."""
+    """Move packets to the arrival times under a first fit's model, then under a second fit's."""
     for _ in range(solution.problem.retimings):
         solution = solution.prefit()
         _, _, model = solution.result
@@ -237,7 +237,7 @@ def retime(solution: Solution) -> Solution:
 
 
 def minimize(solution: Solution) -> Solution:
-    """Fit to all windows of the prepared data; for a robust fit, again with weights."""
+    """Fit to all windows of the prepared data; a robust fit repeats this with weights."""
     problem = solution.problem
     solution = solution.fit(problem.method, solution.loss)
     if not problem.loss.robust:
@@ -248,10 +248,10 @@ def minimize(solution: Solution) -> Solution:
 
 
 def judge(solution: Solution, began: float) -> Fit:
-    """Find out how well the parameters are known, and sum up the fit."""
+    """Estimate the parameters' uncertainty, and summarise the fit."""
     problem = solution.problem
     loss, outcome, model = solution.result
-    # Where Π is learned, Newton's law fixes its scale.
+    # If Π is learned, Newton's law fixes its scale.
     parameters = fix_gauge(outcome.parameters, problem.vehicle, problem.free)
     quadratic = outcome.quadratic
     if quadratic is None or parameters is not outcome.parameters:
@@ -262,7 +262,8 @@ def judge(solution: Solution, began: float) -> Fit:
         indexing=problem.loss.encoder.indexing,
         fit=_conditions(solution),
         data=_hashes(problem.trajectories),
-        # The last two names of the path: a model file must not tell where its author's home is.
+        # Only the last two parts of the path: a model file must not reveal its author's home
+        # folder.
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
         delay_jitter=delay_jitter(solution.packets),
     )
@@ -330,7 +331,7 @@ def _conditions(solution: Solution) -> dict[str, Any]:
 
 
 def _hashes(trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """Return the hashes of all files; names that several recordings share get their folder's."""
+    """Return the hashes of all files; if recordings share a name, the key includes the folder."""
     names = [name for trajectory in trajectories for name in trajectory.hashes]
     found: dict[str, str] = {}
     for number, trajectory in enumerate(trajectories, start=1):

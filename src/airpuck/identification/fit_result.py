@@ -1,4 +1,4 @@
-"""What a fit found: in numbers for machines, in words for people."""
+"""Results of a fit: numbers for machines, sentences for people."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import lowest_slope
 
-#: A motor whose command stays within this range says nothing about its thrust.
+#: A motor whose command stays within this range reveals nothing about its thrust.
 _IDLE_RANGE = 0.02
 #: A recording whose own delay differs this much from the fitted one, and by more than a sample, has
 #: other clocks or another radio: three samples at 240 Hz [s].
@@ -38,28 +38,27 @@ class Fit(Result):
         The identified model.
     loss : float
         Mean squared weighted prediction error over windows, steps and channels, without any
-        regulariser; see `PredictionLoss`. Where the delay was learned, with retimed packets.
+        regulariser; see `PredictionLoss`. If the delay was learned, with retimed packets.
     history : tuple of Iteration
-        The iterations of all fits, one after the other.
+        The iterations of all fits, in order.
     converged : bool
         Whether the optimiser stopped by its own criterion.
     message : str
-        Why it stopped.
+        Reason for stopping.
     windows : int
-        Windows in the loss.
+        Number of windows in the loss.
     wall_s : float
-        Time it took [s].
+        Computing time [s].
     warnings : tuple of str
-        What to look at before trusting the model.
+        Issues to check before trusting the model.
     identifiability : Identifiability or None
-        What the data determine of the parameters; `identify` always finds it.
+        What the data determine about the parameters; `identify` always sets it.
     exclusion : Exclusion or None
-        The faults that were found and left out; None where they were not searched for.
+        The faults that were found and excluded; None if they were not searched for.
     packet_delays : tuple of PacketDelays
-        When single packets arrived, in each recording; empty where the delay was not learned.
+        Arrival times of single packets in each recording; empty if the delay was not learned.
     objective : PredictionLoss or None
-        What was minimised last: the windows, as prepared, and how much each counts; `identify`
-        always sets it.
+        The loss that was minimised last, with its windows and weights; `identify` always sets it.
     """
 
     JSON = (
@@ -108,7 +107,7 @@ class Fit(Result):
 
     @property
     def uncertainty(self) -> Uncertainty | None:
-        """How well the parameters are known; `identify` always finds it."""
+        """Accuracy of the parameters; `identify` always computes it."""
         return self.model.uncertainty
 
     @property
@@ -117,7 +116,7 @@ class Fit(Result):
         return self.history[-1].number
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
@@ -130,7 +129,7 @@ class Fit(Result):
 
 
 def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
-    """Return every parameter with its errors, by label; None where there is none."""
+    """Return every parameter with its errors, by label; None if there are no errors."""
     known, figures = model.known, {}
     labels = model.parameters.labels(model.vehicle.propeller_names)
     for entry, (label, value) in enumerate(zip(labels, model.parameters.to_vector(), strict=True)):
@@ -145,7 +144,7 @@ def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
 
 
 def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
-    """Return what the standard errors rest on."""
+    """Return a note on the basis of the standard errors."""
     if known is None:
         return None
     found: dict[str, Any] = {"clusters": known.clusters, "notes": list(known.notes)}
@@ -182,7 +181,7 @@ def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
 
 
 def _implausible_values(model: Model) -> list[str]:
-    """Name parameters at a bound, an inertia far from the nominal one and falling thrusts."""
+    """Name parameters at a bound, an inertia far from nominal, and falling thrust curves."""
     vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
     labels = model.parameters.labels(model.vehicle.propeller_names)
     at_bound = model.free & ((vector <= lower) | (vector >= upper))
@@ -213,7 +212,7 @@ def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]
 
 
 def outcome_words(fit: Fit) -> list[str]:
-    """Return sentences on how a fit ended and what it left out."""
+    """Return sentences on how a fit ended and what it excluded."""
     text = [
         f"{fit.model.name}: loss {fit.loss:.4e} after {fit.iterations} iterations "
         f"on {fit.windows} windows, {fit.wall_s:.1f} s ({fit.message})"
@@ -225,8 +224,9 @@ def outcome_words(fit: Fit) -> list[str]:
     if fit.exclusion is not None and fit.exclusion.share > 0:
         faults = sum(map(len, fit.exclusion.faults))
         text.append(
-            f"of that {faults} faults took {100 * fit.exclusion.share:.1f} % of the windows; "
-            "`airpuck faults` shows them, --faults keep keeps them"
+            f"excluded as faulty: {100 * fit.exclusion.share:.1f} % of the windows ({faults} "
+            "faults); "
+            "`airpuck faults` lists them, --faults keep includes them"
         )
     return text
 

@@ -15,9 +15,10 @@ from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.parameters import Parameters
 from airpuck.physics.thrust import lowest_slope, slope_rows
 
-#: Damping, relative to the curvature, above which steps are too short to say anything.
+#: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
-#: Distance from a bound that changes nothing, in units in which the Hessian has a unit diagonal.
+#: Distance from a bound that makes no difference, in units in which the Hessian has a unit
+#: diagonal.
 _TOUCHES = 1e-7
 
 
@@ -26,15 +27,15 @@ class LevenbergMarquardt:
     """Damped Gauss-Newton steps, each the solution of a small quadratic program.
 
     Every iterate respects the bounds and, with `monotone`, condition (thrust_cond): the thrust
-    curves rise on all of [0, 1]. The damping follows Nielsen's rule (Madsen, Nielsen and
-    Tingleff, "Methods for non-linear least squares problems", 2004).
+    curves rise on all of [0, 1]. The damping follows Nielsen's rule (Madsen, Nielsen and Tingleff,
+    "Methods for non-linear least squares problems", 2004).
 
     Attributes
     ----------
     max_iterations : int
-        Most evaluations after the first.
+        Largest number of evaluations after the first.
     tolerance : float
-        Stop when the next step promises to lower the loss by less than this fraction.
+        Stop when the predicted decrease of the loss falls below this fraction.
     monotone : bool
         Whether thrust curves must rise.
     damping : float
@@ -78,7 +79,7 @@ class LevenbergMarquardt:
             promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
             standstill = np.all(np.abs(step) <= 1e-14 + 1e-12 * np.abs(point))
             if promised <= self.tolerance * here.loss or standstill:
-                # A step that only the damping keeps short says nothing about the optimum.
+                # A step that is short only because of damping tells nothing about the optimum.
                 reason = "converged" if damping < _OVERDAMPED else "no step lowers the loss"
                 break
             there = loss.quadratic(parameters.with_vector(point + step))
@@ -101,7 +102,7 @@ class LevenbergMarquardt:
 
 
 class _StepProgram:
-    """The quadratic program of a step within the bounds, along which thrust curves rise."""
+    """The quadratic program of a step within the bounds that keeps thrust curves rising."""
 
     def __init__(
         self, parameters: Parameters, free: Bool[np.ndarray, " P"], *, monotone: bool
@@ -129,7 +130,7 @@ class _StepProgram:
             found = scale * _solve(
                 damped, gradient * scale, by_step, least, lower / scale, upper / scale
             )
-            # A solver stops just inside a bound: put it there.
+            # A solver stops just inside a bound: move the result onto it.
             found = np.where(found < lower + _TOUCHES * scale, lower, found)
             step[free] = np.where(found > upper - _TOUCHES * scale, upper, found)
             if not self._slopes.cut((point + step)[:n].reshape(self._shape)):
@@ -148,8 +149,8 @@ def _solve(
     step = np.linalg.solve(hessian, -gradient)
     if np.all(rows @ step >= least) and np.all(lower <= step) and np.all(step <= upper):
         return step
-    # The solver's tolerances are absolute: make the step of order one, and drop what it cannot
-    # reach, since huge numbers would drown it.
+    # The solver's tolerances are absolute: scale the step to order one, and drop unreachable
+    # bounds, whose huge numbers would swamp it.
     unit = float(np.linalg.norm(step))
     far = 1e6
     near = least / unit > -far
@@ -173,22 +174,22 @@ class SlopeConstraints:
     """Linear inequalities that keep thrust curves rising (prop:thrust), made where needed.
 
     F'(φ) ≥ 0 for all φ in [0, 1] is one linear inequality in the coefficients for every φ. The
-    ones at the ends are there from the start; `cut` adds the one at the minimum of a curve that
-    falls somewhere. A few cuts suffice, since a polynomial's slope has few minima.
+    inequalities at the ends always exist; `cut` adds one at the minimum of a curve that falls
+    somewhere. A few cuts suffice, since a polynomial's slope has few minima.
     """
 
-    #: Least slope [N].
+    #: Lowest allowed slope [N].
     margin = 1e-6
 
     def __init__(self, free: Bool[np.ndarray, "n degree"], monotone: bool = True) -> None:
         self._free = free
-        # A curve that is not free may fall: no step can mend it.
+        # A curve that is not free may fall: no step can correct it.
         self._mended = monotone & free.any(axis=1)
         propellers = range(len(free)) if monotone else ()
         self._points = [(i, speed) for i in propellers for speed in (0.0, 1.0)]
 
     def rows(self) -> Float[np.ndarray, "R entries"]:
-        """Return A such that the constraints read A c ≥ margin, c the flat coefficients."""
+        """Return A such that the constraints are A c ≥ margin; c are the flat coefficients."""
         return slope_rows(self._free, self._points)
 
     def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:

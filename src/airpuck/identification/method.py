@@ -1,4 +1,4 @@
-"""What optimisers take and return; continuing a fit with other data or other weights."""
+"""The interface of optimisers; continuing a fit with other data or other weights."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from airpuck.model.parameters import Parameters
 
 #: Degrees of freedom of the Student distribution; one is Cauchy's.
 _DEGREES = 1.0
-#: Weights between 0 and 2 are settled when none moves by more than this.
+#: Weights between 0 and 2 have converged when none moves by more than this.
 _SETTLED = 0.02
 _MOST_PASSES = 12
-#: Windows whose errors lie between these quantiles tell how the median of all follows θ.
+#: Windows whose errors lie between these quantiles determine how the median of all follows θ.
 _AROUND = (0.4, 0.6)
 
 
@@ -26,11 +26,11 @@ _AROUND = (0.4, 0.6)
 class Iteration:
     """One step of an optimiser."""
 
-    #: 0 is the start. A step of Levenberg-Marquardt, an epoch of Adam.
+    #: 0 is the start. Otherwise a step of Levenberg-Marquardt, or an epoch of Adam.
     number: int
     #: Prediction loss on the training windows.
     loss: float
-    #: The same on windows held out, where the optimiser holds some out.
+    #: The same on held-out windows, if the optimiser uses any.
     test_loss: float | None = None
 
 
@@ -38,15 +38,15 @@ class Iteration:
 class Outcome:
     """Result of an optimiser."""
 
-    #: The best ones found.
+    #: The best parameters found.
     parameters: Parameters
     #: Their prediction loss, without any regulariser.
     loss: float
-    #: The way there, beginning with the start.
+    #: Iterations, beginning with the start.
     history: tuple[Iteration, ...]
     #: Whether the optimiser stopped by its own criterion.
     converged: bool
-    #: Why it stopped.
+    #: Reason for stopping.
     message: str
     #: The loss that was minimised, at `parameters`; None where the optimiser does not evaluate it.
     quadratic: Quadratic | None = None
@@ -74,13 +74,13 @@ def minimize_on(
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Outcome:
-    """Go on from an optimum with another loss, and with the count of iterations."""
+    """Continue from an optimum with another loss, and continue counting iterations."""
 
     def renumbered(step: Iteration) -> Iteration:
         return replace(step, number=outcome.history[-1].number + step.number)
 
     def report(step: Iteration) -> None:
-        if step.number:  # its start is the end of the last fit, which was reported
+        if step.number:  # its start is the end of the last fit, which was already reported
             progress(renumbered(step))
 
     after = method.minimize(loss, outcome.parameters, free, report)
@@ -94,12 +94,12 @@ def reweighted(
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> tuple[PredictionLoss, Outcome]:
-    """Fit again and again, each window weighted by how well the last fit predicts it.
+    """Fit repeatedly, with each window weighted by how well the last fit predicts it.
 
-    With s the mean squared weighted error of a window and σ² the median of all, a window counts
-    (ν + 1)/(ν + s/σ²): what Student's distribution of ν degrees of freedom asks for (Holland and
-    Welsch, Communications in Statistics A 6, 1977). A window whose error is ten times the median's
-    counts a hundredth of one without error.
+    With s the mean squared weighted error of a window and σ² the median over all windows, a window
+    gets the weight (ν + 1)/(ν + s/σ²), from Student's distribution with ν degrees of freedom
+    (Holland and Welsch, Communications in Statistics A 6, 1977). If a window's error is ten times
+    the median, its weight is a hundredth of that of a window without error.
     """
     weight, settled = np.ones(len(loss.windows)), False
     weighted, counted = loss, loss.multiplicity
@@ -119,7 +119,7 @@ def reweighted(
 
 
 def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
-    """Return how much each window counts, each time that the loss counts it."""
+    """Return the weight of each window, per count in the loss."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
     errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
@@ -137,11 +137,11 @@ def student_weights(
 def information_of_weights(
     square: Float[np.ndarray, " W"], gradient: Float[np.ndarray, "W P"]
 ) -> Float[np.ndarray, "P P"]:
-    """Return what weights that follow the parameters add to the information H = Σ w Hᵢ / Σ w.
+    """Return the contribution of parameter-dependent weights to the information H = Σ w Hᵢ / Σ w.
 
     The weighted score Σ w ∇s changes with θ as Σ w ∇∇ᵀs + Σ ∇s (∂w/∂θ)ᵀ, where w = w(s/σ²) and σ²,
-    the median of all s, moves with the windows around it. Windows that begin to be predicted badly
-    count less: the second sum is negative.
+    the median of all s, moves with the windows around it. Windows whose predictions get worse lose
+    weight: the second sum is negative.
     """
     weight, typical = student_weights(square), _typical(square)
     low, high = np.quantile(square, _AROUND)

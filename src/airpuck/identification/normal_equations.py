@@ -1,14 +1,14 @@
 """The Gauss-Newton approximation of the prediction loss: r'r, J'r and J'J of a batch of windows.
 
-Sensitivities of the prediction are propagated forward beside the state and summed up inside the
-time loop: what leaves it is a number, a vector and a small matrix, whatever the number of windows.
-The equations of motion are not differentiated by hand: at each Runge-Kutta stage JAX gives the
-local Jacobian of the accelerations, in forward mode, by the thrusts instead of the many
-coefficients behind them, which the polynomials' powers add.
+Sensitivities of the prediction are propagated forward with the state and summed up inside the time
+loop, which returns a number, a vector and a small matrix, whatever the number of windows. The
+equations of motion are not differentiated by hand. At each Runge-Kutta stage JAX computes the local
+Jacobian of the accelerations in forward mode. It differentiates with respect to the thrusts instead
+of the many coefficients behind them; the powers of the polynomials are applied afterwards.
 
-For speed (`airpuck.compute.compiled`) the batch is the last axis throughout, the sensitivities of
-yaw and of velocities are kept apart, and the direct effects of the local coordinates are added in
-place, each kind to its own part.
+For speed (`airpuck.compute.compiled`), the batch is the last axis throughout, the sensitivities of
+yaw and of velocities are kept separate, and the direct effects of the local coordinates are added
+in place, each kind to its own part.
 """
 
 from __future__ import annotations
@@ -49,23 +49,23 @@ def normal_equations(
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
     `lengths` are E and T. Local coordinates are the thrust coefficients, K directions of Π and the
-    effects, the centre of mass where it acts beside Π, τ and how much it grows at standstill, and
-    the transport delay.
+    effects, the centre of mass if it acts beside Π, τ and its increase at standstill, and the
+    transport delay.
 
-    Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
-    of each.
+    The function is long because its inner functions share a dozen traced arrays, which would
+    otherwise be arguments of each.
     """
     coefficients, linear, center, lag_values = dynamics
     tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
-    # The lag does not follow the delay, the last local coordinate.
+    # The lag does not depend on the delay, the last local coordinate.
     by_lag, (before, ahead) = jnp.eye(lags + 1, lags), lengths
 
     past = gather_past(jnp, time, state, command, starts, before)
     past_slope = gather_past(jnp, time, state, command_slope, starts, before).command
 
     def with_delay(slope: Any) -> Any:
-        """Return the derivative of a command by lag and delay."""
+        """Return the derivative of a command with respect to lag and delay."""
         return jnp.stack([*[jnp.zeros_like(slope)] * lags, slope])
 
     def encode(values: Any, command: Any) -> Any:
@@ -81,7 +81,7 @@ def normal_equations(
         return jnp.stack(acceleration(jnp, model, motion, force))
 
     def local(force: Any, motion: Any) -> tuple[Any, list[Any]]:
-        """Accelerations, and their derivatives by each argument of `accelerate`, (3, ·, B)."""
+        """Accelerations, and derivatives by each argument of `accelerate`, (3, ·, B)."""
         point = force, linear, center, motion
         each = jnp.ones(batch)
         along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), jnp.eye(4)[..., None] * each
@@ -99,7 +99,7 @@ def normal_equations(
     sizes = (coefficients.size, len(basis[0]), 2, lags + 1)
     edges = list(accumulate(sizes, initial=0))
 
-    # Compiled in itself only so that it is traced once for all four stages.
+    # Compiled separately so that it is traced only once for all four stages.
     @jax.jit
     def rates(
         motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any
@@ -132,7 +132,7 @@ def normal_equations(
         now = starts + before - 1 + k
         held, h = command[now].T, time[now + 1] - time[now]
         d_held = with_delay(command_slope[now].T)
-        # As in `airpuck.physics.rollout.step`, with every quantity beside its sensitivities.
+        # As in `airpuck.physics.rollout.step`, with the sensitivities of every quantity.
         begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
         middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
         k1, a1 = rates(motion, d_yaw, d_velocity, *begin)
@@ -181,5 +181,5 @@ def normal_equations(
 
 @cache
 def compiled_normal_equations() -> Callable[..., tuple[Any, Any, Any]]:
-    """Compile `normal_equations`; the last three arguments must have hashes."""
+    """Compile `normal_equations`; the last three arguments must be hashable."""
     return for_batches(normal_equations, static_argnames=("encoder", "lengths", "frame"))

@@ -25,15 +25,17 @@ from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.parameters import Parameters
 from airpuck.physics.rigid_body import CenterOfMassFrame, register_pytrees
 
-#: Windows handled at once: large enough to fill vector units, small enough for the cache, and few
-#: enough that a block of two seconds fills one (`airpuck.identification.uncertainty`).
+#: Number of windows handled at once: large enough to fill vector units, small enough for the cache,
+#: and few enough that a block of two seconds fills one batch
+#: (`airpuck.identification.uncertainty`).
 BATCH = 64
-#: Recordings up to this many samples, a minute at 240 Hz, share a program: samples that it does not
-#: read cost nothing.
+#: Recordings up to this many samples, a minute at 240 Hz, share a program: unused samples cost
+#: nothing.
 _SHORTEST = 1 << 14
-#: Of how many windows on it is twice as many: an eighth less time each, for another program.
+#: Number of windows above which the batch size doubles: an eighth less time for each, but another
+#: program to compile.
 _LARGE = 10_000
-#: Of how many windows on, and how far, `PredictionLoss.thinned` thins them out.
+#: Number of windows above which `PredictionLoss.thinned` drops some, and the factor.
 _MANY, _THINNED = 1000, 4
 
 
@@ -77,23 +79,23 @@ class PredictionLoss:
     Attributes
     ----------
     windows : Windows
-        What to predict.
+        Windows to predict.
     vehicle : Vehicle
         The craft.
     encoder : StateEncoder
-        Where predictions start from.
+        Encoder that gives the initial state of predictions.
     weights : tuple of float
         w, for x, y [1/m] and γ [1/rad].
     frame : {"body", "world"}
-        Where the offset of the centre of mass is constant.
+        The frame in which the offset of the centre of mass is constant.
     multiplicity : array, shape (W,), or None
-        How often each window counts; None: once. For resampling; Adam does not know it.
+        How often each window counts, for resampling; None: once. Adam ignores it.
     continuous_delay : bool
         Whether commands act after the transport delay in θ, each step under their mean
-        (`Windows.delayed`); or as the windows hold them, by whole samples, whatever θ says. Adam
-        does not know it.
+        (`Windows.delayed`). Otherwise they act as the windows hold them, by whole samples, whatever
+        θ says. Adam ignores it.
     clusters : array of int, shape (W,), or None
-        The cluster that each window belongs to, 0 … G-1, for `quadratic`; None: all to one.
+        The cluster of each window, 0 … G-1, for `quadratic`; None: a single cluster.
     """
 
     windows: Windows
@@ -107,9 +109,10 @@ class PredictionLoss:
 
     @property
     def thinned(self) -> PredictionLoss:
-        """Every fourth window where there are many; itself where there are few.
+        """Every fourth window if there are many; otherwise the loss itself.
 
-        A quarter of the cost, and nearly all of the information: neighbours overlap.
+        This takes a quarter of the time and keeps nearly all of the information: neighbours
+        overlap.
         """
         if len(self.windows) < _MANY:
             return self
@@ -132,7 +135,7 @@ class PredictionLoss:
         Returns
         -------
         Windows
-            With commands held for this delay, where it is continuous.
+            With commands held for this delay, if it is continuous.
         """
         if not self.continuous_delay:
             return self.windows
@@ -140,7 +143,7 @@ class PredictionLoss:
         return self.windows.delayed(float(parameters.transport_delay), assumed)
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
-        """Evaluate the loss and its Gauss-Newton approximation, in one pass over the windows.
+        """Evaluate the loss and its Gauss-Newton approximation in one pass over the windows.
 
         Parameters
         ----------
@@ -150,7 +153,7 @@ class PredictionLoss:
         Returns
         -------
         Quadratic
-            With respect to ``parameters.to_vector()``.
+            Derivatives are with respect to ``parameters.to_vector()``.
         """
         square, score, curvature, owner, local = self._passed(parameters)
         scale = 1 / (3 * self.windows.prediction_length * self._counted.sum())
@@ -163,7 +166,7 @@ class PredictionLoss:
     def window_gradients(
         self, parameters: Parameters
     ) -> tuple[Float[np.ndarray, " W"], Float[np.ndarray, "W P"]]:
-        """Evaluate each window alone, however much it counts.
+        """Evaluate each window separately, regardless of its weight.
 
         Parameters
         ----------
@@ -197,7 +200,8 @@ class PredictionLoss:
         dynamics = (parameters.thrust, values, parameters.center_of_mass, lag)
         samples = (windows.time, windows.state, windows.input, slope)
         with double_precision():
-            # Put, not made by jax.numpy, which would compile a program for each shape.
+            # Copy to the device; creating the array with jax.numpy would compile a program for each
+            # shape.
             model, data, weights = jax.device_put(
                 (
                     (dynamics, slopes),
@@ -227,14 +231,14 @@ class PredictionLoss:
         return np.ones(len(self.windows)) if self.multiplicity is None else self.multiplicity
 
     def _batches(self) -> tuple[list[_Batch], list[int]]:
-        """Split the windows that count into batches, and return the cluster of each batch."""
+        """Split the windows with weight into batches, and return the cluster of each batch."""
         clusters, counted = self.clusters, self._counted
         if clusters is None:
             clusters = np.zeros(len(self.windows), dtype=int)
         batches, owner = [], []
         starts = self.windows.starts
         most = BATCH if len(starts) < _LARGE else 2 * BATCH
-        # One size, so that one program serves all; what is missing counts zero times.
+        # Batches of one size share one program; padding counts zero times.
         size = min(most, 1 << (len(starts) - 1).bit_length())
         for cluster in range(int(clusters.max()) + 1):
             members = np.flatnonzero((clusters == cluster) & (counted > 0))
@@ -257,15 +261,15 @@ def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G 
 def _linear_basis(
     parameters: Parameters, vehicle: Vehicle
 ) -> tuple[tuple[Any, Any], tuple[Any, Any], Int[np.ndarray, " K"]]:
-    """Return Π and the effects, d/dθ of both for the entries of θ that move them, and these.
+    """Return Π and the effects, d/dθ of both by the entries of θ that move them, and these.
 
-    By complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
+    With complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
     SIAM Review 40, 1998).
     """
 
     def at(vector: Any) -> tuple[Any, Any]:
         dynamics = parameters.with_vector(vector).dynamics(np, vehicle)
-        # The motors' lag is no part of the accelerations.
+        # The motors' lag is not part of the accelerations.
         effects = tuple(e for e in dynamics.effects if e.idle_lag is None)
         return dynamics.configuration, effects
 
@@ -285,9 +289,8 @@ def _local_coordinates(
 ) -> Float[np.ndarray, "L P"]:
     """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by.
 
-    These are the thrust coefficients, the K directions of Π and the effects, the centre of mass
-    where it acts beside Π, the time constant, the idle lag where there is one, and the transport
-    delay.
+    These are the thrust coefficients, the K directions of Π and the effects, the centre of mass if
+    it acts beside Π, the time constant, the idle lag if the model has one, and the transport delay.
     """
     last = ("center_of_mass", "motor_time_constant", "idle_lag", "transport_delay")
     thrust, *others = (parameters.mask(frozenset({name})) for name in ("thrust", *last))

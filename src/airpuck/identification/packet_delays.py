@@ -1,7 +1,8 @@
-"""When single packets arrived: how much later or earlier than the transport delay says.
+"""Arrival times of single packets: how much later or earlier than the transport delay.
 
-A packet that switches motors leaves its arrival in the poses: late by δ, it leaves the craft slower
-by δ times the change of acceleration. Packet by packet δ is found by regression.
+The arrival of a packet that switches motors is visible in the poses. If the packet is late by δ,
+the craft ends up slower by δ times the change of acceleration. A regression estimates δ for each
+packet.
 """
 
 from __future__ import annotations
@@ -22,22 +23,23 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import acceleration
 
-#: Time before the expected arrival and in all, which the motors' answer fits in [s].
+#: Time before the expected arrival, and total time, long enough for the motors' response [s].
 _LEAD, _LENGTH = 8 / 240, 32 / 240
-#: Least change of a command that switches a motor.
+#: Smallest change of a command that switches a motor.
 _SWITCH = 0.1
-#: Largest standard error of a packet's delay that says something about it [s].
+#: Largest useful standard error of a packet's delay [s].
 _KNOWN = 4e-3
-#: Packets later or earlier than this were lost, or their motors did not answer [s].
+#: Packets later or earlier than this were lost, or their motors did not respond [s].
 _LOST = 0.06
-#: How much other packets nearby are thought to be off, in standard deviations [s]; how long before
-#: the window they still matter [s], and how many at most on either side.
+#: Assumed error of other packets nearby, as a standard deviation [s]; how long before the window
+#: they still matter [s]; and the largest number on either side.
 _USUAL, _BEFORE, _MOST = 0.01, 0.03, 16
-#: By how much each motor's thrust, and the inertia, may be wrong in a window, standard deviation.
+#: Assumed relative errors of each motor's thrust and of the inertia in a window, as standard
+#: deviations.
 _SHARE = 0.03
-#: Times the typical misfit from which something else than a late packet was going on.
+#: Multiple of the typical misfit above which something else happened besides a late packet.
 _MISFIT = 9.0
-#: Step of the difference quotients of speed, and passes of Gauss-Newton.
+#: Step of the difference quotients of speed, and number of Gauss-Newton iterations.
 _STEP, _PASSES = 1e-6, 3
 #: Squared densities of the disturbance to try, per variance of the pose [1/s³].
 _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
@@ -45,13 +47,13 @@ _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
 
 @dataclass(frozen=True, eq=False)
 class PacketDelays:
-    """When packets arrived, against the mean delay."""
+    """Arrival times of packets relative to the mean delay."""
 
-    #: Number of each packet in ``Trajectory.command``, increasing.
+    #: Indices of the packets in ``Trajectory.command``, increasing.
     packet: Int[np.ndarray, " B"]
     #: Arrival minus the arrival that the model's delay predicts [s].
     deviation: Float[np.ndarray, " B"]
-    #: Of the deviation, from the noise of the poses and what the model does not explain [s].
+    #: Standard error of the deviation, from the noise of the poses and unmodelled motion [s].
     standard_error: Float[np.ndarray, " B"]
 
     def __len__(self) -> int:
@@ -62,16 +64,16 @@ _NONE = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
 
 
 def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
-    """Estimate when packets arrived, from the poses around those that switched a motor.
+    """Estimate packet arrival times from the poses around packets that switched a motor.
 
     Over the samples around an arrival the poses are
 
         y = p + v t + ∬ a + Σⱼ δⱼ ∬ ∂a/∂δⱼ + noise,
 
-    a the modelled accelerations along the measured yaw; p, v and the δ of all packets nearby are
-    unknown. Those get a prior of 10 ms, which is taken out of what is returned. The noise is that
-    of the poses and of white accelerations that the model does not explain, both as large as the
-    residuals of the recording say (maximum likelihood).
+    where a are the modelled accelerations along the measured yaw; p, v and the δ of all packets
+    nearby are unknown. The δ get a prior of 10 ms, which is removed from the results. The noise is
+    that of the poses and of white accelerations that the model does not explain; both sizes are
+    fitted to the residuals of the recording (maximum likelihood).
     """
     near = _surroundings(trajectory, model)
     if near is None:
@@ -81,7 +83,7 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
     for _ in range(_PASSES - 1):
         late[found.packet] = np.clip(found.late, -_LOST, _LOST)
         found = _regressed(near, late, found)
-    # What the data say without the prior.
+    # Estimates without the prior.
     gain = np.maximum(found.gain, 1e-12)
     error, deviation = np.sqrt(found.variance / gain), found.late / gain
     good = found.usual & (np.abs(deviation) < _LOST) & (error < _KNOWN)
@@ -94,7 +96,7 @@ def delay_response(
     delays: PacketDelays,
     modelled: Float[np.ndarray, "P N 3"],
 ) -> Float[np.ndarray, "P B"]:
-    """Return by how much the delays that are found change with the modelled accelerations."""
+    """Return the derivative of the estimated delays with respect to the modelled accelerations."""
     near = _surroundings(trajectory, model)
     if near is None or not len(delays):
         return np.zeros((len(modelled), len(delays)))
@@ -108,7 +110,7 @@ def delay_response(
 
 
 def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
-    """Return the samples around all switches; None where no delay of a packet can be found."""
+    """Return the samples around all switches; None if no packet's delay can be estimated."""
     if not float(model.dynamics.motor_time_constant) > 0:
         return None
     shift = trajectory.delay
@@ -126,7 +128,7 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
 
 
 class _Surroundings:
-    """The samples around B switches, and what the model says of them and of m packets nearby."""
+    """The samples around B switches, with the model's prediction and its m packets nearby."""
 
     def __init__(
         self,
@@ -137,7 +139,7 @@ class _Surroundings:
         packet: Int[np.ndarray, " B"],
         first: Int[np.ndarray, " B"],
     ) -> None:
-        #: Samples, (E, B).
+        #: Indices of the samples, (E, B).
         length = trajectory.steps(_LENGTH)
         self.index = index = first + np.arange(length)[:, None]
         time = trajectory.time[index]
@@ -154,7 +156,7 @@ class _Surroundings:
         )
         near = packet + np.arange(-before, after + 1)[:, None]
         there = (near >= 0) & (near < len(arrival))
-        #: Numbers of the packets nearby, (m, B).
+        #: Indices of the packets nearby, (m, B).
         self.packet = np.clip(near, 0, len(arrival) - 1)
         self._change = np.moveaxis(change[self.packet] * there[..., None], -1, 0)
         self._since = time[:, None] - arrival[self.packet]
@@ -163,16 +165,16 @@ class _Surroundings:
     def linearised(
         self, late: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "E 3 B"], Float[np.ndarray, "E 3 m B"]]:
-        """Return poses less predicted ones, up to a line, and accelerations by each unknown.
+        """Return poses minus predicted ones, up to a line, and accelerations per unknown.
 
-        These are each δ, and the relative excess strength of each motor and of all moments.
+        The unknowns are each δ, and the relative excess strength of each motor and of all moments.
         """
         since = self._since - late[self.packet]
         answer = self._answer(since)
         speed = self._speed + np.einsum("nmb,emb->enb", self._change, answer - self._answered)
         modelled = self._accelerations(speed)
         predicted = twice_integrated(modelled, self._duration)
-        # A packet that comes later takes away what the motors gain at this moment.
+        # A packet that arrives later removes what the motors gain at this moment.
         gain = np.where(since > 0, answer - 1, 0) / self._lag
         steps = _STEP * np.eye(speed.shape[1])[..., None]
         by_speed = [(self._accelerations(speed + step) - modelled) / _STEP for step in steps]
@@ -194,7 +196,7 @@ class _Surroundings:
 
 
 class _Components:
-    """Components of E poses in which noise is uncorrelated and no line is left.
+    """Components of E poses in which noise is uncorrelated and straight lines are removed.
 
     Their variance is r (1 + λ d) for poses of variance r and accelerations of squared density λ r.
     """
@@ -214,11 +216,11 @@ class _Components:
     def of_accelerations(
         self, values: Float[np.ndarray, "E *shape"]
     ) -> Float[np.ndarray, "k *shape"]:
-        """Return the components of the poses that accelerations lead to."""
+        """Return the components of the poses that result from accelerations."""
         return np.tensordot(self._matrix @ self._integral, values, 1)
 
     def variances(self, rest: Float[np.ndarray, "k 3 B"]) -> Float[np.ndarray, "k 3"]:
-        """Find the most likely variance of every component, alike for x and y."""
+        """Find the most likely variance of every component, the same for x and y."""
         power = np.mean(rest**2, axis=2)
         growth = 1 + _RATIOS[:, None] * self._spectrum
         found = []
@@ -250,25 +252,25 @@ class _Regression:
         score[:, : self._m] -= _USUAL**-2 * late.T
         solution, self._covariance = solved(information, score, np.diag(precision))
         step = solution.T
-        #: What is left of the residuals, (k, 3, B).
+        #: Remaining residuals, (k, 3, B).
         self.rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
         misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
-        #: Where nothing else was going on, (B,).
+        #: Whether nothing else happened, (B,).
         self.where_usual = misfit < _MISFIT * np.median(misfit)
-        # Each packet where it is known best.
+        # Each packet, from the window that determines it best.
         spread = np.diagonal(self._covariance, axis1=1, axis2=2).T[: self._m]
         order = np.argsort(spread, axis=None, kind="stable")
-        #: Numbers of the D packets, increasing.
+        #: Indices of the D packets, increasing.
         self.packet, first = np.unique(packet.ravel()[order], return_index=True)
         self._best = row, column = np.unravel_index(order[first], spread.shape)
-        #: Of each packet: delay [s], its variance [s²], and whether the estimate is reliable.
+        #: For each packet: delay [s], its variance [s²], and whether the estimate is reliable.
         self.late, self.variance = (late + step[: self._m])[row, column], spread[row, column]
         self.usual = self.where_usual[column]
-        #: What share of a delay is found; the prior takes the rest.
+        #: Fraction of a delay that is recovered; the prior removes the rest.
         self.gain = 1 - self.variance / _USUAL**2
 
     def response(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "P D"]:
-        """Return by how much the delays, without the prior, change with the residuals."""
+        """Return the derivative of the delays, without the prior, with respect to the residuals."""
         across = np.swapaxes(self._rows, 1, 2)
         change = self._covariance[:, : self._m] @ (across @ self._aim(residual))
         row, column = self._best
@@ -283,7 +285,7 @@ class _Regression:
 def _regressed(
     near: _Surroundings, late: Float[np.ndarray, " K"], before: _Regression | None = None
 ) -> _Regression:
-    """Regress at other delays of all packets; the noise is that which a regression before left."""
+    """Repeat the regression with other delays of all packets and the same noise."""
     components = near.components
     residual, slope = near.linearised(late)
     residual, slope = components.of_poses(residual), components.of_accelerations(slope)

@@ -36,7 +36,7 @@ class Problem:
     trajectories: tuple[Trajectory, ...]
     rung: Rung
     vehicle: Vehicle = field(default_factory=default_vehicle)
-    #: Where to start; None: at the vehicle's nominal values.
+    #: Initial parameters; None: the vehicle's nominal values.
     initial: Parameters | None = None
     loss: Loss = field(default_factory=Loss)
     method: Method = field(default_factory=LevenbergMarquardt)
@@ -47,7 +47,7 @@ class Problem:
     def of(
         cls, trajectories: Trajectory | Sequence[Trajectory], model: str | Rung, **options: Any
     ) -> Problem:
-        """Pose a problem; what is None among the other fields takes its default."""
+        """Pose a problem; other fields that are None take their defaults."""
         trajectories = as_trajectories(trajectories)
         rung = named_rung(model) if isinstance(model, str) else model
         given = {name: value for name, value in options.items() if value is not None}
@@ -77,7 +77,7 @@ class Problem:
 
     @property
     def excludes_faults(self) -> bool:
-        """Whether faults are searched for and left out."""
+        """Whether faults are searched for and excluded."""
         default = "exclude" if self._delays_known else "keep"
         wanted = (self.preparation.faults or default) == "exclude"
         return wanted and self.loss.prediction_time is not None
@@ -116,19 +116,19 @@ class Problem:
         )
 
     def model(self, parameters: Parameters) -> Model:
-        """Return the model that parameters make up."""
+        """Return the model with these parameters."""
         return Model(self.rung.name, self.vehicle, parameters, self.free, self.rung.frame)
 
 
 def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
-    """Return the transport delay that preprocessing found, in whole samples [s]."""
+    """Return the transport delay found by preprocessing, in whole samples [s]."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
 
 
-#: Largest share of the windows that faults may take; if more, the model is wrong instead.
+#: Largest fraction of the windows that faults may take; beyond it the model must be wrong.
 MOST = 0.5
-#: Time constants of the motors after which an encoder knows their speeds again.
+#: Number of motor time constants after which an encoder knows the motor speeds again.
 _SETTLING = 3.0
 
 
@@ -140,9 +140,10 @@ class Exclusion:
     trajectories: tuple[Trajectory, ...]
     #: The faults found in each recording.
     faults: tuple[tuple[Span, ...], ...]
-    #: Share of the windows that they took.
+    #: Fraction of the windows that they took.
     share: float
-    #: Names recordings that lost too many windows to be plausible: these keep all.
+    #: Names recordings with an implausible fraction of faulty windows; all of their windows are
+    #: kept.
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -161,7 +162,7 @@ class Exclusion:
 def exclude_faults(
     trajectories: Sequence[Trajectory], model: Model, length: int, stride: int
 ) -> Exclusion:
-    """Find the faults of recordings, and leave them out until the motors have caught up."""
+    """Find the faults of recordings, and exclude them until the motors have settled."""
     settling = _SETTLING * float(model.dynamics.motor_time_constant)
     kept, found, warnings = [], [], []
     before = after = 0

@@ -1,4 +1,4 @@
-"""A puck from its recording: drag, and how it bounces."""
+"""Identification of a puck from recordings: drag, and bounces."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ from airpuck.physics.puck import Disc, strike
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.stream import Recording
 
-#: A contact is where paths before and after it meet, so near to a rail or a body [m].
+#: At a contact, the paths before and after meet this near to a rail or a body [m].
 _NEAR = 0.012
-#: Longest time between two flights that a contact parts [s].
+#: Longest time between two flights separated by a contact [s].
 _BETWEEN = 0.1
-#: Poses of a body so near to a contact tell its velocity [s].
+#: Time around a contact from which poses give a body's velocity [s].
 _AROUND = 0.03
-#: Slower bounces tell little [m/s].
+#: Slower bounces carry little information [m/s].
 _SLOWEST = 0.1
-#: Velocities after a bounce scatter by this share of the speed, if by nothing else.
+#: Scatter of velocities after a bounce, relative to the speed, apart from other errors.
 _SCATTER = 0.005
 #: Fewest bounces from which a number is identified.
 _FEWEST = 3
-#: Bounces that are off by more robust standard deviations than this are left out.
+#: Bounces that deviate by more robust standard deviations than this are excluded.
 _OUTLIER = 4.0
 _TOO_LITTLE = "the puck barely moves; record some seconds of shots and bounces"
-#: Which bounces tell what.
+#: Which bounces determine which number.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
-#: Worst standard errors with which a number counts as identified.
+#: Largest standard errors with which a number counts as identified.
 _WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
 
 
 @dataclass(frozen=True, eq=False)
 class Bounce:
-    """One bounce off a rail: velocities along normal and tangent [m/s], spins [rad/s]."""
+    """One bounce off a rail: normal and tangential velocities [m/s], angular velocities [rad/s]."""
 
     before: Float[np.ndarray, " 3"]
     after: Float[np.ndarray, " 3"]
     #: Standard deviation of the velocities after it [m/s].
     deviation: float
-    #: By how much it happened farther out than the rail should be [m].
+    #: How far outside the expected rail position it happened [m].
     beyond: float
 
 
@@ -63,15 +63,15 @@ class PuckFit:
     Attributes
     ----------
     play : AirHockey
-        Table and puck, with standard errors of what was identified.
+        Table and puck, with standard errors of the identified numbers.
     flights, seconds : int, float
-        Flights used, and their length [s].
+        Number of flights used, and their total time [s].
     bounces : dict of str to int
-        Bounces used, off rails, mallet and craft.
+        Number of bounces used, off rails, mallet and craft.
     noise_m : float
         Standard deviation of a measured position [m].
     notes : tuple of str
-        What was not identified, and what is odd.
+        Numbers that were not identified, and anomalies.
     """
 
     play: AirHockey
@@ -82,12 +82,12 @@ class PuckFit:
     notes: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
         dict
-            Numbers of the puck with their standard errors (None: assumed), and what they rest on.
+            The puck's numbers with standard errors (None: assumed), and their basis.
         """
         puck, errors = self.play.puck, self.play.puck.standard_error
         return {
@@ -117,19 +117,20 @@ def identify_puck(
     play: AirHockey | None = None,
     vehicle: Vehicle | None = None,
 ) -> PuckFit:
-    """Identify drag and bounces of a puck from recordings of it.
+    """Identify drag and bounces of a puck from recordings.
 
-    Flights between contacts are fitted together with one drag, bounces with the law of contact that
-    the twin has. Where craft (``pose``) or mallet were recorded, their restitution is found, too.
+    Flights between contacts are fitted together with one drag, and bounces with the twin's law of
+    contact. If craft (``pose``) or mallet were recorded, their restitution is identified, too.
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        With a stream ``puck``.
+        Recordings with a stream ``puck``.
     play : AirHockey, optional
-        Sizes of table and puck, and what cannot be identified; by default the usual ones.
+        Dimensions of table and puck, and values that cannot be identified; by default the usual
+        ones.
     vehicle : Vehicle, optional
-        The craft, where it was recorded; by default the paper's.
+        The craft, if it was recorded; by default the paper's.
 
     Returns
     -------
@@ -159,7 +160,7 @@ def identify_puck(
         raise InputError(_TOO_LITTLE, file=listed[0].source)
     noise = np.median(noises, axis=0)
     lines, drag, error, used = fit_flights(flights, noise, rates)
-    # What an earlier identification knew is kept.
+    # Results of an earlier identification are kept.
     puck, errors, notes = play.puck, dict(play.puck.standard_error), list[str]()
     for name, axis, little in (("drag_1_s", 0, "moves"), ("spin_drag_1_s", 2, "spins")):
         if error[axis] < _WORST["drag"]:
@@ -200,7 +201,7 @@ def identify_puck(
 def _poses(
     recording: Recording, stream: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Return times [s] and poses in order, the yaw continuous."""
+    """Return times [s] and poses in order, with continuous yaw."""
     logged = recording[stream]
     first = recording["puck"].stamp_ns[0]
     time = (logged.stamp_ns - first) / SECOND_NS
@@ -214,7 +215,7 @@ def _poses(
 def _pairs(
     lines: list[Line], used: np.ndarray, parts: list[int]
 ) -> list[tuple[tuple[Line, Line], int]]:
-    """Return flights that follow each other, and the number of their recording."""
+    """Return consecutive flights, and the index of their recording."""
     part = np.repeat(np.arange(len(parts)), parts)
     return [
         ((lines[i], lines[j]), int(part[i]))
@@ -240,7 +241,7 @@ def _meeting(before: Line, after: Line, axis: Float[np.ndarray, " 2"]) -> float 
 
 
 def _rail_bounce(play: AirHockey, before: Line, after: Line) -> Bounce | None:
-    """Return the bounce between two flights, if it was off one rail."""
+    """Return the bounce between two flights if it was off a single rail."""
     for axis, reach in enumerate(play.table.reach(play.puck.radius_m)):
         normal = np.eye(2)[axis]
         time = _meeting(before, after, normal)
@@ -253,7 +254,7 @@ def _rail_bounce(play: AirHockey, before: Line, after: Line) -> Bounce | None:
         mouth = axis == 0 and abs(other) < play.table.goal_width_m / 2 + play.puck.radius_m
         if abs(beyond) > _NEAR or mouth or side * old[axis] < _SLOWEST or side * new[axis] > 0:
             continue
-        # The normal leads into the table; the tangent is the normal turned by 90°.
+        # The normal points into the table; the tangent is the normal turned by 90°.
         nx, ny = -side * normal
         turn = np.array([[nx, ny, 0], [-ny, nx, 0], [0, 0, 1]])
         deviation = float(np.hypot(before.deviation[0], after.deviation[0]))
@@ -264,12 +265,12 @@ def _rail_bounce(play: AirHockey, before: Line, after: Line) -> Bounce | None:
 def _fit_rail(
     puck: Puck, bounces: list[Bounce]
 ) -> tuple[Contact, dict[str, float], int, list[str]]:
-    """Fit restitution, grip and friction to bounces by the law of contact."""
+    """Fit restitution, grip and friction to bounces, using the law of contact."""
     from scipy.optimize import least_squares
 
     law, notes = puck.rail, list[str]()
     if len(bounces) < _FEWEST:
-        notes.append(f"{len(bounces)} bounces off rails: how it bounces there is assumed")
+        notes.append(f"{len(bounces)} bounces off rails: bounces off rails are assumed")
         return law, {}, len(bounces), notes
 
     def residuals(values: Float[np.ndarray, " 3"], among: list[Bounce]) -> Float[np.ndarray, " n"]:
@@ -279,7 +280,7 @@ def _fit_rail(
 
     bounds = ([0.0, 0.0, 0.0], [1.0, 1.0, 5.0])
     options: dict[str, Any] = {"bounds": bounds, "diff_step": 1e-4}
-    # Cone and grip make valleys of their own; the assumed ones come first.
+    # Cone and grip each create local minima; the assumed values are tried first.
     starts = [(law.grip, law.friction), *product((0.3, 0.8), (0.05, 0.15, 0.5))]
     tried = [
         least_squares(
@@ -316,7 +317,7 @@ def _fit_rail(
 def _clustered_errors(
     jacobian: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " 3"]:
-    """Return standard errors; each bounce is a cluster, since it scatters as it likes."""
+    """Return standard errors; each bounce is a cluster, since its scatter is arbitrary."""
     normal = jacobian.T @ jacobian
     # A number that no bounce depends on has no error.
     known = np.diag(normal) > 1e-9
@@ -332,7 +333,7 @@ def _clustered_errors(
 
 
 def _off(puck: Puck, law: Contact, bounce: Bounce) -> Float[np.ndarray, " 2"]:
-    """Return by how many standard deviations velocities after a bounce are off the law's."""
+    """Return the deviation of velocities after a bounce from the law, in standard deviations."""
     normal, along, spin = bounce.before.tolist()
     # The normal is x here: a rail on the left.
     disc = Disc(0.0, 0.0, normal, along, spin, puck.radius_m, puck.mass_kg, puck.inertia)
@@ -356,7 +357,7 @@ def _closing(
     if when is None:
         return None
     time, pose = _poses(recording, stream)
-    # No puck changes a hand's velocity, but the hand may after the contact.
+    # No puck changes a hand's velocity, but the hand itself may change it after the contact.
     sides = (-1, -1) if stream == "mallet" else (-1, 1)
     old, new = (_local(time, pose, when, side) for side in sides)
     if old is None or new is None:
@@ -374,7 +375,7 @@ def _closing(
 def _local(
     time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"], when: float, side: int
 ) -> tuple[Float[np.ndarray, " 2"], Float[np.ndarray, " 2"]] | None:
-    """Return place and velocity of a body just before (-1) or after (1) a moment."""
+    """Return position and velocity of a body just before (-1) or after (1) a time."""
     near = (side * (time - when) > 0) & (np.abs(time - when) < _AROUND)
     if near.sum() < 5:
         return None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-#: Frames over which a flight is continued, and that it needs at least.
+#: Number of frames over which a flight is extrapolated, which is also its minimum.
 _LOOK_BACK, LEAST = 8, 8
 #: Poses farther apart in time belong to two flights [s].
 _GAP = 0.1
@@ -15,9 +15,9 @@ _GAP = 0.1
 _MOVING = 5e-4
 #: Standard deviations beyond which a frame does not belong to the flight.
 _GATE = 6.0
-#: Largest error of the drag that is assumed while flights are searched for [1/s].
+#: Largest error of the drag assumed while searching for flights [1/s].
 _DRAG_MARGIN = 0.3
-#: Steps of Gauss and Newton to the drag.
+#: Number of Gauss-Newton steps for the drag.
 _ITERATIONS = 6
 
 
@@ -63,7 +63,7 @@ def sigmas(
 def noise_of(
     time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "3"]:
-    """Return the standard deviation of single poses: from second differences, bounces aside."""
+    """Return the standard deviation of single poses, from second differences away from bounces."""
     step = np.diff(time)
     even = np.abs(np.diff(step)) < 0.1 * np.median(step)
     # At rest, rounded poses do not differ at all.
@@ -80,13 +80,13 @@ def find_flights(
     noise: Float[np.ndarray, " 3"],
     drag: float,
 ) -> list[Flight]:
-    """Cut poses where the puck met something; single frames that are off are left out."""
+    """Split poses where the puck met something; single outlying frames are excluded."""
     flights, kept = [], list[int]()
     for i in range(len(time)):
         fits = _continues(time, pose, noise[0], drag, kept, i)
         off = not fits and i + 1 < len(time) and len(kept) >= _LOOK_BACK
         if off and _continues(time, pose, noise[0], drag, kept, i + 1):
-            continue  # one frame that is off, with the next one on the way again
+            continue  # one outlying frame; the next one continues the flight
         if not fits:
             # With too few frames, the oldest may be from before a contact.
             if len(kept) < _LOOK_BACK and kept and time[i] - time[kept[-1]] < _GAP:
@@ -98,7 +98,7 @@ def find_flights(
                 kept = []
         kept.append(i)
     flights.append(kept)
-    # The frames beside a contact may be from within it.
+    # The frames next to a contact may be affected by it.
     trimmed = [indices[1:-1] for indices in flights]
     return [Flight(time[found], pose[found]) for found in trimmed if len(found) >= LEAST]
 
@@ -132,11 +132,11 @@ def _continues(
 def fit_flights(
     flights: list[Flight], noise: Float[np.ndarray, " 3"], start: Float[np.ndarray, " 3"]
 ) -> tuple[list[Line], Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Bool[np.ndarray, " F"]]:
-    """Fit all flights with one drag of the plane, and one of the spin.
+    """Fit all flights with one drag for translation and one for rotation.
 
     Variable projection: given the drag, a flight is linear in pose and velocity. Returns the lines,
-    the drags, their standard errors (flights are the clusters), and which flights were used:
-    others are bent by something else.
+    the drags, their standard errors (flights are the clusters), and which flights were used: other
+    forces bend the rest.
     """
     used = np.ones(len(flights), dtype=bool)
     drag = start.copy()
@@ -194,7 +194,7 @@ def _reduced(
 def _straight(
     sigma: Float[np.ndarray, "n 3"], pose: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Fit a path straight in σ: pose and velocity at σ = 0, and the spread Σ (σ - mean)²."""
+    """Fit a straight path in σ: pose and velocity at σ = 0, and the spread Σ (σ - mean)²."""
     around = sigma - sigma.mean(axis=0)
     spread = (around**2).sum(axis=0)
     velocity = (around * (pose - pose[0])).sum(axis=0) / spread

@@ -1,14 +1,14 @@
-"""Data prepared again with what a fit has learned: when packets arrived, how fast the craft was.
+"""Data prepared again with a fit's results: arrival times of packets, velocities of the craft.
 
-Data that are prepared without a model have two errors in common. Commands are taken to arrive
-after the mean delay, so that every packet that is late or early leaves an error that lasts to the
-end of its windows. And velocities are smoothed across the kinks that switching motors leave.
+Data that are prepared without a model have two errors in common. First, commands are assumed to
+arrive after the mean delay, so every late or early packet leaves an error that lasts to the end of
+its windows. Second, velocities are smoothed across the kinks that switching motors leave.
 
-A model that is a little wrong prepares data that agree with it a little too well: they hold less
-information than they seem to. As for any estimate in two steps, the derivative of the scores with
-respect to what prepares the data belongs to the information (Murphy and Topel, Journal of Business
-and Economic Statistics 3, 1985). Without it, 95 % intervals hold the truth in 92 % of all cases
-(docs/results.md).
+A slightly wrong model prepares data that agree with it a little too well: they hold less
+information than they seem to. As for any two-step estimate, the derivative of the scores with
+respect to the first step's parameters belongs to the information (Murphy and Topel, Journal of
+Business and Economic Statistics 3, 1985). Without it, 95 % intervals contain the truth in 92 % of
+all cases (docs/results.md).
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ from airpuck.preprocessing.quality import stretches
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9
-#: Windows that begin within one window's length. One suffices, since scores of those between are
-#: alike: three would take a fifth of a whole fit's time, and move standard errors by 1 %.
+#: Number of starts used per window length. One suffices, since the scores in between are similar:
+#: three would take a fifth of a whole fit's time, and change standard errors by 1 %.
 _DENSITY = 1
-#: Eigenvalue of the information, relative to the largest, below which a direction has none.
+#: Eigenvalue of the information, relative to the largest, below which a direction has no
+#: information.
 _UNINFORMED = 1e-8
 #: Step of the difference quotients, in standard errors: small enough that packets move by a small
 #: part of a sample.
@@ -46,7 +47,7 @@ _STEP = 0.1
 def retime_packets(
     trajectories: Sequence[Trajectory], model: Model
 ) -> tuple[tuple[Trajectory, ...], tuple[PacketDelays, ...]]:
-    """Move commands to the times of their arrival, and smooth velocities along the model."""
+    """Move commands to their arrival times, and smooth velocities with the model."""
     delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
     if not float(model.dynamics.motor_time_constant) > 0:
         return tuple(trajectories), delays
@@ -59,10 +60,10 @@ def retime_packets(
 
 
 def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Trajectory:
-    """Move packets to their expected times of arrival.
+    """Move packets to their expected arrival times.
 
-    The mean of δ given its estimate δ̂ of variance v is σ²/(σ² + v) δ̂ for packets whose delays have
-    the standard deviation σ. All other packets keep the mean delay, but overtake none.
+    Given an estimate δ̂ of variance v, the mean of δ is σ²/(σ² + v) δ̂, if the packets' delays have
+    the standard deviation σ. All other packets keep the mean delay, but do not overtake each other.
     """
     if not len(delays) or jitter == 0:
         return trajectory
@@ -78,18 +79,18 @@ def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Traj
 
 
 def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
-    """Smooth what the model leaves, rather than the poses.
+    """Smooth the residuals of the model instead of the poses.
 
-    v = ∫ a + D(y - ∬ a), a the modelled accelerations along the measured yaw and D the derivative
-    of preprocessing: linear, and exact for cubics. Where a is the true acceleration the kinks that
-    switching motors leave are all in ∫ a, and are not smoothed away.
+    v = ∫ a + D(y - ∬ a), where a are the modelled accelerations along the measured yaw and D is the
+    derivative of preprocessing: linear, and exact for cubics. If a is the true acceleration, ∫ a
+    contains all kinks from switching motors, so they are not smoothed away.
     """
     time, state = trajectory.time, trajectory.state.copy()
     modelled = modelled_acceleration(trajectory, model)
     fewest = shortest_stretch(trajectory.sample_period)
     for part in stretches(time):
         if len(time[part]) < fewest:
-            continue  # left out by preprocessing, which has no velocities there either
+            continue  # excluded by preprocessing, which has no velocities there either
         gained, moved = integrated(modelled[part], np.diff(time[part])[:, None])
         state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
     return replace(trajectory, state=state)
@@ -105,13 +106,13 @@ def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndar
 
 
 def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
-    """Estimate the standard deviation of the packets' delays by a random-effects model.
+    """Estimate the standard deviation of the packets' delays with a random-effects model.
 
-    The deviations of a recording are normal about their mean with variance σ² + v, v the variance
-    of each estimate. σ² is the one at which Σ (δ - mean)²/(σ² + v), with the mean weighted by
-    1/(σ² + v), is its expectation, the degrees of freedom (Paule and Mandel, Journal of Research
-    of the NBS 87, 1982); zero where the noise explains the spread. The standard error of the
-    sample variance follows from the fourth moment.
+    The deviations of a recording are normal about their mean with variance σ² + v, where v is the
+    variance of each estimate. σ² is chosen such that Σ (δ - mean)²/(σ² + v), with the mean weighted
+    by 1/(σ² + v), equals its expectation, the degrees of freedom (Paule and Mandel, Journal of
+    Research of the NBS 87, 1982); it is zero if the noise explains the spread. The standard error
+    of the sample variance follows from the fourth moment.
     """
     delays = [found for found in delays if len(found)]
     degrees = sum(len(found) - 1 for found in delays)
@@ -130,7 +131,7 @@ def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:
     error = float(np.sqrt(np.var(square) / len(square)))
     return DelayJitter(
         standard_deviation_s=jitter,
-        # σ is not normal near zero: there, what a variance of one standard error would be.
+        # σ is not normal near zero: there, use the σ of a variance of one standard error.
         standard_error_s=error and error / max(2 * jitter, error**0.5),
         packets=len(deviation),
     )
@@ -145,9 +146,9 @@ def spread_of(delays: Sequence[PacketDelays]) -> float:
 def variance_of_mean(delays: Sequence[PacketDelays], jitter: float) -> float:
     """Return the variance of the known packets' mean delay about the mean of all packets.
 
-    A fit to retimed packets knows the mean delay of those B packets whose arrival it found. They
-    are a sample of the radio's packets: σ²/B where all are known equally well, σ² Σ w²/(Σ w)² with
-    the weights w = 1/(σ² + v) of their mean.
+    A fit to retimed packets knows the mean delay of the B packets whose arrival it found. They are
+    a sample of the radio's packets: the variance is σ²/B if all are known equally well, otherwise
+    σ² Σ w²/(Σ w)² with the weights w = 1/(σ² + v) of their mean.
     """
     if not jitter > 0 or not any(map(len, delays)):
         return 0.0
@@ -169,8 +170,8 @@ def error_growth(
 ) -> Float[np.ndarray, "P P"]:
     """Return the factor 1 + K + K² + … of errors in data after repeated preparation.
 
-    An estimate from data that were prepared with the error e is off by K e, K = -H⁻¹ M, beside an
-    error of its own. Columns of `basis` are the directions in which it can vary.
+    If the preparation of the data has an error e, the estimate has an additional error K e, K =
+    -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary.
     """
     inverse = np.linalg.pinv(basis.T @ hessian @ basis, rcond=_UNINFORMED, hermitian=True)
     once = -basis @ inverse @ basis.T @ mixed
@@ -187,10 +188,10 @@ def score_derivatives(
     packets: Sequence[PacketDelays],
     standard_errors: Float[np.ndarray, " P"],
 ) -> tuple[Float[np.ndarray, "P P"], Float[np.ndarray, "P P"]]:
-    """Return M and H: how the gradient follows the parameters that prepare its data, and θ itself.
+    """Return the derivatives M and H of the gradient, by the preparation's parameters and by θ.
 
     M = ∂/∂θ' ∂L(θ; data prepared with θ')/∂θ by difference quotients, on a part of the windows; H
-    is the Gauss-Newton Hessian on the same.
+    is the Gauss-Newton Hessian on the same windows.
     """
     parameters, vector = model.parameters, model.parameters.to_vector()
     moved = np.flatnonzero(standard_errors > 0)
@@ -219,7 +220,7 @@ def score_derivatives(
 def _prepared(
     trajectory: Trajectory, models: Sequence[Model], delays: PacketDelays, jitter: float
 ) -> list[Trajectory]:
-    """Prepare a recording with the first model, and to first order with those close to it."""
+    """Prepare a recording with the first model, and to first order with models close to it."""
     arrived = retimed(trajectory, delays, jitter)
     modelled = np.array([modelled_acceleration(arrived, model) for model in models])
     later = delay_response(trajectory, models[0], delays, modelled - modelled[0])

@@ -1,16 +1,16 @@
-"""Which rung? The ladder is tried on blocks of the user's own recording that no fit has seen.
+"""Model selection: the ladder is tried on held-out blocks of the user's own recording.
 
 The richest rung, which contains all others, prepares the data (faults, packets). Each rung is
-fitted to all of them. For each of K blocks of time the fit then continues without the block,
+fitted to all of the data. For each of K blocks of time, the fit then continues without the block,
 from its optimum, and predicts the block from every start. No training data lie within a window's
 length of the block. All folds share the preparation, by parameters that saw all data; the block
 itself is predicted from the raw recording.
 
-Rungs are compared in pairs, on the same predictions, with intervals by blocks of time. The simplest
-whose error is within one standard error of the least is taken (Breiman, Friedman, Olshen and Stone,
-"Classification and Regression Trees", 1984, section 3.4.3; here with the standard error of the
-difference). Errors within half a percent count as equal: on the twin, drag that is not there lowers
-them by a tenth of a percent, since it damps the noise that predictions start with.
+Rungs are compared in pairs on the same predictions, with intervals by blocks of time. The simplest
+rung whose error is within one standard error of the smallest is chosen (Breiman, Friedman, Olshen
+and Stone, "Classification and Regression Trees", 1984, section 3.4.3; here with the standard error
+of the difference). Errors within half a percent count as equal: on the twin, drag that does not
+exist lowers them by a tenth of a percent, since it damps the noise of initial states.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ from airpuck.model.rungs import Rung, named_rung
 
 #: Rungs that are tried, the simplest first.
 LADDER = ("M0", "M2", "M3", "M5", "M5+drag", "M5+drag+idle")
-#: Time ahead at which predictions are judged, and from one start to the next [s].
+#: Prediction horizon for the comparison, and time between starts [s].
 _HORIZON, _SPACING = 0.2, 4 / 240
-#: Logarithm of a ratio of mean squares that counts for nothing: half a percent of the root.
+#: Logarithm of a negligible ratio of mean squares: half a percent of the root.
 _NEGLIGIBLE = 0.01
-#: Of the windows a fold learns from every second: 2 % of the information for half of the time.
+#: Windows per second that a fold learns from: 2 % less information for half of the time.
 _EVERY = 2
-#: A fold starts at the optimum of all data: few steps, and rough ones, suffice.
+#: A fold starts at the optimum of all data: few, rough steps suffice.
 _FOLD_FIT = LevenbergMarquardt(max_iterations=15, tolerance=1e-4)
 
 
@@ -60,7 +60,7 @@ class CandidateModel(Result):
         Fitted to all data, as prepared for the richest rung.
     errors : array, shape (4, W)
         Errors of W held-out predictions after 0.2 s: x, y [m], yaw [rad], and the root of the sum
-        of their weighted squares, which is what rungs are judged by.
+        of their weighted squares, by which rungs are compared.
     change : array, shape (4,)
         Ratio of root mean squares to the next simpler rung's; NaN for the first.
     interval : array, shape (2, 4)
@@ -104,7 +104,7 @@ class CandidateModel(Result):
         return self.excess <= max(self.standard_error, _NEGLIGIBLE)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         changes = {"change": self.change}
         changes |= dict(zip(("change_lower_95", "change_upper_95"), self.interval, strict=True))
         first = bool(np.isnan(self.change).any())
@@ -122,9 +122,9 @@ class Selection(Result):
     fit : Fit
         Fit of the chosen rung to all data; its model file lists the other candidates.
     folds : int
-        Blocks of time that were held out in turn.
+        Number of blocks of time that were held out in turn.
     start : array, shape (W,)
-        When each held-out prediction starts [s].
+        Start time of each held-out prediction [s].
     """
 
     JSON = "chosen=fit.model.name best=best.name folds predictions=start.size rungs=candidates"
@@ -136,7 +136,7 @@ class Selection(Result):
 
     @property
     def best(self) -> CandidateModel:
-        """The rung with the least held-out error."""
+        """The rung with the smallest held-out error."""
         return min(self.candidates, key=lambda candidate: candidate.excess)
 
 
@@ -157,20 +157,20 @@ def select_model(
 ) -> Selection:
     """Try the rungs of the ladder on held-out blocks of the data, and identify with the best.
 
-    Taken is the simplest rung whose held-out error is within one standard error of the least.
+    It chooses the simplest rung whose held-out error is within one standard error of the smallest.
 
     Parameters
     ----------
     trajectories : Trajectory or sequence of Trajectory
         Data of one craft.
     ladder : sequence of str or Rung, optional
-        What to try, the simplest first.
+        Rungs to try, the simplest first.
     vehicle, loss, preparation
-        As for `airpuck.identify`.
+        See `airpuck.identify`.
     folds : int, default 5
-        Blocks of time that are held out in turn.
+        Number of blocks of time that are held out in turn.
     progress : callable, optional
-        Told in words what was done.
+        Called with a sentence on each completed step.
 
     Returns
     -------
@@ -220,7 +220,7 @@ SELECTION_HEADINGS = (
 
 
 def selection_rows(selection: Selection) -> list[list[str]]:
-    """Write how well every rung predicted what was held out, and what it changed."""
+    """Write how well every rung predicted the held-out data, and the change from rung to rung."""
     rows = []
     for candidate in selection.candidates:
         x, y, yaw = candidate.rmse
@@ -242,21 +242,22 @@ def selection_title(selection: Selection) -> str:
 
 
 def selection_words(selection: Selection) -> str:
-    """Return a sentence on the chosen rung, and why it was chosen."""
+    """Return a sentence on the chosen rung and the reason."""
     name, best = selection.fit.model.name, selection.best
     if name == best.name:
         return f"{name} predicts best, and nothing simpler is within one standard error of it"
     [chosen] = [candidate for candidate in selection.candidates if candidate.name == name]
-    # Logarithms of root mean squares differ by half as much as logarithms of mean squares.
+    # The logarithm of a root mean square is half that of the mean square.
     excess, error = 50 * chosen.excess, 50 * chosen.standard_error
     return (
-        f"{name} is the simplest that is as good as any: its errors are {excess:.1f} ± {error:.1f} "
+        f"{name} is the simplest model within the tolerance: its errors are {excess:.1f} ± "
+        f"{error:.1f} "
         f"% above the errors of {best.name}, the best"
     )
 
 
 def _learned(problem: Problem, prepared: PredictionLoss | None) -> tuple[Model, PredictionLoss]:
-    """Fit a rung to data as they were prepared for another."""
+    """Fit a rung to data as prepared for another."""
     assert prepared is not None
     loss = problem.loss_on(prepared.windows.trajectories)
     loss = replace(loss, multiplicity=prepared.multiplicity)
@@ -268,9 +269,9 @@ def _learned(problem: Problem, prepared: PredictionLoss | None) -> tuple[Model, 
 class _HeldOut:
     """Predictions from every start of the data, in blocks of time that are held out in turn."""
 
-    #: Those that lie within one block.
+    #: Predictions that lie within one block.
     windows: Windows
-    #: The block of each.
+    #: Block of each prediction.
     block: Int[np.ndarray, " W"]
     #: First sample of each block, and the end of the last.
     edges: Int[np.ndarray, " E"]
@@ -313,7 +314,7 @@ class _HeldOut:
         return errors
 
     def _without(self, model: Model, loss: PredictionLoss, number: int) -> Model:
-        """Continue a fit without a block, and without anything within a window of the block."""
+        """Continue a fit without a block and everything within a window's length of it."""
         first, gap = loss.windows.starts, _length(loss.windows)
         apart = first + 2 * gap <= self.edges[number]
         apart |= first >= self.edges[number + 1] + gap
@@ -357,7 +358,7 @@ def _compared(
 
 
 def _recorded(fit: Fit, exclusion: Exclusion | None, candidates: Sequence[CandidateModel]) -> Fit:
-    """Write into a fit what it was chosen from, and what was left out for it."""
+    """Record in a fit the candidates it was chosen from, and what was excluded for it."""
     record = {
         "rule": "simplest within one standard error, or half a percent, of the best",
         "ladder": [candidate.name for candidate in candidates],

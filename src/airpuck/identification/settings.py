@@ -1,4 +1,4 @@
-"""The choices of a fit: which prediction errors count, and what is done to the data before."""
+"""The choices of a fit: which prediction errors count, and how the data are prepared."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Stride = Annotated[
         "Samples from one window to the next; by default 29 ms, for adam 1",
         numbers.STRIDE,
         "N",
-        heading="Prediction errors that are minimised",
+        heading="Prediction errors to minimise",
     ),
 ]
 YawWeight = Annotated[
@@ -38,7 +38,7 @@ YawWeight = Annotated[
         r"Weight of yaw errors in the loss \[1/rad]",
         numbers.WEIGHT,
         "W",
-        heading="Prediction errors that are minimised",
+        heading="Prediction errors to minimise",
     ),
 ]
 #: Degree of the thrust polynomials.
@@ -61,17 +61,17 @@ def _paper_encoder() -> PaperEncoder:
 
 @dataclass(frozen=True)
 class Loss(Settings):
-    """Which prediction errors a fit minimises, and how much each counts (eq. combined_loss).
+    """Which prediction errors a fit minimises, and their weights (eq. combined_loss).
 
     Attributes
     ----------
     encoder : PaperEncoder
-        Where predictions start from; by default the paper's, each command in force from its own
-        sample on.
+        Encoder for the initial states of predictions; by default the paper's, with each command in
+        force from its own sample on.
     encoder_time : float
-        Past that the encoder looks at [s]; by default E = 40 samples at 240 Hz. (The paper's 20
-        samples are three time constants of the motors: 5 % of the earlier motor speeds remain,
-        and bias the thrust by about 1 %.)
+        Length of the past that the encoder uses [s]; by default E = 40 samples at 240 Hz. (The
+        paper's 20 samples are three time constants of the motors: 5 % of the earlier motor speeds
+        remain, and bias the thrust by about 1 %.)
     weights : tuple of float
         Weights of the x, y [1/m] and γ [1/rad] errors; by default (1, 1, 0.1), as in the
         published fits. The paper's text has (1, 1, 1).
@@ -79,19 +79,19 @@ class Loss(Settings):
         Length of a prediction [s]; by default T = 50 steps at 240 Hz. None: one window over the
         whole trajectory (eq. loss_full).
     spacing : float
-        Time from one window to the next, at least one sample [s]; by default 7 samples at 240
-        Hz. Windows that begin one sample apart share all others: every seventh keeps nearly all of
-        the information at a seventh of the cost.
+        Time between the starts of windows, at least one sample [s]; by default 7 samples at 240 Hz.
+        Consecutive windows share nearly all samples: using every seventh keeps nearly all of the
+        information at a seventh of the cost.
     robust : bool
-        Whether windows that the model predicts badly count less, so that unmarked faults have
-        little influence. `LevenbergMarquardt` only.
+        Whether poorly predicted windows count less, so that unmarked faults have little influence.
+        `LevenbergMarquardt` only.
     """
 
-    HEADING: ClassVar = "Prediction errors that are minimised"
+    HEADING: ClassVar = "Prediction errors to minimise"
 
     encoder: PaperEncoder = field(default_factory=_paper_encoder)
     encoder_time: Annotated[
-        float, Setting("Past that the encoder looks at", numbers.WINDOW, "S")
+        float, Setting("Length of the past that the encoder uses", numbers.WINDOW, "S")
     ] = 40 / 240
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     prediction_time: Annotated[
@@ -99,7 +99,7 @@ class Loss(Settings):
     ] = 50 / 240
     spacing: float = 7 / 240
     robust: Annotated[
-        bool, Setting("Let windows that are predicted badly count less.", option="--robust")
+        bool, Setting("Give poorly predicted windows less weight.", option="--robust")
     ] = False
 
     def __post_init__(self) -> None:
@@ -126,14 +126,14 @@ class Loss(Settings):
         vehicle : Vehicle
             The craft.
         frame : {"body", "world"}, default "body"
-            Where the offset of the centre of mass is constant.
+            The frame in which the offset of the centre of mass is constant.
         learns_delay : bool, default False
             Whether the transport delay is one of the parameters.
 
         Returns
         -------
         PredictionLoss
-            With its windows grouped into clusters; all windows count alike.
+            The loss, with its windows grouped into clusters and equally weighted.
         """
         from airpuck.data.windows import make_windows
         from airpuck.identification.objective import PredictionLoss
@@ -152,7 +152,7 @@ class Loss(Settings):
         )
 
     def samples(self, trajectories: Sequence[Trajectory]) -> tuple[int, int | None, int]:
-        """Return E, T and the stride in samples, or refuse recordings of different rates.
+        """Return E, T and the stride in samples; recordings must have the same rate.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class Loss(Settings):
         Returns
         -------
         tuple of int
-            T is None where one window spans a trajectory.
+            E, T and stride. T is None if one window spans a trajectory.
 
         Raises
         ------
@@ -185,24 +185,24 @@ class Loss(Settings):
 
 @dataclass(frozen=True)
 class Preparation(Settings):
-    """What a first fit does for the data of the last one.
+    """Preparation of the data for the last fit by first fits.
 
     Attributes
     ----------
     faults : {"exclude", "keep"} or None
-        Whether windows in which motors or radio failed are left out: a first fit finds them
-        (`airpuck.find_faults`), the next excludes them. None: they are, unless a recording
-        was prepared by others (`Trajectory.delay_known`), so that fits to a published data set stay
-        comparable. Not searched for where one window spans the whole trajectory.
+        Whether to exclude windows in which motors or radio failed: a first fit finds them
+        (`airpuck.find_faults`), the next excludes them. None: yes, unless a recording was prepared
+        by others (`Trajectory.delay_known`), so that fits to a published data set stay comparable.
+        There is no search if one window spans the whole trajectory.
     delay : {"fit", "fixed"} or None
-        Whether the transport delay is learned, as a continuous parameter for all recordings; or
-        each recording's own delay is used, in whole samples. None: it is learned by
-        `LevenbergMarquardt` on rungs with a motor lag, unless a recording was prepared by others:
-        each of those was shifted by another delay.
+        Whether the transport delay is learned, as a continuous parameter for all recordings;
+        otherwise each recording's own delay is used, in whole samples. None: `LevenbergMarquardt`
+        learns it for rungs with a motor lag, unless a recording was prepared by others: each of
+        those was shifted by another delay.
     retimings : int
-        How often commands are moved to when their packets arrived, and velocities smoothed along
-        the model, with what the fit before has learned (`airpuck.identification.retiming`). Where
-        the delay is learned and motors lag.
+        How often commands are moved to the arrival of their packets, and velocities smoothed with
+        the model, using the previous fit (`airpuck.identification.retiming`). Applies if the delay
+        is learned and motors lag.
     """
 
     HEADING: ClassVar = "Preparation of the recordings"
@@ -210,15 +210,15 @@ class Preparation(Settings):
     faults: Annotated[
         Literal["exclude", "keep"] | None,
         Setting(
-            "Leave out spans where motors or the radio failed, or keep them; by default exclude, "
-            "but keep for recordings prepared elsewhere (data.pt)."
+            "Exclude or keep spans where motors or the radio failed. By default they are excluded, "
+            "but kept for recordings prepared elsewhere (data.pt)."
         ),
     ] = None
     delay: Annotated[
         Literal["fit", "fixed"] | None,
         Setting(
-            "Fit the transport delay, or take each recording's; by default fit, for models with a "
-            "motor lag, by lm, from recordings prepared here."
+            "Fit the transport delay, or use each recording's own. By default it is fitted if the "
+            "method is lm, the model has a motor lag, and the recordings are raw."
         ),
     ] = None
     retimings: int = 2

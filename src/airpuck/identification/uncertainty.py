@@ -1,11 +1,11 @@
-"""What data determine, and the covariance of estimates that respects overlapping windows.
+"""Which parameters the data determine, and a covariance that respects overlapping windows.
 
-Windows that begin within one prediction length of each other share samples, and what no model
-describes (a tilted table, air, flow between propellers) lasts longer still: residuals are far from
+Windows that begin within one prediction length of each other share samples, and unmodelled effects
+(a tilted table, air, flow between propellers) last even longer. Residuals are therefore far from
 independent, and s²(JᵀJ)⁻¹ would be much too small. The sandwich estimator (White 1980; Liang and
-Zeger 1986) needs only that blocks of time are nearly independent of each other. Scores are
-corrected for the leverage of their block, which with a few dozen blocks and two dozen parameters
-is the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
+Zeger 1986) only needs blocks of time that are nearly independent of each other. Scores are
+corrected for the leverage of their block; with a few dozen blocks and two dozen parameters this is
+the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
-#: below which its direction is not determined: rounding leaves about 1e-15.
+#: below which its direction is undetermined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
 #: Largest leverage of a block; a block that alone determines a direction has leverage 1.
 _LEVERAGE = 0.999
-#: Length of a block [s]. Neighbouring blocks share what reaches across their border
+#: Length of a block [s]. Neighbouring blocks share the windows that cross their border
 #: (`shared_at_borders`): shorter blocks share more, longer ones are too few in a minute of flight.
 BLOCK = 2.0
 #: A block is at least this many windows long, for the same reason.
 _LENGTHS = 5
-#: Correlation from which two parameters are hard to tell apart.
+#: Correlation above which two parameters are hard to separate.
 _ALIKE = 0.95
-#: Part of a direction, relative to its largest, from which a parameter is named.
+#: Component of a direction, relative to its largest, above which a parameter is named.
 _MAIN = 0.5
-#: Most parameters to name at once.
+#: Largest number of parameters to name at once.
 _NAMED = 4
 #: Condition number of the scaled information above which a fit counts as poorly determined: a
-#: factor 1000 between the standard errors of its best and its worst direction.
+#: factor of 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
 
 
@@ -51,7 +51,7 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
     period = float(np.median(np.diff(windows.time)))
     span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
     size = max(1, round(span / (stride * period)))
-    # Whole batches, where that is near: half-filled ones would cost as much as full ones.
+    # Use whole batches if that length is close: half-filled ones would cost as much as full ones.
     if size > 0.75 * BATCH:
         size = BATCH * round(size / BATCH)
     clusters, first = np.zeros(len(windows), dtype=int), 0
@@ -64,11 +64,11 @@ def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
 
 
 def shared_at_borders(loss: PredictionLoss) -> float:
-    """Return the share of the scores' variance that blocks of windows miss at their borders.
+    """Return the fraction of the scores' variance that blocks of windows miss at their borders.
 
-    Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L where they begin,
-    since that much of what disturbs them is common. Pairs across the ends of a block of length B
-    are a share (2/B) ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
+    Scores of windows of length L that begin ℓ apart have the correlation 1 - ℓ/L, since they share
+    that much of the disturbances. Pairs across the ends of a block of length B are a fraction (2/B)
+    ∫₀ᴸ ℓ (1 - ℓ/L) dℓ / L = L/(3 B) of all.
     """
     windows, clusters = loss.windows, loss.clusters
     assert clusters is not None
@@ -91,15 +91,15 @@ def _steps(windows: Windows) -> tuple[Int[np.ndarray, " W"], float]:
 class Subspace:
     """Directions in which an estimate can vary."""
 
-    #: What the data determine and no constraint holds: θ = basis @ z. The information about z is
-    #: about the identity.
+    #: Directions that the data determine and no constraint fixes: θ = basis @ z. The information
+    #: about z is close to the identity.
     basis: Float[np.ndarray, "P R"]
     #: Orthonormal directions without information.
     undetermined: Float[np.ndarray, "K P"]
-    #: Entries without an error of their own: not free, held by constraints, or part of a direction
+    #: Entries without an error of their own: not free, fixed by constraints, or part of a direction
     #: without information.
     unknown: Bool[np.ndarray, " P"]
-    #: How many bounds and slopes of thrust curves hold the estimate.
+    #: Number of active bounds and thrust-curve constraints.
     binding: int = 0
 
 
@@ -132,7 +132,7 @@ def subspace(
 def scaling(
     hessian: Float[np.ndarray, "P P"], free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, " P"]:
-    """Return the scale of each parameter: what moves the loss by as much as any other's."""
+    """Return the scale of each parameter, chosen so that all have the same effect on the loss."""
     diagonal = np.diag(hessian)
     return np.where(free, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
 
@@ -140,7 +140,7 @@ def scaling(
 def binding_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "C P"]:
-    """Return the rows of the constraints that hold an estimate: bounds, and rising thrust."""
+    """Return the rows of the active constraints: bounds, and rising thrust."""
     vector = parameters.to_vector()
     lower, upper = parameters.bounds()
     at_bounds = np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))]
@@ -153,7 +153,7 @@ def binding_constraints(
 def varying(
     hessian: Float[np.ndarray, "P P"], parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Subspace:
-    """Find the directions in which an estimate can vary along the constraints that hold it."""
+    """Find the directions in which an estimate can vary along its active constraints."""
     binding, gauge = binding_constraints(parameters, free), gauge_constraints(parameters, free)
     finite = np.isfinite(hessian).all()
     known = hessian if finite else np.zeros_like(hessian)
@@ -162,7 +162,7 @@ def varying(
 
 
 def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
-    """Return the ends and minima of F' where it has come down to its constraint."""
+    """Return the ends and minima of F' where the thrust constraints are active."""
     degree = curve.shape[1]
     slope = np.polynomial.Polynomial(curve[0] * np.arange(1, degree + 1))
     stationary = slope.deriv().roots() if degree > 2 else np.zeros(0)
@@ -179,7 +179,7 @@ def sandwich(
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
-    `space` holds the directions in which they can vary, `shared` what `shared_at_borders` returns.
+    `space` holds the directions in which they can vary, `shared` the result of `shared_at_borders`.
     """
     from scipy.special import stdtrit
 
@@ -187,7 +187,7 @@ def sandwich(
     count, size = quadratic.scores.shape
     if count < 2 or not (np.isfinite(hessian).all() and np.isfinite(quadratic.scores).all()):
         reason = (
-            "the data make up a single block of time: there is nothing to estimate errors from"
+            "the data are a single block of time, too few to estimate errors from"
             if count < 2
             else "the loss or its derivatives are not finite at the optimum"
         )
@@ -195,7 +195,7 @@ def sandwich(
         return Uncertainty(
             vector, nothing, nothing[0], np.zeros((0, size)), count, np.nan, warnings, warnings
         )
-    # The change of the estimate when each cluster is left out; the Hessians add up to 1.
+    # Change of the estimate when each cluster is left out; the Hessians add up to 1.
     value, vectors = np.linalg.eigh(space.basis.T @ quadratic.informations @ space.basis)
     turned = np.einsum("gij,gi->gj", vectors, quadratic.scores @ space.basis)
     turned /= 1 - np.minimum(value, _LEVERAGE)
@@ -224,7 +224,7 @@ def sandwich(
 def widened(
     uncertainty: Uncertainty, entries: Bool[np.ndarray, " P"], variance: float
 ) -> Uncertainty:
-    """Add an error of single parameters, independent of what clusters show."""
+    """Add an error of single parameters that is independent of the clusters."""
     added = np.where(entries & np.isfinite(uncertainty.standard_errors), variance, 0.0)
     return _with_covariance(uncertainty, uncertainty.covariance + np.diag(added))
 
@@ -239,7 +239,7 @@ def information_growth(
     added: Float[np.ndarray, "P P"],
     basis: Float[np.ndarray, "P R"],
 ) -> Float[np.ndarray, "P P"]:
-    """Return (H + added)⁻¹ H, the factor of errors that were found by H alone, along a basis."""
+    """Return (H + added)⁻¹ H, the correction of errors that were computed from H alone."""
     inverse = np.linalg.inv(basis.T @ (hessian + added) @ basis)
     return basis @ inverse @ basis.T @ hessian
 
@@ -247,7 +247,7 @@ def information_growth(
 def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:
     """Drop standard errors wider than the range of values that a parameter may take.
 
-    Data that leave so much open do not determine the parameter.
+    The data then leave the parameter practically undetermined.
     """
     lower, upper = parameters.bounds()
     errors = uncertainty.standard_errors
@@ -255,7 +255,7 @@ def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Unc
 
 
 def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P P"]) -> Uncertainty:
-    """Replace the covariance, and the standard errors by its own."""
+    """Replace the covariance, and the standard errors with it."""
     covariance = (covariance + covariance.T) / 2
     known = np.isfinite(uncertainty.standard_errors)
     errors = np.where(known, np.sqrt(np.diag(covariance)), np.nan)
@@ -280,21 +280,22 @@ def _notes(space: Subspace) -> list[str]:
 
 @dataclass(frozen=True)
 class Identifiability(Result):
-    """Which parameters of a model data determine."""
+    """The parameters and combinations that the data determine."""
 
     JSON = "free rank condition weakest correlated notes"
 
     #: Number of free parameters.
     free: int
-    #: How many combinations of them the data determine.
+    #: Number of combinations of parameters that the data determine.
     rank: int
-    #: Condition number of the information on these, scaled to a unit diagonal.
+    #: Condition number of the information on these combinations, scaled to a unit diagonal.
     condition: float
-    #: Main parameters of the weakest direction that is determined.
+    #: Main parameters of the weakest direction that is still determined.
     weakest: tuple[str, ...]
-    #: Pairs whose estimates correlate by more than 0.95 in size, by the information alone.
+    #: Pairs whose estimates correlate by more than 0.95 in absolute value, by the information
+    #: alone.
     correlated: tuple[tuple[str, str, float], ...]
-    #: What is not determined, or hard to tell apart, in sentences.
+    #: Sentences on parameters that are undetermined or hard to separate.
     notes: tuple[str, ...]
 
 
@@ -306,7 +307,8 @@ def identifiability_of(
 ) -> Identifiability:
     """Return which combinations of the free parameters an information matrix determines.
 
-    Before a fit as after one: directions without information cannot be learned from these data.
+    This holds before a fit as well as after: directions without information cannot be learned from
+    these data.
     """
     labels = np.array(parameters.labels(propellers))[free].tolist()
     scale = scaling(hessian, free)
@@ -334,7 +336,7 @@ def identifiability_of(
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
         notes.append(
             f"{len(pairs)} pairs of parameters correlate by more than {_ALIKE}, most {first} and "
-            f"{second} ({size:.3f}): judge what they make up together, such as a thrust curve"
+            f"{second} ({size:.3f}): judge their combination, such as a thrust curve"
         )
     return Identifiability(len(labels), rank, condition, weakest, tuple(pairs), tuple(notes))
 
@@ -351,7 +353,7 @@ def _correlation(
     value: Float[np.ndarray, " R"],
     undetermined: Float[np.ndarray, "F K"],
 ) -> Float[np.ndarray, "F F"]:
-    """Return the correlation of the estimates; zero where data determine combinations only."""
+    """Return the correlation of the estimates; zero if the data determine only combinations."""
     covariance = vector / value @ vector.T
     spread = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(spread, spread).clip(1e-300)
@@ -379,7 +381,7 @@ def _undetermined_notes(
             "thrusts are in newtons"
         )
     silent = np.flatnonzero(np.linalg.norm(left, axis=1) > 1 - 1e-6)
-    notes += [f"the data say nothing about {labels[k]}" for k in silent.tolist()]
+    notes += [f"the data contain no information about {labels[k]}" for k in silent.tolist()]
     left = _without(left, np.eye(len(labels))[:, silent])
     rest = np.flatnonzero(np.linalg.norm(left, axis=1) > 0.1).tolist()
     if rest:
@@ -393,7 +395,7 @@ def _undetermined_notes(
 def _without(
     directions: Float[np.ndarray, "F K"], explained: Float[np.ndarray, "F E"]
 ) -> Float[np.ndarray, "F L"]:
-    """Return an orthonormal basis of a space of directions, less those that are explained."""
+    """Return an orthonormal basis of a space of directions, minus those already explained."""
     rest = directions - explained @ (explained.T @ directions)
     left, size, _ = np.linalg.svd(rest, full_matrices=False)
     return left[:, size > 1e-3]

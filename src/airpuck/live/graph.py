@@ -47,7 +47,7 @@ class Sample:
 
     #: When it was sent, by the sender's clock [ns since the epoch].
     sent_ns: int
-    #: In CDR, with encapsulation.
+    #: Messages in CDR, with encapsulation.
     data: bytes
 
 

@@ -46,7 +46,7 @@ class Heard:
     #: When it came and when it was sent [ns since the epoch].
     received_ns: int
     sent_ns: int
-    #: In CDR, with encapsulation.
+    #: Messages in CDR, with encapsulation.
     data: bytes
 
 

@@ -197,7 +197,7 @@ class _Table:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return {
             "poses": self._poses,
             "commands": self._commands.good,

@@ -63,7 +63,7 @@ class Observer:
         return self._monitor.health()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         return {"duration_s": self.clock.now, **self.health.to_json()}
 
     def look(self) -> list[Float[np.ndarray, " 3"]]:

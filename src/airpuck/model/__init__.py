@@ -1,4 +1,4 @@
-"""What is learned: the table of quantities, rungs, and models with their files.
+"""Models: the table of quantities, the rungs, and models with their files.
 
 Entry points: `model_file.published_model`, `rungs.named_rung`, `uncertainty.Uncertainty`,
 `statespace.linearize`.

@@ -29,7 +29,7 @@ class _AuthorsValues(pydantic.BaseModel):
 
 
 class _AuthorsSwitches(pydantic.BaseModel):
-    """The authors' ``model``: what was learned."""
+    """The authors' ``model``: the learned parameters."""
 
     thrust: bool = pydantic.Field(alias="learn_signal2thrust")
     inertia: bool = pydantic.Field(alias="learn_inertia")

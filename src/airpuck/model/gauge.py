@@ -1,8 +1,8 @@
-"""The scale of thrusts where Π is learned directly, and Newton's law to fix it.
+"""The scale of thrusts if Π is learned directly; Newton's law fixes it.
 
-s times a propeller's thrust and 1/s times its column of Π give the same motion: data determine
-only their product. By Newton's law the linear part of a column has the length 1/m; at that scale
-the thrust is in newtons.
+s times a propeller's thrust and 1/s times its column of Π give the same motion: data determine only
+their product. By Newton's law the linear part of a column has the length 1/m; at that scale the
+thrust is in newtons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from airpuck.model.parameters import Parameters, thrust_scale
 def gauge_directions(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> dict[int, Float[np.ndarray, " P"]]:
-    """Return, by motor, the direction in θ along which no prediction changes."""
+    """Return, for each motor, the direction in θ along which predictions do not change."""
     matrix = parameters.configuration_matrix
     if matrix is None:
         return {}
@@ -38,7 +38,7 @@ def gauge_directions(
 
 
 def fix_gauge(parameters: Parameters, vehicle: Vehicle, free: Bool[np.ndarray, " P"]) -> Parameters:
-    """Bring thrusts whose scale is free to newtons; no prediction changes."""
+    """Scale thrusts whose scale is free to newtons; predictions do not change."""
     motors = list(gauge_directions(parameters, free))
     if not motors:
         return parameters

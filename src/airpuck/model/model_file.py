@@ -1,4 +1,4 @@
-"""A model: vehicle, parameters, what was learned and from what; and its file."""
+"""A model: vehicle, parameters, how they were learned and from which data; and its file."""
 
 from __future__ import annotations
 
@@ -60,19 +60,19 @@ class Model:
     free : array of bool, shape (P,)
         Which entries of ``parameters.to_vector()`` were learned.
     frame : {"body", "world"}
-        Where the offset of the centre of mass is constant.
+        The frame in which the offset of the centre of mass is constant.
     indexing : {"start", "end"}
         Convention of the encoder that the model was learned with (`PaperEncoder.indexing`).
     fit : mapping
-        How it was learned: loss, method, settings. Empty for a model that was not fitted here.
+        Details of the fit: loss, method, settings. Empty for a model that was not fitted here.
     data : mapping of str to str
         SHA-256 of the files it was learned from, by name.
     source : str
-        Where the numbers come from.
+        Origin of the numbers.
     uncertainty : Uncertainty or None
-        How well the parameters are known, where they were learned here.
+        Uncertainty of the parameters, if they were learned here.
     delay_jitter : DelayJitter or None
-        By how much the transport delay differs from packet to packet, where it was learned here.
+        Spread of the transport delay between packets, if it was learned here.
     """
 
     name: str
@@ -117,18 +117,18 @@ class Model:
 
     @cached_property
     def dynamics(self) -> Dynamics:
-        """Coefficients of the equations of motion; of JAX's arrays where the parameters are."""
+        """Coefficients of the equations of motion; JAX arrays if the parameters are."""
         values = (getattr(self.parameters, q.name) for q in self.parameters.quantities)
         return self.parameters.dynamics(namespace(*values), self.vehicle, self.frame)
 
     @property
     def radius_of_gyration(self) -> float:
-        """√(I/m) [m]: at this arm a force turns the craft as hard as it pushes it."""
+        """√(I/m) [m]: at this lever arm a force turns the craft as hard as it pushes it."""
         return math.sqrt(float(self.parameters.inertia) / self.vehicle.mass_kg)
 
     @property
     def propeller_effects(self) -> Float[np.ndarray, "3 n"]:
-        """Accelerations per thrust, the angular ones times the radius of gyration [1/kg].
+        """Accelerations per unit of thrust, the angular ones times the radius of gyration [1/kg].
 
         The optional effects are left out.
         """
@@ -137,7 +137,7 @@ class Model:
 
     @property
     def transport_delay(self) -> float:
-        """From a command's stamp to the motors [s]."""
+        """Delay from a command's stamp to the motors [s]."""
         return float(self.parameters.transport_delay)
 
     @property
@@ -151,7 +151,7 @@ class Model:
         Parameters
         ----------
         transport_delay : float
-            From a command's stamp to the motors [s].
+            Delay from a command's stamp to the motors [s].
 
         Returns
         -------
@@ -163,8 +163,8 @@ class Model:
     def derivative(self, state: Any, command: Any) -> Any:
         """Evaluate the equations of motion, z' = f(z, u) of eq. extended_model_dynamics.
 
-        For NumPy, JAX (under ``jit``, ``grad`` and ``vmap``, too) and CasADi (``SX`` or ``MX``):
-        the result is of the arguments' kind.
+        Works with NumPy, JAX (also under ``jit``, ``grad`` and ``vmap``) and CasADi (``SX`` or
+        ``MX``): the result has the arguments' type.
 
         Parameters
         ----------
@@ -189,14 +189,13 @@ class Model:
     def simulate(self, state: Any, commands: Any, period: Any = 0.01) -> Any:
         """Simulate held commands: the craft by Runge-Kutta, motors of a constant lag exactly.
 
-        The transport delay is left out: commands are those that reach the motors. For NumPy, JAX
-        and CasADi, as `derivative`.
+        The transport delay is left out: commands are those that reach the motors. Works with NumPy,
+        JAX and CasADi, like `derivative`.
 
         Parameters
         ----------
         state : array, shape (6 + n, ...) or (6, ...)
-            Where to start, as for `derivative`. Motors that are left out begin at the first
-            command.
+            Initial state, as for `derivative`. Omitted motor speeds begin at the first command.
         commands : array, shape (T, n, ...)
             Commands, one for each period.
         period : float or array, shape (T, ...), default 0.01
@@ -251,7 +250,7 @@ class Model:
         return known
 
     def standard_error(self, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
-        """Compute the standard error of anything made from the parameters (delta method).
+        """Compute the standard error of anything computed from the parameters (delta method).
 
         Parameters
         ----------
@@ -261,8 +260,8 @@ class Model:
         Returns
         -------
         array
-            Of the quantity's shape; nan where the model has no uncertainty, or none for these
-            parameters, and where the data do not determine the quantity.
+            In the quantity's shape; nan if the model has no uncertainty for these parameters, or if
+            the data do not determine the quantity.
         """
         if self.known is None:
             return np.full(np.shape(quantity(self)), np.nan)
@@ -280,7 +279,7 @@ class Model:
         -------
         pandas.DataFrame or dict
             A row for each parameter, by its label: ``value, unit, standard_error, lower_95,
-            upper_95, learned``. A dictionary of such rows where pandas is not installed.
+            upper_95, learned``. A dictionary of such rows if pandas is not installed.
         """
         return frame(self._rows())
 
@@ -290,8 +289,8 @@ class Model:
         Returns
         -------
         pandas.DataFrame or dict
-            A row and a column for each learned parameter; nan where the model has no uncertainty. A
-            dictionary of rows where pandas is not installed.
+            A row and a column for each learned parameter; nan if the model has no uncertainty. A
+            dictionary of rows if pandas is not installed.
         """
         covariance = np.full((len(self.free),) * 2, np.nan)
         if self.known is not None:
@@ -322,14 +321,14 @@ class Model:
         -------
         control.StateSpace
             Deviations from the operating point, without the transport delay. Inputs: the motor
-            commands. States: x, y, yaw, vx, vy, spin, and the motor speeds where the motors lag.
+            commands. States: x, y, yaw, vx, vy, yaw rate, and the motor speeds if the motors lag.
             Outputs: x, y, yaw.
 
         Raises
         ------
         InputError
-            If python-control is not installed, there is not one command for each propeller, or a
-            number is out of range.
+            If python-control is not installed, the number of commands differs from the number of
+            propellers, or a number is out of range.
         """
         from airpuck.model.statespace import statespace
 
@@ -337,7 +336,7 @@ class Model:
         return statespace(self.dynamics, self.name, names, yaw, command, period)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model as TOML; `read_model` reads every number back bit-equal.
+        """Write the model as TOML; `read_model` restores every number bit for bit.
 
         Parameters
         ----------
@@ -449,8 +448,8 @@ def _published() -> dict[str, Any]:
 def published_model(name: str) -> Model:
     """Return a model with the parameters published with the paper.
 
-    It carries the paper's conventions: the offset of the centre of mass fixed to the world, and the
-    encoder's commands taken at the end of each interval.
+    It uses the paper's conventions: the offset of the centre of mass is fixed to the world, and the
+    encoder takes commands at the end of each interval.
 
     Parameters
     ----------
@@ -465,7 +464,7 @@ def published_model(name: str) -> Model:
     Raises
     ------
     InputError
-        If there is none of that name.
+        If the name is unknown.
     """
     published = _published()
     if name not in published:

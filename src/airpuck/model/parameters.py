@@ -33,7 +33,7 @@ class Parameters(_Values):
 
     @property
     def quantities(self) -> Iterator[Quantity]:
-        """The kinds of parameter that this set has."""
+        """The kinds of parameters in this set."""
         return (q for q in QUANTITIES if getattr(self, q.name) is not None)
 
     @property
@@ -57,7 +57,7 @@ class Parameters(_Values):
         Parameters
         ----------
         vector : array, shape (P,)
-            All entries; real, complex, truth values, or traced by JAX.
+            All entries; real, complex, boolean, or traced by JAX.
 
         Returns
         -------
@@ -73,7 +73,7 @@ class Parameters(_Values):
         return replace(self, **entries)
 
     def laid_out(self, values: Mapping[str, Any], otherwise: Any) -> np.ndarray:
-        """Lay values out as `to_vector` does.
+        """Arrange values like `to_vector`.
 
         Parameters
         ----------
@@ -155,12 +155,12 @@ class Parameters(_Values):
         vehicle : Vehicle
             Geometry and mass.
         frame : {"body", "world"}
-            Where the offset of the centre of mass is constant.
+            The frame in which the offset of the centre of mass is constant.
 
         Returns
         -------
         Dynamics
-            What the physics computes with.
+            Coefficients for the physics.
         """
         configuration = self.configuration_matrix
         if configuration is None:
@@ -184,7 +184,7 @@ class Parameters(_Values):
         )
 
     def layout(self, xp: Any, vehicle: Vehicle) -> Layout:
-        """Return what optional effects are made from.
+        """Return the inputs that optional effects are made from.
 
         Parameters
         ----------
@@ -216,15 +216,15 @@ def make_effects(coefficients: Mapping[str, Any], layout: Layout) -> tuple[Effec
 
 
 def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
-    """Return the factor that brings each thrust to newtons.
+    """Return the factor that converts each thrust to newtons.
 
-    By Newton's law the linear part of a propeller's column of Π has the length 1/m. Where Π is
-    learned directly, s times the thrust and 1/s times the column give the same motion.
+    By Newton's law the linear part of a propeller's column of Π has the length 1/m. If Π is learned
+    directly, s times the thrust and 1/s times the column give the same motion.
     """
     matrix = parameters.configuration_matrix
     if matrix is None:
         return np.ones(vehicle.n_propellers)
-    # Not hypot, which complex steps cannot go through.
+    # Not hypot, which does not support complex steps.
     return vehicle.mass_kg * xp.sqrt(matrix[0] ** 2 + matrix[1] ** 2)
 
 
@@ -250,7 +250,7 @@ def change_degree(
     if degree > old:
         return np.pad(coefficients, ((0, 0), (0, degree - old)))
     # The Gram matrix of the monomials φ, φ², … on [0, 1] is a Hilbert matrix: <φ^i, φ^j> =
-    # 1/(i+j+1). Small degrees only, so its conditioning does no harm.
+    # 1/(i+j+1). Degrees are small, so its conditioning does no harm.
     power = np.arange(1, old + 1)
     gram = 1.0 / (power[:, None] + power[None, :] + 1)
     return np.linalg.solve(gram[:degree, :degree], gram[:degree] @ coefficients.T).T

@@ -1,7 +1,7 @@
-"""Everything that can be learned, in one table.
+"""All learnable quantities, in one table.
 
-Model files, labels, bounds, rungs, tables for people and the settings of the twin's optional
-effects derive from it. A new effect is a class in `airpuck.physics.effects` and an entry here.
+Model files, labels, bounds, rungs, displayed tables and the settings of the twin's optional effects
+derive from it. A new effect is a class in `airpuck.physics.effects` and an entry here.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ class Quantity:
     name: str
     #: Key in a model file; ends with the unit.
     key: str
-    #: Unit and symbol; where entries have their own, separated by commas.
+    #: Unit and symbol; separated by commas if entries have their own.
     unit: str
     symbol: str
-    #: A few words.
+    #: Description in a few words.
     meaning: str
     #: Type in a model file.
     toml: Any = float
     #: Bounds that a fit must respect.
     bounds: tuple[float, float] = (-np.inf, np.inf)
-    #: Labels of the entries; or, where propellers have their own, a function of the propellers'
-    #: names and the degree of the thrust polynomials.
+    #: Labels of the entries; if propellers have their own, a function of the propellers' names and
+    #: the degree of the thrust polynomials.
     labels: tuple[str, ...] | Callable[[tuple[str, ...], int], tuple[str, ...]] = ("",)
     #: Rungs of the paper's ladder that learn it (table:models).
     rungs: tuple[str, ...] = ()
-    #: Whether it only serves to compute Π, and has no use where that is learned directly.
+    #: Whether it only serves to compute Π, and has no use if Π is learned directly.
     in_matrix: bool = False
-    #: Whether it is positive by nature, so that a change in percent means something.
+    #: Whether it is always positive, so that a relative change is meaningful.
     positive: bool = False
-    #: In tables for people: unit, factor from the file's unit, format.
+    #: Display in tables: unit, factor from the file's unit, format.
     shown: tuple[str, float, str] | None = None
-    #: Value where it is not given; …: it must be given, None: it is not modelled.
+    #: Default value; …: required, None: it is not modelled.
     default: Any = ...
-    #: Of an optional effect: its class, the term in a rung's name, where a fit starts, and its keys
-    #: in a twin's settings, if others than `key`.
+    #: For an optional effect: its class, the term in a rung's name, the initial value of a fit, and
+    #: its keys in a twin's settings if they differ from `key`.
     effect: type[Effect] | None = None
     term: str = ""
     start: float | tuple[float, ...] = 0.0
@@ -69,7 +69,7 @@ class Quantity:
         return self.labels(propellers, degree) if callable(self.labels) else self.labels
 
     def of_entry(self, number: int) -> tuple[str, str]:
-        """Return symbol and unit of one entry, where each has its own."""
+        """Return symbol and unit of one entry, if entries have their own."""
         symbols, units = self.symbol.split(", "), self.unit.split(", ")
         return symbols[number], units[min(number, len(units) - 1)]
 
@@ -114,7 +114,7 @@ QUANTITIES = (
              "loss of thrust per air speed along the propeller's axis", bounds=(-10.0, 10.0),
              default=None, effect=Inflow, term="inflow"),
     # Twins that oppose each other lose alike, so a small interaction does not change the difference
-    # of their thrusts: zero is a stationary point. A fit starts away from it, and keeps above a
+    # of their thrusts: zero is a stationary point. A fit starts away from it, and stays above a
     # negligible bound where the derivative does not vanish.
     Quantity("pair_interaction", "pair_interaction_1_N", "1/N", "cₚ",
              "loss of thrust per thrust of the twin", bounds=(1e-2, 1e3),
@@ -126,7 +126,7 @@ QUANTITIES = (
              labels=("x", "y"), default=None, effect=Tilt, term="tilt", start=(0.0, 0.0)),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
-    # No part of the equations of motion.
+    # Not part of the equations of motion.
     Quantity("transport_delay", "transport_delay_s", "s", "d",
              "from a command's stamp to the motors", NonNegative, bounds=(0.0, 0.5),
              positive=True, shown=("ms", 1e3, ".2f"), default=0.0),

@@ -29,17 +29,18 @@ class Rung:
     lag: bool = True
     #: Whether the configuration matrix is learned directly.
     direct: bool = False
-    #: Powers of φ in the thrust curve, whatever the degree; None: all up to it.
+    #: Powers of φ in the thrust curve, whatever the degree; None: all up to the degree.
     powers: tuple[int, ...] | None = None
     #: Names of the optional effects that it models.
     effects: tuple[str, ...] = ()
     #: Degree of the thrust curves; None: as in the vehicle's nominal thrust.
     degree: int | None = None
-    #: Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+    #: The frame in which the offset of the centre of mass is constant; "world" is the paper's eq.
+    #: acc_dyn.
     frame: CenterOfMassFrame = "body"
 
     def initial(self, vehicle: Vehicle) -> Parameters:
-        """Return where a fit of this rung starts."""
+        """Return the initial parameters of a fit of this rung."""
         parameters = nominal_parameters(vehicle, self.degree)
         if self.powers is not None:
             parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
@@ -103,7 +104,7 @@ RUNGS: dict[str, Rung] = {
     )
 }
 
-#: Optional terms of a rung's name, and the effects that they stand for.
+#: Optional terms of a rung's name, and their effects.
 TERMS: dict[str, str] = {quantity.term: name for name, quantity in EFFECTS.items()}
 
 
@@ -117,7 +118,8 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     degree : int, optional
         Degree of the thrust polynomials; by default as in the vehicle's nominal thrust.
     frame : {"body", "world"}, default "body"
-        Where the offset of the centre of mass is constant; "world" is the paper's eq. acc_dyn.
+        The frame in which the offset of the centre of mass is constant; "world" is the paper's eq.
+        acc_dyn.
 
     Returns
     -------
@@ -127,7 +129,7 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     Raises
     ------
     InputError
-        If there is no rung or no term of that name.
+        If a rung or term is unknown.
     """
     base, *terms = name.split("+")
     if base not in RUNGS:

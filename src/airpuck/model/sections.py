@@ -1,4 +1,4 @@
-"""Tables of a model file: values of the parameters, and how well they are known."""
+"""Tables of a model file: values of the parameters, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from airpuck.model.uncertainty import Bootstrap, Uncertainty
 
 
 class NanSection(Section):
-    """A table where nan stands for what is not known."""
+    """A table in which nan marks unknown values."""
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
 
 
 def _one_field_each(section: type[Section], *, bounded: bool) -> type[Section]:
-    """Give a section a field for each quantity; required ones only where values are bounded."""
+    """Give a section a field for each quantity; fields are required only if values are bounded."""
     entries: dict[str, Any] = {}
     for q in QUANTITIES:
         kind = q.toml if bounded or get_origin(q.toml) is not Annotated else float
@@ -48,7 +48,7 @@ def parameters_content(parameters: Parameters) -> dict[str, Any]:
 
 
 def read_parameters(section: Any, vehicle: Vehicle) -> Parameters:
-    """Return the parameters that a table gives, or refuse numbers that do not fit the vehicle."""
+    """Return the parameters in a table; raise InputError if numbers do not fit the vehicle."""
     values = {}
     for quantity in QUANTITIES:
         value = getattr(section, quantity.key)
@@ -92,13 +92,13 @@ def read_free(
 def with_nominal_delay(
     section: Mapping[str, Any], vehicle: Vehicle, file: Path | None = None
 ) -> Parameters:
-    """Read published parameters, which know no transport delay."""
+    """Read published parameters, which include no transport delay."""
     content = {**section, "transport_delay_s": vehicle.nominal.transport_delay_s}
     return read_parameters(checked(content, ParametersSection, file=file), vehicle)
 
 
 def _array(rows: tuple[Any, ...]) -> np.ndarray | None:
-    """Return numbers or rows of numbers as an array, None if rows differ in length or are empty."""
+    """Return numbers or rows of numbers as an array; None if rows differ in length or are empty."""
     try:
         array = np.array(rows, dtype=float)
     except ValueError:
@@ -132,7 +132,7 @@ class UncertaintySection(NanSection):
 def uncertainty_content(
     uncertainty: Uncertainty, parameters: Parameters, vehicle: Vehicle
 ) -> dict[str, Any]:
-    """Return the table ``[uncertainty]``; entries without any uncertainty are left out."""
+    """Return the table ``[uncertainty]``, without entries that have no uncertainty."""
     labels = np.array(parameters.labels(vehicle.propeller_names))
     errors, bootstrap = uncertainty.standard_errors, uncertainty.bootstrap
     used = (uncertainty.covariance != 0).any(axis=0) | np.isfinite(errors)
@@ -166,7 +166,7 @@ def uncertainty_content(
 def read_uncertainty(
     section: UncertaintySection, parameters: Parameters, vehicle: Vehicle
 ) -> Uncertainty:
-    """Return the uncertainty that a table gives, or refuse numbers that do not fit the model."""
+    """Return the uncertainty in a table; raise InputError if numbers do not fit the model."""
     labels = parameters.labels(vehicle.propeller_names)
     for label in section.labels:
         if label not in labels:

@@ -18,9 +18,9 @@ from airpuck.physics.thrust import is_monotone
 
 #: x, y, γ and their rates.
 _POSE_AND_RATES = 6
-#: Commands may be beyond their limits by this.
+#: Commands may exceed their limits by this.
 _ROUNDING = 1e-6
-#: A distribution of which fewer draws than this are a craft's is not worth drawing from.
+#: Sampling fails if a smaller fraction of draws than this is a possible craft.
 _LEAST_SHARE = 0.01
 
 
@@ -63,12 +63,12 @@ def simulate(dynamics: Dynamics, vehicle: Vehicle, state: Any, commands: Any, pe
 
 
 def _check_commands(vehicle: Vehicle, commands: Float[np.ndarray, "T n *batch"]) -> None:
-    """Refuse commands that no motor takes, such as widths of pulses."""
+    """Reject commands that no motor accepts, such as pulse widths."""
     low, high = min(0.0, vehicle.command_min), max(1.0, vehicle.command_max)
     if not ((commands >= low - _ROUNDING) & (commands <= high + _ROUNDING)).all():
         raise InputError(
-            f"go from {commands.min():g} to {commands.max():g}, and motors take {low:g} to "
-            f"{high:g}; are they widths of pulses, or percent?",
+            f"go from {commands.min():g} to {commands.max():g}, but motors take {low:g} to "
+            f"{high:g}; are they pulse widths, or percent?",
             field="commands",
         )
 

@@ -20,15 +20,16 @@ from typing import Any
 from airpuck.physics.rigid_body import acceleration, derivative
 from airpuck.physics.thrust import inverse_thrust, thrust
 
-#: Newton's method on a trim that effects have moved: it settles in two or three passes.
+#: Iterations of Newton's method on a trim that effects have moved: it settles in two or three.
 _PASSES = 10
 
 
 def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
-    """Find commands under which the craft at rest stays at rest.
+    """Find commands that keep the craft at rest.
 
-    Of all thrusts that cancel, Π F = 0, those nearest to what every motor gives at `level`. Where
-    optional effects change that, Newton's method continues from there by steps of least norm.
+    Among all thrusts that cancel, Π F = 0, choose those nearest to every motor's thrust at `level`.
+    If optional effects disturb this trim, Newton's method continues from there with minimum-norm
+    steps.
     """
     configuration = np.asarray(dynamics.configuration)
     wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))
@@ -63,8 +64,8 @@ def linearize(
     Returns
     -------
     a, b : array, shape (s, s) and (s, n)
-        Of the deviations from the operating point. The state is x, y, γ, vx, vy, ω and the n motor
-        speeds; without motor lag (τ = 0) the motor speeds are no states: s = 6 + n or 6.
+        Matrices for deviations from the operating point. The state is x, y, γ, vx, vy, ω and the n
+        motor speeds. Without motor lag (τ = 0) the motor speeds are not states: s = 6 + n or 6.
     """
     pose = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.0])
     lagging = float(dynamics.motor_time_constant) > 0
@@ -83,7 +84,7 @@ def linearize(
 def _slope(
     function: Callable[[Any], Any], point: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "m k"]:
-    """Differentiate by complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
+    """Differentiate with complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
     step = 1e-30
     moved = function(point[:, None] + 1j * step * np.eye(len(point)))
     return np.imag(np.array(np.broadcast_arrays(*moved))) / step
@@ -109,7 +110,7 @@ def statespace(
         raise InputError("must lie in [0, 1]", field="command")
     if not np.isfinite(yaw):
         raise InputError("must be a finite number", field="yaw")
-    # To python-control a period of zero means continuous time.
+    # For python-control a period of zero means continuous time.
     if period is not None and not (np.isfinite(period) and period > 0):
         raise InputError("must be a positive number of seconds", field="period")
     a, b = linearize(dynamics, yaw, command)

@@ -20,7 +20,7 @@ def parameter_rows(
     known: Uncertainty | None,
     propellers: tuple[str, ...],
 ) -> dict[str, dict[str, Any]]:
-    """List every parameter by its label; without a standard error nan."""
+    """List every parameter by its label; nan without a standard error."""
     values = parameters.to_vector()
     columns = np.full((3, len(values)), np.nan)
     if known is not None:
@@ -39,7 +39,7 @@ def parameter_rows(
 def covariance_rows(
     covariance: Float[np.ndarray, "P P"], labels: list[str], learned: Bool[np.ndarray, " P"]
 ) -> dict[str, dict[str, float]]:
-    """Return the covariance of the parameters that were learned, with labels on both sides."""
+    """Return the covariance of the learned parameters, with labels on both sides."""
     entries = np.flatnonzero(learned).tolist()
     return {
         labels[row]: {labels[column]: float(covariance[row, column]) for column in entries}

@@ -1,4 +1,4 @@
-"""How well learned parameters are known, and what follows for quantities made from them."""
+"""Uncertainty of the learned parameters, and of quantities computed from them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from airpuck.boundary.files import NonNegative, Section
 #: Step of a finite difference, in standard errors: small enough that a product of parameters is
 #: linear, large enough for double precision.
 _STEP = 1e-3
-#: Share of a gradient along a direction that the data do not determine, above which the quantity
-#: is not determined. Finite differences are exact to about 1e-6.
+#: Component of a gradient along an undetermined direction above which the quantity counts as
+#: undetermined. Finite differences are exact to about 1e-6.
 _ALONG = 1e-4
 
 
 class DelayJitter(Section):
-    """How much the transport delay differs from packet to packet; a table of a model file."""
+    """Spread of the transport delay between packets; a table of a model file."""
 
-    #: Of the delays of single packets.
+    #: Standard deviation of the delays of single packets.
     standard_deviation_s: NonNegative
-    #: Of that standard deviation.
+    #: Standard error of that standard deviation.
     standard_error_s: NonNegative
-    #: Packets behind it.
+    #: Number of packets behind it.
     packets: int = pydantic.Field(ge=1)
 
 
@@ -35,7 +35,7 @@ class DelayJitter(Section):
 class Bootstrap:
     """Percentile intervals from fits to resampled data."""
 
-    #: Fits that came to an end.
+    #: Number of fits that converged.
     replicates: int
     #: Seed of the resampling.
     seed: int
@@ -53,22 +53,24 @@ class Uncertainty:
     estimate : array, shape (P,)
         The parameters.
     covariance : array, shape (P, P)
-        In the units of the parameters. Zero for what was not learned or is held by a constraint.
+        Covariance in the units of the parameters. Zero for entries that were not learned or are
+        fixed by a constraint.
     standard_errors : array, shape (P,)
-        Nan where there is none: not learned, at a bound, or not determined by the data alone.
+        Standard errors; nan for entries that were not learned, are at a bound, or are undetermined
+        by the data.
     undetermined : array, shape (K, P)
-        Orthonormal directions in which the loss does not change; `covariance` holds on what is
-        orthogonal to them in scaled coordinates.
+        Orthonormal directions in which the loss does not change; `covariance` is valid orthogonally
+        to them, in scaled coordinates.
     clusters : int
-        Blocks of time G behind the covariance.
+        Number G of blocks of time behind the covariance.
     quantile : float
         97.5 % quantile of Student's t with G - 1 degrees of freedom.
     notes : tuple of str
-        What to know before using it.
+        Caveats to know before using it.
     warnings : tuple of str
-        Those notes that say not to rely on any standard error; files do not keep which these are.
+        The caveats that invalidate all standard errors; files do not record which these are.
     bootstrap : Bootstrap or None
-        Intervals by resampling, where there are any (`airpuck.bootstrap`).
+        Intervals by resampling, if computed (`airpuck.bootstrap`).
     """
 
     estimate: Float[np.ndarray, " P"]
@@ -83,19 +85,19 @@ class Uncertainty:
 
     @property
     def intervals(self) -> Float[np.ndarray, "P 2"]:
-        """95 % intervals, lower and upper ends; nan where there is no standard error."""
+        """95 % intervals, lower and upper ends; nan without a standard error."""
         reach = self.quantile * self.standard_errors
         return np.stack([self.estimate - reach, self.estimate + reach], axis=1)
 
     @property
     def correlation(self) -> Float[np.ndarray, "P P"]:
-        """Correlation of the estimates; nan where there is no standard error."""
+        """Correlation of the estimates; nan without a standard error."""
         return self.covariance / np.outer(self.standard_errors, self.standard_errors)
 
     def propagate(
         self, quantity: Callable[[Float[np.ndarray, " P"]], Any]
     ) -> Float[np.ndarray, "*shape"]:
-        """Compute the standard error of a quantity made from the parameters (delta method).
+        """Compute the standard error of a quantity computed from the parameters (delta method).
 
         Parameters
         ----------
@@ -105,8 +107,8 @@ class Uncertainty:
         Returns
         -------
         array
-            Standard errors, of the quantity's shape; nan where it depends on what the data do not
-            determine, or where there is no covariance.
+            Standard errors, in the quantity's shape; nan if it depends on undetermined parameters,
+            or if there is no covariance.
         """
         spread = np.sqrt(np.diag(self.covariance))
         shape = np.shape(quantity(self.estimate))
@@ -131,7 +133,7 @@ class Uncertainty:
         Returns
         -------
         array, shape (M,)
-            √(∇fᵀ V ∇f); nan where a quantity depends on what the data do not determine.
+            √(∇fᵀ V ∇f); nan if a quantity depends on undetermined parameters.
         """
         variance = np.sum(gradient * (self.covariance @ gradient), axis=0)
         error = np.sqrt(np.maximum(variance, 0.0))
@@ -140,15 +142,15 @@ class Uncertainty:
 
     @property
     def moved(self) -> Bool[np.ndarray, " P"]:
-        """Shape (P,): what was learned, or is part of a direction that is not determined."""
+        """Shape (P,): entries that were learned, or are part of an undetermined direction."""
         return (np.diag(self.covariance) > 0) | (self.undetermined != 0).any(axis=0)
 
 
 def _touches(gradient: Float[np.ndarray, "P M"], undetermined: Float[np.ndarray, "K P"]) -> Any:
-    """Mark the quantities that change along directions which the data do not determine."""
+    """Mark the quantities that change along undetermined directions."""
     if not len(undetermined):
         return np.zeros(gradient.shape[1], dtype=bool)
-    # Entries differ in their units: compare each sum with the sum of its terms' sizes, the
-    # largest of all directions, since a direction can have nothing to do with a quantity.
+    # Entries differ in their units: compare each sum with the sizes of its own terms. Use the
+    # largest size over all directions, since a direction can be unrelated to a quantity.
     most = (np.abs(undetermined) @ np.abs(gradient)).max(axis=0)
     return (np.abs(undetermined @ gradient) > _ALONG * most).any(axis=0)

@@ -1,4 +1,4 @@
-"""Differences of angles and poses: whole turns do not count."""
+"""Differences of angles and poses, modulo whole turns."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def wrapped(xp: Any, angle: Any) -> Any:
-    """Move angles by whole turns to between -π and π."""
+    """Shift angles by whole turns to between -π and π."""
     return angle - 2 * np.pi * xp.round(angle * (0.5 / np.pi))
 
 

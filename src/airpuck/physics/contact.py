@@ -1,6 +1,6 @@
-"""The law of contact: which impulse acts between two bodies, or a body and a rail, that meet.
+"""The law of contact: the impulse between two bodies, or a body and a rail, that meet.
 
-The normal points into the body that the impulse acts on, the tangent is the normal turned by 90°.
+The normal points into the body that the impulse acts on; the tangent is the normal turned by 90°.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class PlainNumbers:
-    """The namespace of single numbers: NumPy's functions take ten times as long for one."""
+    """The namespace for single numbers: NumPy's functions take ten times as long for one number."""
 
     abs = staticmethod(abs)
 
@@ -20,12 +20,12 @@ class PlainNumbers:
 
     @staticmethod
     def where(condition: bool, first: float, second: float) -> float:
-        """Return the first number where the condition holds, else the second."""
+        """Return the first number if the condition holds, otherwise the second."""
         return first if condition else second
 
 
 def mobility(mass: Any, inertia: Any, arm_n: Any, arm_t: Any) -> tuple[Any, Any, Any]:
-    """Return a body's change of velocity at a contact per impulse there: k_nn, k_tt, k_nt.
+    """Return a body's change of velocity per unit impulse at a contact: k_nn, k_tt, k_nt.
 
     The arms lead from the centre of mass to the contact.
     """
@@ -46,10 +46,10 @@ def contact_impulse(
 ) -> tuple[Any, Any]:
     """Return the impulse of a contact along normal and tangent.
 
-    Newton's law of restitution in the normal direction. In the tangential one an impulse that takes
-    away the share `grip` of the slip if the cone of friction allows that, and otherwise lies on the
-    cone. `mobilities` are sums over both bodies; speeds are of the body that the impulse acts
-    on, relative to the other.
+    Newton's law of restitution applies in the normal direction. In the tangential direction the
+    impulse removes the fraction `grip` of the slip if the cone of friction allows it, and otherwise
+    lies on the cone. `mobilities` are sums over both bodies. Speeds are those of the body that the
+    impulse acts on, relative to the other.
     """
     k_nn, k_tt, k_nt = mobilities
     wanted_n, wanted_t = -(1 + restitution) * normal_speed, -grip * slip
@@ -62,7 +62,7 @@ def contact_impulse(
     impulse_n = xp.where(sticks, stick_n, slide_n)
     impulse_t = xp.where(sticks, stick_t, friction * sign * slide_n)
     # With friction and an offset centre of mass, Newton's law can add energy (Kane and Levinson
-    # 1985). Where it would, the contact is taken to be smooth.
+    # 1985). In that case the contact is treated as smooth.
     work = impulse_n * (normal_speed + (k_nn * impulse_n + k_nt * impulse_t) / 2) + impulse_t * (
         slip + (k_nt * impulse_n + k_tt * impulse_t) / 2
     )

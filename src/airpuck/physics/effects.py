@@ -1,9 +1,9 @@
 """Optional terms of the equations of motion, beyond the paper's.
 
 An effect changes the thrusts, or adds accelerations; `airpuck.physics.rigid_body.acceleration`
-applies those of `Dynamics.effects` in order. All are array operations with the batch as last axis.
-A new effect is a class here, and an entry in `airpuck.model.quantities`. The class also bounds what
-it does; without these bounds a plan has no lower bound on its time.
+applies the effects of `Dynamics.effects` in order. All are array operations with the batch as last
+axis. A new effect is a class here, and an entry in `airpuck.model.quantities`. The class also
+bounds its contribution; without these bounds a plan has no lower bound on its time.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """Velocities as the craft feels them."""
+    """Velocities in the body frame, on which effects depend."""
 
     #: Velocity of the geometric centre along the body's axes [m/s].
     forward: Any
     left: Any
     #: ω [rad/s].
     spin: Any
-    #: Of the yaw.
+    #: Angular velocity [rad/s].
     cos: Any
     sin: Any
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A craft as effects see it: where its propellers are, and how strong."""
+    """The craft's properties that effects need: positions and strengths of its propellers."""
 
     vehicle: Vehicle
-    #: α, by which the propellers are turned against the measured yaw [rad].
+    #: α, the angle between the propellers and the measured yaw [rad].
     angle_offset: Any = 0.0
-    #: Of each propeller, the factor that brings its thrust to newtons.
+    #: For each propeller, the factor that converts its thrust to newtons.
     scale: Any = 1.0
     #: Array namespace.
     xp: Any = np
@@ -51,7 +51,7 @@ class Layout:
 class Envelope:
     """The largest velocities at which bounds of an effect must hold."""
 
-    #: Of the geometric centre, in any direction [m/s].
+    #: Speed of the geometric centre, in any direction [m/s].
     speed: float
     #: |ω| [rad/s].
     spin: float
@@ -60,8 +60,8 @@ class Envelope:
 class Effect:
     """Base of all effects: changes nothing.
 
-    A subclass that changes thrusts states `thrust_bounds`, one that adds accelerations states
-    `acceleration_bound`. None there means that no bound is known.
+    A subclass that changes thrusts implements `thrust_bounds`; a subclass that adds accelerations
+    implements `acceleration_bound`. If either returns None, no bound is known.
     """
 
     @classmethod
@@ -71,12 +71,12 @@ class Effect:
 
     @property
     def idle_lag(self) -> Any:
-        """By how much the motors' lag is longer at standstill; None: the same at any speed."""
+        """Relative increase of the motors' lag at standstill; None: the same lag at any speed."""
         return None
 
     @property
     def gravity(self) -> tuple[Any, Any] | None:
-        """A constant acceleration in the world frame, which accelerometers do not feel [m/s²]."""
+        """A constant acceleration in the world frame, which accelerometers do not sense [m/s²]."""
         return None
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
@@ -95,12 +95,12 @@ class Effect:
         return (low, high) if type(self).thrust is Effect.thrust else None
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float] | None:
-        """Bound the added acceleration and angular acceleration, beyond `gravity`."""
+        """Bound the added linear and angular acceleration, apart from `gravity`."""
         return (0.0, 0.0) if type(self).acceleration is Effect.acceleration else None
 
 
 def _scaled(low: Any, high: Any, least: Any, most: Any) -> tuple[Any, Any]:
-    """Bound thrusts times factors, of which each lies anywhere within its range."""
+    """Bound thrusts times factors, where each factor lies anywhere within its range."""
     corners = np.stack(np.broadcast_arrays(low * least, low * most, high * least, high * most))
     return corners.min(axis=0), corners.max(axis=0)
 
@@ -123,16 +123,16 @@ class Drag(Effect):
     spin_quadratic: Any = 0.0
 
     def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
-        """Slow the craft down; see `Effect.acceleration`."""
-        # Smooth at rest, where the derivative of |v| has no value.
+        """Decelerate the craft; see `Effect.acceleration`."""
+        # Smooth at rest, where |v| is not differentiable.
         speed = xp.sqrt(motion.forward**2 + motion.left**2 + 1e-12)
         rate = self.linear + self.quadratic * speed
         spin_rate = self.spin_linear + self.spin_quadratic * xp.abs(motion.spin)
         return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float]:
-        """Take drag at the largest velocities; see `Effect.acceleration_bound`."""
-        speed = within.speed + 1e-6  # as `acceleration` smooths it
+        """Evaluate drag at the largest velocities; see `Effect.acceleration_bound`."""
+        speed = within.speed + 1e-6  # with the same smoothing as in `acceleration`
         linear = (abs(self.linear) + abs(self.quadratic) * speed) * speed
         spin_rate = abs(self.spin_linear) + abs(self.spin_quadratic) * within.spin
         return float(linear), float(spin_rate * within.spin)
@@ -148,8 +148,8 @@ class Inflow(Effect):
 
     #: c [s/m].
     coefficient: Any
-    #: How the velocities forward, left and ω add up to the speed of each propeller along its
-    #: thrust: (dₓ, d_y, r × d).
+    #: Coefficients that combine the velocities forward, left and ω into the speed of each propeller
+    #: along its thrust: (dₓ, d_y, r × d).
     axes: Any
 
     @classmethod
@@ -167,7 +167,7 @@ class Inflow(Effect):
         return thrust * (1 - self.coefficient * axial)
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any]:
-        """Take the largest speeds along each thrust; see `Effect.thrust_bounds`."""
+        """Use the largest speeds along each thrust; see `Effect.thrust_bounds`."""
         forward, left, turn = np.asarray(self.axes, dtype=float).T
         axial = np.hypot(forward, left) * within.speed + np.abs(turn) * within.spin
         change = (abs(self.coefficient) * axial)[:, None]
@@ -180,8 +180,8 @@ class PairInteraction(Effect):
 
     #: c [1/N].
     coefficient: Any
-    #: One at the twin of each propeller, zeros elsewhere; where thrusts are not in newtons, what
-    #: brings the twin's there.
+    #: 1 at the twin of each propeller, 0 elsewhere; if thrusts are not in newtons, the factor that
+    #: converts the twin's.
     twins: Any
 
     @classmethod
@@ -197,7 +197,7 @@ class PairInteraction(Effect):
         return thrust / (1 + self.coefficient * linear_map(self.twins, thrust))
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
-        """Take the twins' least and most; see `Effect.thrust_bounds`."""
+        """Use the twins' lowest and highest thrusts; see `Effect.thrust_bounds`."""
         ends = _weighted(self.coefficient * np.asarray(self.twins, dtype=float), low, high)
         least, most = 1 + ends[0], 1 + ends[1]
         return _scaled(low, high, 1 / most, 1 / least) if (least > 0).all() else None
@@ -205,19 +205,19 @@ class PairInteraction(Effect):
 
 @dataclass(frozen=True, eq=False)
 class VoltageSag(Effect):
-    """The battery's voltage falls under load, and with it every thrust.
+    """The battery's voltage drops under load, and with it every thrust.
 
     A battery of open-circuit voltage E and internal resistance R gives V = E - R I (the Rint model,
-    e.g. He, Xiong and Fan, Energies 4, 2011). At a given command the speed of a motor goes with V
-    and its thrust with the square of it; the current goes with the torque and so with the thrust.
-    With I = k Σ F, c = R k / E and the thrusts F₀ at full voltage
+    e.g. He, Xiong and Fan, Energies 4, 2011). At a given command the speed of a motor is
+    proportional to V and its thrust to V²; the current is proportional to the torque and therefore
+    to the thrust. With I = k Σ F, c = R k / E and the thrusts F₀ at full voltage
 
         F = q² F₀,  q = V/E = 1 - c q² S,  S = Σ F₀,  so that  q = 2 / (1 + √(1 + 4 c S)).
     """
 
-    #: c, the share of the voltage that is lost per thrust [1/N].
+    #: c, the fraction of the voltage lost per unit of thrust [1/N].
     coefficient: Any
-    #: How thrusts add up to S: ones, or what brings them to newtons.
+    #: Weights of the thrusts in S: ones, or the factors that convert them to newtons.
     weights: Any
 
     @classmethod
@@ -231,7 +231,7 @@ class VoltageSag(Effect):
         return thrust * (2 / (1 + xp.sqrt(1 + 4 * self.coefficient * total))) ** 2
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
-        """Take the least and the most of all thrusts; see `Effect.thrust_bounds`."""
+        """Use the lowest and the highest total thrust; see `Effect.thrust_bounds`."""
         ends = _weighted(self.coefficient * np.asarray(self.weights, dtype=float), low, high)
         if (1 + 4 * ends[0] < 0).any():
             return None
@@ -241,19 +241,19 @@ class VoltageSag(Effect):
 
 @dataclass(frozen=True, eq=False)
 class IdleLag(Effect):
-    """Motors that hardly turn are slow to change their speed: τ (1 + c exp(-φ/0.1)).
+    """Motors near standstill change their speed slowly: τ (1 + c exp(-φ/0.1)).
 
-    Empirical. A controller without sensors times a brushless motor by the voltage that this
-    induces, which grows with the speed: near standstill it has little to go by. The motors' step
-    (`airpuck.physics.motor`) takes it into account; forces are what they were.
+    Empirical. A sensorless controller times a brushless motor by the voltage that it induces, which
+    grows with the speed: near standstill this signal is weak. The motors' step
+    (`airpuck.physics.motor`) includes this effect; forces do not change.
     """
 
-    #: c, by how much the lag is longer at standstill.
+    #: c, the relative increase of the lag at standstill.
     coefficient: Any
 
     @classmethod
     def of(cls, layout: Layout, value: Any) -> Effect:
-        """Take the one coefficient; see `Effect.of`."""
+        """Take the single coefficient; see `Effect.of`."""
         return cls(value)
 
     @property
@@ -272,5 +272,5 @@ class Tilt(Effect):
 
     @property
     def gravity(self) -> tuple[Any, Any]:
-        """Pull the craft down the slope; see `Effect.gravity`."""
+        """Accelerate the craft down the slope; see `Effect.gravity`."""
         return GRAVITY * self.x, GRAVITY * self.y

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 #: Speed over which the additional lag of idling motors fades.
 IDLE = 0.1
-#: Passes after which speeds of idling motors no longer change, and by how much they still may.
+#: Number of iterations after which speeds of idling motors have settled, and the tolerance.
 _MOST_PASSES, _SETTLED = 50, 1e-9
-#: Motors with a shorter lag follow at once: the quotient of a period by it overflows [s].
+#: Motors with a shorter lag follow at once: the ratio of a period to it would overflow [s].
 _NO_LAG = 1e-12
 
 
@@ -21,8 +21,9 @@ def motor_step(
     """Advance the motor speeds under a constant command.
 
     φ(t + h) = u + (φ(t) - u) exp(-h/τ), the solution of eq. motor_dynamics. A time constant of zero
-    means a motor that follows at once. Where the lag depends on the speed
-    (`airpuck.physics.effects.IdleLag`), it is that in the middle of the step, of second order.
+    means a motor that follows at once. If the lag depends on the speed
+    (`airpuck.physics.effects.IdleLag`), the lag at the middle of the step is used, which is of
+    second order.
     """
     if idle_lag is not None:
         time_constant = _lag_within(xp, speed, command, duration, time_constant, idle_lag)
@@ -38,7 +39,7 @@ def _lag_within(
 
 
 def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any:
-    """Return τ(φ) = τ (1 + c exp(-φ/0.1)), the lag at a speed; τ where there is no c."""
+    """Return τ(φ) = τ (1 + c exp(-φ/0.1)), the lag at a speed; τ if c is None."""
     if idle_lag is None:
         return time_constant
     return time_constant * (1 + idle_lag * xp.exp(-speed / IDLE))
@@ -47,10 +48,11 @@ def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
     """Return exp(-h/τ), A of eq. dis_motor_dynamics; 0 for τ = 0, with a finite derivative."""
     if getattr(getattr(time_constant, "dtype", None), "hasobject", False):
-        # CasADi's symbols, which have no truth value. A lag that depends on the speed is never 0.
+        # Also holds for CasADi's symbols, which have no truth value. A lag that depends on the
+        # speed is never 0.
         return xp.exp(-duration / time_constant)
-    # No division by zero even in the branch that is not taken: where() hides the value of a NaN,
-    # but not its derivative.
+    # Avoid a division by zero even in the unused branch: where() hides a NaN value, but not its
+    # derivative.
     lagging = time_constant > _NO_LAG
     divisor = xp.where(lagging, time_constant, 1.0)
     return xp.where(lagging, xp.exp(-duration / divisor), 0.0)
@@ -62,7 +64,7 @@ def motor_speeds(
     time_constant: float,
     idle_lag: float | None = None,
 ) -> Float[np.ndarray, "N n"]:
-    """Let motors follow held commands.
+    """Simulate motors under held commands.
 
     Parameters
     ----------
@@ -73,18 +75,18 @@ def motor_speeds(
     time_constant : float
         Lag τ ≥ 0 [s].
     idle_lag : float, optional
-        How much the lag grows at standstill; see `airpuck.physics.effects.IdleLag`.
+        Relative increase of the lag at standstill; see `airpuck.physics.effects.IdleLag`.
 
     Returns
     -------
     array, shape (N, n)
-        Normalised motor speeds, at the first sample equal to the command.
+        Normalised motor speeds; the first sample equals the command.
     """
     duration = np.diff(time)[:, None]
     speed = _followed(command, lag_decay(np, duration, time_constant))
     if idle_lag is None:
         return speed
-    # The lag of the last pass, until it no longer changes: each step then equals `motor_step`.
+    # Iterate on the lag until it no longer changes: each step then equals `motor_step`.
     for _ in range(_MOST_PASSES):
         before = speed
         lag = _lag_within(np, speed[:-1], command[:-1], duration, time_constant, idle_lag)
@@ -98,8 +100,8 @@ def _followed(
     command: Float[np.ndarray, "N n"], decays: Float[np.ndarray, "M k"]
 ) -> Float[np.ndarray, "N n"]:
     """Let speeds decay towards the commands, by a given factor in each step."""
-    # φ' = d φ + (1 - d) u over one step, over two, over four, …: composed until the initial speeds
-    # no longer matter.
+    # One step is φ' = d φ + (1 - d) u. Compose steps into two, four, … until the initial speeds no
+    # longer matter.
     decay = np.concatenate([np.zeros_like(decays[:1]), decays])
     speed = np.concatenate([command[:1], (1 - decay[1:]) * command[:-1]])
     steps = 1

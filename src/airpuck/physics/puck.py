@@ -1,8 +1,8 @@
-"""A puck on a cushion of air: free motion, times of contact and bounces, in closed form.
+"""A puck on an air cushion: free motion, times of contact and bounces, in closed form.
 
 With drag v' = -k v the puck is at p(t) = p(0) + v(0) σ(t), σ(t) = (1 - exp(-k t)) / k: its path is
-straight in σ, without drag in time itself. Everything here takes plain numbers, which are several
-times faster than arrays for a handful of discs.
+a straight line in σ; without drag σ is time itself. Everything here takes plain numbers, which are
+several times faster than arrays for a handful of discs.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from typing import Any, Literal, NamedTuple
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
 from airpuck.physics.contact import PlainNumbers, contact_impulse, mobility
 
-#: Slower than this, nothing approaches [m/s]: friction and bounces leave roundings.
+#: Bodies that approach more slowly than this count as separating [m/s]: friction and bounces leave
+#: rounding errors.
 STILL = 1e-12
-#: Less drag than this changes nothing, and its reciprocal may be too large [1/s].
+#: Drag below this has no effect, and its reciprocal may overflow [1/s].
 _NO_DRAG = 1e-12
-#: What a puck meets of the table. In the goal it is once all of it is behind the line.
+#: Parts of the table that a puck can meet. It is in the goal once it is completely behind the line.
 Boundary = Literal["rail", "post", "goal"]
 
 
 class PuckState(NamedTuple):
-    """Where a puck is and how it moves."""
+    """Position and motion of a puck."""
 
     #: [m, m, rad].
     x: float
@@ -36,9 +37,9 @@ class PuckState(NamedTuple):
 
 
 class Meeting(NamedTuple):
-    """A puck's next meeting with the table."""
+    """A puck's next contact with the table."""
 
-    #: σ until then [s]; infinite for none.
+    #: σ until then [s]; infinite if there is none.
     sigma: float
     boundary: Boundary
     #: Normal, towards the puck.
@@ -48,9 +49,9 @@ class Meeting(NamedTuple):
 
 @dataclass(slots=True)
 class Disc:
-    """A disc that a puck can meet; one with infinite mass gives no way."""
+    """A disc that a puck can meet; a disc with infinite mass is not moved by the puck."""
 
-    #: Its middle [m], its velocity [m/s], its spin [rad/s]; of many at once as arrays.
+    #: Centre [m], velocity [m/s], angular velocity [rad/s]; arrays for many discs at once.
     x: float
     y: float
     vx: Any = 0.0
@@ -59,7 +60,7 @@ class Disc:
     radius: float = 0.0
     mass: float = math.inf
     inertia: float = math.inf
-    #: From the middle to the centre of mass, in the world [m].
+    #: From the centre to the centre of mass, in the world frame [m].
     offset: tuple[float, float] = (0.0, 0.0)
 
 
@@ -91,7 +92,7 @@ def coast(puck: Puck, state: PuckState, duration: float) -> PuckState:
 
 
 def sigma_to_circle(x: float, y: float, vx: float, vy: float, radius: float) -> float:
-    """Return σ until a point meets a circle about the origin; infinite for never.
+    """Return σ until a point meets a circle about the origin; infinite if it never does.
 
     A point that touches the circle or is inside meets it now, if it moves inwards.
     """
@@ -106,7 +107,7 @@ def sigma_to_circle(x: float, y: float, vx: float, vy: float, radius: float) -> 
 
 
 class Walls:
-    """What bounds the middle of a puck: rails, posts and the sides of the goals."""
+    """Bounds of the puck's centre: rails, posts and the sides of the goals."""
 
     def __init__(self, table: Table, radius: float) -> None:
         self._radius = radius
@@ -115,7 +116,7 @@ class Walls:
         self._reach = table.reach(radius)
 
     def first(self, state: PuckState) -> Meeting:
-        """Return what a puck that coasts meets first."""
+        """Return the first contact of a puck that coasts."""
         x, y, _, vx, vy, _ = state
         found = Meeting(math.inf, "rail", 0.0, 0.0)
         x_reach, y_reach = self._reach
@@ -148,7 +149,7 @@ class Walls:
         return found
 
     def nearest(self, x: float, y: float) -> tuple[float, float]:
-        """Return the nearest place where the middle of a puck can be, corners aside."""
+        """Return the nearest place where the centre of a puck can be, ignoring corners."""
         x_reach, y_reach = self._reach
         y = max(-y_reach, min(y, y_reach))
         half, beside = self._half_goal, abs(y)
@@ -166,7 +167,7 @@ class Walls:
 
 
 def walls_of(play: AirHockey) -> Walls:
-    """Return what bounds the middle of the puck of a table."""
+    """Return the bounds of the puck's centre on a table."""
     return Walls(play.table, play.puck.radius_m)
 
 
@@ -175,8 +176,8 @@ def strike(
 ) -> Any:
     """Let two discs that meet bounce; return the normal impulse [N s].
 
-    The normal points from the second to the first. A disc of no radius stands for a rail or a post.
-    With NumPy as namespace, motions and normals may be arrays.
+    The normal points from the second to the first. A disc of zero radius represents a rail or a
+    post. With NumPy as namespace, motions and normals may be arrays.
     """
     mobilities = [0.0, 0.0, 0.0]
     for disc, side in ((first, -1.0), (second, 1.0)):
@@ -204,14 +205,14 @@ def strike(
 
 
 def push(disc: Disc, impulse_n: Any, impulse_t: Any, nx: Any, ny: Any, arm: float) -> None:
-    """Change a disc's motion by an impulse at its edge, `arm` along the normal from its middle."""
+    """Change a disc's motion by an impulse at its edge, `arm` along the normal from its centre."""
     if math.isinf(disc.mass):
         return
     rx, ry = disc.offset
     arm_n = arm - (rx * nx + ry * ny)
     arm_t = -(ry * nx - rx * ny)
     turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia
-    # Of the centre of mass, then of the middle, which turns about it.
+    # Velocity of the centre of mass, then of the centre, which turns about it.
     disc.vx += (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
     disc.vy += (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
     disc.spin += turned

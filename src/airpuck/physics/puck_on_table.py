@@ -1,4 +1,4 @@
-"""A puck among rails, goals and moving discs, from event to event."""
+"""A puck among rails, goals and moving discs, simulated from event to event."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from airpuck.physics.puck import (
     walls_of,
 )
 
-#: What a puck can meet.
+#: Kinds of contact of a puck.
 Met = Literal["rail", "post", "goal", "mallet", "craft"]
-#: Slower than this, disc and puck do not bounce, but stay together [m/s].
+#: Below this speed, disc and puck do not bounce but stay together [m/s].
 RESTING = 0.01
-#: Discs that come nearer more slowly than this do not meet [m/s].
+#: Discs that approach more slowly than this do not meet [m/s].
 _STILL = 1e-9
 #: A puck with more contacts than this within this time [s] is wedged: it stops for a while [s].
 MOST, WITHIN, _STOPPED = 20, 1e-3, 4e-3
-#: Discs that overlap by less are not pressed together [m].
+#: Discs that overlap by less are not separated [m].
 _ROUNDING = 1e-9
-#: How often a puck tries to make way, along a rail, too.
+#: How often a puck tries to get out of the way, also along a rail.
 _PASSES = 8
-#: What a disc bounces off that is wedged.
+#: The immovable body that a wedged disc bounces off.
 _WEDGED = Contact(restitution=0.0, grip=0.0, friction=0.0)
 
 
@@ -43,22 +43,22 @@ class Touch(NamedTuple):
     time: float
     #: With what.
     met: Met
-    #: Impulse along the normal [N s]; none in a goal.
+    #: Impulse along the normal [N s]; 0 in a goal.
     impulse: float
     #: The puck just before the contact.
     before: PuckState
-    #: Index of the disc that it hit among those given to `PuckOnTable.run`; None for the table.
+    #: Index of the disc that it hit among the discs given to `PuckOnTable.run`; None for the table.
     disc: int | None = None
 
 
 @dataclass(slots=True)
 class Moving(Disc):
-    """A disc on its way: to a place at the end of a step, along a line, as the puck's path is."""
+    """A disc that moves in a straight line to a given place by the end of a step."""
 
-    #: Where it will be [m].
+    #: Its place at the end of the step [m].
     to_x: float = 0.0
     to_y: float = 0.0
-    #: How its velocity changes until then [m/s², m/s², rad/s²].
+    #: Its acceleration until then [m/s², m/s², rad/s²].
     ax: float = 0.0
     ay: float = 0.0
     spinning_up: float = 0.0
@@ -71,13 +71,13 @@ class PuckOnTable:
     Parameters
     ----------
     play : AirHockey
-        Table and puck; settings of a twin are such, too.
+        Table and puck; a twin's settings contain both.
     state : PuckState
-        Where it is at first.
+        Initial position.
     time : float, default 0
-        When that is [s].
+        Initial time [s].
     logs : bool, default True
-        Whether to keep all contacts.
+        Whether to record all contacts.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class PuckOnTable:
     time : float
         Now [s].
     goal : int
-        In which goal it is, by the sign of its x; 0: in play.
+        The goal it is in, by the sign of its x; 0: in play.
     touches : list of Touch
         Its contacts since the start.
     """
@@ -104,14 +104,14 @@ class PuckOnTable:
         self.place(state)
 
     def place(self, state: PuckState) -> None:
-        """Put the puck somewhere, or back into play.
+        """Place the puck, or bring it back into play.
 
         Parameters
         ----------
         state : PuckState
-            Where, and how it moves; what lies beyond a rail is put at the rail.
+            Position and motion; positions beyond a rail are moved to the rail.
         """
-        # Numbers of NumPy's are slow.
+        # NumPy scalars are slow.
         state = PuckState(*map(float, state))
         x, y = self._walls.nearest(state.x, state.y)
         self.goal = 0
@@ -121,18 +121,18 @@ class PuckOnTable:
 
     @property
     def next_meeting(self) -> float:
-        """When the puck will meet the table next, if no disc is in its way; to a nanosecond [s]."""
+        """When the puck will meet the table next if no disc is in its way; to a nanosecond [s]."""
         return self._wall_time
 
     def run(self, end: float, discs: Sequence[Moving] = ()) -> Moving | None:
-        """Let time pass until `end`, or until the puck has hit a disc that gives way.
+        """Advance to `end`, or until the puck hits a disc that can move.
 
         Parameters
         ----------
         end : float
             When to stop [s].
         discs : sequence of Moving
-            Discs on their way; they are moved, and what gives way changes its velocity.
+            The moving discs. They are moved, and a hit changes the velocity of discs that can move.
 
         Returns
         -------
@@ -170,7 +170,7 @@ class PuckOnTable:
     def _first_disc(
         self, discs: Sequence[Moving], passed: set[int], reach: float, share: float, sigma: float
     ) -> tuple[int | None, float]:
-        """Return the index of the disc that is met before σ, and when."""
+        """Return the index of the disc that the puck meets before σ, and when."""
         x, y, _, vx, vy, _ = self.state
         found = None
         for index, disc in enumerate(discs):
@@ -211,7 +211,7 @@ class PuckOnTable:
         self.time = stop if at_end else min(self.time + lasted, stop)
 
     def _meet(self, wall: Meeting) -> None:
-        """Bounce off the table, or be in a goal."""
+        """Bounce off the table, or enter a goal."""
         if wall.boundary == "goal":
             self.goal = 1 if self.state.x > 0 else -1
             self._log("goal", 0.0)
@@ -222,7 +222,7 @@ class PuckOnTable:
         """Bounce off a disc unless it is moving away; return whether the puck bounced."""
         dx, dy = self.state.x - disc.x, self.state.y - disc.y
         distance = math.hypot(dx, dy)
-        # Middles that coincide have no normal; any is as good.
+        # Coinciding centres have no normal; any direction will do.
         nx, ny = (dx / distance, dy / distance) if distance else (1.0, 0.0)
         closing = -((self.state.vx - disc.vx) * nx + (self.state.vy - disc.vy) * ny)
         if closing < _STILL:
@@ -241,7 +241,7 @@ class PuckOnTable:
     def _strike(
         self, other: Disc, nx: float, ny: float, law: Contact, met: Met, index: int | None = None
     ) -> None:
-        """Change the motion of the puck, and of what it meets."""
+        """Change the motion of the puck, and of the disc it meets."""
         body, state = self._body, self.state
         body.vx, body.vy, body.spin = state.vx, state.vy, state.spin
         impulse = strike(body, other, nx, ny, law)
@@ -255,16 +255,16 @@ class PuckOnTable:
         self._move_on(state._replace(vx=body.vx, vy=body.vy, spin=body.spin))
 
     def _move_on(self, state: PuckState) -> None:
-        """Take a new state, and note when the puck will meet the table."""
+        """Take a new state, and compute when the puck will meet the table."""
         self.state = state
         sigma = self._walls.first(state).sigma
-        # A little earlier, since the state is rounded step by step until then.
+        # A little early, since the state is rounded step by step until then.
         self._wall_time = self.time + time_of(self._puck.drag_1_s, sigma) - 1e-9
 
     def _separate(self, discs: Sequence[Moving]) -> None:
-        """Part puck and discs that overlap, as discs do whose paths are not quite straight.
+        """Separate puck and discs that overlap; this happens if disc paths are not quite straight.
 
-        The puck makes way; where it cannot, because it is wedged, it stops and the disc makes way.
+        The puck moves aside. If it cannot because it is wedged, it stops and the disc moves.
         """
         x, y, moving = self.state.x, self.state.y, True
         if self.goal or not any(self._overlap(disc, x, y) > 0 for disc in discs):
@@ -288,13 +288,13 @@ class PuckOnTable:
         return self._body.radius + disc.radius - math.hypot(x - disc.x, y - disc.y)
 
     def _log(self, met: Met, impulse: float, disc: int | None = None) -> None:
-        """Keep a contact; `state` is still that before it."""
+        """Record a contact; `state` is the state before it."""
         if self._logs:
             self.touches.append(Touch(self.time, met, impulse, self.state, disc))
 
 
 def _direction(disc: Disc, x: float, y: float) -> tuple[float, float]:
-    """Return the unit vector from a disc to the puck; where they coincide, any."""
+    """Return the unit vector from a disc to the puck; any direction if they coincide."""
     dx, dy = x - disc.x, y - disc.y
     distance = math.hypot(dx, dy)
     return (dx / distance, dy / distance) if distance else (1.0, 0.0)

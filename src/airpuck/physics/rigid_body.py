@@ -18,8 +18,8 @@ from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.motor import lag_at
 from airpuck.physics.thrust import thrust
 
-#: In which frame the offset of the centre of mass is constant. Physically it is the body; the
-#: paper's eq. acc_dyn, and its published parameters, leave it unrotated in the world.
+#: The frame in which the offset of the centre of mass is constant. Physically it is the body frame;
+#: the paper's eq. acc_dyn, and its published parameters, leave it unrotated in the world.
 CenterOfMassFrame = Literal["body", "world"]
 
 
@@ -27,22 +27,22 @@ CenterOfMassFrame = Literal["body", "world"]
 class Dynamics:
     """Coefficients of the equations of motion.
 
-    Of one craft, or of a batch of craft as last axis. Rungs of the model ladder differ only in how
-    these follow from their parameters (`airpuck.model.parameters`).
+    For one craft, or for a batch of craft as last axis. Rungs of the model ladder differ only in
+    how these follow from their parameters (`airpuck.model.parameters`).
 
     Attributes
     ----------
     thrust : array, shape (n, degree)
         Thrust polynomials [N].
     configuration : array, shape (3, n)
-        Π: from thrusts to linear acceleration in the body frame and angular acceleration
-        [1/kg, 1/kg, 1/(kg m)].
+        Π: maps thrusts to linear acceleration in the body frame and angular acceleration [1/kg,
+        1/kg, 1/(kg m)].
     center_of_mass : array, shape (2,)
         r, from the geometric centre to the centre of mass [m].
     motor_time_constant : array, shape () or float
         Lag τ of motor speed behind the command [s].
     frame : {"body", "world"}
-        Where `center_of_mass` is constant.
+        The frame in which `center_of_mass` is constant.
     effects : tuple of Effect
         Optional terms (`airpuck.physics.effects`).
     """
@@ -56,7 +56,7 @@ class Dynamics:
 
     @property
     def idle_lag(self) -> Any:
-        """By how much the motors' lag is longer at standstill; None: the same at any speed."""
+        """Relative increase of the motors' lag at standstill; None: the same lag at any speed."""
         longer = [effect.idle_lag for effect in self.effects if effect.idle_lag is not None]
         return sum(longer) if longer else None
 
@@ -81,7 +81,7 @@ def configuration_matrix(
     """Compute Π(θ), shape (3, n), from first principles (subsec:configuration_matrix).
 
     Forces add up to the acceleration of the centre of mass, their moments about it to the angular
-    acceleration. The angle offset α turns positions (n, 2) and directions (n, 2) alike.
+    acceleration. The angle offset α turns both positions (n, 2) and directions (n, 2).
     """
     cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
     dx = cos * directions[:, 0] - sin * directions[:, 1]
@@ -94,8 +94,8 @@ def configuration_matrix(
 def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> Any:
     """Compute the acceleration of the geometric centre and the angular acceleration (eq. acc_dyn).
 
-    a = R(γ) Π_xy F + r × ω' + ω × (r × ω) (eq. acc_corr) and ω' = Π_z F, with r turned by R(γ)
-    where it is fixed to the body. Effects change the thrusts F, or add accelerations.
+    a = R(γ) Π_xy F + r × ω' + ω × (r × ω) (eq. acc_corr) and ω' = Π_z F, with r turned by R(γ) if
+    it is fixed to the body. Effects change the thrusts F, or add accelerations.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     dynamics : Dynamics
         Coefficients.
     motion : sequence of array, shape (4, ...)
-        Yaw γ [rad], velocity vx, vy [m/s], spin ω [rad/s].
+        Yaw γ [rad], velocity vx, vy [m/s], angular velocity ω [rad/s].
     motor_speed : array, shape (n, ...)
         Normalised motor speeds φ.
 
@@ -138,8 +138,8 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
 def motor_accelerations(
     xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
 ) -> tuple[Any, Any]:
-    """Split the accelerations (eq. acc_dyn) into those that each motor gives, and all others."""
-    # The accelerations are linear in Π: one column at a time, and none.
+    """Split the accelerations (eq. acc_dyn) into each motor's contribution and the rest."""
+    # The accelerations are linear in Π: evaluate one column at a time, and none.
     n = motor_speed.shape[0]
     columns = np.concatenate([np.eye(n), np.zeros((1, n))])
     matrix = dynamics.configuration[:, :, None] * columns.T
@@ -163,7 +163,7 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
     """Return M(γ) and g(ω) of the accelerations M F + g (eq. acc_dyn), for eq. force_qp.
 
-    Without the optional effects, which a controller rejects as a disturbance.
+    Optional effects are left out; a controller rejects them as a disturbance.
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]

@@ -1,7 +1,7 @@
 """Multi-step prediction of a batch of windows, by eq. extended_model_dynamics.
 
-The rigid body is integrated by the explicit Runge-Kutta method of fourth order, as in the paper;
-the motors, which nothing feeds back to, by their exact solution at the stage times.
+The rigid body is integrated with the explicit Runge-Kutta method of fourth order, as in the paper.
+The motors are independent of the body, so their exact solution at the stage times is used.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def rollout(xp: Any, dynamics: Dynamics, state: Any, commands: Any, durations: A
     commands : array, shape (T, n, ...)
         Command in force over each step.
     durations : array, shape (T, ...)
-        Length of each step [s].
+        Duration of each step [s].
 
     Returns
     -------

@@ -15,12 +15,13 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.arrays import repeat_while
 
-#: A thrust curve whose slope is below this is held by its constraint [N]; that has 1e-6.
+#: If a thrust curve's lowest slope is below this, its constraint is active [N]; the constraint's
+#: bound is 1e-6.
 FLAT = 1e-5
-#: A motor speed is found when the last pass moved it by less than this. Rounding of a thrust moves
-#: a speed by more only where the slope is below 1e-4 N.
+#: The iteration has converged when it moves a motor speed by less than this. Rounding of a thrust
+#: moves a speed by more only if the slope is below 1e-4 N.
 _RESOLVED = 1e-12
-#: Newton needs about five passes, bisection alone 40: the bound is never reached.
+#: Newton needs about five iterations, bisection alone 40: this bound is never reached.
 _MOST_PASSES = 100
 
 
@@ -72,7 +73,7 @@ def lowest_slope(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Find the lowest slope of each thrust curve on [0, 1], and its speed (eq. thrust_cond).
 
-    The minimum of dF/dφ lies at an end of the interval or where d²F/dφ² vanishes inside. For a
+    The minimum of dF/dφ lies at an end of the interval, or where d²F/dφ² vanishes inside. For a
     cubic this is the argument of Proposition 1 (prop:thrust).
     """
     degree = coefficients.shape[1]
@@ -91,7 +92,7 @@ def lowest_slope(
 def slope_rows(
     free: Bool[np.ndarray, "n degree"], points: Sequence[tuple[int, float]]
 ) -> Float[np.ndarray, "R entries"]:
-    """Return A such that A c are slopes at points (propeller, φ), c the flat coefficients.
+    """Return A such that A c are slopes at points (propeller, φ); c are the flat coefficients.
 
     Slopes that no free coefficient changes, such as the slope of κφ² at 0, are left out.
     """
@@ -109,11 +110,11 @@ def is_monotone(coefficients: Float[np.ndarray, "n degree"]) -> Bool[np.ndarray,
 
 
 class InverseThrust:
-    """Finds the motor speeds that give thrusts, F⁻¹ in seq:control.
+    """Computes the motor speeds that give thrusts, F⁻¹ in seq:control.
 
     The controller's command follows from them: u = B⁻¹ (F⁻¹(F) - A φ), with the motors' A and B of
-    eq. dis_motor_dynamics. Newton's method, kept inside a bracket that halves whenever Newton would
-    leave it. Thrusts outside the curve's range give the nearest end of [0, 1].
+    eq. dis_motor_dynamics. Newton's method runs inside a bracket, which is halved whenever Newton
+    would leave it. Thrusts outside the curve's range give the nearest end of [0, 1].
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:
         error = thrust(coefficients, speed) - target
         low, high = xp.where(error <= 0, speed, low), xp.where(error >= 0, speed, high)
         newton = speed - error / thrust_slope(coefficients, speed)
-        # Not inside, or not a number: bisect. Exactly met: stay.
+        # Outside, or not a number: bisect. Exactly met: stay.
         inside = (newton > low) & (newton < high)
         following = xp.where(inside, newton, (low + high) / 2)
         following = xp.where(error == 0, speed, following)

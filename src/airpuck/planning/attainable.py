@@ -1,6 +1,6 @@
-"""What the propellers can give, whatever the craft does: the sets behind braking and certificate.
+"""Bounds on what the propellers can produce, whatever the craft does: for braking and certificates.
 
-Every number here is an upper bound (docs/planning.md), as long as `has_bounds`: an effect that
+Every number here is an upper bound (docs/planning.md) if `has_bounds` is true: an effect that
 states no bounds is left out.
 """
 
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from airpuck.planning.request import Request
     from airpuck.planning.settings import Limits
 
-#: Yaws at which `strongest_push` looks, one turn.
+#: Number of yaws per turn that `strongest_push` evaluates.
 _YAWS = 314
-#: The push at the nearest of them is at least this share of that in between.
+#: The push at the nearest of these yaws is at least this fraction of the push at any yaw.
 _BETWEEN_YAWS = math.cos(math.pi / _YAWS)
 
 
 def motor_range(
     model: Model, speed: Float[np.ndarray, " n"], times: Float[np.ndarray, " K"]
 ) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
-    """Return the lowest and highest speeds that motors can have by then (eq. motor_dynamics)."""
+    """Return bounds of the motor speeds at given times (eq. motor_dynamics)."""
     vehicle, lag = model.vehicle, float(model.dynamics.motor_time_constant)
     lag *= 1 + min(float(model.dynamics.idle_lag or 0.0), 0.0)
     left = np.exp(-times / lag) if lag > 0 else np.zeros_like(times)
@@ -43,7 +43,7 @@ def thrust_range(
     speeds: tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]],
     limits: Limits,
 ) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
-    """Return the lowest and the highest thrusts at speeds within a range, with the effects."""
+    """Return the lowest and highest thrusts over a range of speeds, effects included."""
     curves = np.asarray(model.dynamics.thrust)
     # A polynomial is extreme at the ends of the range, or at a stationary point within it.
     powers = np.arange(1, curves.shape[1] + 1)
@@ -59,7 +59,7 @@ def thrust_range(
 
 
 def has_bounds(model: Model, limits: Limits) -> bool:
-    """Return whether every effect states what it can add at most."""
+    """Return whether every effect bounds its contribution."""
     within = _envelope(limits)
     low, high = _all_speeds(model)
     for effect in model.dynamics.effects:
@@ -81,7 +81,7 @@ def _all_speeds(model: Model) -> tuple[Float[np.ndarray, "n 1"], Float[np.ndarra
 
 
 def added_accelerations(model: Model, limits: Limits) -> tuple[float, float]:
-    """Return the most that effects add in any direction, linear and angular, beyond gravity."""
+    """Return the largest linear and angular accelerations that effects add, apart from gravity."""
     stated = [e.acceleration_bound(_envelope(limits)) for e in model.dynamics.effects]
     known = [bound for bound in stated if bound is not None]
     return sum(b[0] for b in known), sum(b[1] for b in known)
@@ -111,7 +111,7 @@ def largest_moment(model: Model, limits: Limits) -> float:
 def strongest_thrust(
     model: Model, low: Float[np.ndarray, "n K"], high: Float[np.ndarray, "n K"]
 ) -> Float[np.ndarray, " K"]:
-    """Bound the linear acceleration of thrusts within a range, at whatever yaw."""
+    """Bound the linear acceleration of thrusts within a range, over all yaws."""
     yaw = 2 * np.pi * np.arange(_YAWS) / _YAWS
     forward, left = np.asarray(model.dynamics.configuration)[:2]
     push = np.cos(yaw)[:, None] * forward - np.sin(yaw)[:, None] * left
@@ -122,7 +122,7 @@ def strongest_thrust(
 def strongest_push(
     request: Request, times: Float[np.ndarray, " K"], *, motors_known: bool = True
 ) -> Float[np.ndarray, " K"]:
-    """Bound the acceleration of the geometric centre at times since the start, at whatever yaw."""
+    """Bound the acceleration of the geometric centre over time, over all yaws."""
     model, limits = request.model, request.limits
     if not motors_known:
         times = np.full_like(times, np.inf)

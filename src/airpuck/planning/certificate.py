@@ -1,9 +1,9 @@
-"""A time that no control undercuts: weak duality, with the yaw's dynamics solved globally.
+"""Lower bounds on the flight time: weak duality, with the yaw's dynamics solved globally.
 
-For any weight w(t) in the plane, integration by parts turns what a flight must have reached into
-what its thrusts must have given, ∫ w·a dt. The most that any thrusts can give, over all paths of
-yaw and spin, follows from `YawProgram`. A duration at which the most is less than what is needed is
-impossible. Every rounding is upwards; docs/planning.md proves each.
+For any weight w(t) in the plane, integration by parts turns the required change of state into a
+required integral over the thrusts, ∫ w·a dt. `YawProgram` bounds this integral from above, over all
+paths of yaw and yaw rate. A duration is impossible if the bound is below the required value. All
+rounding is upwards; docs/planning.md has the proofs.
 """
 
 from __future__ import annotations
@@ -19,47 +19,50 @@ from airpuck.planning.attainable import gravity, has_bounds, largest_moment, str
 from airpuck.planning.request import Goal, Request
 from airpuck.planning.yaw_program import Fineness, Weight, YawProgram
 
-#: The search begins coarsely; only near the bound a fine grid pays.
+#: The search begins with coarse grids; a fine grid pays off only near the bound.
 _COARSE, _FINE = Fineness(40, 8, 100, 256), Fineness(60, 20, 240, 480)
-#: The programs run up to so many times a weight's own duration.
+#: Horizon of the programs, as a multiple of the weight's own duration.
 _BEYOND = 1.06
-#: Coarse and fine programs at most.
+#: Largest numbers of coarse and of fine programs.
 _SEARCHES, _REFINEMENTS = 14, 4
-#: An improvement of the bound by less than this share ends the search.
+#: The search ends when the bound improves by less than this fraction.
 _IMPROVED = 5e-4
-#: The last fine program begins by this share below the bound that the one before promised.
+#: The last fine program begins this fraction below the bound that the previous one promised.
 _BELOW = 3e-4
-#: How many steps beyond its last time a program may promise.
+#: Number of steps beyond its last time for which a program may extrapolate.
 _GUESSED = 4.0
 #: Rounding of times [s].
 _SAME = 1e-12
-#: Shares of a step for which a craft that moves at the goal may have coasted.
+#: Fractions of a step for which a craft that is moving at the goal may have coasted.
 _COASTS = np.linspace(0.0, 1.0, 9)
-#: Intervals of time that are refuted one by one, and how long they are, in durations of the weight.
+#: Number of time intervals that are refuted separately, and their length, in durations of the
+#: weight.
 _BINS, _LONGEST = 4000, 2.0
-#: Durations for which a leg between way points is tried, as shares of the plan's, which has turns.
+#: Durations tried for a leg between way points, as fractions of the plan's, which includes turns.
 _SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
-#: A bound above this share of the duration that was tried came from its weight.
+#: If the bound exceeds this fraction of the tried duration, it came from that duration's weight.
 _NEAR = 0.8
 
 
 def lower_bound(request: Request, weight: Weight, duration: float) -> float | None:
-    """Find a time that no control of these motors can undercut.
+    """Compute a lower bound on the flight time, over all controls of these motors.
 
     Parameters
     ----------
     request : Request
-        What is asked for; its reserve is not kept here, and way points and discs are not seen.
+        The request. The reserve of thrust, way points and discs are ignored.
     weight : Weight
-        Of accelerations over time; any gives a true bound, the costates of a good plan a high one.
+        Weight of accelerations over time. Any weight gives a valid bound; the costates of a good
+        plan give a high one.
     duration : float
-        For which the weight was made [s]: where the search begins, not a limit of the bound.
+        Duration for which the weight was made [s]: the search begins there. It does not limit the
+        bound.
 
     Returns
     -------
     float or None
-        A duration [s] below which every one is refuted, zero where none was; None where an effect
-        of the model states no bounds.
+        All durations below this one [s] are refuted; zero if none is. None if an effect of the
+        model states no bounds.
     """
     if not has_bounds(request.model, request.limits):
         return None
@@ -67,9 +70,9 @@ def lower_bound(request: Request, weight: Weight, duration: float) -> float | No
 
 
 def missing_at(request: Request, weight: Weight, duration: float) -> tuple[float, float, float]:
-    """Return what a flight of a duration needs, the most that it can get, and the scale of both.
+    """Return the integral that a flight requires, its upper bound, and the scale of both.
 
-    The duration is impossible if it needs more.
+    The duration is impossible if the required integral exceeds the bound.
     """
     program = YawProgram(request, weight, duration, _COARSE, np.zeros(1))
     needed = _needed(request, program, np.zeros(1))
@@ -88,15 +91,15 @@ def _refuted(request: Request, weight: Weight, duration: float) -> float:
             own = root
         elif gap is None:
             break
-        elif gap == own:  # this weight does not close it, so the bound is not above
+        elif gap == own:  # this weight does not close the gap, so the bound cannot be higher
             top = (1 - _IMPROVED) * gap
         else:
             own = gap
     own = top
     for number in range(_REFINEMENTS if top else 0):
         before = found.bound
-        # Craft that can wait are refuted at the last end of a step; it should lie at the bound.
-        # For others ends of steps should lie elsewhere each time.
+        # For craft that can wait, the last end of a step refutes; it should lie at the bound. For
+        # other craft the ends of steps should differ between programs.
         far = 1.0 if found.waits else _BEYOND + number / (2 * _FINE.steps)
         root = found.refute(own, far * own, _FINE)
         done = root if found.waits else (1 + _IMPROVED) * before
@@ -107,32 +110,32 @@ def _refuted(request: Request, weight: Weight, duration: float) -> float:
 
 
 class _Durations:
-    """Which durations are refuted."""
+    """The durations that are refuted."""
 
     def __init__(self, request: Request, weight: Weight, duration: float) -> None:
         self._request, self._weight, self._duration = request, weight, duration
         self._edges = np.linspace(0.0, _LONGEST * duration, _BINS + 1)
         self._last = _by_the_limits(request)
         self._refuted = self._edges[1:] <= self._last
-        #: Whether flights can be prolonged by waiting, so that a refuted duration refutes all
-        #: shorter ones: at rest at the start or at the goal nothing moves a craft.
+        #: Whether waiting can prolong a flight, so that a refuted duration refutes all shorter
+        #: ones: nothing moves a craft at rest at the start or at the goal.
         still = [np.all(state[3:6] == 0) for state in (request.start, request.goal.state)]
         self.waits = any(still) and gravity(request.model) == 0
 
     @property
     def bound(self) -> float:
-        """The duration below which all are refuted [s]."""
+        """All durations below this one are refuted [s]."""
         if self.waits or self._refuted.all():
             return self._last
         return float(self._edges[:-1][~self._refuted][0])
 
     def gap_below(self, top: float) -> float | None:
-        """Return the longest duration below one that is not refuted."""
+        """Return the longest duration below a given one that is not refuted."""
         below = self._edges[1:][~self._refuted & (self._edges[1:] <= top)]
         return None if self.waits or not len(below) else float(below[-1])
 
     def refute(self, own: float, horizon: float, fineness: Fineness) -> float:
-        """Try the weight of a duration; return where near it that stops refuting [s]."""
+        """Try a duration's weight; return the nearby duration where it stops refuting [s]."""
         coasts = _COASTS[:1] if self.waits else _COASTS
         weight = self._weight.compressed(own / self._duration)
         coasts = coasts * horizon / fineness.steps
@@ -144,7 +147,7 @@ class _Durations:
             self._last = max(self._last, ends[missing > 0].max(initial=0.0))
             longest = ends
         else:
-            # Of each pair of neighbouring times of coasting, latest first: in order of duration.
+            # For each pair of neighbouring coasting times, latest first: in order of duration.
             pairs = [slice(1, None), slice(None, -1)]
             least = np.minimum(*(needed[:, one] for one in pairs))
             most = np.maximum(*(program.most[:, one] for one in pairs))
@@ -167,7 +170,7 @@ def _by_the_limits(request: Request) -> float:
 
 
 def _root(times: Float[np.ndarray, " K"], missing: Float[np.ndarray, " K"], near: float) -> float:
-    """Return the end of the run of refuted times in or below which one lies."""
+    """Return the end of the run of refuted times that contains a time, or of the run below it."""
     own = min(int(np.searchsorted(times, near)), len(times) - 1)
     while own >= 0 and missing[own] <= 0:
         own -= 1
@@ -178,15 +181,15 @@ def _root(times: Float[np.ndarray, " K"], missing: Float[np.ndarray, " K"], near
     last = min(own, len(times) - 2)
     fall = missing[last] - missing[last + 1]
     reach = missing[last] / fall if fall > 0 else 1.0
-    # Beyond the last time this is a guess, of a few steps.
+    # Beyond the last time this is an extrapolation over a few steps.
     return float(times[last] + (times[last + 1] - times[last]) * min(reach, _GUESSED))
 
 
 def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"]) -> float | None:
-    """Find a time that no control undercuts that passes way points in order.
+    """Compute a lower bound for a flight that passes way points in order.
 
-    The larger of two: of a flight that need not pass them; and of the first leg, with any velocity
-    at its end, together with the last, flown backwards from the goal.
+    The larger of two bounds: one for a flight without the way points; one for the first leg, with
+    any velocity at its end, plus the last leg, flown backwards from the goal.
     """
     if not has_bounds(request.model, request.limits):
         return None
@@ -199,7 +202,7 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
     time = float(durations[0])
     first, last = _of_leg(onward, point, time), 0.0
     if not np.isnan(goal).any():
-        # Backwards in time velocities turn round, accelerations do not; motors may do anything.
+        # In reversed time, velocities change their sign and accelerations do not; motors are free.
         n, point, time = len(request.start) - 6, request.via[-1], float(durations[-1])
         motors = np.full(n, request.model.vehicle.command_max)
         state = np.concatenate([goal[:3], -goal[3:], motors])
@@ -210,7 +213,7 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
 
 
 def _of_leg(request: Request, to: Float[np.ndarray, " 2"], duration: float) -> float:
-    """Find a time for a leg that may end at any velocity; that of a plan may be much longer."""
+    """Compute a bound for a leg with a free final velocity; the plan's leg may take much longer."""
     best = 0.0
     for time in duration * _SHARES_OF_LEG:
         found = _refuted(request, _straight(request, to, time), time)
@@ -221,10 +224,10 @@ def _of_leg(request: Request, to: Float[np.ndarray, " 2"], duration: float) -> f
 
 
 def unavoidable_rail(request: Request) -> str | None:
-    """Return the axis along which the craft hits a rail whatever it does; None if that is not sure.
+    """Return the axis along which the craft is certain to hit a rail; None if a hit is not certain.
 
-    At time t it is where it drifts to, less ∫ (t - s) times what thrusts give against the motion;
-    `YawProgram` bounds the integral for this yaw and spin at the start.
+    At time t the craft has drifted, minus ∫ (t - s) times the thrust against the motion;
+    `YawProgram` bounds the integral for the yaw and yaw rate at the start.
     """
     if not has_bounds(request.model, request.limits):
         return None
@@ -252,7 +255,7 @@ def unavoidable_rail(request: Request) -> str | None:
 def _straight(
     request: Request, to: Float[np.ndarray, " 2"], duration: float, *, rest: bool = False
 ) -> Weight:
-    """Return the weight of a straight flight, which brakes half way or not at all."""
+    """Return the weight of a straight flight that brakes half way or not at all."""
     way = complex(*(to - request.start[:2]))
     along = way / abs(way) if way else 0j
     stop = duration / 2 if rest else duration
@@ -263,10 +266,10 @@ def _straight(
 def _needed(
     request: Request, program: YawProgram, coasts: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "K T"]:
-    """Return what ∫ w·a over thrusts must at least be for craft that coast from the goal.
+    """Return the least ∫ w·a over thrusts that craft which coast from the goal require.
 
-    ∫ w·a = [w·v] - ∫ w'·v, where a piecewise constant w' leaves positions at the ends and at the
-    kinks, of which the rails bound the latter.
+    ∫ w·a = [w·v] - ∫ w'·v. With a piecewise constant w', the second term depends only on positions
+    at the ends and at the kinks; the rails bound the positions at the kinks.
     """
     limits, weight, pull = request.limits, program.weight, gravity(request.model)
     times = program.step * np.arange(1, len(program.most) + 1)
@@ -276,7 +279,7 @@ def _needed(
     )
     end: Any = weight(times)[:, None]
     slope: Any = weight.slope(times)[:, None]
-    # w(T)·v - w'(T)·(p + v τ): the velocity at arrival has the weight of that time.
+    # w(T)·v - w'(T)·(p + v τ): the velocity at arrival is weighted by w at that time.
     arrival = end - slope * coasts
     needed = _dot(weight.beta, start) - _dot(weight(np.zeros(1))[0], speed) - _dot(slope, goal)
     needed = needed - np.abs(slope) * place_error[:, None] - np.abs(arrival) * speed_error
@@ -291,7 +294,7 @@ def _needed(
         needed = needed - np.where(times > time, room, 0.0)[:, None]
     if pull:
         needed = needed + _dot(end - slope * coasts / 2, pull) * coasts
-        # Between two times of coasting this is bent by as much, at most.
+        # Bound of the curvature's effect between two coasting times.
         needed = needed - np.abs(slope * pull) * (coasts[1:2].sum() / 2) ** 2
         # The trapezoidal rule is exact: kinks lie at ends of steps.
         pushed = _dot(weight(np.append(0.0, times)), pull)
@@ -302,10 +305,10 @@ def _needed(
 def _accelerated_point(
     request: Request, state: Float[np.ndarray, " 6"], times: Float[np.ndarray, " K"]
 ) -> tuple[complex, complex, Float[np.ndarray, " K"], float]:
-    """Return place and velocity of the point that thrusts accelerate, and how far off they may be.
+    """Return position, velocity and uncertainty of the point that thrusts accelerate.
 
-    It is the centre of mass. Where the offset r is fixed in the world, it is p + i r (γ - γ₀),
-    which thrusts and r ω² accelerate; how many turns the craft has made by a time is open.
+    This point is the centre of mass. If the offset r is fixed in the world, it is p + i r (γ - γ₀),
+    accelerated by thrusts and r ω²; the number of turns made by then is unknown.
     """
     offset, spin = complex(*request.model.dynamics.center_of_mass), request.limits.spin
     world = request.model.dynamics.frame == "world"
@@ -332,5 +335,5 @@ def _accelerated_point(
 
 
 def _dot(a: Any, b: Any) -> Any:
-    """Return the scalar product of vectors that are complex numbers."""
+    """Return the scalar product of vectors written as complex numbers."""
     return np.real(np.conj(a) * b)

@@ -1,4 +1,4 @@
-"""The shortest times as a table that answers in microseconds, for decisions many times a second."""
+"""A table of shortest times that answers in microseconds, for decisions many times a second."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from airpuck.planning.search import TIDY, ranked, search
 from airpuck.planning.settings import Limits
 from airpuck.planning.transcription import program_for
 
-#: Plans that times of another craft are fitted to, and others that measure the error.
+#: Plans that fit the times of another craft, and further plans that measure the error.
 _FITTED, _CHECKED = 8, 6
-#: Fewest plans that suffice for the error, where others fail.
+#: Fewest plans that suffice for the error if others fail.
 _FEWEST_CHECKED = 3
-#: Error (p95) of the packaged table, which players' own reserves allow for [s].
+#: Error (p95) of the packaged table; players' own reserves already cover it [s].
 _USUAL_ERROR = 0.033
-#: Weight of the factor's logarithm beside relative errors of times.
+#: Weight of the factor's logarithm relative to relative errors of times.
 _NEAR_ONE = 0.1
 #: Tables in use in this process, by craft.
 _KNOWN: dict[str, MinimalTimes] = {}
 _FORMAT = "airpuck minimal times 2"
-#: Intervals of the plans behind the table: within half a percent of finer ones.
+#: Intervals of the plans behind the table: times are within 0.5 % of those on finer grids.
 _INTERVALS = 20
-#: Offsets of the corners of a cell, along each axis.
+#: Corners of a cell, as offsets along each axis.
 _CORNERS = np.ogrid[:2, :2, :2]
 
 Arrival = Literal["rest", "any"]
@@ -49,21 +49,22 @@ _State = tuple[float, tuple[float, float], float]
 class MinimalTimes:
     """Shortest times from a moving craft to a place, on a table without rails.
 
-    The final yaw is free; the one at the start is averaged over, and part of the error.
+    The final yaw is free. Times are averaged over the initial yaw; its effect is part of the error.
 
     Attributes
     ----------
     source : str
-        The model that was planned for, in words.
+        Description of the model that was planned for.
     craft : str
         Its fingerprint; see `craft_of`.
     distance, speed, direction : array
-        Axes: distance to the place [m], speed [m/s], angle between the velocity and the way to the
-        place, from 0 (towards it) to π [rad].
+        Axes: distance to the place [m], speed [m/s], angle between the velocity and the direction
+        of the place, from 0 (towards it) to π [rad].
     time : array, shape (2, distances, speeds, directions)
         Shortest times [s]: to rest there, and to pass with any velocity.
     error : mapping of str to float
-        Of times looked up against plans for random states: ``median``, ``p95``, ``worst`` [s].
+        Errors of looked-up times against plans from random states: ``median``, ``p95``, ``worst``
+        [s].
     """
 
     source: str
@@ -76,29 +77,29 @@ class MinimalTimes:
 
     @property
     def margin(self) -> float:
-        """What players keep beyond their usual reserve: the error (p95) above the usual one [s]."""
+        """Time that players add to their reserve: the excess of the p95 error [s]."""
         return max(0.0, self.error.get("p95", 0.0) - _USUAL_ERROR)
 
     def __call__(self, away: Any, velocity: Any, arrival: Arrival = "rest") -> Any:
-        """Look shortest times up, interpolated in √distance, speed and cosine of the direction.
+        """Look up shortest times, interpolated in √distance, speed and cosine of the direction.
 
         Parameters
         ----------
         away : array, shape (2, ...)
-            From the craft to the place [m].
+            Distance from the craft to the place [m].
         velocity : array, shape (2, ...)
-            Of the craft [m/s].
+            Speed of the craft [m/s].
         arrival : {"rest", "any"}, default "rest"
-            Whether it is to rest there, or to pass.
+            Whether the craft rests there or passes.
 
         Returns
         -------
         array
-            Times [s]; farther and faster than the table, those that its last cell leads on to.
+            Times [s]; beyond the table, extrapolated from its last cell.
         """
         away, velocity = np.asarray(away, dtype=float), np.asarray(velocity, dtype=float)
         distance, speed = np.hypot(*away), np.hypot(*velocity)
-        # Times are even in the direction, and so flat where it is 0 or π, as a cosine is.
+        # Times are even functions of the direction and flat at 0 and π, like a cosine.
         both = np.maximum(distance * speed, 1e-12)
         cosine = (away[0] * velocity[0] + away[1] * velocity[1]) / both
         value = self.time[ARRIVALS.index(arrival)]
@@ -108,7 +109,7 @@ class MinimalTimes:
             _place(-np.cos(self.direction), -cosine),
         )
         lows, shares = zip(*places, strict=True)
-        # The corners of the cell, as first three axes; then one axis after the other.
+        # Interpolate between the corners of the cell, axis by axis.
         flat = (1,) * both.ndim
         corners = (low + c.reshape(c.shape + flat) for low, c in zip(lows, _CORNERS, strict=True))
         time = value[tuple(corners)]
@@ -154,7 +155,7 @@ def read_minimal_times(path: str | os.PathLike[str] | None = None) -> MinimalTim
     Parameters
     ----------
     path : path-like, optional
-        A file; by default that of the paper's craft, which comes with the package.
+        A file; by default the packaged table of the paper's craft.
 
     Returns
     -------
@@ -181,7 +182,7 @@ def read_minimal_times(path: str | os.PathLike[str] | None = None) -> MinimalTim
 
 
 def craft_of(model: Model) -> str:
-    """Return a fingerprint of all that shortest times depend on."""
+    """Return a fingerprint of everything that shortest times depend on."""
     vehicle, parameters = model.vehicle, model.parameters
     told = {
         "propellers": [(*p.position_m, p.direction_deg) for p in vehicle.propellers],
@@ -200,22 +201,22 @@ def craft_of(model: Model) -> str:
 def minimal_times_of(
     model: Model, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> MinimalTimes:
-    """Return the shortest times of a craft: the package's, remembered ones, or planned now.
+    """Return the shortest times of a craft: packaged, cached, or planned now.
 
-    Those of another craft are the package's, scaled so that they fit some plans of its own; how
-    much they miss others is their error. They are kept in the user's cache.
+    The table of another craft is the packaged one, scaled to fit some plans for that craft; further
+    plans measure its error. Such tables are stored in the user's cache.
 
     Parameters
     ----------
     model : Model
         The craft.
     progress : callable, optional
-        Called with the number of plans made, and of all, where there are any to make.
+        Called with the number of plans made and the total, if any must be made.
 
     Returns
     -------
     MinimalTimes
-        Of this craft.
+        Shortest times of this craft.
     """
     craft = craft_of(model)
     if craft not in _KNOWN:
@@ -228,16 +229,16 @@ def minimal_times_of(
 def _remembered(
     model: Model, craft: str, packaged: MinimalTimes, progress: Callable[[int, int], None]
 ) -> MinimalTimes:
-    """Return a craft's times from the user's cache, or plan and keep them."""
+    """Read a craft's times from the user's cache, or plan and store them."""
     file = user_cache_path("airpuck", appauthor=False) / "minimal_times" / f"{craft}.toml"
     try:
         found = read_minimal_times(file)
         if found.craft == craft:
             return found
     except InputError:
-        pass  # none there, or of another version
+        pass  # not cached, or from another version
     found = scaled(packaged, model, progress)
-    # It goes on without a cache where it cannot write one.
+    # Continue without a cache if it cannot be written.
     with contextlib.suppress(OSError, InputError):
         file.parent.mkdir(parents=True, exist_ok=True)
         found.save(file)
@@ -245,12 +246,12 @@ def _remembered(
 
 
 def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], None]) -> MinimalTimes:
-    """Scale times to fit plans for another craft, and measure how much they miss others.
+    """Scale times to fit plans for another craft, and measure the remaining error.
 
-    A craft whose accelerations are s times as large, and all of whose times, the motors' lag and
-    those to turn, are c times as long, takes T(d, v) = c T₀(d / s c², v / s c): exactly. Of other
-    craft s, c and a factor are what fits best. Plans, and so the error, are to rest, as players
-    ask for; times to pass are scaled alike.
+    Suppose that a craft has s times the accelerations, and that all of its times, including motor
+    lag and turns, are c times as long. Then T(d, v) = c T₀(d / s c², v / s c) holds exactly. For
+    other craft, s, c and a factor are fitted. Plans, and therefore the error, end at rest, as
+    players require; times to pass are scaled in the same way.
     """
     states, planned = _planned(model, times, progress)
 
@@ -268,7 +269,7 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
 
     def missed(logs: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " K"]:
         shares = np.log(looked_up(stretched(logs)) / planned)[:_FITTED]
-        # Few plans do not tell c and the factor apart: the factor is to be near 1.
+        # A few plans cannot separate c from the factor, so a prior keeps the factor near 1.
         return np.append(shares, _NEAR_ONE * logs[2])
 
     found = stretched(least_squares(missed, np.zeros(3)).x)
@@ -285,12 +286,12 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
 def _planned(
     model: Model, times: MinimalTimes, progress: Callable[[int, int], None]
 ) -> tuple[list[_State], Float[np.ndarray, " K"]]:
-    """Plan from random states; return those that have a plan, and their times.
+    """Plan from random states; return the states that have a plan, and the planned times.
 
     Raises
     ------
     InputError
-        If too few have.
+        If too few states have a plan.
     """
     drawn = _random_states(_FITTED + _CHECKED, times)
     states, planned = [], []
@@ -326,7 +327,7 @@ def shortest_time(
     yaw: float,
     arrival: Arrival,
 ) -> float:
-    """Plan the shortest time to a place ahead, along x; without certificate [s]."""
+    """Plan the shortest time to a place ahead, along x; without a certificate [s]."""
     if distance == 0 and (arrival == "any" or not np.any(velocity)):
         return 0.0
     goal = Goal(distance, 0.0, None, (0.0, 0.0, 0.0) if arrival == "rest" else None)
@@ -340,7 +341,7 @@ def shortest_time(
 
 
 def _place(axis: Float[np.ndarray, " k"], value: Any) -> tuple[Any, Any]:
-    """Return the entry below a value, and the share of the way to the next."""
+    """Return the index of the entry below a value, and the fraction of the interval above it."""
     low = axis[1:-1].searchsorted(value, side="right")
     begin = axis[low]
     share = (value - begin) / (axis[low + 1] - begin)

@@ -1,4 +1,4 @@
-"""Time-optimal plans: the shortest flight that was found, and a time that none undercuts."""
+"""Time-optimal plans: the shortest flight found, and a lower bound on the flight time."""
 
 from __future__ import annotations
 
@@ -27,13 +27,15 @@ from airpuck.planning.transcription import Path, Solved
 from airpuck.planning.yaw_program import Weight
 
 _FORMAT = "airpuck plan 1"
-#: A plan whose bound is below this share of its time may not be the best: more starts are tried.
+#: If the bound is below this fraction of a plan's time, the plan may not be the best: try more
+#: starts.
 _DOUBTFUL = 0.92
-#: Samples of a plan are this far apart [s].
+#: Time between samples of a plan [s].
 _SAMPLE = 1e-3
-#: A plan ends only nearly at its goal, so it may be faster than possible by this share.
+#: A plan meets its goal only within a tolerance, so it may be faster than possible by this
+#: fraction.
 _INACCURATE = 1e-3
-#: Multipliers of rails that are nothing, as a share of the largest price.
+#: Multipliers of rails that count as zero, as a fraction of the largest price.
 _TOUCH = 1e-3
 
 
@@ -44,26 +46,26 @@ class Plan(Result):
     Attributes
     ----------
     model : Model
-        The craft that it was planned for.
+        The craft that the plan is for.
     time : array, shape (N + 1,)
         Times of the nodes from the start on [s].
     states : array, shape (N + 1, 6 + n)
         x, y [m], γ [rad], their rates and the motor speeds at the nodes.
     commands : array, shape (N, n)
-        Commands that reach the motors between the nodes; the transport delay is not in them.
+        Commands that reach the motors between the nodes, without the transport delay.
     lower_bound : float or None
-        No control of these motors within the same limits of spin and speed takes less time [s];
-        None where an effect of the model states no bounds.
+        Lower bound [s] on the duration, over all controls of these motors within the same limits of
+        yaw rate and speed; None if an effect of the model states no bounds.
     starts : tuple of Start
-        What the search began with, and what it found there.
+        The starts of the search and their results.
     reserve : float
-        Share of every motor's thrust that the plan leaves to feedback.
+        Fraction of every motor's thrust that the plan reserves for feedback.
     begin : float, default 0
         When the flight begins, on the clock of the controller [s].
     via : tuple of (x, y)
-        Points that it passes, in this order [m].
+        Points that the craft passes, in this order [m].
     keep_out : tuple of (x, y, radius)
-        Discs that it does not touch [m].
+        Discs that the craft avoids [m].
     """
 
     JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread"
@@ -81,7 +83,7 @@ class Plan(Result):
 
     @property
     def duration(self) -> float:
-        """How long the flight takes [s]."""
+        """Duration of the flight [s]."""
         return float(self.time[-1])
 
     def path(self, legs: int = 1) -> Path:
@@ -102,12 +104,12 @@ class Plan(Result):
 
     @property
     def spread(self) -> float:
-        """By what share the worst start that converged is slower than the best."""
+        """Return by what fraction the worst start that converged is slower than the best."""
         times = [start.time_s for start in self.starts if start.time_s is not None]
         return max(times) / min(times) - 1 if times else 0.0
 
     def starting(self, begin: float) -> Plan:
-        """Return the plan for another time of departure.
+        """Return the plan with another time of departure.
 
         Parameters
         ----------
@@ -120,20 +122,21 @@ class Plan(Result):
             A copy.
         """
         moved = replace(self, begin=begin)
-        # They count from the beginning; a controller that departs has no time to find them again.
+        # Cache times relative to the beginning: a controller that departs has no time to recompute
+        # them.
         vars(moved)["samples"] = self.samples
         return moved
 
     @cached_property
     def samples(self) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:
-        """Times [s] and states of the flight as simulated from the start, a millisecond apart."""
+        """Return times [s] and simulated states of the flight, a millisecond apart."""
         parts = int(np.ceil(np.diff(self.time).max() / _SAMPLE))
         return self.path().simulated(self.model, self.time, parts)
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the planned state and acceleration at ``now + ahead``; see `Reference.at`.
 
-        Before the beginning and after the end the craft is to stand still there.
+        Before the beginning and after the end the craft stands still there.
         """
         state = self.state_at(now, ahead)
         if not 0 <= now + ahead - self.begin <= self.duration:
@@ -151,12 +154,12 @@ class Plan(Result):
         now : float
             Present time [s].
         ahead : float or array, shape (*K)
-            How long from now on [s].
+            Time ahead of now [s].
 
         Returns
         -------
         array, shape (*K, 6 + n)
-            That of the start before the beginning, that of the end after it.
+            States; before the beginning the initial one, after the end the final one.
         """
         times, states = self.samples
         inside = np.clip(now + ahead - self.begin, 0.0, times[-1])
@@ -174,7 +177,7 @@ class Plan(Result):
         now : float
             Present time [s].
         ahead : float or array, shape (*K)
-            How long from now on [s].
+            Time ahead of now [s].
 
         Returns
         -------
@@ -189,11 +192,11 @@ class Plan(Result):
 
     @property
     def gap(self) -> float | None:
-        """Relative distance of the lower bound from the duration; None without a bound."""
+        """Relative difference between duration and lower bound; None without a bound."""
         return None if self.lower_bound is None else 1 - self.lower_bound / self.duration
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``.
+        """Return the fields for ``--json``.
 
         Returns
         -------
@@ -203,7 +206,7 @@ class Plan(Result):
         return super().to_json() | {"converged": True}
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the plan as TOML; `read_plan` reads every number back bit-equal.
+        """Write the plan as TOML; `read_plan` restores every number bit for bit.
 
         Parameters
         ----------
@@ -242,9 +245,9 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
     Parameters
     ----------
     path : path-like
-        As `Plan.save` writes it.
+        A file written by `Plan.save`.
     model : Model
-        Of the craft that is to fly it.
+        Model of the craft that will fly the plan.
 
     Returns
     -------
@@ -288,10 +291,10 @@ def plan(
     intervals: int = 40,
     warm: Plan | None = None,
 ) -> Plan:
-    """Plan the fastest flight from one state to another, with a time that none undercuts.
+    """Plan the fastest flight from one state to another, with a lower bound on its time.
 
-    Local optima exist. The search begins from several paths on a coarse grid, and refines the best;
-    `Plan.starts` says which they were and how far apart their ends are.
+    Local optima exist. The search therefore begins from several paths on a coarse grid, and refines
+    the best. `Plan.starts` lists these paths and their durations.
 
     Parameters
     ----------
@@ -300,29 +303,29 @@ def plan(
     start : array, shape (3,), (6,) or (6 + n,)
         x, y [m], γ [rad]; their rates, by default 0; the motor speeds, by default idle.
     goal : Goal or array, shape (3,) or (6,)
-        Where to; numbers alone are a yaw by the shorter way, and rates, by default 0.
+        Goal. Plain numbers mean a yaw the shorter way round, and rates that are 0 by default.
     via : sequence of (x, y), optional
         Points that the craft's centre passes, in this order [m].
     table : Table, optional
-        Whose rails the craft does not touch; by default there are none.
+        Table whose rails the craft must not touch; by default there are no rails.
     keep_out : sequence of (x, y, radius), optional
-        Discs that the craft does not touch [m].
+        Discs that the craft must not touch [m].
     limits : Limits, optional
-        Reserve of thrust, limits of spin and speed, margin.
+        Reserve of thrust, limits of yaw rate and speed, margin.
     intervals : int, default 40
         Intervals of constant commands in each leg, 10 to 400.
     warm : Plan, optional
-        A neighbouring plan to begin at, in place of all starts.
+        A neighbouring plan to start from instead of all other starts.
 
     Returns
     -------
     Plan
-        A flight that converged.
+        A converged flight.
 
     Raises
     ------
     InputError
-        If the request is not sensible or cannot be met, or no start converged.
+        If the request is invalid or infeasible, or if no start converged.
     """
     numbers.INTERVALS.check(intervals, "intervals")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
@@ -333,7 +336,7 @@ def plan(
         for begun, other in further(request, intervals, solved.time):
             tried = (*tried, begun)
             if other is not None:
-                # Whatever the weight is that it comes from, a bound holds.
+                # The bound holds whatever weight it comes from.
                 bound = max(bound, _bound(request, other) or 0.0)
                 solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
     path = solved.path
@@ -352,7 +355,7 @@ def plan(
 
 
 def _check_bound(bound: float | None, path: Path) -> None:
-    """Raise a failure of ours if a flight is faster than what no control can undercut."""
+    """Raise an internal error if a flight is faster than its lower bound."""
     duration = float(path.times[-1])
     if bound is not None and bound > duration * (1 + _INACCURATE):
         raise RuntimeError(
@@ -362,7 +365,7 @@ def _check_bound(bound: float | None, path: Path) -> None:
 
 
 def _bound(request: Request, solved: Solved) -> float | None:
-    """Return a time that no control undercuts, with the help of a plan."""
+    """Return a lower bound on the flight time, using the costates of a plan."""
     if len(request.via):
         return lower_bound_through(request, solved.path.durations)
     return lower_bound(request, _weight(request, solved), float(solved.path.times[-1]))
@@ -371,7 +374,7 @@ def _bound(request: Request, solved: Solved) -> float | None:
 def _weight(request: Request, solved: Solved) -> Weight:
     """Read a weight for the certificate off a plan's costates.
 
-    The multipliers of the steps' velocities; kinks stand where the path touches a rail.
+    The multipliers of the velocity steps; kinks occur where the path touches a rail.
     """
     times, prices = solved.path.times, solved.prices
     touch = np.abs(solved.touching[1:-1]).max(axis=1)

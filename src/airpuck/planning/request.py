@@ -1,4 +1,4 @@
-"""What is asked of a plan: from where to where, past what, within which limits."""
+"""The request for a plan: start, goal, way points and limits."""
 
 from __future__ import annotations
 
@@ -20,31 +20,32 @@ from airpuck.physics.thrust import thrust
 from airpuck.planning.attainable import has_bounds, strongest_push
 from airpuck.planning.settings import Limits
 
-#: A yaw beyond this is a mistake: the craft would have to turn for seconds [rad].
+#: A yaw beyond this must be a mistake: the craft would turn for seconds [rad].
 _MOST_YAW = 50.0
-#: Further than this is no table [m].
+#: No table is larger than this [m].
 _FARTHEST = 100.0
 _MOST_POINTS = 20
-#: Start and goal that are nearer than this are the same [m, m, rad, m/s, m/s, rad/s].
+#: A start and a goal closer than this are the same [m, m, rad, m/s, m/s, rad/s].
 _SAME = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
-#: Step in which braking before a rail is looked at [s].
+#: Time step for checking whether the craft can brake before a rail [s].
 _STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where a plan ends.
+    """The end state of a plan.
 
     Attributes
     ----------
     x, y : float
         Position [m].
     yaw : float, optional
-        Orientation [rad]; None: any.
+        Orientation [rad]; None: free.
     velocity : (vx, vy, spin), optional
-        Rates at the end [m/s, m/s, rad/s], by default at rest; None: any.
+        Rates at the end [m/s, m/s, rad/s], by default at rest; None: free.
     turn : {"shorter", "exact"}, default "shorter"
-        Whether whole turns do not count, or the yaw is meant as it stands.
+        Whether the craft turns the shorter way to the yaw; otherwise the yaw is continuous, whole
+        turns included.
     """
 
     x: float
@@ -63,7 +64,7 @@ class Goal:
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A checked request: whatever is in it can be asked of the solver."""
+    """A checked request, ready for the solver."""
 
     model: Model
     #: x, y, γ, their rates, and the motor speeds.
@@ -71,9 +72,9 @@ class Request:
     goal: Goal
     #: Way points, in order [m].
     via: Float[np.ndarray, "V 2"]
-    #: How far the craft's centre may be from the middle of the table [m]; inf without rails.
+    #: Largest distance of the craft's centre from the centre of the table [m]; inf without rails.
     reach: tuple[float, float]
-    #: Of each disc its centre, and how near the craft's centre may come [m].
+    #: For each disc, its centre and the smallest distance of the craft's centre [m].
     keep_out: Float[np.ndarray, "D 3"]
     limits: Limits
 
@@ -94,7 +95,7 @@ class Request:
         if self.goal.turn == "exact":
             return (float(yaw),)
         turn = float(wrapped(np, yaw - begin))
-        # Only where the two ways are about as long may the longer one be the faster.
+        # The longer way round can only be faster if both ways are about equally long.
         other = turn - math.copysign(2 * np.pi, turn)
         near = (turn,) if abs(turn) < 2.0 else (turn, other)
         return tuple(float(begin) + one for one in near)
@@ -109,7 +110,7 @@ def checked_request(
     keep_out: Sequence[Numbers],
     limits: Limits,
 ) -> Request:
-    """Check what was asked for, or refuse it in one line that says which and why."""
+    """Check a request; raise InputError, naming the field and the problem."""
     vehicle = model.vehicle
     begin = _numbers(start, "start", (3, 6, 6 + vehicle.n_propellers))
     begin = np.append(begin, np.zeros(max(0, 6 - len(begin))))
@@ -149,7 +150,7 @@ def checked_request(
 
 
 def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.ndarray, " k"]:
-    """Return finite numbers, or refuse them."""
+    """Return finite numbers, or raise InputError."""
     array = np.array(values, dtype=float)
     if array.ndim != 1 or len(array) not in lengths:
         raise InputError(f"give {' or '.join(map(str, lengths))} numbers", field=field)
@@ -159,7 +160,7 @@ def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.
 
 
 def _rows(values: Sequence[Numbers], field: str, width: int) -> Float[np.ndarray, "k width"]:
-    """Return rows of finite numbers, or refuse them."""
+    """Return rows of finite numbers, or raise InputError."""
     if len(values) > _MOST_POINTS:
         raise InputError(f"give at most {_MOST_POINTS}", field=field)
     rows = [_numbers(row, field, (width,)) for row in values]
@@ -167,7 +168,7 @@ def _rows(values: Sequence[Numbers], field: str, width: int) -> Float[np.ndarray
 
 
 def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str) -> None:
-    """Refuse a yaw of many turns, or rates beyond the limits."""
+    """Reject a yaw of many turns, and rates beyond the limits."""
     yaw, vx, vy, spin = motion
     limits = request.limits
     if abs(yaw) > _MOST_YAW:
@@ -184,10 +185,10 @@ def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str)
 
 
 def _check_place(request: Request, name: str, place: Float[np.ndarray, " 2"]) -> None:
-    """Refuse a place outside the rails, or where the craft would touch what it must not."""
+    """Reject a place outside the rails, or where the craft would touch a disc."""
     x, y = (float(v) for v in place)
     if max(abs(x), abs(y)) > _FARTHEST:
-        raise InputError(f"({x:g}, {y:g}) m is on no table", field=name)
+        raise InputError(f"({x:g}, {y:g}) m is not on the table", field=name)
     reach = request.reach
     if abs(x) > reach[0] or abs(y) > reach[1]:
         raise InputError(
@@ -205,7 +206,7 @@ def _check_place(request: Request, name: str, place: Float[np.ndarray, " 2"]) ->
 
 
 def _check_braking(request: Request, state: Float[np.ndarray, " 5"], field: str, fate: str) -> None:
-    """Refuse a velocity towards a rail that the hardest braking does not stop in time."""
+    """Reject a velocity towards a rail that even the hardest braking cannot stop in time."""
     if not has_bounds(request.model, request.limits):
         return
     times = np.arange(_STEP, 5.0, _STEP)

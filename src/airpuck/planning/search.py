@@ -1,4 +1,4 @@
-"""The search for the fastest flight: starts solved on a coarse grid, the best of them refined."""
+"""The search for the fastest flight: solve all starts on a coarse grid, refine the best."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from airpuck.planning.certificate import unavoidable_rail
 from airpuck.planning.request import Request
 from airpuck.planning.transcription import Path, Solved, Transcription, program_for
 
-#: Turned aside half way, by the names of starts [rad].
+#: Names of the starts, and how far the craft turns aside half way [rad].
 _ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
-#: The last two are for craft that push one way only: they turn round to brake, and back again.
+#: The last two are for craft that push one way only: they turn round to brake, then back again.
 _FURTHER = {
     "straight, with time to turn round": 0.0,
     "turned far left": 1.2,
@@ -25,9 +25,9 @@ _FURTHER = {
     "turned round to the left": 4.5,
     "turned round to the right": -4.5,
 }
-#: Starts where the yaw is free: the final turn, and how far the craft turns aside half way [rad].
-#: The first seven go all around. In the last two the craft first turns the other way; they lead to
-#: flights that beat those of the others by up to 1.3 % (`studies/plan_search.py free-yaw`).
+#: Starts if the yaw is free: the final turn, and how far the craft turns aside half way [rad]. The
+#: first seven cover the full circle. In the last two the craft first turns the other way; they lead
+#: to flights up to 1.3 % faster than the others (`studies/plan_search.py free-yaw`).
 _FREE = (
     (0.0, 0.0),
     (0.9, 0.0),
@@ -39,14 +39,14 @@ _FREE = (
     (1.6, -1.3),
     (-1.6, 1.3),
 )
-#: Further from a disc than this share of its radius a way round it leads.
+#: A detour around a disc keeps this fraction of its radius as extra distance.
 _ROUND = 1.3
-#: Peak of the guess's speed over its mean, 1.5, and room to correct it.
+#: Ratio of the guess's peak speed to its mean speed, 1.5, with room for corrections.
 _STEEPEST = 1.6
 
 
 def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
-    """Yield what each start is called, its path and its final yaw."""
+    """Yield each start's name, path and final yaw."""
     for name, yaw, aside in _turns(request):
         yield name, guess(request, intervals, yaw, aside, ways=request.via), yaw
     for name, side in (("round on the left", 1.0), ("round on the right", -1.0)):
@@ -86,22 +86,22 @@ def guess(
     ways: Float[np.ndarray, "W 2"],
     turning: bool = False,
 ) -> Path:
-    """Guess a path: straight from point to point, as smooth as rest to rest, turning on the way."""
+    """Guess a path of straight lines from point to point, as smooth as a rest-to-rest flight."""
     goal = request.goal.state
     corners = np.vstack([request.start[:2], ways, goal[:2]])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     legs = len(request.via) + 1
-    # Ends of the legs along the corners; a detour belongs to the one leg.
+    # Ends of the legs along the corners; a detour belongs to the leg that it bypasses.
     ends = along if legs > 1 else along[[0, -1]]
     push = float(strongest_push(request, np.array([np.inf]))[0])
     lengths = np.maximum(np.diff(ends), 0.05)
     turn = abs(yaw - request.start[2])
     durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
-    # The spin of a turn aside by a sine peaks at π times its mean.
+    # The yaw rate of a half-sine turn peaks at π times its mean.
     turn = max(_STEEPEST * turn, np.pi * abs(aside))
     durations = np.maximum(durations, turn / request.limits.spin / legs)
     durations = np.maximum(durations, _STEEPEST * lengths / request.limits.speed)
-    if turning:  # velocities at the ends have to be turned round first
+    if turning:  # initial and final velocities must be turned round first
         durations[0] += 2 * np.hypot(*request.start[3:5]) / push
         durations[-1] += 2 * np.hypot(*np.nan_to_num(goal[3:5])) / push
     total = intervals * legs
@@ -119,7 +119,7 @@ def guess(
 
 
 def _detours(request: Request, side: float) -> Float[np.ndarray, "W 2"] | None:
-    """Return points beside the discs that lie on the straight way, in order; None if none does."""
+    """Return points beside the discs on the straight line, in order; None without such discs."""
     if len(request.via) or not len(request.keep_out):
         return None
     start, goal = request.start[:2], request.goal.state[:2]
@@ -134,37 +134,39 @@ def _detours(request: Request, side: float) -> Float[np.ndarray, "W 2"] | None:
     return np.array([point for _, point in sorted(found, key=lambda f: f[0])]) if found else None
 
 
-#: Intervals of the program that ranks the starts, and the most of a refined leg.
+#: Number of intervals of the program that ranks the starts, and largest number in a refined leg.
 COARSE, _MOST_INTERVALS = 12, 400
-#: Commands are held at most so long on the coarse and on the fine grid, which doubles until they
-#: are: longer intervals let the spin swing beyond its limit between nodes [s].
+#: Longest time that a command is held on the coarse and on the fine grid [s]. The number of
+#: intervals doubles until both are met: longer intervals let the yaw rate exceed its limit between
+#: nodes.
 _LONGEST_COARSE, _LONGEST_FINE = 0.12, 0.04
-#: Paths that may be refined before the search gives up, each on so many grids.
+#: Number of paths that may be refined before the search gives up, and number of grids for each.
 _REFINED, _FINER = 5, 3
-#: Coarse times are off by as much [share].
+#: Relative error of the durations on the coarse grid.
 _WORTH = 1.02
-#: Weights of the commands' changes [s]: with the larger one all starts converge, some 0.1 % slower;
-#: from there most flights converge with the smaller one, too.
+#: Weights of the commands' changes [s]. With the larger one all starts converge, to flights some
+#: 0.1 % slower; from those, most flights also converge with the smaller one.
 TIDY, _FAST = 1e-2, 1e-3
-#: Parts of an interval in which a path is simulated again; how far off its end may be (x, y, γ and
-#: their rates), how far between nodes it may be beyond what it must not touch [m], and how much
-#: faster than its limit it may spin there [share].
+#: Parts into which an interval is divided to check a path by simulation. Tolerances of this check:
+#: error at the end (x, y, γ and their rates), overlap between nodes with anything it must not touch
+#: [m], and relative excess of the yaw rate there.
 _PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
 _GRAZED, _OVERSPUN = 3e-3, 1e-3
 
 
 @dataclass(frozen=True)
 class Start:
-    """A start of the search and what became of it.
+    """A start of the search and its result.
 
     Attributes
     ----------
     name : str
-        How the craft turns, or passes, in the first guess.
+        How the craft turns or passes discs in the initial guess.
     time_s : float or None
-        The duration that it led to, mostly on a coarse grid; None if it did not converge.
+        Duration of the resulting flight, mostly on a coarse grid; None if the solver did not
+        converge.
     status : str
-        The solver's words.
+        The solver's status message.
     """
 
     name: str
@@ -174,7 +176,7 @@ class Start:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A path that may be refined: its duration [s], its final yaw [rad]."""
+    """A path that may be refined, its duration [s] and its final yaw [rad]."""
 
     time: float
     yaw: float
@@ -198,7 +200,8 @@ def search(
         candidates, tried = [_Candidate(0.0, yaw, near)], []
     statuses, best = [start.status for start in tried], None
     for one in candidates[:_REFINED]:
-        # Times on the coarse grid are above those on the fine one, unless that led elsewhere.
+        # Durations on the coarse grid exceed those on the fine grid, unless the fine solution
+        # differs.
         if best is not None and one.time >= best.time:
             break
         solved, status = refined(request, one.path, one.yaw, intervals, guessed=one.time == np.inf)
@@ -229,7 +232,7 @@ def search(
 
 
 def ranked(request: Request) -> tuple[list[_Candidate], list[Start]]:
-    """Solve all starts on a coarse grid; return paths to refine, the fastest first, and starts."""
+    """Solve all starts on a coarse grid; return paths to refine, fastest first, and starts."""
     found, guesses, tried = [], [], []
     for name, guess, yaw in starts(request, COARSE):
         one = _coarse(request, guess, yaw)
@@ -237,7 +240,8 @@ def ranked(request: Request) -> tuple[list[_Candidate], list[Start]]:
         if one.converged:
             found.append(_Candidate(one.time, yaw, one.path))
         guesses.append(_Candidate(np.inf, yaw, guess))
-    # What the coarse grid lets pass a rail may be no start for the fine one; a guess may be.
+    # A path that the coarse grid allows past a rail may be a bad start for the fine one; a guess
+    # may work.
     found.sort(key=lambda one: one.time)
     return [*found[: _REFINED - 1], *guesses], tried
 
@@ -245,7 +249,7 @@ def ranked(request: Request) -> tuple[list[_Candidate], list[Start]]:
 def further(
     request: Request, intervals: int, best: float = np.inf
 ) -> Iterator[tuple[Start, Solved | None]]:
-    """Try the further starts, and refine those that may beat the best time [s]; else None."""
+    """Try the further starts, refining those that may beat the best time [s]; else None."""
     for name, guess, yaw in further_starts(request, COARSE):
         one, solved = _coarse(request, guess, yaw), None
         time, status = one.time if one.converged else None, one.status
@@ -260,10 +264,10 @@ def further(
 def refined(
     request: Request, path: Path, yaw: float, intervals: int, *, guessed: bool = False
 ) -> tuple[Solved | None, str]:
-    """Solve on a fine grid, from a flight or a guess; return the solver's words, too.
+    """Solve on a fine grid, from a flight or a guess; also return the solver's message.
 
-    Where that flies elsewhere, or spins too fast between nodes, on a finer grid and within a limit
-    of spin that is lower by as much.
+    If that flight misses its goal, or turns too fast between nodes, repeat with a finer grid and a
+    limit of the yaw rate that is lower by the excess.
     """
     flown = None if guessed else request.model
     path, status, tight = _on_grid(path, intervals, _LONGEST_FINE, flown), "", request
@@ -293,25 +297,25 @@ def _coarse(request: Request, guess: Path, yaw: float) -> Solved:
 
 
 def _program(request: Request, path: Path) -> Transcription:
-    """Return the program with the grid of a path."""
+    """Return the program for a path's grid."""
     legs = len(path.durations)
     return program_for(request.model, len(path.commands) // legs, legs, len(request.keep_out))
 
 
 def _on_grid(path: Path, intervals: int, longest: float, flown: Model | None = None) -> Path:
-    """Resample a path: each leg with so many intervals, doubled while they are too long."""
+    """Resample a path: divide each leg into `count` intervals, doubled while they are too long."""
     while path.durations.max() > longest * intervals and 2 * intervals <= _MOST_INTERVALS:
         intervals *= 2
     return path.resampled(intervals, flown)
 
 
 def _simulated(request: Request, path: Path) -> Float[np.ndarray, "M s"]:
-    """Return states of the flight between the nodes, too."""
+    """Return the states of a flight, including states between the nodes."""
     return path.simulated(request.model, path.times, _PARTS)[1]
 
 
 def _flies(request: Request, path: Path) -> bool:
-    """Simulate a path in smaller steps: it must end where it should, and keep what limits it."""
+    """Simulate a path in smaller steps to check that it reaches its end and respects its limits."""
     states = _simulated(request, path)
     if (np.abs(states[-1] - path.states[-1])[:6] > _MISSED).any():
         return False

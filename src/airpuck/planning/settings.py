@@ -11,12 +11,12 @@ from airpuck.boundary.settings import Setting, Settings
 
 @dataclass(frozen=True)
 class Limits(Settings):
-    """What a plan may use.
+    """Limits that a plan respects.
 
     Attributes
     ----------
     reserve : float, default 0
-        Share of every motor's thrust that is kept for feedback, below 1.
+        Fraction of every motor's thrust that is reserved for feedback, below 1.
     spin : float, default 15
         Largest spin [rad/s].
     speed : float, default 3
@@ -24,9 +24,9 @@ class Limits(Settings):
     margin : float, default 0
         Distance that the craft keeps from the rails and from discs [m].
     smoothing : float, default 0
-        Weight κ of ∫ |u'|² dt, the squared rates of the commands until the motors idle, which is
-        added to the time that is minimised [s²]. A packet that comes late does less harm to a
-        gentle switch. For flights, 2e-4.
+        Weight κ of ∫ |u'|² dt, the squared rates of the commands until the motors idle. This term
+        is added to the minimised time [s²]. A late packet does less harm to a gradual change. For
+        flights use 2e-4.
 
     Raises
     ------
@@ -37,7 +37,7 @@ class Limits(Settings):
     HEADING: ClassVar = "Limits of the plan"
 
     reserve: Annotated[
-        float, Setting("Share of thrust kept for feedback.", numbers.RESERVE, "R")
+        float, Setting("Fraction of thrust reserved for feedback.", numbers.RESERVE, "R")
     ] = 0.0
     spin: Annotated[float, Setting("Largest spin.", numbers.SPIN_LIMIT, "W")] = 15.0
     speed: Annotated[

@@ -1,4 +1,4 @@
-"""Tracks a plan by its own thrusts, corrected by a regulator; departs once the craft rests."""
+"""Tracks a plan with its own thrusts, corrected by a regulator; departs once the craft rests."""
 
 from __future__ import annotations
 
@@ -22,36 +22,37 @@ from airpuck.physics.rigid_body import acceleration, acceleration_map
 from airpuck.physics.thrust import InverseThrust, thrust
 from airpuck.planning.plan import Plan
 
-#: How far ahead on the plan the craft aims, and by how much later than planned it may come to rest,
-#: but no sooner than motors and thrusts can do anything about [s].
+#: Times [s]: how far ahead on the plan the craft aims; how much later than planned it may come to
+#: rest; the shortest time in which motors and thrusts can have an effect.
 _HORIZON, _LATER, _LEAST = 0.6, 0.03, 0.08
-#: For how long after its end a plan to rest is flown; then its goal is a set point [s].
+#: How long after its end a plan to rest is still flown; afterwards its goal is a set point [s].
 _AFTERWARDS = 0.1
-#: Errors there (x, y, γ and their rates) and thrusts beside the planned ones for a period [N] that
-#: count as much as each other.
+#: Equally weighted errors at the aim point (x, y, γ and their rates), and deviations from the
+#: planned thrusts over a period [N].
 _PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
 _CORRECTION = 0.05
-#: For how long a disturbance is believed: under full thrust it mostly shows a late packet [s].
+#: How long an estimated disturbance is assumed to last: at full thrust it mostly indicates a late
+#: packet [s].
 _LASTING = 0.1
-#: Step of the differences that linearise accelerations.
+#: Step of the finite differences that linearise accelerations.
 _DIFFERENCE = 1e-5
-#: Parts of a period over which planned commands are averaged.
+#: Number of samples per period over which planned commands are averaged.
 _PARTS = 4
-#: Of Newton's method: largest slope left, and iterations.
+#: Newton's method: largest remaining slope, and number of iterations.
 _TOLERANCE, _ITERATIONS = 1e-6, 40
-#: The craft rests at a place when it has been as near as this (x, y, γ and their rates) for so long
-#: [s]; longer than a pilot's steps on the spot before a flight.
+#: The craft is at rest once it has stayed this near (x, y, γ and their rates) for this long [s];
+#: longer than a pilot's steps on the spot before a flight.
 _AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
 _RESTS = 1.0
 
 
 class PlanTracker(Law):
-    """Flies a plan by its thrusts, and corrects them so as to be where the plan will be later.
+    """Flies a plan with its thrusts, corrected so that the craft rejoins the plan a little later.
 
-    An allocation of its own would spread the accelerations otherwise over the motors, and find them
-    too slow where the plan had them ready. Errors are not fought at once, by more thrust than there
-    is, but over the rest of the way, within what the motors can do. Before the plan and after it,
-    and to other references, an `LQR` steers.
+    A separate allocation would distribute the accelerations differently over the motors, and find
+    motors too slow that the plan had already spun up. Errors are not corrected at once, with thrust
+    that may not exist, but over the rest of the flight, within what the motors can do. Before and
+    after the plan, and for other references, an `LQR` steers.
     """
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
@@ -74,7 +75,7 @@ class PlanTracker(Law):
         ahead = self.period * np.arange(self._periods(plan, acting) + 1)
         states = _flown_on(plan, acting, ahead)
         planned = thrust(curves, states[:, 6:].T).T
-        # How far thrusts are from the plan's now.
+        # How far the present thrusts are from the plan's.
         aside = thrust(curves, estimate.motor_speed) - planned[0]
         correction = self._correction(plan, acting, ahead, states, estimate, aside)
         coasting = lag * estimate.motor_speed
@@ -86,7 +87,7 @@ class PlanTracker(Law):
         return Step(command, "exact", np.zeros(3), estimate), state
 
     def _periods(self, plan: Plan, acting: float) -> int:
-        """Return how many periods ahead the state is that the craft aims at."""
+        """Return how many periods ahead the target state lies."""
         left = plan.begin + plan.duration - acting
         if _rests(plan):
             left = max(left + _LATER, _LEAST)
@@ -101,14 +102,15 @@ class PlanTracker(Law):
         estimate: Estimate,
         aside: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, " n"]:
-        """Return what to ask of the motors now beside the planned thrusts [N].
+        """Return the corrections to request of the motors now, on top of the planned thrusts [N].
 
-        The errors at the end are linear in those now and in all that is asked for until then.
+        The errors at the end are linear in the present errors and in all thrust corrections until
+        then.
         """
         curves, vehicle, period = self.model.dynamics.thrust, self.model.vehicle, ahead[1]
         count, n = len(ahead) - 1, vehicle.n_propellers
         forces = thrust(curves, states[:, 6:].T).T
-        # What motors really push: weak ones less, and after the end they still run down.
+        # Account for actual motors: weak ones give less, and after the end they still spin down.
         flying = np.clip((plan.begin + plan.duration - acting - ahead[:-1]) / period, 0, 1)
         share = estimate.effectiveness
         surplus = (share - flying[:, None]) * (forces[1:] + forces[:-1]) / 2
@@ -138,7 +140,7 @@ class PlanTracker(Law):
     def _linearised(
         self, states: Float[np.ndarray, "s K"]
     ) -> tuple[Float[np.ndarray, "K 6 6"], Float[np.ndarray, "K 6 n"]]:
-        """Return what errors, and thrusts beside the planned ones, do in a period at each state."""
+        """Return the effects of errors and of thrust corrections over one period, at each state."""
         dynamics = self.model.dynamics
         rates = [
             acceleration(np, dynamics, states[2:6] + row[:, None], states[6:])
@@ -146,7 +148,7 @@ class PlanTracker(Law):
         ]
         slopes = (np.array(rates[1:]) - np.array(rates[0])) / _DIFFERENCE
         a, b = point_mass(self.period)
-        # By yaw and rates; the place does not matter.
+        # The effect depends on yaw and rates, not on the position.
         jacobian = np.zeros((states.shape[1], 3, 6))
         jacobian[:, :, 2:] = slopes.transpose(2, 1, 0)
         maps = [acceleration_map(np, dynamics, yaw, 0.0)[0] for yaw in states[2]]
@@ -159,14 +161,14 @@ def _rests(plan: Plan) -> bool:
 
 
 def _given_up(plan: Plan) -> float:
-    """Return how long after its beginning a plan is flown no longer [s]."""
+    """Return how long after its start a plan stops being flown [s]."""
     return plan.duration + (_AFTERWARDS if _rests(plan) else 0.0)
 
 
 def _flown_on(
     plan: Plan, acting: float, ahead: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, "K s"]:
-    """Return the planned states; after the end at rest, with motors that run down."""
+    """Return the planned states; after the end the craft is at rest and the motors spin down."""
     states = plan.state_at(acting, ahead)
     late = np.maximum(acting + ahead - plan.begin - plan.duration, 0.0)
     left, _ = np.array(
@@ -186,8 +188,8 @@ def least_correction(
 ) -> Float[np.ndarray, " m"]:
     """Minimise |a x + missed|² + |x|² within bounds.
 
-    With λ = a x + missed, x is -aᵀλ, clipped: what is left are k unknowns, and Newton's method on
-    the dual, which is convex and smooth, is ten times as fast as a solver for the m.
+    With λ = a x + missed, x is -aᵀλ, clipped. This leaves k unknowns. Newton's method on the dual,
+    which is convex and smooth, is ten times as fast as a solver for the m primal ones.
     """
 
     def residual(price: Float[np.ndarray, " k"]) -> tuple[np.ndarray, np.ndarray]:
@@ -215,35 +217,35 @@ def least_correction(
 
 
 def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:
-    """Return what tracks a plan by the law of the tuning; in place of the LQR by `PlanTracker`."""
+    """Return a controller with the tuning's law, but `PlanTracker` instead of the LQR."""
     tuning = tuning.with_regulator("plan") if tuning.regulator.kind == "lqr" else tuning
     return TrackingController(plan.model, plan, tuning, table=table)
 
 
 class Departing(Pilot):
-    """Goes to the start of a plan, rests there for a second, and flies the plan, once; a `Pilot`.
+    """Goes to the start of a plan, rests there for a second, and flies the plan once; a `Pilot`.
 
     Parameters
     ----------
     controller : TrackingController
-        What flies; `plan_tracker` returns one.
+        The controller, as returned by `plan_tracker`.
     plan : Plan
-        From rest; its time of departure is not used.
+        A plan that starts from rest; its time of departure is ignored.
     """
 
     def __init__(self, controller: TrackingController, plan: Plan) -> None:
         self._controller, self._plan = controller, plan
         self._start = np.concatenate([plan.states[0, :3], np.zeros(3)])
-        #: Since when the craft has rested at the start, and the latest step then [s].
+        #: Time since which the craft has rested at the start, and time of the latest step then [s].
         self._since = self._latest = -np.inf
         self._departed = False
-        #: The plan, which begins at infinity until the craft departs.
+        #: The plan; its departure is at infinity until the craft departs.
         self.reference: Reference = plan.starting(np.inf)
         controller.reference = self.reference
         self.pose, self.measured, self.sent = controller.pose, controller.measured, controller.sent
 
     def step(self, time: float) -> Step:
-        """Compute the command to send now, and depart in time; see `TrackingController.step`."""
+        """Compute the command to send now, and depart when ready; see `TrackingController.step`."""
         step = self._controller.step(time)
         if not self._departed and step.flies and step.estimate is not None:
             error = pose_difference(np, step.estimate.state, self._start)

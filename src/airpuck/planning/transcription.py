@@ -1,4 +1,4 @@
-"""The shortest flight as a nonlinear program: direct multiple shooting in CasADi, by IPOPT.
+"""The shortest flight as a nonlinear program: direct multiple shooting in CasADi, solved by IPOPT.
 
 The step from node to node is `airpuck.physics.rollout.step`, traced with CasADi's symbols.
 """
@@ -20,17 +20,17 @@ from airpuck.planning.request import Request
 
 #: x, y, γ and their rates.
 _MOTION = 6
-#: No leg takes so many times as long as its guess, and so much longer [s].
+#: Upper bound of a leg's duration: this multiple of its guess plus this time [s].
 _LONGEST, _LONGER = 6.0, 1.0
 #: Shortest duration of a leg [s].
 _SHORTEST = 1e-3
 _MOST_ITERATIONS = 120
-#: Simulated states in each interval from which a path is resampled.
+#: Number of simulated states per interval from which a path is resampled.
 _BETWEEN = 8
-#: Runge-Kutta steps between two nodes: then a plan of a second ends within a millimetre.
+#: Runge-Kutta steps between two nodes: a plan of a second then ends within a millimetre.
 _SUBSTEPS = 2
 
-#: Of IPOPT: silent, and limited.
+#: Options of IPOPT: no output, limited iterations.
 _OPTIONS = {
     "print_time": False,
     "error_on_fail": False,
@@ -39,7 +39,7 @@ _OPTIONS = {
         "sb": "yes",
         "max_iter": _MOST_ITERATIONS,
         "tol": 1e-7,
-        # Half the iterations of any other choice, from cold and from neighbouring plans.
+        # Takes half the iterations of any other choice, from cold and from neighbouring plans.
         "mu_strategy": "adaptive",
         "adaptive_mu_globalization": "never-monotone-mode",
     },
@@ -48,9 +48,9 @@ _OPTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """A flight as the program sees it: nodes, and commands held between them."""
+    """A flight in the program's form: nodes, and commands held between them."""
 
-    #: How long each leg takes [s].
+    #: Duration of each leg [s].
     durations: Float[np.ndarray, " legs"]
     #: States at the nodes, and commands; the end of a leg is the start of the next.
     states: Float[np.ndarray, "nodes s"]
@@ -66,7 +66,7 @@ class Path:
     def simulated(
         self, model: Model, times: Float[np.ndarray, " nodes"], parts: int
     ) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M s"]]:
-        """Return times and states as simulated from the start, each interval in so many parts."""
+        """Return times and states simulated from the start, with intervals divided into parts."""
         periods = np.repeat(np.diff(times) / parts, parts)
         flown = model.simulate(self.states[0], np.repeat(self.commands, parts, axis=0), periods)
         return np.concatenate([[0.0], np.cumsum(periods)]), np.vstack([self.states[:1], flown])
@@ -74,8 +74,8 @@ class Path:
     def resampled(self, intervals: int, model: Model | None = None) -> Path:
         """Return the path with another number of intervals in each leg.
 
-        Where a model is given, states between the nodes are simulated: from linear ones the solver
-        may leave for another, slower flight. A guess cannot be simulated.
+        With a model, states between the nodes are simulated: from interpolated ones the solver may
+        move to another, slower flight. A guess cannot be simulated.
         """
         legs = len(self.durations)
         if intervals * legs == len(self.commands):
@@ -97,16 +97,16 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What the solver made of one start."""
+    """The solver's result for one start."""
 
     path: Path
     converged: bool
     #: Its words.
     status: str
     iterations: int
-    #: Multipliers of the steps' states: what a state is worth, up to sign [s per unit].
+    #: Multipliers of the dynamics constraints: the value of a state, up to sign [s per unit].
     prices: Float[np.ndarray, "intervals s"]
-    #: Of the bounds of positions at the nodes: where the path touches a rail.
+    #: Multipliers of the position bounds at the nodes: nonzero where the path touches a rail.
     touching: Float[np.ndarray, "nodes 2"]
 
     @property
@@ -118,8 +118,8 @@ class Solved:
 class Transcription:
     """The program for a model and a number of intervals, way points and discs; see `program_for`.
 
-    Variables are, node by node, state and command, then the final state and the durations of the
-    legs. All limits, and start and goal, are bounds, so a program is built once.
+    The variables are state and command of each node in turn, then the final state and the durations
+    of the legs. All limits, start and goal are bounds, so a program is built once.
     """
 
     def __init__(self, model: Model, intervals: int, legs: int, discs: int) -> None:
@@ -164,8 +164,8 @@ class Transcription:
     def solve(self, request: Request, guess: Path, final_yaw: float, tidiness: float) -> Solved:
         """Solve from a guess, for a goal with this yaw.
 
-        The weight [s] of the commands' mean squared change between intervals makes smooth what does
-        not matter to the time.
+        The weight [s] of the commands' mean squared change between intervals smooths whatever does
+        not affect the duration.
         """
         lower, upper = self._bounds(request, final_yaw, guess.durations)
         steps = self.intervals * self.legs * self.size
@@ -228,12 +228,12 @@ class Transcription:
 
 @lru_cache(maxsize=16)
 def program_for(model: Model, intervals: int, legs: int, discs: int) -> Transcription:
-    """Return the program, built at its first use in this process."""
+    """Return the program, built on first use in this process."""
     return Transcription(model, intervals, legs, discs)
 
 
 def _step_functions(model: Model) -> tuple[Any, Any]:
-    """Trace the step of the physics with the spin half way, and the position there."""
+    """Trace one step of the physics; also return yaw rate and position at half the step."""
     casadi = _casadi()
     n = model.vehicle.n_propellers
     z, u, h = casadi.SX.sym("z", _MOTION + n), casadi.SX.sym("u", n), casadi.SX.sym("h")
@@ -245,7 +245,7 @@ def _step_functions(model: Model) -> tuple[Any, Any]:
 
     following = with_symbols(advance, z, u, h)
     after = casadi.SX.sym("after", _MOTION + n)
-    # The middle of the cubic through both positions with both velocities.
+    # The midpoint of the cubic through both positions with both velocities.
     middle = (z[:2] + after[:2]) / 2 + h / 8 * (z[3:5] - after[3:5])
     return (
         casadi.Function("step", [z, u, h], [following[:-1], following[-1]]),
@@ -254,7 +254,7 @@ def _step_functions(model: Model) -> tuple[Any, Any]:
 
 
 def _casadi() -> Any:
-    """Return CasADi, or say how to get it."""
+    """Return CasADi; raise InputError with instructions if it is not installed."""
     try:
         import casadi
     except ImportError:

@@ -1,7 +1,7 @@
-"""The most that thrusts can give along a weight, over all paths of yaw and spin.
+"""Upper bounds on the integral of thrust along a weight, over all paths of yaw and yaw rate.
 
-A dynamic program on a grid of yaws and spins. Each of its values is an upper bound; the proof, with
-every term by which values are raised, is in docs/planning.md.
+A dynamic program on a grid of yaws and yaw rates. Each of its values is an upper bound;
+docs/planning.md has the proof, with every term that is added to round values up.
 """
 
 from __future__ import annotations
@@ -24,22 +24,24 @@ from airpuck.planning.attainable import (
 )
 from airpuck.planning.request import Request
 
-#: Curvature of the penalty on other yaws at the start, as a share of the strongest push times ∫|w|.
+#: Curvature of the penalty on other yaws at the start, relative to the strongest push times ∫|w|.
 #: The bounds of three plans are highest between 1 and 4.
 _PENALTY = 2.0
-#: Below all that can be reached; no sum comes near.
+#: A value below everything reachable, and below any sum of values.
 _IMPOSSIBLE = -1e30
-#: Lags after which motors may have any speed.
+#: Number of lags after which motors may have any speed.
 _SETTLED = 8.0
-#: Parts of a step in which thrusts are summed.
+#: Number of parts of a step over which thrusts are summed.
 _PARTS = 32
-#: Roundings of a float32 in each step, of 2⁻²⁴ each: four of a turn, two of a push, and a reserve.
+#: Number of float32 rounding errors in each step, of 2⁻²⁴ each: four for a turn, two for a push,
+#: and a reserve.
 _ROUNDINGS = 10 * 2.0**-24
-#: Steps after which the rounding of spins is drawn anew: its error does not add up for longer.
+#: Number of steps after which the rounding of yaw rates is re-randomised, so that its error stops
+#: accumulating.
 _REDRAWN = 16
-#: A motor turns the craft if its lever is more than this share of the longest.
+#: A motor turns the craft if its lever exceeds this fraction of the longest lever.
 _TURNS = 1e-9
-#: Fewest intervals between the columns of spin.
+#: Fewest intervals between the columns of yaw rate.
 _FEWEST_COLUMNS = 8
 
 
@@ -51,7 +53,7 @@ class Weight:
     beta: complex
     kink_times: Float[np.ndarray, " J"]
     kinks: Complex[np.ndarray, " J"]
-    #: What a radian more at the start is worth: the slope of the penalty on other yaws there.
+    #: Value of one more radian at the start: the slope of the penalty on other yaws there.
     yaw_price: float = 0.0
 
     @classmethod
@@ -62,13 +64,13 @@ class Weight:
         kink_times: Float[np.ndarray, " J"],
         yaw_price: float = 0.0,
     ) -> Weight:
-        """Fit a weight to values, by least squares."""
+        """Fit a weight to values by least squares."""
         basis = [np.ones_like(times), times, *(np.maximum(times - t, 0.0) for t in kink_times)]
         fit = np.linalg.lstsq(np.array(basis, dtype=complex).T, values, rcond=None)[0]
         return cls(complex(fit[0]), complex(fit[1]), kink_times, fit[2:], yaw_price)
 
     def compressed(self, share: float) -> Weight:
-        """Return the weight of a flight that takes this share of the time."""
+        """Return the weight for a flight that takes a fraction of the time."""
         return replace(
             self,
             beta=self.beta / share,
@@ -86,37 +88,39 @@ class Weight:
         return self.alpha + self.beta * times + self.kinks @ since
 
     def slope(self, times: Float[np.ndarray, " K"]) -> Complex[np.ndarray, " K"]:
-        """Evaluate its derivative, just before a time."""
+        """Evaluate its derivative just before a time."""
         return self.beta + self.kinks @ (times > self.kink_times[:, None])
 
 
 @dataclass(frozen=True)
 class Fineness:
-    """How finely time, spin and yaw are divided; any gives a bound, a finer one a higher."""
+    """Resolution of time, yaw rate and yaw; any gives a bound, a finer one gives a higher bound."""
 
     steps: int
-    #: Columns of spin by which the largest moment moves the spin in a step, and columns at most.
+    #: Number of columns of yaw rate that the largest moment crosses in a step, and largest number
+    #: of columns.
     moments: int
     columns: int
     yaws: int
 
 
 class YawProgram:
-    """Bounds ∫ w·a for flights that end at the goal's yaw and spin after each step, or coast there.
+    """Bounds ∫ w·a for flights that reach the goal's yaw and yaw rate after each step, or coast.
 
-    Yaw turns by the mean spin of a step, from one mean spin to the next push and moment are those
-    of the mean around the end of a step. Both are exact for any thrusts in between.
+    Yaw turns by the mean yaw rate of a step. Between one mean and the next, push and moment are
+    averages around the end of a step. Both are exact for any thrusts in between.
 
     Attributes
     ----------
     step : float
-        Between the times at which flights may end [s].
+        Step between the times at which flights may end [s].
     weight : Weight
-        With its kinks at ends of steps.
+        Weight with its kinks at ends of steps.
     worth : float
-        The strongest push times ∫ |w|: what a craft that need not turn could reach.
+        The strongest push times ∫ |w|: the bound of a craft that need not turn.
     most : array, shape (steps, T)
-        The bound at the end of each step, for flights that have coasted for each of the times.
+        The bound at the end of each step, for flights that have coasted for each of the coasting
+        times.
     """
 
     def __init__(
@@ -146,7 +150,7 @@ class YawProgram:
         self.most = self._run(coasts)
 
     def _columns(self, horizon: float, fineness: Fineness) -> Float[np.ndarray, " S"]:
-        """Lay columns over all spins that can be reached; the ends are columns."""
+        """Lay columns over all reachable yaw rates; the extremes are columns."""
         begin, limit = float(self._request.start[5]), self._request.limits.spin
         reach = max(self._largest * horizon, 1e-6)
         low, high = max(-limit, begin - reach), min(limit, begin + reach)
@@ -155,10 +159,10 @@ class YawProgram:
         return np.linspace(low, high, count + 1)
 
     def _thrusts(self) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
-        """Return the thrusts between which the motors' means around the ends of steps lie.
+        """Return bounds of the motors' mean thrusts around the ends of steps.
 
-        Ranges grow with time, so the end of each part of a step stands for all of it. No thrust is
-        always among them.
+        Ranges grow with time, so the end of each part of a step is valid for all of it. Zero thrust
+        is always included.
         """
         model, step = self._model, self.step
         settled = _SETTLED * float(model.dynamics.motor_time_constant)
@@ -167,7 +171,7 @@ class YawProgram:
         few = min(int(np.isfinite(times).sum()) + 1, len(times))
         speeds = motor_range(model, self._request.start[6:], times[:few])
         ranges = thrust_range(model, speeds, self._request.limits)
-        # Of a tent over two steps, half of it at the start.
+        # Weights of a triangle over two steps, half of it at the start.
         rising = (np.arange(_PARTS) + 0.5) / _PARTS**2
         boxes = []
         for force, least in zip(ranges, (np.minimum, np.maximum), strict=True):
@@ -180,7 +184,7 @@ class YawProgram:
         return boxes[0], boxes[1]
 
     def _run(self, coasts: Float[np.ndarray, " T"]) -> Float[np.ndarray, "K T"]:
-        """Go forwards in time: turn, read off what the goal is worth, push."""
+        """Step forwards in time: turn, read off the value at the goal, push."""
         step, unit = self.step, self._spins[1] - self._spins[0]
         turn = _Turn(self._spins * step, len(self._yaws))
         added = self._between_nodes()
@@ -199,7 +203,7 @@ class YawProgram:
         return most + self._roundings(np.array(bends), unit, coasts)[:, None]
 
     def _penalty(self) -> tuple[Float[np.ndarray, " Y"], float]:
-        """Return what other yaws at the start cost, at each yaw of the grid, and its curvature."""
+        """Return the cost of other initial yaws, at each yaw of the grid, and its curvature."""
         curvature = _PENALTY * self.worth + abs(self.weight.yaw_price)
         away = wrapped(np, self._yaws - self._request.start[2])
         turns = away + 2 * np.pi * np.array([-1.0, 0.0, 1.0])[:, None]
@@ -207,7 +211,7 @@ class YawProgram:
         return cost.max(axis=0), curvature
 
     def _begin(self) -> tuple[Float[np.ndarray, "Y S"], float]:
-        """Return the worth after the first half of a push, and how steep its gain is."""
+        """Return the value after the first half of a push, and the slope of its gain."""
         moments = (self._spins - self._request.start[5]) * 2 / self.step
         gains = self._gains(0, self._yaws, moments)
         first = self._size[0] * self.step / 2
@@ -215,14 +219,14 @@ class YawProgram:
         return worth.astype(np.float32), _steepest(gains, self._yaws) * first
 
     def _between_nodes(self) -> Float[np.ndarray, "K S"]:
-        """Return what chords between the ends of steps may miss of w turned by the yaw."""
+        """Return how far chords between the ends of steps may underestimate w turned by the yaw."""
         step, spins, largest = self.step, self._spins, self._largest
         size = np.maximum(self._size[1:], self._size[:-1])[:, None]
         slope = (np.abs(np.diff(self._values)) / step)[:, None]
         bent = size * (spins**2 + largest) + 2 * slope * np.abs(spins)
         missed = self._strongest * step**3 / 12 * bent
         if self._model.dynamics.frame == "world":
-            # Of the acceleration r ω² that an offset gives; the rest is in `certificate`.
+            # Bound the acceleration r ω² due to an offset; the rest is in `certificate`.
             offset = float(np.hypot(*self._model.dynamics.center_of_mass))
             missed = missed + step * offset * size * (spins**2 + (largest * step) ** 2 / 12)
         return missed.astype(np.float32)
@@ -230,12 +234,12 @@ class YawProgram:
     def _roundings(
         self, bends: Float[np.ndarray, " K"], unit: float, coasts: Float[np.ndarray, " T"]
     ) -> Float[np.ndarray, " K"]:
-        """Return what rounding of yaw and spin to the grid may cost, for flights of each length."""
+        """Return the possible cost of rounding to the grid, for flights of each length."""
         passed = np.arange(self._count + 1)
         spacing = self._yaws[1] - self._yaws[0]
         shift = self.step * unit
         variance = (passed + 1) * spacing**2 / 4 + _REDRAWN * passed * shift**2 / 4
-        # The yaw at the end is rounded to one of two neighbouring times of coasting, first.
+        # The final yaw is first rounded to one of two neighbouring coasting times.
         coasted = np.diff(coasts).max(initial=0.0) * np.nan_to_num(self._request.goal.state[5])
         variance += coasted**2 / 4
         curved = self.step * self._size * self._strongest / 2
@@ -260,13 +264,13 @@ class YawProgram:
     def _goal_worth(
         self, worth: Float[np.ndarray, "Y S"], k: int, coasts: Float[np.ndarray, " T"]
     ) -> Float[np.ndarray, " T"]:
-        """Read off the worth of flights that end now, after the second half of a push."""
+        """Read off the value of flights that end now, after the second half of a push."""
         goal, half = self._request.goal.state, self._size[k] * self.step / 2
         count, spacing = len(self._yaws), self._yaws[1] - self._yaws[0]
         turned = coasts * goal[5] / spacing
         if np.isnan(goal[2]):
             rows = np.arange(count)
-        else:  # the first yaw of the grid is that of the goal
+        else:  # the first yaw of the grid is the goal's yaw
             far = self._request.limits.spin * coasts[-1] / spacing * np.array([-1, 1])
             far = far if np.isnan(goal[5]) else np.array([turned.min(), turned.max()])
             rows = np.arange(int(np.floor(far[0])), int(np.ceil(far[1])) + 2)
@@ -287,7 +291,7 @@ class YawProgram:
 
 
 class _Turn:
-    """Turns the craft by an angle for each column of spin, interpolating linearly."""
+    """Turns the craft by an angle for each column of yaw rate, interpolating linearly."""
 
     def __init__(self, angles: Float[np.ndarray, " S"], yaws: int) -> None:
         back = -angles / (2 * np.pi) * yaws
@@ -299,7 +303,7 @@ class _Turn:
         self._next = (rows + 1) % yaws * len(angles) + columns
 
     def __call__(self, worth: Float[np.ndarray, "Y S"]) -> Float[np.ndarray, "Y S"]:
-        """Return the worth after the turn."""
+        """Return the value after the turn."""
         near, share = worth.take(self._near), self._share
         return near + share * (worth.take(self._next) - near)
 
@@ -307,7 +311,7 @@ class _Turn:
 def _pushed(
     worth: Float[np.ndarray, "Y S"], gain: Float[np.ndarray, "Y B"], changes: Int[np.ndarray, " B"]
 ) -> Float[np.ndarray, "Y S"]:
-    """Let the motors push and turn: the best of all moments."""
+    """Let the motors push and turn: the best over all moments."""
     best = np.full_like(worth, _IMPOSSIBLE)
     count = worth.shape[1]
     for j, change in enumerate(changes):
@@ -322,7 +326,7 @@ def _pushed(
 
 
 def _steepest(gains: Float[np.ndarray, "Y M"], yaws: Float[np.ndarray, " Y"]) -> float:
-    """Return how much the difference of neighbouring moments' gains changes by yaw, at most."""
+    """Return how much the difference of neighbouring moments' gains can change with the yaw."""
     inside = gains[:, gains[0] > _IMPOSSIBLE]
     differences = np.diff(inside, axis=1)
     changes: Any = differences - np.roll(differences, 1, axis=0)
@@ -338,16 +342,16 @@ def frontier(
     added: tuple[float, float],
     redrawn: bool = False,
 ) -> Float[np.ndarray, "Y M"]:
-    """Bound the push at each angle to its direction and each moment, a linear program each.
+    """Bound the push at each angle to its direction and each moment, with one linear program each.
 
-    Its dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment, whose
-    minimum lies where one term changes its sign. `added` is beyond what thrusts give. The chords
-    between evenly spaced moments lie above what is in between; out of reach are those beyond the
-    first that no thrusts give.
+    The dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment. Its
+    minimum lies where one term changes sign. `added` bounds accelerations other than thrust. The
+    chords between evenly spaced moments lie above the values in between; moments beyond the first
+    one that no thrusts can produce are unreachable.
     """
     forward, left, turn = np.asarray(model.dynamics.configuration)
     push = np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
-    # Any prices give a bound; those of motors that hardly turn the craft are only rounding.
+    # Any prices give a bound; prices of motors that barely turn the craft are only rounding errors.
     turns = np.abs(turn) > _TURNS * np.abs(turn).max()
     prices = np.where(turns, -push / np.where(turns, turn, 1.0), 0.0)
     prices = np.append(prices, np.zeros((len(angles), 1)), axis=1)
@@ -358,7 +362,7 @@ def frontier(
     best = tangents.argmin(axis=1)
     table = np.take_along_axis(tangents, best[:, None], axis=1)[:, 0]
     slopes = -np.take_along_axis(prices, best, axis=1)
-    # Tangents at the ends of a chord meet above all that is in between.
+    # Tangents at the ends of a chord meet above all values in between.
     spacing = moments[1] - moments[0]
     chord = np.diff(table, axis=1) / spacing
     above, below = slopes[:, :-1] - chord, chord - slopes[:, 1:]
@@ -370,7 +374,7 @@ def frontier(
     far = (2 if redrawn else 1) * spacing
     reached = (moments > least - added[1] - far) & (moments < most + added[1] + far)
     if redrawn:
-        # So are chords of this length that begin and end anywhere.
+        # The same holds for chords of this length that begin and end anywhere.
         wide = np.pad(slopes, ((0, 0), (2, 2)), mode="edge")
         bends = np.maximum(wide[:, :-3] - wide[:, 3:], 0.0)
         table = table + np.maximum(bends[:, 1:], bends[:, :-1]) * spacing / 4

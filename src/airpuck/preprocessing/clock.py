@@ -10,16 +10,16 @@ from jaxtyping import Float, Int64
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.stream import Stream
 
-#: Difference between two senders' clocks that cannot be latency [s].
+#: Difference between two senders' clocks that latency cannot explain [s].
 _CLOCKS_DIFFER = 0.1
-#: Drift of a clock that is reported [s], and how many messages it takes to see one.
+#: Drift of a clock that is reported [s], and the number of messages needed to detect it.
 _DRIFTS = 5e-3
 _ENOUGH_FOR_DRIFT = 400
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Stamps of two streams on one axis."""
+    """Time stamps of two streams on one axis."""
 
     #: Seconds since `epoch`.
     pose_time: Float[np.ndarray, " N"]
@@ -27,8 +27,8 @@ class Aligned:
     #: The earlier of the two first stamps [s since 1970].
     epoch: float
     warnings: tuple[str, ...]
-    #: What the recorder's clock showed at `epoch`: the same, unless the two clocks differ by more
-    #: than latencies explain [s since 1970].
+    #: The recorder's clock at `epoch` [s since 1970]: the same, unless the two clocks differ by
+    #: more than latencies explain.
     recorder_epoch: float
 
 
@@ -45,9 +45,9 @@ def seconds(stamp_ns: Int64[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 def align_clocks(pose: Stream, command: Stream) -> Aligned:
     """Put header stamps of poses and commands on one time axis.
 
-    Header stamps are used unchanged when both senders' clocks agree. The recorder saw both: the
+    Header stamps are used unchanged if both senders' clocks agree. The recorder saw both: the
     smallest difference between its time of arrival and a sender's stamp is that clock's offset plus
-    the shortest latency. Offsets more than 0.1 s apart are different clocks, and the commands are
+    the shortest latency. Offsets more than 0.1 s apart mean different clocks, and the commands are
     moved to the poses' clock.
     """
     pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns)
@@ -75,11 +75,11 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
             )
     command_time = command_time + correction
     epoch = float(min(pose_time[0], command_time[0]))
-    # The axis is the poses' clock, and commands that were moved came along from the recorder's.
+    # The axis is the poses' clock; shifted commands are on the recorder's clock up to latency.
     ahead = base["pose"] if correction or abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
     return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
 
 
 def _lowest(offset: Float[np.ndarray, " N"]) -> float:
-    """Return a low quantile rather than the minimum: one wrong stamp must not set the clock."""
+    """Return a low quantile instead of the minimum: one wrong stamp must not set the clock."""
     return float(np.quantile(offset, 0.01))

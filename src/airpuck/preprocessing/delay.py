@@ -11,16 +11,16 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
 
-#: Longest delay that is looked for.
+#: Longest delay that the search covers.
 LONGEST_S = numbers.DELAY.high
-#: Correlation of modelled and measured accelerations from which commands cause the motion.
+#: Correlation of modelled and measured accelerations above which commands cause the motion.
 _CAUSED = 0.5
 
 
 def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
     """Return how long after their stamps commands seem to act [s], negative for before.
 
-    None where it is not known by how much the commands were shifted, or they explain too little.
+    None if the original shift of the commands is unknown, or if they explain too little.
     """
     shift, correlation = estimate_delay(trajectory, dynamics)
     if correlation < _CAUSED or not trajectory.delay_known:
@@ -31,10 +31,10 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
 def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:
     """Find the delay [samples] at which modelled accelerations fit the measured ones best.
 
-    Modelled and measured accelerations are correlated channel by channel; commands are shifted by
-    the mean of the three best lags, and this is repeated, since the modelled acceleration depends
-    on the yaw it is paired with, until no shift is left. The second number is the correlation
-    coefficient there, mean over x, y and yaw.
+    Modelled and measured accelerations are correlated channel by channel, and commands are shifted
+    by the mean of the three best lags. This is repeated until no shift is left, because the
+    modelled acceleration depends on the yaw at that time. The second number is the correlation
+    coefficient at the result, averaged over x, y and yaw.
     """
     time = trajectory.time
     lag, idle = float(dynamics.motor_time_constant), dynamics.idle_lag
@@ -42,7 +42,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0
     visited: set[int] = set()
-    # Shifts cannot oscillate forever: a shift that comes back ends the search.
+    # Shifts cannot oscillate forever: the search ends when a shift recurs.
     while shift not in visited:
         visited.add(shift)
         # Sample k of the motion is paired with the motor speed `shift` samples before.
@@ -50,7 +50,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
         cause = slice(max(-shift, 0), len(time) - max(shift, 0))
         state = trajectory.state[motion, 2:]
         modelled = np.stack(model_acceleration(np, dynamics, state.T, speed[cause].T))
-        # Only one of the two is masked: what both lack would correlate, at no lag.
+        # Mask only one of the two: gaps common to both would correlate at zero lag.
         measured = trajectory.acceleration[motion].T * trajectory.usable[motion]
         best = [_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)]
         lag, correlation = np.mean(best, axis=0)
@@ -63,7 +63,7 @@ def _best_lag(
 ) -> tuple[int, float]:
     """Return the lag of `measured` behind `modelled`, and the correlation coefficient there."""
     limit = min(limit, len(modelled) - 1)
-    # Over a circle that is long enough for no lag of interest to go round it.
+    # A circular correlation, padded so that no lag of interest wraps around.
     size = 1 << (len(measured) + limit).bit_length()
     spectrum = np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj()
     full = np.fft.irfft(spectrum, size)

@@ -7,38 +7,38 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import usual_period
 
-#: Order of the smoothing polynomials, and times that they span for velocity and for acceleration:
-#: 11 and 15 samples at 240 Hz [s].
+#: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
+#: and 15 samples at 240 Hz [s].
 POLYNOMIAL_ORDER = 3
 VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
-#: Fewest samples that two derivatives follow from.
+#: Minimum number of samples for a second derivative.
 _FEWEST = 5
 
 
 def window_length(duration: float, period: float) -> int:
-    """Return the odd number of samples that is nearest to a duration."""
+    """Return the odd number of samples closest to a duration."""
     return 2 * max(round((duration / period - 1) / 2), 1) + 1
 
 
 def shortest_stretch(period: float) -> int:
-    """Return how many samples in a row it takes for velocity and acceleration."""
+    """Return how many consecutive samples velocity and acceleration need."""
     return max(window_length(ACCELERATION_TIME, period), _FEWEST)
 
 
 def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
     """Make a yaw that is wrapped to one turn continuous."""
     turns = np.cumsum(np.rint(np.diff(yaw) / (2 * np.pi)))
-    # Whole turns are added to the measured number, so that no digit of it is lost.
+    # Whole turns are added to the measured number, so no digit of it is lost.
     return yaw - 2 * np.pi * np.concatenate([[0.0], turns])
 
 
 def smooth(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], duration: float
 ) -> Float[np.ndarray, "N k"]:
-    """Smooth by local cubic polynomials (Savitzky-Golay).
+    """Smooth with local cubic polynomials (Savitzky-Golay).
 
-    Where a window has no more poses than a cubic has coefficients, poses are not smoothed:
-    there is little noise in their differences.
+    If a window has no more poses than a cubic has coefficients, poses are not smoothed: their
+    differences contain little noise.
     """
     period = usual_period(time)
     window = window_length(duration, period)
@@ -47,7 +47,8 @@ def smooth(
     if period != np.median(np.diff(time)):
         return _smooth_unevenly(time, values, window)
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
-    # filter gives the same, but importing scipy.signal takes longer than all of preprocessing.
+    # filter gives the same result, but importing scipy.signal takes longer than all of
+    # preprocessing.
     half = window // 2
     basis, _ = np.linalg.qr(np.vander(np.arange(-half, half + 1) / half, POLYNOMIAL_ORDER + 1))
     fitted = basis @ basis.T
@@ -59,7 +60,7 @@ def smooth(
 def _smooth_unevenly(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], window: int
 ) -> Float[np.ndarray, "N k"]:
-    """Smooth by local cubic polynomials in the real times of samples."""
+    """Smooth with local cubic polynomials at the actual times of samples."""
     each = np.arange(len(time))
     first = np.clip(each - window // 2, 0, len(time) - window)
     index = first[:, None] + np.arange(window)

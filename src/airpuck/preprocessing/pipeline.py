@@ -40,11 +40,11 @@ from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
 from airpuck.recording.torch_archive import read_authors_experiment
 
-#: A command this far above the lowest one means that the experiment has begun.
+#: A command this far above the lowest one marks the beginning of the experiment.
 _BEGINS_ABOVE_MINIMUM = 0.02
 _NO_COMMANDS = "no commands"
-#: Correlation below which there is no delay to be found, as in a flight that only hovers: 0.1
-#: there, above 0.5 between set points.
+#: Correlation below which no delay can be found, as in a flight that only hovers: 0.1 there, above
+#: 0.5 between set points.
 _NO_DELAY_BELOW = 0.3
 #: Correlation below which the commands do not explain the motion.
 _WEAK_CORRELATION = 0.5
@@ -58,13 +58,13 @@ def load_trajectory(
     topics: Topics | None = None,
     delay: float | None = None,
 ) -> Trajectory:
-    """Read a recording and preprocess it, or read what is preprocessed already.
+    """Read a recording and preprocess it, or read an already preprocessed one.
 
     Parameters
     ----------
     path : path-like
-        What `read_recording` reads, the authors' data.pt (or the folder of one), or an .npz that
-        `Trajectory.save` wrote.
+        Anything that `read_recording` reads, the authors' data.pt (or its folder), or an .npz
+        written by `Trajectory.save`.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
     mapping : RecordingMapping, optional
@@ -72,7 +72,7 @@ def load_trajectory(
     topics : Topics, optional
         Short for a mapping that only names topics.
     delay : float, optional
-        Transport delay of a raw recording [s]; by default it is found by correlation.
+        Transport delay of a raw recording [s]; by default estimated by correlation.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def load_trajectory(
     preprocessed = path.suffix == ".npz" or (archive.suffix == ".pt" and archive.is_file())
     if preprocessed and (delay, mapping, topics) != (None, None, None):
         raise InputError(
-            "is preprocessed already: its transport delay is settled and there is nothing to map",
+            "is preprocessed already: its transport delay is fixed and there is nothing to map",
             file=path,
             field="delay" if delay is not None else "mapping",
         )
@@ -109,9 +109,9 @@ def preprocess(
 ) -> Trajectory:
     """Turn a recording into a trajectory.
 
-    Clock alignment, checks, dropping of samples out of order, unwrapping of yaw, cropping to the
-    commanded span, differentiation between gaps, transport delay. Nothing is interpolated: samples
-    stay at the times of the motion capture, and what cannot be used is marked.
+    The steps are clock alignment, checks, dropping of out-of-order samples, unwrapping of yaw,
+    cropping to the commanded span, differentiation between gaps, and transport delay. Nothing is
+    interpolated: samples keep the times of the motion capture, and unusable ones are marked.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ def preprocess(
     vehicle : Vehicle, optional
         The craft; by default the paper's.
     delay : float, optional
-        Transport delay [s]; by default it is found by correlation.
+        Transport delay [s]; by default estimated by correlation.
     nominal : Dynamics, optional
-        Model to find the delay with; by default the vehicle's nominal one.
+        Model for estimating the delay; by default the vehicle's nominal one.
 
     Returns
     -------
@@ -132,8 +132,8 @@ def preprocess(
     Raises
     ------
     InputError
-        If the recording lacks a stream or holds numbers that cannot be what they should be, or if
-        poses and commands do not overlap.
+        If the recording lacks a stream or holds implausible numbers, or if poses and commands do
+        not overlap.
     """
     if delay is not None:
         numbers.DELAY.check(delay, "delay")
@@ -170,7 +170,7 @@ def preprocess(
 
 
 def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samples, Aligned]:
-    """Return poses and commands on one time axis, checked and in order; columns as propellers."""
+    """Return poses and commands on one time axis, checked, sorted, and in the vehicle's order."""
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
     aligned = align_clocks(pose, command)
@@ -184,14 +184,14 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
 def _crop_to_commands(
     pose_time: Float[np.ndarray, " N"], commands: Samples, begins_above: float, source: str
 ) -> slice:
-    """Find the poses between the first command that moves the craft and the last one."""
+    """Find the poses between the first command that moves the craft and the last command."""
     time, command, _ = commands
     moving = np.flatnonzero(command.max(axis=1) > begins_above)
     if len(moving) == 0:
         raise InputError(
             f"no command exceeds {begins_above:g}: the motors never moved the craft", file=source
         )
-    # As the authors do: from the command after it on, so that a whole interval has passed.
+    # Like the authors, start with the command after it, so that a whole interval has passed.
     begin, end = time[min(moving[0] + 1, len(time) - 1)], time[-1]
     first, last = np.searchsorted(pose_time, (begin, end), side="right").tolist()
     if last - first < 2:
@@ -206,7 +206,7 @@ def _crop_to_commands(
 def _velocity_and_acceleration(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
-    """Differentiate each stretch between gaps on its own; mark those too short for it."""
+    """Differentiate each stretch between gaps separately; mark those that are too short."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
     short, fewest = [], shortest_stretch(usual_period(time))
     for part in stretches(time):
@@ -222,7 +222,7 @@ def _velocity_and_acceleration(
 def _compensate_delay(
     trajectory: Trajectory, delay: float | None, nominal: Dynamics, usual: float
 ) -> Trajectory:
-    """Set the transport delay, given or found, and leave out what precedes the first command."""
+    """Set the transport delay, given or estimated; drop the samples before the first command."""
     warnings = list(trajectory.warnings)
     if delay is None:
         samples, correlation = estimate_delay(trajectory, nominal)
@@ -238,7 +238,7 @@ def _compensate_delay(
                 "check motor order and signs with `airpuck check`"
             )
         if not found:
-            warnings.append(f"no delay is found; the vehicle's, {1e3 * usual:.1f} ms, is taken")
+            warnings.append(f"no delay was found; the vehicle's, {1e3 * usual:.1f} ms, is used")
         delay = max(samples, 0) * trajectory.sample_period if found else usual
         first = round(delay / trajectory.sample_period)
     else:
@@ -248,7 +248,7 @@ def _compensate_delay(
     start = trajectory.time[first]
     excluded = []
     for span in trajectory.excluded:
-        # A pause of the commands lasts until the next one acts.
+        # A pause of the commands lasts until the next command acts.
         stop = span.stop + delay if span.cause == _NO_COMMANDS else span.stop
         if stop >= start:
             excluded.append(replace(span, start=span.start - start, stop=stop - start))

@@ -1,4 +1,4 @@
-"""Data quality: what streams must satisfy, and which of their samples cannot be used."""
+"""Data quality: requirements on streams, and detection of unusable samples."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from airpuck.recording.stream import Stream
 
 #: A pause longer than this many sample periods is a gap.
 GAP_PERIODS = 1.5
-#: A pose that repeats exactly for this long [s] and this many times is frozen: a real measurement
-#: has noise.
+#: A pose that repeats exactly for this long [s] and this many times is frozen: real measurements
+#: have noise.
 _FROZEN_TIME, _FROZEN_LEAST = 5 / 240, 3
-#: A pose jumps if its step differs from its neighbours' steps this many times as much as is usual,
-#: and if the difference is at least this speed [m/s, m/s, rad/s]: at 240 Hz 1 mm and 0.02 rad. A
-#: blow is not a jump: it changes all later steps alike.
+#: A pose jumps if its step differs from neighbouring steps by this multiple of the usual
+#: difference, and by at least this speed [m/s, m/s, rad/s]: at 240 Hz, 1 mm and 0.02 rad. A blow is
+#: not a jump: it changes all later steps alike.
 _JUMP_RATIO = 10.0
 _JUMP_SPEED = (0.24, 0.24, 4.8)
-#: Time of a step's neighbours, itself in the middle [s].
+#: Time span of a step's neighbours, centred on the step [s].
 _NEIGHBOURS = 11 / 240
-#: Windows sorted at once, which bounds memory.
+#: Number of windows sorted at once, which bounds memory.
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
-#: Steps between poses that a motion capture can take [s].
+#: Plausible time steps between motion-capture poses [s].
 _PERIODS = (1e-4, 0.5)
-#: The same of commands, which may be logged only when they change [s]; so few say nothing.
+#: Plausible steps between commands, which may be logged only when they change [s], and the fewest
+#: commands to judge by.
 _COMMAND_PERIODS = (5e-5, 5.0)
 _FEW = 20
 
@@ -43,7 +44,7 @@ class Samples(NamedTuple):
     #: Times [s].
     time: Float[np.ndarray, " N"]
     values: Float[np.ndarray, "N k"]
-    #: What was dropped.
+    #: Descriptions of dropped samples.
     warnings: tuple[str, ...] = ()
 
 
@@ -53,7 +54,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     position, yaw = pose.values[:, :2], pose.values[:, 2]
     if np.abs(position).max() > 50:
         raise InputError(
-            f"positions reach {np.abs(position).max():.0f}, which is no air-hockey table in "
+            f"positions reach {np.abs(position).max():.0f}, which is too large for an air-hockey "
+            "table in "
             'metres; for millimetres give a mapping: pose = {units = ["mm"]}',
             file=source,
             field="pose.position",
@@ -61,7 +63,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     period = _period(time)
     if period and not _PERIODS[0] <= period <= _PERIODS[1]:
         raise InputError(
-            f"poses come every {period:.3g} s, which no motion capture does"
+            f"poses come every {period:.3g} s, which is implausible for motion capture"
             f"{_other_unit(period, 'pose')}",
             file=source,
             field="time",
@@ -81,7 +83,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
 
 def _other_unit(period: float, stream: str) -> str:
     """Return a hint at the unit of time that would give a plausible rate."""
-    # The middle of what is possible, on a logarithmic scale.
+    # Compare with the middle of the plausible range, on a logarithmic scale.
     usual = math.sqrt(math.prod(_PERIODS))
     power = 3 * round(math.log10(usual / period) / 3)
     if power in (-3, -6, -9):
@@ -102,7 +104,7 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
     period = _period(time) if len(time) > _FEW else 0.0
     if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
         raise InputError(
-            f"commands come every {period:.3g} s, as no controller sends them"
+            f"commands come every {period:.3g} s, which is implausible for a controller"
             f"{_other_unit(period, 'command')}",
             file=source,
             field="time",
@@ -119,7 +121,7 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
 
 
 def _period(time: Float[np.ndarray, " N"]) -> float:
-    """Return the usual step between stamps, which may be repeated; 0 where there is none [s]."""
+    """Return the usual step between stamps, which may repeat; 0 if undefined [s]."""
     steps = np.abs(np.diff(time))
     return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
@@ -191,7 +193,7 @@ def find_frozen(
 
 
 def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) -> tuple[Span, ...]:
-    """Find poses that jump, for good or there and back."""
+    """Find poses that jump, either for good or briefly."""
     if len(time) < 2:
         return ()
     pause, period = np.diff(time), usual_period(time)
@@ -204,7 +206,7 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     # Motion during a gap is no jump.
     jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * period)
     spoilt = np.zeros(len(time), dtype=bool)
-    # Smoothing spoils its neighbours, too.
+    # Smoothing also spoils its neighbours.
     reach = window_length(ACCELERATION_TIME, period) // 2
     for after in (np.flatnonzero(jumps) + 1).tolist():
         spoilt[max(after - reach, 0) : after + reach] = True
@@ -220,7 +222,7 @@ def _running_median(values: Float[np.ndarray, "N k"], window: int) -> Float[np.n
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
     found = np.empty_like(values)
-    # In parts, since `partition` copies what it sorts: an hour would take hundreds of megabytes.
+    # In chunks, since `partition` copies its input: an hour would take hundreds of megabytes.
     for first in range(0, len(values), _SORTED_AT_ONCE):
         part = slice(first, first + _SORTED_AT_ONCE)
         found[part] = np.partition(windows[part], half, axis=-1)[..., half]

@@ -1,4 +1,4 @@
-"""Reading and writing what a lab has.
+"""Reading and writing of a lab's recordings.
 
 Entry points: `read.read_recording`, `mapping.read_mapping`, `mapping.RecordingMapping`,
 `stream.Recording`, `torch_archive.read_authors_experiment`.

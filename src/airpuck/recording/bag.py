@@ -21,19 +21,19 @@ from airpuck.recording.topic_stream import may_hold, topic_stream
 from airpuck.recording.unpacking import Log, TopicLog, unpacked_file, unpacked_message
 
 METADATA = "metadata.yaml"
-#: Topics among which a missing one is looked for.
+#: Topics listed as suggestions when one is missing.
 _MOST_LOOKED_AT = 100
-#: Endings of storage files, compressed ones included.
+#: Suffixes of storage files, compressed ones included.
 STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a storage file or a folder that holds some."""
+    """Return whether a path is a storage file or a folder that contains one."""
     return bool(_stored(path)) if path.is_dir() else path.name.endswith(STORAGE)
 
 
 def _stored(folder: Path) -> list[Path]:
-    """List storage files by name, and by number where the name ends in one: 10 after 9."""
+    """List storage files by name, and by number if the name ends in one: 10 after 9."""
 
     def order(file: Path) -> tuple[str, int]:
         stem, _, number = file.name.partition(".")[0].rpartition("_")
@@ -67,7 +67,7 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
 
 
 def _metadata(path: Path) -> dict[str, Any]:
-    """Return the recorder's summary; empty where there is none, or a killed recorder left half."""
+    """Return the recorder's summary; empty if it is missing or incomplete."""
     try:
         information = load_yaml(path)["rosbag2_bagfile_information"]
     except (InputError, KeyError, TypeError):
@@ -76,9 +76,9 @@ def _metadata(path: Path) -> dict[str, Any]:
 
 
 def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
-    """Put storage files into the order of recording, and leave out those the metadata leaves out.
+    """Put storage files into recording order, and leave out those missing from the metadata.
 
-    By name alone: a bag is read from its own folder, wherever its metadata says it was.
+    By name alone: a bag is read from its own folder, whatever path its metadata names.
     """
     named = metadata.get("relative_file_paths")
     names = [PurePath(str(name)).name for name in named] if isinstance(named, list) else []
@@ -114,10 +114,10 @@ def _unpack_messages(log: Log, path: Path) -> None:
 
 
 def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
-    """Describe what is damaged, how far the rest reaches, and how much is missing."""
+    """Describe the damage, how far the rest reaches, and how much is missing."""
     missing = _missing(log, metadata)
     if not log.damage:
-        return (f"metadata.yaml promises more than the files hold: {missing}",) if missing else ()
+        return (f"metadata.yaml lists more than the files contain: {missing}",) if missing else ()
     parts = [*log.damage]
     if log.first_ns is not None and log.last_ns is not None:
         last = np.datetime_as_string(np.datetime64(log.last_ns // 10**6, "ms"), timezone="UTC")
@@ -127,7 +127,7 @@ def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
-    """Describe what the recorder's summary promises and the files do not hold."""
+    """Describe what the recorder's summary promises and the files do not contain."""
     try:
         start_ns = int(metadata["starting_time"]["nanoseconds_since_epoch"])
         end_ns = start_ns + int(metadata["duration"]["nanoseconds"])
@@ -136,7 +136,7 @@ def _missing(log: Log, metadata: Mapping[str, Any]) -> str:
         return ""
     if log.last_ns is None or n_messages <= log.n_messages:
         return ""
-    # Lost chunks inside the recording take messages, but no time from its end.
+    # Lost chunks inside the recording remove messages, but no time from its end.
     seconds = max(0, end_ns - log.last_ns) / SECOND_NS
     return f"the last {seconds:.3f} s and {n_messages - log.n_messages} messages are missing"
 
@@ -157,8 +157,8 @@ def _streams(
                 raise InputError(problem, file=source, field=field or name) from error
             if not stamped and stream in (*POSES, *COMMANDS):
                 warnings.append(
-                    f"messages on {name} carry no time: the recorder's times of arrival are used, "
-                    "and the jitter of their way is in them"
+                    f"messages on {name} carry no time: the recorder's arrival times are used, "
+                    "which include transport jitter"
                 )
         elif mapping.topics.required(stream, needs):
             missing.append(stream)
@@ -169,7 +169,7 @@ def _streams(
 
 
 def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
-    """Return the topics among which a missing one is looked for: definitions are parsed for it."""
+    """Return the topics suggested when one is missing; their definitions must be parsed."""
     found, spent = [], 0
     for name, topic in sorted(log.topics.items(), key=lambda item: len(item[1].definition)):
         spent += len(topic.definition)

@@ -18,9 +18,9 @@ from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
 
-#: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 read as well.
+#: Version 8 is the newest whose quality-of-service settings older releases of ROS 2 can read.
 _ROSBAG2_VERSION = 8
-#: Half a second to some seconds of a flight: as much as a file that is cut short loses.
+#: Half a second to a few seconds of a flight: as much as a truncated file loses.
 _CHUNK_BYTES = 2**17
 #: The table's sensors and commands do not resend.
 _BEST_EFFORT = (*POSES, *COMMANDS, "imu", "mouse")
@@ -32,28 +32,28 @@ def write_bag(
     """Save a recording as a rosbag2 folder: ``metadata.yaml`` and one .mcap file.
 
     Every message definition is embedded. A command with the authors' six motors becomes a
-    ``holohover_msgs/msg/HolohoverControlStamped``; for other columns a type of the same form is
-    made. The same recording gives the same bytes.
+    ``holohover_msgs/msg/HolohoverControlStamped``; other columns get a type of the same form. The
+    same recording gives the same bytes.
 
     Parameters
     ----------
     recording : Recording
         Each stream should be in the order of its ``received_ns``, in which bags are read.
     folder : path-like
-        The folder to make; it may exist if it is empty.
+        The folder to create; it may exist if it is empty.
     topics : Topics, optional
         Topic names; the default is the authors' table.
 
     Raises
     ------
     InputError
-        If the folder holds something, or a stream cannot be stored: an unknown name, a stamp before
-        1970 or after 2038, a propeller name that ROS does not allow.
+        If the folder is not empty, or a stream cannot be stored: an unknown name, a stamp before
+        1970 or after 2038, or a propeller name that ROS does not allow.
 
     Notes
     -----
-    Poses are stored as quaternions: `read_recording` gives the yaw in (-π, π], equal to 1e-15.
-    Everything else is read back equal.
+    Poses are stored as quaternions: `read_recording` returns the yaw in (-π, π], accurate to 1e-15.
+    Everything else is read back unchanged.
     """
     names = (topics or Topics()).by_stream
     codecs = {}
@@ -79,7 +79,7 @@ def write_bag(
 
 
 def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
-    """Choose how a stream is written."""
+    """Choose the format of a stream."""
     if not known:
         raise ValueError("is not a stream that a bag can hold")
     if len(stream) and (
@@ -88,7 +88,7 @@ def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
         or stream.received_ns.min() < 0
     ):
         raise ValueError("has time stamps that ROS cannot hold (before 1970 or after 2038)")
-    # The table's references carry no header, but references with stamps of their own need one.
+    # The table's references carry no header, but references with their own stamps need one.
     stamped = (stream.stamp_ns != stream.received_ns).any()
     return StreamCodec(name, stream.columns, stamped=bool(stamped))
 
@@ -102,7 +102,7 @@ class BagFile:
         folder.mkdir(exist_ok=True)
         self.folder, self._name = folder, f"{folder.name}_0.mcap"
         self._file = (folder / self._name).open("wb")
-        # Through mcap rather than rosbags: it writes checksums, and chunks of a chosen size.
+        # Uses mcap instead of rosbags: it writes checksums, and chunks of a chosen size.
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start("ros2", "airpuck")
         self._topics: list[dict[str, Any]] = []
@@ -119,7 +119,7 @@ class BagFile:
         best_effort: bool = False,
         transient_local: bool = False,
     ) -> int:
-        """Note that a topic will be recorded, and return its number."""
+        """Register a topic to record, and return its number."""
         store = typestore(types, msgtype)
         definition, _ = store.generate_msgdef(msgtype, ros_version=2)
         schema = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
@@ -152,7 +152,7 @@ class BagFile:
         return {topic["topic_metadata"]["name"]: topic["message_count"] for topic in self._topics}
 
     def flush(self) -> None:
-        """Close the chunk and hand all to the system: a process that dies now loses nothing."""
+        """Close the chunk and pass it to the system: a process that dies now loses nothing."""
         self._writer.flush()
         self._file.flush()
 
@@ -168,10 +168,11 @@ class BagFile:
             yaml.dump({"rosbag2_bagfile_information": self._summary()}, output)
 
     def _summary(self) -> dict[str, Any]:
-        """Return what rosbag2 notes beside its storage file."""
+        """Return the metadata that rosbag2 stores beside its storage file."""
         n_messages, first_ns = sum(self.counts.values()), self._first_ns or 0
 
-        # A new one for each place: YAML would write the second as a reference to the first.
+        # Build a new object for each place: YAML would write the second as a reference to the
+        # first.
         def span() -> dict[str, Any]:
             return {
                 "starting_time": {"nanoseconds_since_epoch": first_ns},
@@ -195,7 +196,7 @@ class BagFile:
 
 
 def _profiles(best_effort: bool, transient_local: bool) -> str:
-    """Return the quality of service as the table's recorder notes it."""
+    """Return the quality of service in the format of the table's recorder."""
     never = "\n    sec: 9223372036\n    nsec: 854775807\n"
     return (
         f"- history: 3\n  depth: 0\n  reliability: {2 if best_effort else 1}\n"

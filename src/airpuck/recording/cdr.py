@@ -1,10 +1,10 @@
-"""Thousands of ROS messages as one array: CDR messages of constant layout, in bulk.
+"""Bulk decoding of ROS messages: CDR messages of constant layout as one array.
 
 The wire format is the OMG's Common Data Representation, version 1: four bytes of encapsulation,
 then the fields in order, each aligned to its own size counted from the end of the encapsulation. A
-string is its length with the closing zero (uint32), then its bytes. Messages of one topic have
-nearly always the same size, so that a whole topic is one structured NumPy array; where they do not,
-rosbags deserialises them one by one.
+string is its length with the closing zero (uint32), then its bytes. Messages of one topic nearly
+always have the same size, so a whole topic is one structured NumPy array; otherwise rosbags
+deserialises them one by one.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ class Field(NamedTuple):
 
     #: Names from the message down, joined by dots: ``pose.position.x``.
     path: str
-    #: NumPy code of a number or a fixed array (``36<f8``), ``string``; with ``*`` before it a
-    #: sequence of these; empty for anything else.
+    #: NumPy code of a number or a fixed array (``36<f8``), or ``string``; with ``*`` before it, a
+    #: sequence of these; empty for other types.
     code: str
 
 
 def flatten(types: Types, msgtype: str) -> list[Field]:
-    """List the leaves of a message type in the order of the wire."""
+    """List the leaves of a message type in wire order."""
     visited = list(islice(_fields(types, msgtype), FIELDS + 1))
     if len(visited) > FIELDS:
         raise ValueError(f"{msgtype} is defined with more than {FIELDS:,} fields")
@@ -57,7 +57,7 @@ def flatten(types: Types, msgtype: str) -> list[Field]:
 
 
 def _fields(types: Types, msgtype: str, prefix: str = "", depth: int = 0) -> Iterator[Field | None]:
-    """Yield the leaves of a message type, and None for each field that has leaves of its own."""
+    """Yield the leaves of a message type, and None for each field with its own leaves."""
     from rosbags.interfaces import Nodetype
 
     if msgtype not in types:
@@ -84,7 +84,7 @@ def _fields(types: Types, msgtype: str, prefix: str = "", depth: int = 0) -> Ite
 
 
 def typestore(types: Types, msgtype: str) -> Typestore:
-    """Return rosbags' store of a message type and the types within."""
+    """Return rosbags' store for a message type and its nested types."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.EMPTY)
@@ -112,7 +112,7 @@ def _definitions_within(types: Types, msgtype: str) -> dict[str, Any]:
 def decode(
     messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
 ) -> dict[str, np.ndarray]:
-    """Read some fields of many messages of one type; arrays in it must agree in length."""
+    """Read fields of many messages of one type; their arrays must agree in length."""
     fields = flatten(types, msgtype)
     codes = dict(fields)
     if not messages:
@@ -132,7 +132,7 @@ def decode(
 
 
 def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
-    """Return where a message has its numbers and lengths of strings; None where sizes vary.
+    """Return the offsets of a message's numbers and string lengths; None if sizes vary.
 
     Messages have this layout if they agree in size, encapsulation and lengths of strings.
     """
@@ -159,7 +159,7 @@ def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
 
 
 def _column(path: str, code: str, values: Sequence[Any]) -> np.ndarray:
-    """Make one array of a field of many messages, a row for each."""
+    """Collect one field of many messages in an array, with a row for each."""
     number = code.removeprefix("*")
     kind = np.dtype(str if number == _STRING else number)
     if not values:
@@ -188,7 +188,7 @@ def _decode_singly(
     for index, message in enumerate(messages):
         try:
             row = store.deserialize_cdr(message, msgtype)
-        # Nor does it check what it reads.
+        # rosbags does not check the content of messages either.
         except Exception as error:
             raise ValueError(f"message {index + 1} cannot be decoded: {error}") from error
         rows.append(tuple(attrgetter(path)(row) for path in paths))
@@ -196,7 +196,7 @@ def _decode_singly(
 
 
 def encode(template: bytes, layout: np.dtype, columns: Mapping[str, np.ndarray]) -> list[bytes]:
-    """Write many messages that differ from a template in some of its numbers."""
+    """Write many messages that differ from a template only in some numbers."""
     table = np.frombuffer(bytearray(template * len(next(iter(columns.values())))), layout)
     for path, column in columns.items():
         table[path] = column

@@ -1,4 +1,4 @@
-"""A lab's numbers become ours: seconds, metres, the yaw, fractions of full command."""
+"""Conversion of a lab's numbers: to seconds, metres, yaw, and fractions of full command."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ SECOND_NS = 10**9
 _UNIT = 1e-3
 #: Numbers of a rotation matrix are exported with five digits or more.
 _ORTHOGONAL = 1e-2
-#: A third coordinate that changes by more than the first number is not a height above the table
-#: [m]. The true height changes by at most the second number, as a share of the third coordinate.
+#: A third coordinate that varies by more than the first number is not a height above the table [m].
+#: The true height varies by at most the second number, as a fraction of the third coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
 #: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9
@@ -61,7 +61,7 @@ def poses_of(
         )
     _check_vertical(position, mapping)
     horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length")
-    # Renaming the axes of table and craft turns the axis of a rotation, but not its angle.
+    # Renaming the axes of table and craft rotates the axis of a rotation, but not its angle.
     if kind == "yaw":
         yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
     elif kind == "quaternion":
@@ -69,7 +69,7 @@ def poses_of(
         yaw = yaw_of(x, y, z, orientation[:, 3])
     else:
         matrix = _matrices(orientation, kind, mapping.size("angle"))
-        # Where the axes are a mirror image, the sense of rotations stays as well.
+        # If the axes are a mirror image, the sense of rotations also stays the same.
         mirrored = np.linalg.det(np.eye(3)[index] * sign[:, None]) < 0
         row, column = (0, 1) if mirrored else (1, 0)
         sine = matrix[:, index[row], index[column]] * sign[0] * sign[1]
@@ -78,7 +78,7 @@ def poses_of(
 
 
 def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
-    """Raise InputError if the third coordinate moves while x or y is constant."""
+    """Raise InputError if the third coordinate varies while x or y is constant."""
     finite = position[np.isfinite(position).all(axis=1)]
     if position.shape[1] < 3 or len(finite) == 0:
         return
@@ -102,13 +102,13 @@ def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) ->
 def _matrices(
     orientation: Float[np.ndarray, "N k"], kind: str, angle: float
 ) -> Float[np.ndarray, "N 3 3"]:
-    """Return rotation matrices, given as such or as Euler angles."""
+    """Return rotation matrices from matrix entries or Euler angles."""
     if kind == "matrix":
         found = orientation.reshape(-1, 3, 3)
         finite = found[np.isfinite(orientation).all(axis=1)]
         off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3))
         if (off > _ORTHOGONAL).any() or (np.linalg.det(finite) < 0).any():
-            raise InputError("the nine columns are no rotation matrix", field="pose.orientation")
+            raise InputError("the nine columns are not a rotation matrix", field="pose.orientation")
         return found
     parts = [_about(axis, orientation[:, k] * angle) for k, axis in enumerate(kind.lower())]
     first, second, third = parts if kind.isupper() else parts[::-1]
@@ -136,7 +136,7 @@ def yaw_of(
     """Return the rotation of quaternions about the vertical axis [rad]."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         square = x * x + y * y + z * z + w * w
-        # Unit up to single precision: not normalised, as in the authors' conversion.
+        # Already of unit length in single precision: not normalised, as in the authors' conversion.
         double = np.where(np.abs(square - 1) < _UNIT, 2.0, 2.0 / square)
         return np.arctan2(double * (w * z + x * y), 1 - double * (y * y + z * z))
 
@@ -154,7 +154,7 @@ def commands_of(
 
 
 def propellers_of(names: tuple[str, ...], mapping: CommandMapping) -> tuple[str, ...]:
-    """Return the names of a command's columns, from the mapping if it names any."""
+    """Return the names of a command's columns, from the mapping if it has any."""
     if mapping.propellers and len(mapping.propellers) != len(names):
         raise InputError(
             f"names {len(mapping.propellers)} propellers for {len(names)} values",

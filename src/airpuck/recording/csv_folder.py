@@ -1,8 +1,8 @@
-"""CSV files, one for each stream or one for poses and commands.
+"""CSV files: one for each stream, or one for poses and commands together.
 
-The authors' are named after their topics (``/drone/control`` is in ``drone_control.csv``), their
-columns after the fields in the message, and ``log_time_ns`` is the recorder's clock. Of other files
-a mapping names the columns; exports of motion capture programs are recognised.
+The authors' files are named after their topics (``/drone/control`` is in ``drone_control.csv``),
+their columns after the message fields; ``log_time_ns`` is the recorder's clock. A mapping names the
+columns of other files; exports of motion capture programs are recognised.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from airpuck.recording.stream import (
     pose_stream,
 )
 
-#: Endings of CSV files.
+#: Suffixes of CSV files.
 TABLES = (".csv", ".tsv")
 _RECEIVED = "log_time_ns"
 _SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
@@ -51,7 +51,7 @@ _YAW = "pose.orientation.yaw"
 _QUATERNION = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
 #: int64 nanoseconds end in the year 2262.
 _LATEST_SECOND = 2**63 // SECOND_NS - 1
-#: What to write where columns are not the authors'.
+#: Mapping to write if columns are not the authors'.
 _TO_WRITE = {
     "pose": 'time = "...", position = ["...", "..."], orientation = "..."',
     "command": 'time = "...", values = ["...", ...]',
@@ -64,7 +64,7 @@ def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
 
 
 def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Path]:
-    """Find the files that may hold a pose or a command: as the mapping says, or by their names."""
+    """Find files that may hold a pose or a command, by the mapping or by their names."""
     named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
     of_topic = folder / _file_name(mapping.topics.by_stream[stream])
     for path in (folder / named if named else None, of_topic):
@@ -87,7 +87,7 @@ def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Pa
 def read_csv(
     folder: Path, mapping: RecordingMapping, needs: Sequence[str], single: Path | None
 ) -> Recording:
-    """Read a folder with CSV files, or a `single` one in it that holds poses and commands."""
+    """Read a folder with CSV files, or a `single` file in it with poses and commands."""
     streams: dict[str, Stream] = {}
     hashes: dict[str, str] = {}
     warnings: list[str] = []
@@ -119,7 +119,7 @@ def _require_columns(single: Path, mapping: RecordingMapping) -> None:
         written = " and ".join(f"{stream} = {{{keys}}}" for stream, keys in _TO_WRITE.items())
         found = listing(plain_table(read_rows(single)).columns)
         raise InputError(
-            "is one CSV file; give the folder that holds one for each stream, or name its columns "
+            "is a single CSV file; give the folder with one file per stream, or name its columns "
             f"in a file for --mapping: {written} out of {found}",
             file=single,
         )
@@ -132,12 +132,12 @@ def _file_of(
     needs: Sequence[str],
     single: Path | None,
 ) -> Path | None:
-    """Find the file of a stream; None where there is none and none is needed."""
+    """Find the file of a stream; None if it does not exist and is not needed."""
     named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
     if single is not None and not named:
         if stream == "command" and is_export(single):
             raise InputError(
-                "holds poses only; name the file of the commands in a file for --mapping: "
+                "contains only poses; name the file of the commands in a file for --mapping: "
                 f'command = {{file = "...", {_TO_WRITE["command"]}}}',
                 file=single,
             )
@@ -171,7 +171,7 @@ def _file_name(topic: str) -> str:
 
 
 def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream, tuple[str, ...]]:
-    """Read a stream out of a file, and say what was left out."""
+    """Read a stream from a file, and describe what was left out."""
     rows = read_rows(path)
     if stream == "pose":
         exported = read_export(rows, mapping.pose.body)
@@ -190,14 +190,14 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
 
 
 def _usual_position(table: CsvTable) -> tuple[str, ...]:
-    """Return the columns of the position, the height among them where every row has one."""
+    """Return the columns of the position, including the height if every row has one."""
     heights = table.columns.get(_HEIGHT, ())
     return (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
 
 
 def _poses(table: CsvTable, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
-    """Pick the columns of poses: those that the mapping names, or the authors'."""
-    # The authors' conversion added the yaw; a plain one leaves the quaternion alone.
+    """Choose the columns of poses: those in the mapping, or the authors'."""
+    # The authors' conversion added the yaw; a plain conversion contains only the quaternion.
     plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
     usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
     position = mapping.position or _usual_position(table)
@@ -208,7 +208,7 @@ def _poses(table: CsvTable, mapping: PoseMapping) -> tuple[Stream, tuple[str, ..
     time, received = _own_times(table, mapping)
     values = np.stack([table.numbers(name) for name in names], axis=1)
     if orientation.kind in ("quaternion", "matrix"):
-        # No rotation, but what some programs write where they lost the body.
+        # An all-zero rotation is written by some programs when they lose the body.
         kept = values[:, len(position) :].any(axis=1)
         blank += int((~kept).sum())
         time, values = time[kept], values[kept]
@@ -219,7 +219,7 @@ def _poses(table: CsvTable, mapping: PoseMapping) -> tuple[Stream, tuple[str, ..
 
 
 def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[str, ...]]:
-    """Pick the columns of commands: as the mapping says, or the authors' motors."""
+    """Choose the columns of commands: those in the mapping, or the authors' motors."""
     names = mapping.values
     if not names and set(mapping.propellers).issubset(table.columns):
         names = mapping.propellers
@@ -245,13 +245,13 @@ def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[s
 def _require(
     stream: str, table: CsvTable, names: Sequence[str], mapping: PoseMapping | CommandMapping
 ) -> None:
-    """Raise InputError if columns are missing: name all of them, and the mapping to write."""
+    """Raise InputError for missing columns, listing all of them and the mapping to write."""
     times = (mapping.time,) if mapping.time else ()
     if not times and _RECEIVED not in table.columns:
         times = (_SECONDS, _NANOSECONDS)
     missing = [name for name in (*times, *names) if name not in table.columns]
     if missing:
-        # Who names other columns never asked for the authors' stamps.
+        # A user who names columns never asked for the authors' stamps.
         unnamed = not mapping.time and set(missing).issubset({_SECONDS, _NANOSECONDS})
         problem = "no column is named for the time" if unnamed else "there is no such column"
         raise InputError(
@@ -265,7 +265,7 @@ def _require(
 def _own_times(
     table: CsvTable, mapping: PoseMapping | CommandMapping
 ) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
-    """Return the stamps that the mapping names, and the authors' arrival times if there are any."""
+    """Return the stamps that the mapping names, and the authors' arrival times if present."""
     if mapping.time:
         exact = mapping.size("time") == 1 / SECOND_NS
         return table.numbers(mapping.time, int if exact else float), None
@@ -274,7 +274,7 @@ def _own_times(
 
 
 def _times(table: CsvTable) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
-    """Return header stamps and recorder times; either stands in where the other is missing."""
+    """Return header stamps and recorder times; either replaces the other if it is missing."""
     if _RECEIVED in table.columns and _SECONDS not in table.columns:
         received = table.numbers(_RECEIVED, int)
         return received, received
@@ -299,18 +299,18 @@ def write_csv(
     recording : Recording
         What to save.
     folder : path-like
-        The folder to make; it may exist if it is empty.
+        The folder to create; it may exist if it is empty.
     topics : Topics, optional
-        Give the file names; the default is the authors' table.
+        Determines the file names; the default is the authors' table.
 
     Raises
     ------
     InputError
-        If the folder holds something, or a stream is not known.
+        If the folder is not empty, or a stream is unknown.
 
     Notes
     -----
-    Reads back bit-equal: numbers are written with as many digits as that takes.
+    Written with enough digits to be read back bit for bit.
     """
     names = (topics or Topics()).by_stream
     for stream in recording.streams:
@@ -330,11 +330,11 @@ def write_csv(
 
 
 def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
-    """Lay a stream out as the authors do."""
+    """Lay out a stream like the authors."""
     n = len(stream)
     level = [0.0] * n
     table: dict[str, Sequence[object]] = {_RECEIVED: stream.received_ns.tolist()}
-    # The authors' references carry no header, but references with stamps of their own need one.
+    # The authors' references carry no header, but references with their own stamps need one.
     if name != "reference" or not np.array_equal(stream.stamp_ns, stream.received_ns):
         seconds, nanoseconds = np.divmod(stream.stamp_ns, SECOND_NS)
         table[_FRAME] = ["body" if name in COMMANDS else ""] * n
@@ -347,7 +347,7 @@ def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
         table |= {"pose.orientation.roll": level, "pose.orientation.pitch": level}
         table |= {_YAW: yaw.tolist(), **dict(zip(_QUATERNION, (w, level, level, z), strict=True))}
         columns = (*columns[:2], _YAW)
-    # tolist gives Python floats, which csv writes so that they read back bit-equal.
+    # tolist gives Python floats, which csv writes so that they are read back bit for bit.
     table.update(zip(columns, stream.values.T.tolist(), strict=True))
     if name in POSES:
         table["pose.position.z"] = level

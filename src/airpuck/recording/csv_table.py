@@ -18,7 +18,7 @@ from airpuck.recording.files import listing, shortened
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"
-#: What exports write where there is no number.
+#: What exports write in place of a missing number.
 _BLANK = ("", "null")
 
 
@@ -28,9 +28,9 @@ class Rows:
 
     path: Path
     cells: list[list[str]]
-    #: Number of each row's line.
+    #: Line number of each row.
     lines: list[int]
-    #: Whether the last line ends: a recorder that was killed leaves half a line.
+    #: Whether the last line is complete: a killed recorder leaves half a line.
     ends: bool
 
 
@@ -40,7 +40,7 @@ class CsvTable:
 
     path: Path
     columns: Mapping[str, Sequence[str]]
-    #: Number of each row's line.
+    #: Line number of each row.
     lines: list[int]
     warnings: tuple[str, ...]
 
@@ -67,7 +67,7 @@ class CsvTable:
         raise InputError(problem, file=self.path, field=shortened(name))
 
     def without_blank(self, names: Sequence[str]) -> tuple[CsvTable, int]:
-        """Leave out rows in which all these columns are blank; return how many, too."""
+        """Leave out rows in which all these columns are blank; return their number, too."""
         cells = zip(*(self.columns[name] for name in names), strict=True)
         kept = [any(text.strip().lower() not in _BLANK for text in row) for row in cells]
         if all(kept):
@@ -89,7 +89,7 @@ def read_rows(path: Path) -> Rows:
 
 
 def _separator(path: Path) -> str:
-    """Return what separates columns: what is most frequent in the first line."""
+    """Return the column separator: the most frequent candidate in the first line."""
     try:
         with path.open("rb") as file:
             first = file.readline(ROW_LENGTH).decode(errors="replace")
@@ -99,7 +99,7 @@ def _separator(path: Path) -> str:
 
 
 def plain_table(rows: Rows) -> CsvTable:
-    """Return the columns of a file that has their names in its first row."""
+    """Return the column names in the first row of a file."""
     header = [name.strip() for name in rows.cells[0]]
     if all(map(_is_number, header)):
         raise InputError("has no header: its first line must name the columns", file=rows.path)
@@ -123,7 +123,7 @@ def _is_number(text: str) -> bool:
 def table_below(
     rows: Rows, header: int, places: dict[str, int], *, exact: bool = False
 ) -> CsvTable:
-    """Return some columns, by name, of the rows below the header; `exact`: of its length."""
+    """Return some columns, by name, of the rows below the header; `exact`: check row lengths."""
     whole = len(rows.cells[header])
     width = whole if exact else max(places.values()) + 1
     cells, lines = rows.cells[header + 1 :], rows.lines[header + 1 :]

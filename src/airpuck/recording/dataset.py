@@ -16,7 +16,7 @@ REPOSITORY = "PREDICT-EPFL/holohover-sysid"
 COMMIT = "3a257e77d1fdefe445f5d180900015d55013cd9a"
 BASE_URL = f"https://raw.githubusercontent.com/{REPOSITORY}/{COMMIT}/"
 
-#: What the paper's study reads: training, validation, the raw check of preprocessing, the flights.
+#: Files of the paper's study: training, validation, the raw check of preprocessing, the flights.
 _STUDY = (
     "models/paper/",
     "control_experiment/",
@@ -28,7 +28,7 @@ _TIMEOUT_S = 20
 
 
 def _registry() -> dict[str, str]:
-    """Return the SHA-256 of every file worth downloading, by its name in the repository."""
+    """Return the SHA-256 of every downloadable file, by its name in the repository."""
     text = (resources.files("airpuck") / "packaged" / "dataset.sha256").read_text("utf-8")
     lines = (line.split(maxsplit=1) for line in text.splitlines() if not line.startswith("#"))
     return {name: digest for digest, name in lines}
@@ -40,12 +40,12 @@ def dataset_files(*, all: bool = False) -> dict[str, str]:
 
 
 def dataset_folder() -> Path:
-    """Return a folder with the paper's study, downloading it if need be."""
+    """Return a folder with the paper's study, downloading it if necessary."""
     return _folder_from_environment() or fetch()
 
 
 def _folder_from_environment() -> Path | None:
-    """Return what the environment variable names, if it is set."""
+    """Return the folder named by the environment variable, if set."""
     named = os.environ.get(VARIABLE)
     if not named:
         return None
@@ -68,17 +68,17 @@ def fetch(
 ) -> Path:
     """Download the dataset, and check every file's hash.
 
-    Files that are already there and whole are left alone. Where ``$AIRPUCK_DATA`` is set and no
-    folder is given, nothing is downloaded: the copy that it names is checked.
+    Intact files that already exist are left alone. If ``$AIRPUCK_DATA`` is set and no folder is
+    given, nothing is downloaded: that copy is checked.
 
     Parameters
     ----------
     all : bool, default False
-        Every file, not only the paper's study (about 15 MB).
+        Whether to get every file instead of only the paper's study (about 15 MB).
     folder : path-like, optional
-        Where to; by default the user's cache folder.
+        Destination; by default the user's cache folder.
     base_url : str
-        Where from; the file names are appended.
+        Base URL; the file names are appended.
     progress : callable, optional
         Called with the number of files done, their total and the next file's name.
 
@@ -90,7 +90,7 @@ def fetch(
     Raises
     ------
     InputError
-        If a file cannot be downloaded or has not the expected content; nothing of it is kept.
+        If a file cannot be downloaded or has unexpected content; it is then deleted.
     """
     given = _folder_from_environment() if folder is None else None
     if given is None:
@@ -111,7 +111,7 @@ def _download(
     base_url: str,
     progress: Callable[[int, int, str], None],
 ) -> Path:
-    """Let pooch get what is missing; it keeps a file only if its hash is right."""
+    """Let pooch download missing files; it keeps a file only if its hash is right."""
     import pooch
     import requests
 
@@ -138,7 +138,7 @@ def _download(
             raise InputError(f"cannot be written ({error.strerror})", file=target / name) from error
         except ValueError as error:
             raise InputError(
-                "was downloaded with another content than expected and thrown away; try again",
+                "was downloaded with unexpected content and deleted; try again",
                 file=base_url + name,
             ) from error
     progress(len(files), len(files), "")

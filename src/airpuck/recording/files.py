@@ -1,4 +1,4 @@
-"""Files of recordings: hashes, folders that appear whole or not at all, names in messages."""
+"""Files of recordings: hashes, atomically created folders, names in messages."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ _LONGEST = 80
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a file, by which results are traced back to their data."""
+    """Return the SHA-256 of a file, which traces results back to their data."""
     try:
         if not stat.S_ISREG(Path(path).stat().st_mode):
-            raise InputError("cannot be read (it is no regular file)", file=path)
+            raise InputError("cannot be read (it is not a regular file)", file=path)
         with Path(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-    # A name with a null byte.
+    # For a name with a null byte.
     except ValueError as error:
         if isinstance(error, InputError):
             raise
@@ -36,7 +36,7 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 @contextlib.contextmanager
 def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary name beside `path`, and move that folder there when the block ends well.
+    """Yield a temporary name beside `path`, and rename that folder to `path` on success.
 
     The folder must be new or empty.
     """

@@ -1,4 +1,4 @@
-"""What a lab calls its topics, files, columns and units: one TOML file for bags and CSV files."""
+"""A lab's names of topics, files, columns and units: one TOML file for bags and CSV files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
 
-#: Unit -> what it measures, and its size in m, rad or s.
+#: Unit -> kind of quantity, and size in m, rad or s.
 UNITS = {
     "m": ("length", 1.0),
     "cm": ("length", 1e-2),
@@ -30,35 +30,35 @@ Unit = Literal["m", "cm", "mm", "rad", "deg", "s", "ms", "us", "ns"]
 _UP = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y")}
 
 TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
-#: A column's name, or where a field is in a message.
+#: Name of a column, or path of a field in a message.
 Name = Annotated[str, pydantic.Field(min_length=1)]
 
 
 class Topics(Section):
     """Topic names; the defaults are the authors' table.
 
-    A stream whose topic is not in the bag is left out, unless it is needed, as a rule the pose and
-    the command, or the topic was named by the user: then it is an error.
+    A stream whose topic is not in the bag is left out. It is an error if the stream is required
+    (usually pose and command) or the user named its topic.
 
     Attributes
     ----------
     pose : str
         Motion capture: ``geometry_msgs/msg/PoseStamped`` or another pose.
     command : str
-        Motor commands: a header or none, then a number for each motor.
+        Motor commands: optionally a header, then a number for each motor.
     reference : str
-        What the craft was asked to do.
+        Reference of the craft.
     estimate : str
-        The state estimated on line.
+        The state estimated online.
     imu, mouse : str
         On-board sensors.
     puck, mallet : str
-        Motion capture of the puck and of the human's mallet, or another craft: poses, as the
+        Motion capture of the puck and of the human's mallet or another craft: poses, like the
         craft's.
     mallet_target : str
-        Where the person at a page wants the mallet.
+        Target of the mallet from a person at a page.
     opponent_command : str
-        Motor commands of another craft that plays, as the craft's.
+        Motor commands of another craft that plays, like the craft's.
     game : str
         Score and events of a game.
     """
@@ -89,14 +89,14 @@ class Topics(Section):
         return self.model_dump()
 
     def required(self, stream: str, needs: Sequence[str] = ("pose", "command")) -> bool:
-        """Return whether a bag must have this stream.
+        """Return whether a bag must contain this stream.
 
         Parameters
         ----------
         stream : str
             A stream's name.
         needs : sequence of str, optional
-            Streams that are needed whatever topics are named.
+            Streams that are required whatever topics are named.
 
         Returns
         -------
@@ -107,11 +107,11 @@ class Topics(Section):
 
 
 class Orientation(NamedTuple):
-    """How an orientation is written, and in which columns or fields."""
+    """The notation of an orientation, and its columns or fields."""
 
     #: ``yaw``, ``quaternion``, ``matrix``, or the order of Euler angles as in SciPy (``XYZ``).
     kind: str
-    #: Of a quaternion x, y, z, w; of a matrix row by row.
+    #: For a quaternion x, y, z, w; for a matrix row by row.
     columns: tuple[str, ...]
 
 
@@ -123,7 +123,7 @@ _ORIENTATION = (
 
 
 def _orientation(given: Any) -> Orientation:
-    """Return how an orientation is written, from its form in TOML."""
+    """Parse the TOML form of an orientation."""
 
     def names(found: Any, count: int) -> tuple[str, ...] | None:
         fits = isinstance(found, list | tuple) and len(found) == count
@@ -146,7 +146,7 @@ def _orientation(given: Any) -> Orientation:
 
 
 class _Times(Section):
-    """What poses and commands have in common."""
+    """Common settings of poses and commands."""
 
     file: str = ""
     time: str = ""
@@ -168,12 +168,11 @@ class _Times(Section):
 
 
 class PoseMapping(_Times):
-    """Where poses are, in which units and axes.
+    """Location, units and axes of poses.
 
-    Names are columns of a CSV file, or fields of a bag's messages
-    (``pose.pose.position.x``). What is left out is as usual: in the fields of ROS's pose messages,
-    in the columns of the authors' CSV files, or where the header of a Motive or Qualisys export
-    says.
+    Names are columns of a CSV file, or fields of a bag's messages (``pose.pose.position.x``).
+    Omitted names have defaults: the fields of ROS's pose messages, the columns of the authors' CSV
+    files, or the header of a Motive or Qualisys export.
 
     Attributes
     ----------
@@ -182,7 +181,7 @@ class PoseMapping(_Times):
     time : str
         Time; by default the header's stamp.
     start_s : float
-        Added to times [s], for a clock that counts from the start of a take.
+        Offset added to times [s], for a clock that counts from the start of a take.
     units : tuple of str
         One each of ``m``, ``cm``, ``mm``; ``rad``, ``deg``; ``s``, ``ms``, ``us``, ``ns``. By
         default m, rad and s.
@@ -193,10 +192,10 @@ class PoseMapping(_Times):
         (rotation matrix, row by row) or ``{XYZ = […]}`` (Euler angles in SciPy's notation).
     axes : str or tuple of str
         ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), or our x, y, z in terms of the
-        file's axes. The craft's own axes are renamed alike. A yaw counts about the file's vertical
-        axis, and has the sign of our z: ``["x", "-y", "z"]`` turns y alone.
+        file's axes. The craft's own axes are renamed in the same way. A yaw counts about the file's
+        vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
     body : str
-        Rigid body, where an export holds several.
+        Rigid body, if an export contains several.
     """
 
     position: tuple[Name, ...] = ()
@@ -208,7 +207,7 @@ class PoseMapping(_Times):
     @classmethod
     def _two_or_three(cls, position: tuple[str, ...]) -> tuple[str, ...]:
         if position and len(position) not in (2, 3):
-            raise ValueError(f"names {len(position)} coordinates, not two or three")
+            raise ValueError(f"names {len(position)} coordinates; give two or three")
         return position
 
     @pydantic.field_validator("axes", mode="plain")
@@ -230,7 +229,7 @@ class PoseMapping(_Times):
 
 
 def completed(mapping: PoseMapping, usual: dict[str, Any]) -> PoseMapping:
-    """Fill in what a mapping leaves out, each unit separately."""
+    """Fill in omitted settings of a mapping, each unit separately."""
     given = {name: getattr(mapping, name) for name in mapping.model_fields_set}
     kinds = {UNITS[unit][0] for unit in mapping.units}
     rest = tuple(unit for unit in usual.get("units", ()) if UNITS[unit][0] not in kinds)
@@ -245,7 +244,7 @@ def _permutation(
 
 
 class CommandMapping(_Times):
-    """Where commands are, of which propellers, and how they become fractions of full command.
+    """Location of commands, their propellers, and conversion to fractions of full command.
 
     Attributes
     ----------
@@ -253,10 +252,10 @@ class CommandMapping(_Times):
         As for poses; only the unit of time matters.
     values : tuple of str
         A column or field for each propeller, or one field that is an array. By default all columns
-        that are not times; of a message all numbers after its header.
+        that are not times; in a message, all numbers after its header.
     propellers : tuple of str
-        Which propeller each value drives, by the names in the vehicle file. By default what the
-        columns or fields are called; values without names are in the order of the vehicle file.
+        The propeller that each value drives, by its name in the vehicle file. By default the names
+        of the columns or fields; values without names are in the order of the vehicle file.
     scale, offset : float
         Command = scale · value + offset, which should be in [0, 1].
     """
@@ -278,12 +277,12 @@ class CommandMapping(_Times):
 
 
 class RecordingMapping(Section):
-    """What a lab calls its topics, files, columns and units.
+    """A lab's names of topics, files, columns and units.
 
     Attributes
     ----------
     topics : Topics
-        A bag's topics. Of the authors' CSV files they give the file names.
+        Topics in a bag. For the authors' CSV files they determine the file names.
     pose : PoseMapping
         Poses.
     command : CommandMapping

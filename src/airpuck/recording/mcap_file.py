@@ -1,8 +1,8 @@
 """Reading an MCAP file from front to back; of a damaged one, the intact part.
 
-A recorder that was killed never wrote the index at the end, and the records before the damage are
-as good as ever. So the index only tells which chunks hold no wanted message; they are passed over.
-No record is believed about its length, and no chunk about what it unpacks to.
+A killed recorder never wrote the index at the end, but the records before the damage are intact. So
+the index only tells which chunks hold no wanted message; those are skipped. The lengths that
+records claim, and the unpacked sizes that chunks claim, are not trusted.
 """
 
 from __future__ import annotations
@@ -35,24 +35,25 @@ _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 #: Channel, sequence number, recorder's and sender's time at the start of a message.
 _MESSAGE = struct.Struct("<HIQQ")
-#: Of a chunk: first and last time, size and checksum unpacked, length of the compression's name.
+#: Header of a chunk: first and last time, unpacked size and checksum, length of the compression's
+#: name.
 _CHUNK = struct.Struct("<QQQII")
-#: The last record, which says where the summary starts, and the magic behind it.
+#: The last record, which locates the summary, and the magic bytes after it.
 _FOOTER_BYTES = _HEAD.size + 20 + len(_MAGIC)
 
 _FOOTER_CODE, _SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE, _CHUNK_CODE = 2, 3, 4, 5, 6
 _CHUNK_INDEX_CODE = 8
-#: Messages outside chunks are taken in together [bytes].
+#: Messages outside chunks are processed in groups of this size [bytes].
 _TOGETHER_BYTES = 2**18
 
 
 class _Damaged(ValueError):
-    """A record is not what it should be."""
+    """A record is malformed."""
 
 
 @dataclass
 class _Lost:
-    """What damaged chunks say about their times; it may be damaged too, but is all there is."""
+    """Claimed times of damaged chunks; they may be damaged too, but nothing else is available."""
 
     chunks: int = 0
     start_ns: int = 2**64
@@ -65,7 +66,7 @@ class _Lost:
 
 
 class _Sink:
-    """Takes in records in the order of the file."""
+    """Processes records in the order of the file."""
 
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
         self.log = Log()
@@ -80,7 +81,7 @@ class _Sink:
         return any(self._channels.get(channel, True) is not None for channel in channels)
 
     def describe(self, code: int, content: bytes) -> None:
-        """Take in a schema or a channel."""
+        """Process a schema or a channel."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import Channel, Schema
 
@@ -90,7 +91,7 @@ class _Sink:
             self._schemas[schema.id] = schema
             return
         channel = _parsed(Channel, stream)
-        # A message of another encoding cannot be read, and is not counted.
+        # A message in another encoding cannot be read, and is not counted.
         if channel.id in self._channels or channel.message_encoding != "cdr":
             return
         topic = self.log.topics.setdefault(
@@ -101,7 +102,7 @@ class _Sink:
         self._channels[channel.id] = topic if channel.topic in self._wanted else None
 
     def chunk(self, content: bytes) -> None:
-        """Take in all records of a chunk, or none of them where one is damaged."""
+        """Process all records of a chunk, or none if one is damaged."""
         found: list[tuple[TopicLog, int, bytes]] = []
         times: list[int] = []
         records = _framed(content)
@@ -119,7 +120,7 @@ class _Sink:
                     found.append((topic, time, content[start + _MESSAGE.size : end]))
             elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
                 self.describe(code, content[start:end])
-        # A record that is left over exceeds the limit.
+        # A leftover record exceeds the limit.
         self._budget.spend(len(content), len(content) if any(records) else len(times))
         for topic, time, message in found:
             topic.received_ns.append(time)
@@ -163,7 +164,7 @@ def _topic_log(schema: Schema | None) -> TopicLog:
 
 
 def read_mcap(path: Path, wanted: Collection[str]) -> Log:
-    """Read every whole chunk of an MCAP file, and note what is damaged."""
+    """Read every intact chunk of an MCAP file, and record the damage."""
     size = path.stat().st_size
     sink, lost, damage = _Sink(path, wanted), _Lost(), list[str]()
     with path.open("rb") as file:
@@ -200,7 +201,8 @@ def read_mcap(path: Path, wanted: Collection[str]) -> Log:
 def _headed(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     """Yield position, opcode and length of each record up to the end of the file.
 
-    The file stands behind the record's head; what the caller leaves of its content is passed over.
+    The file is positioned after the record's header; content that the caller does not read is
+    skipped.
     """
     position = len(_MAGIC)
     checked = file.read(position) == _MAGIC
@@ -231,7 +233,7 @@ def _take(file: BinaryIO, length: int, path: Path) -> bytes:
 
 
 def _read_chunk(content: bytes, sink: _Sink, lost: _Lost) -> None:
-    """Unpack a chunk and take in its records; note it where it is damaged."""
+    """Unpack a chunk and process its records; note the chunk if it is damaged."""
     if len(content) < _CHUNK.size + 8:
         raise _Damaged("a chunk is cut short")
     start_ns, stop_ns, size, checksum, name = _CHUNK.unpack_from(content)
@@ -256,7 +258,7 @@ def _read_chunk(content: bytes, sink: _Sink, lost: _Lost) -> None:
 
 
 def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
-    """Return what the index at the end says about each chunk, by position; nothing if damaged."""
+    """Return the index entry of each chunk, by position; empty if the index is damaged."""
     from mcap.data_stream import ReadDataStream
     from mcap.records import ChunkIndex
 

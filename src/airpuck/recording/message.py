@@ -1,4 +1,4 @@
-"""Which ROS messages hold which stream, and codecs between their bytes and a stream's numbers."""
+"""ROS message types of each stream, and codecs between their bytes and a stream's numbers."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from airpuck.recording.cdr import Field, Types, encode, flatten, layout_of, type
 from airpuck.recording.conversion import SECOND_NS, yaw_of
 from airpuck.recording.stream import COLUMNS, COMMANDS, POSES
 
-#: Comments and texts of IDL, in which brackets and operators mean nothing.
+#: Comments and strings of IDL, in which brackets and operators mean nothing.
 _MEANINGLESS = re.compile(r'"(?:\\.|[^"\\])*+"|//[^\n]*|/\*.*?\*/', re.DOTALL)
-#: Where IDL may have an expression.
+#: Where IDL allows an expression.
 _EXPRESSION = re.compile(r"[@=(\[<,+-]")
 #: The brackets of annotations; all others, products, shifts and single bits are computations.
 _ANNOTATION = re.compile(r"@[\w:]++\s*+\(")
 _COMPUTED = re.compile(r"[(*/%|^&~]|<<")
-#: Cost of a type, of an element of an array of texts or types, and of an expression, in fields.
+#: Cost of a type, of an element of an array of strings or types, and of an expression, in fields.
 _FIELDS_PER_TYPE, _FIELDS_PER_ELEMENT, _FIELDS_PER_EXPRESSION = 20, 2, 5
 
 
 def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
-    """Parse the definition of a message type and of the types that it contains."""
+    """Parse the definition of a message type and of its nested types."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     if len(text) > DEFINITION_BYTES:
@@ -37,8 +37,8 @@ def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
             f"the embedded definition of {msgtype} is longer than {DEFINITION_BYTES:,} characters"
         )
     if idl:
-        # Several files follow each other, each under two lines that rosbags' parser does not know;
-        # nor does it know #include, but the files included are among them.
+        # Several files follow each other, each under two lines that rosbags' parser does not know.
+        # It does not know #include either, but the included files are among them.
         foreign = ("=" * 80, "IDL: ", "#")
         text = "\n".join(line for line in text.splitlines() if not line.startswith(foreign))
         meant = _ANNOTATION.sub("@=", _MEANINGLESS.sub("", text))
@@ -60,7 +60,7 @@ def _check_size(size: int, msgtype: str) -> None:
 
 
 def _code_size(fields: Any, msgtype: str) -> int:
-    """Return how much code a type makes, in fields; refuse arrays that no message can hold."""
+    """Return the amount of code a type makes, in fields; reject impossibly large arrays."""
     from rosbags.interfaces import Nodetype
 
     size = _FIELDS_PER_TYPE + len(fields)
@@ -80,7 +80,7 @@ HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c
 
 _HEADER = "std_msgs/Header header\n"
 _GAME = "airpuck_msgs/msg/GameEventStamped"
-#: Definitions of the authors' own messages, for bags that embed none, and of ours.
+#: Definitions of the authors' messages, for bags that embed none, and of ours.
 _OWN = {
     _GAME: _HEADER + "".join(f"float64 {column}\n" for column in COLUMNS["game"]),
     HOLOHOVER_CONTROL: _HEADER + "".join(f"float64 {motor}\n" for motor in HOLOHOVER_MOTORS),
@@ -137,14 +137,14 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "game": {_GAME: COLUMNS["game"]},
     }
 )
-#: Frames that messages name; the others are in the world's.
+#: Frames named in messages; the other messages are in the world's frame.
 _FRAMES = {**dict.fromkeys(COMMANDS, "body"), "imu": "body", "mouse": "body"}
 
 _STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:
-    """Parse the definitions in `text`; without a text, return ROS 2's and the authors' own."""
+    """Parse the definitions in `text`; without a text, return ROS 2's and the authors'."""
     return parse_definition(msgtype, text, idl=idl) if text else _known_types()
 
 
@@ -159,7 +159,7 @@ def _known_types() -> Types:
 
 
 def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
-    """Return the fields of the time stamp, if there are any."""
+    """Return the fields of the time stamp, if any."""
     return _STAMP if {field.path for field in fields}.issuperset(_STAMP) else ()
 
 
@@ -172,7 +172,7 @@ def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[
 
 
 def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
-    """Choose the message type that a command is written as, and give its definition."""
+    """Choose the message type for writing a command, and return its definition."""
     from rosbags.typesys import get_types_from_msg
 
     if motors == HOLOHOVER_MOTORS:
@@ -196,7 +196,7 @@ class MessageCodec:
         known = definitions() if types is None else types
         self.fields = flatten(known, msgtype)
         self._store = typestore(known, msgtype)
-        # rosbags makes its code at the first use, which must not be in flight.
+        # rosbags generates its code on first use, which must not happen in flight.
         self.decode(self.encode(self.message()))
 
     def encode(self, message: Any) -> bytes:
@@ -207,12 +207,12 @@ class MessageCodec:
         """Read a message."""
         try:
             return self._store.deserialize_cdr(data, self.msgtype)
-        # rosbags checks little, so that a foreign message can make it fail in any way.
+        # rosbags checks little, so a foreign message can make it fail in any way.
         except Exception as error:
             raise ValueError(f"{len(data)} bytes are no {self.msgtype}") from error
 
     def message(self, msgtype: str = "", **fields: Any) -> Any:
-        """Make a message, or one of a type within; fields not given are zero or empty."""
+        """Make a message, or one of a nested type; omitted fields are zero or empty."""
         from rosbags.interfaces import Nodetype
 
         values: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Exports of motion capture programs: OptiTrack's Motive (CSV) and Qualisys' QTM (6D, TSV).
 
-Both begin with lines about the take; their columns are named in rows below. What such a file says
-of its units and axes is what the mapping says by default.
+Both begin with lines about the take; their columns are named in rows below. Units and axes in such
+a file become the defaults of the mapping.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def is_export(path: Path) -> bool:
 
 
 def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None:
-    """Return a rigid body's columns and what the mapping is by default; None for other files."""
+    """Return a rigid body's columns and the mapping's defaults; None for other files."""
     first = rows.cells[0][0].strip()
     if first == _MOTIVE:
         return _motive(rows, body)
@@ -61,7 +61,7 @@ def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     if "Rotation W" in places:
         orientation = Orientation("quaternion", tuple(f"Rotation {axis}" for axis in "XYZW"))
     elif sorted(order) == ["X", "Y", "Z"]:
-        # Motive's angles are about moving axes, as SciPy's capital letters.
+        # Motive's angles are about moving axes, like SciPy's capital letters.
         orientation = Orientation(order, tuple(f"Rotation {axis}" for axis in order))
     else:
         raise InputError("has no rotation type; export quaternions", file=rows.path)
@@ -103,7 +103,7 @@ def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
 
 
 def _header(rows: Rows) -> int:
-    """Find the row that names the columns, beginning with a frame's number and time."""
+    """Find the row that names the columns, beginning with frame number and time."""
     for index, row in enumerate(rows.cells):
         if len(row) > 1 and row[0].strip() == _FRAME and row[1].strip().startswith(_TIME):
             return index

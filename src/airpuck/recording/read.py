@@ -1,4 +1,4 @@
-"""Reading a recording, whatever its form."""
+"""Reading a recording in any supported form."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ def read_recording(
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a CSV file, or a folder of
-        CSV files: the authors', exports of Motive or Qualisys, or any that the mapping describes. A
-        folder that holds one such folder stands for it. Where a folder holds a bag and CSV files,
-        the bag is read, because the CSV files were made from it.
+        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a CSV file, or a folder of CSV
+        files: the authors', exports of Motive or Qualisys, or any that the mapping describes. A
+        folder that contains a single such folder also works. If a folder contains a bag and CSV
+        files, the bag is read, because the CSV files were made from it.
     mapping : RecordingMapping, optional
         Topics, files, columns, units and axes (`read_mapping`); the default is the authors'
         table.
     topics : Topics, optional
         Short for a mapping that only names topics.
     needs : sequence of str, optional
-        Streams without which there is no recording.
+        Streams without which reading fails.
 
     Returns
     -------
     Recording
-        At least the streams that are needed, SI units, in our axes. Nothing is judged, sorted or
-        unwrapped, but a bag's messages are in the order of the recorder's clock. Of a damaged .mcap
-        every whole chunk is there, and a warning says how far it reaches. Where the mapping or an
-        export leaves rows blank, they are left out, and a warning says how many.
+        At least the required streams, in SI units and our axes. Nothing is checked, sorted or
+        unwrapped, but a bag's messages are in the order of the recorder's clock. A damaged .mcap
+        gives every intact chunk, with a warning on how far it reaches. Blank rows of a mapped file
+        or an export are left out, with a warning on their number.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
         if not found.exists():
             raise InputError("there is no such file or folder", file=path)
         if not found.is_file():
-            raise InputError(f"is no regular file; give {_FORMS}", file=path)
+            raise InputError(f"is not a regular file; give {_FORMS}", file=path)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
@@ -84,12 +84,12 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
     if found.suffix in TABLES:
         return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):
-        raise InputError("is preprocessed already; no recording is left in it", file=path)
-    raise InputError(f"is no recording; give {_FORMS}", file=path)
+        raise InputError("is already preprocessed and contains no raw recording", file=path)
+    raise InputError(f"is not a recording; give {_FORMS}", file=path)
 
 
 def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
-    """Return the folder that holds the recording: this one, or the only one inside that does."""
+    """Return the folder that contains the recording: this one, or its only subfolder that does."""
 
     def holds_one(place: Path) -> bool:
         return is_bag(place) or is_csv_folder(place, mapping)
@@ -102,11 +102,11 @@ def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
         return candidates[0]
     if candidates:
         names = listing(entry.name for entry in candidates)
-        raise InputError(f"holds several recordings; give one of {names}", file=folder)
+        raise InputError(f"contains several recordings; give one of {names}", file=folder)
     if (folder / METADATA).is_file():
         raise InputError(
             "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
         )
     if any(entry.suffix in TABLES for entry in folder.iterdir()):
         return folder
-    raise InputError(f"holds no recording; give {_FORMS}", file=folder)
+    raise InputError(f"contains no recording; give {_FORMS}", file=folder)

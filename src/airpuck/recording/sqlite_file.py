@@ -1,7 +1,7 @@
 """Reading an SQLite storage file of rosbag2 within limits.
 
-SQLite checks no types, and a database may hold code: a generated column can make blobs of any size,
-and a damaged tree can lead round in circles. So lengths, steps and rows are bounded.
+SQLite checks no types, and a database may contain code: a generated column can make blobs of any
+size, and a damaged tree can loop forever. So lengths, steps and rows are bounded.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import MESSAGE_BYTES, MIB, TOPICS, refused
 from airpuck.recording.unpacking import Log, TopicLog
 
-#: A row takes about 15 steps and at least ten bytes. Steps beyond these are of a damaged file.
+#: A row takes about 15 steps and at least ten bytes. More steps mean a damaged file.
 _STEPS, _STEPS_PER_BYTE = 10**6, 20
 _STEPS_AT_ONCE = 10**5
 _IDL = "ros2idl"
-#: Characters of a topic's name and type.
+#: Maximum length of a topic's name and type.
 _LONGEST_NAME = 1000
-#: Characters of all definitions; requested topics come first.
+#: Maximum length of all definitions; requested topics come first.
 _DEFINITIONS = MIB
 
 
@@ -38,7 +38,7 @@ def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
             _count(database, log)
     except InputError:
         raise
-    # A message of an operational error is SQLite's own; a damaged file can cause any of them.
+    # An operational error carries SQLite's own message; a damaged file can cause any of them.
     except (sqlite3.Error, ValueError, OverflowError) as error:
         reason = "it takes too long to read" if str(error) == "interrupted" else str(error)
         raise InputError(f"is not a readable recording ({reason})", file=path) from error
@@ -47,7 +47,7 @@ def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
 
 
 def _limit_steps(database: sqlite3.Connection, size: int) -> None:
-    """Interrupt what takes more steps than a file of this size can need."""
+    """Interrupt a query that takes more steps than a file of this size can need."""
     left = _STEPS + _STEPS_PER_BYTE * size
 
     def used_up() -> bool:
@@ -89,7 +89,7 @@ def _topics(
 
 
 def _define(database: sqlite3.Connection, topic: TopicLog) -> None:
-    """Add the definition that the file embeds."""
+    """Add the definition embedded in the file."""
     row = database.execute(
         "SELECT encoded_message_definition, encoding FROM message_definitions "
         "WHERE topic_type = ? ORDER BY id LIMIT 1",
@@ -97,7 +97,7 @@ def _define(database: sqlite3.Connection, topic: TopicLog) -> None:
     ).fetchone()
     if row is not None:
         if not isinstance(row[0], str):
-            raise ValueError("a definition is no text")
+            raise ValueError("a definition is not text")
         topic.definition, topic.idl = row[0], row[1] == _IDL
 
 

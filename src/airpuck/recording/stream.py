@@ -1,4 +1,4 @@
-"""A recording: the streams a lab logged, as they were logged."""
+"""A recording: the raw streams that a lab logged."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from airpuck.recording.conversion import (
 )
 from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
 
-#: Columns of the streams whose meaning is fixed. A command's columns are the propellers' names.
-#: Of a game: the goals of both sides, and what happened (`airpuck.hockey.game.KINDS`), to whom.
+#: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. Of a
+#: game: the goals of both sides, the event (`airpuck.hockey.game.KINDS`), and the side concerned.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pose": ("x_m", "y_m", "yaw_rad"),
@@ -48,12 +48,12 @@ class Stream:
     Attributes
     ----------
     stamp_ns : array of int64, shape (N,)
-        Time in each message's header [ns since the epoch]. Where messages carry none, the
-        recorder's time; then a warning says so.
+        Time in each message's header [ns since the epoch]. If messages carry none, the recorder's
+        time, with a warning.
     received_ns : array of int64, shape (N,)
         The recorder's time of arrival [ns since the epoch].
     values : array of float64, shape (N, k)
-        The numbers, SI units, in our axes.
+        The numbers, in SI units and our axes.
     columns : tuple of str
         Names of the k columns.
     """
@@ -89,14 +89,14 @@ class Stream:
 
 @dataclass(frozen=True, repr=False)
 class Recording:
-    """Named streams of one flight, and where they came from.
+    """Named streams of one flight, and their origin.
 
-    A recording never knows whether it was flown or simulated.
+    A recording does not reveal whether it was flown or simulated.
 
     Attributes
     ----------
     streams : mapping of str to Stream
-        ``pose`` and ``command``, and where logged ``reference``, ``estimate``, ``imu``, ``mouse``,
+        ``pose`` and ``command``, and if logged ``reference``, ``estimate``, ``imu``, ``mouse``,
         ``puck``, ``mallet``, ``mallet_target``, ``opponent_command``, ``game``; columns as in
         `COLUMNS`.
     source : str
@@ -104,7 +104,7 @@ class Recording:
     hashes : mapping of str to str
         SHA-256 of every file that was read, by name.
     warnings : tuple of str
-        What was wrong with the files but could be lived with.
+        Minor problems in the files.
     """
 
     streams: Mapping[str, Stream]
@@ -124,7 +124,7 @@ class Recording:
         mapping: RecordingMapping | None = None,
         source: str = "arrays",
     ) -> Recording:
-        """Make a recording of arrays, or of columns of a data frame.
+        """Make a recording from arrays, or from columns of a data frame.
 
         Parameters
         ----------
@@ -137,21 +137,22 @@ class Recording:
         commands : array-like, shape (K, n)
             A command in [0, 1] for each propeller.
         propellers : sequence of str, optional
-            Which propeller each column drives; by default they are in the order of the vehicle.
+            The propeller that each column drives; by default in the order of the vehicle.
         mapping : RecordingMapping, optional
-            Units, axes, scale and offset, where numbers are not SI; names in it do not matter.
+            Units, axes, scale and offset, if numbers are not SI; names in it do not matter.
         source : str, optional
-            What messages call the recording.
+            Name of the recording in messages.
 
         Returns
         -------
         Recording
-            Poses and commands; rows without any number are left out, and a warning says how many.
+            Poses and commands; rows without any number are left out, with a warning on their
+            number.
 
         Raises
         ------
         InputError
-            If arrays do not fit together or are not numbers.
+            If arrays do not fit together or do not contain numbers.
 
         Examples
         --------
@@ -206,7 +207,7 @@ class Recording:
 def _table(
     name: str, time: ArrayLike, values: ArrayLike, source: str
 ) -> tuple[Shaped[np.ndarray, " N"], Float[np.ndarray, "N k"], tuple[str, ...]]:
-    """Return times and numbers that fit together, without rows of NaN, and how many these were."""
+    """Return matching times and numbers without rows of NaN, and the number of such rows."""
     try:
         stamps, numbers = np.asarray(time), np.asarray(values, dtype=np.float64)
         if stamps.dtype.kind not in "iufMm":

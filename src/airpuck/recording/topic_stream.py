@@ -1,4 +1,4 @@
-"""The messages of one topic become a stream."""
+"""Conversion of one topic's messages to a stream."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from airpuck.recording.stream import COLUMNS, COMMANDS, POSES, Stream
 from airpuck.recording.unpacking import TopicLog
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
-#: Where it names its values.
+#: Field in which a type names its values.
 _JOINT_NAMES = "name"
-#: Where the commands of a JointState may be.
+#: Fields of a JointState that may hold the commands.
 _JOINT_VALUES = ("position", "velocity", "effort")
 #: Parts of a message that hold no command.
 _BESIDE = ("header.", "layout.")
@@ -46,15 +46,15 @@ _ACCEPTED = (
 
 
 class Place(NamedTuple):
-    """Where values are in a message."""
+    """Location of the values in a message."""
 
     path: str
-    #: Entry of an array; None for all.
+    #: Index into the array; None for all entries.
     entry: int | None
 
 
 def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:
-    """Return the fields that hold commands; none where that is not clear."""
+    """Return the fields that hold commands; empty if ambiguous."""
     if msgtype == _JOINT_STATE:
         return _JOINT_VALUES
     rest = [field for field in fields if not field.path.startswith(_BESIDE)]
@@ -63,17 +63,17 @@ def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:
 
 
 def joint_names(msgtype: str) -> tuple[str, ...]:
-    """Return the field in which messages of this type name their values, if they do."""
+    """Return the field in which messages of this type name their values, if any."""
     return (_JOINT_NAMES,) if msgtype == _JOINT_STATE else ()
 
 
 def _number(code: str) -> str:
-    """Return the kind of number in a field or its array; empty where it holds none."""
+    """Return the kind of number in a field or its array; empty if it holds no numbers."""
     return "" if "<" not in code else code[code.index("<") :]
 
 
 def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] = ()) -> list[Place]:
-    """Return where commands are: fields, arrays, entries of arrays (``data[2]``) as `given`."""
+    """Return the location of commands: fields, arrays, array entries (``data[2]``) as `given`."""
     chosen = tuple(given) or command_fields(msgtype, fields)
     if not chosen:
         raise InputError(
@@ -95,7 +95,7 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
 def commands_in(
     found: Mapping[str, np.ndarray], places: Sequence[Place], given: Sequence[str] = ()
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"]]:
-    """Return the values in decoded messages, and what they are called there."""
+    """Return the values in decoded messages, and their names there."""
     joints = found.get(_JOINT_NAMES)
     if joints is not None and not given:
         places = [place for place in places if found[place.path].shape[1]]
@@ -130,7 +130,7 @@ def commands_in(
 def _in_one_order(
     names: Shaped[np.ndarray, "N n"], values: Float[np.ndarray, "N n"]
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"]]:
-    """Put values in the order of the first message's names: each message brings its own."""
+    """Sort values by the first message's names: each message may have its own order."""
     order = np.argsort(names, axis=1)
     ranked = np.take_along_axis(names, order, axis=1)
     differs = (ranked != ranked[:1]).any(axis=1)
@@ -142,12 +142,12 @@ def _in_one_order(
 
 
 Decoded = Mapping[str, np.ndarray]
-#: Fields to decode, and what turns them into columns and values.
+#: Fields to decode, and a function that turns them into columns and values.
 Plan = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.ndarray, "N k"]]]]
 
 
 def may_hold(stream: str, topic: TopicLog) -> bool:
-    """Return whether a topic is of a type that holds a stream."""
+    """Return whether a topic's type can hold a stream."""
     if stream not in COMMANDS:
         return topic.msgtype in PATHS[stream]
     known = {msgtype for types in PATHS.values() for msgtype in types}
@@ -160,7 +160,7 @@ def may_hold(stream: str, topic: TopicLog) -> bool:
 
 
 def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tuple[Stream, bool]:
-    """Decode one topic, and say whether its messages carry their times."""
+    """Decode one topic, and report whether its messages carry their times."""
     msgtype = topic.msgtype
     own = _own(stream, mapping)
     usual = PATHS.get(stream, {}).get(msgtype, ())
@@ -198,7 +198,7 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
 
 
 def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
-    """Return what the mapping says of a stream; of all poses the same."""
+    """Return the mapping's section for a stream; all poses share one."""
     if stream in POSES:
         return mapping.pose
     return mapping.command if stream in COMMANDS else CommandMapping()
@@ -239,7 +239,7 @@ def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:
 def _stamps(
     times: list[np.ndarray], mapping: PoseMapping | CommandMapping
 ) -> Int64[np.ndarray, " N"] | None:
-    """Return the times in messages [ns]; none where they carry none or never filled them in."""
+    """Return the times in messages [ns]; None if they carry none or never set them."""
     if not times:
         return None
     if mapping.time:

@@ -1,8 +1,9 @@
-"""The authors' preprocessed experiments: a torch file, read without torch and without trust.
+"""The authors' preprocessed experiments: a torch file, read without torch and without trusting it.
 
-Inside is a pickle: a program that Python's unpickler would run. Here it only builds dictionaries,
-texts, whole numbers and tuples. It runs on Python's own unpickler in Python, with most instructions
-taken away: the one in C hashes any key and reserves memory for any index of its memo.
+A torch file contains a pickle: a program that Python's unpickler would run. Here it can only build
+dictionaries, strings, whole numbers and tuples. It runs on Python's own pure-Python unpickler, with
+most instructions removed: the one in C hashes any key and reserves memory for any index of its
+memo.
 """
 
 from __future__ import annotations
@@ -26,22 +27,22 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.message import HOLOHOVER_MOTORS
 
-#: Width of each tensor; None for one dimension.
+#: Width of each tensor; None: one-dimensional.
 _WIDTHS = {"T": None, "X": 6, "U": len(HOLOHOVER_MOTORS), "dX": 6}
 #: A command may lie outside [0, 1] by rounding.
 _ROUNDING = 1e-9
-#: Longest pickle that is read [bytes]; the authors' are of 1.3 kB.
+#: Longest pickle that is read [bytes]; the authors' have 1.3 kB.
 _LONGEST = 10**5
-#: Longest text that is turned into bytes; each call makes a new copy.
+#: Longest string that is converted to bytes; each call makes a new copy.
 _LONGEST_TEXT = 2000
 
 
 class Refused(ValueError):
-    """The file holds something that no experiment of the authors needs."""
+    """The file contains something that the authors' experiments do not need."""
 
 
 class _Storage(NamedTuple):
-    """A tensor's memory, kept in another member of the torch file."""
+    """A tensor's memory, stored in another member of the torch file."""
 
     #: ``torch.DoubleStorage`` and the like.
     kind: str
@@ -52,7 +53,7 @@ class _Storage(NamedTuple):
 
 
 class _Tensor(NamedTuple):
-    """How a tensor lies in its storage, counted in elements."""
+    """Layout of a tensor in its storage, counted in elements."""
 
     storage: _Storage
     offset: int
@@ -61,7 +62,7 @@ class _Tensor(NamedTuple):
 
 
 class _Texts(dict[str, Any]):
-    """A dictionary whose keys are texts: hashing nested tuples can take forever."""
+    """A dictionary whose keys are strings: hashing nested tuples can take forever."""
 
     def __setitem__(self, key: Any, value: Any) -> None:
         if type(key) is not str:
@@ -76,7 +77,7 @@ def _is_count(value: object) -> bool:
 def _rebuilt_tensor(storage: Any, offset: Any, shape: Any, stride: Any, *_: Any) -> _Tensor:
     if not isinstance(storage, _Storage):
         raise Refused("a tensor has no storage")
-    # Two dimensions at most, before anything looks at the elements.
+    # Two dimensions at most, checked before anything reads the elements.
     fits = isinstance(shape, tuple) and isinstance(stride, tuple) and len(shape) == len(stride) <= 2
     if not fits or not all(map(_is_count, (offset, *shape, *stride))):
         raise Refused("a tensor has a wrong offset, shape or stride")
@@ -97,10 +98,10 @@ def _numpy_text(_dtype: Any, data: Any) -> str:
 
 
 def _nothing(*_: Any) -> None:
-    """Stand for an object that no one needs."""
+    """Stand in for an unused object."""
 
 
-#: What a name in the pickle calls here. The real functions are never looked up.
+#: Functions that a name in the pickle calls here. The real functions are never looked up.
 _CALLS: Mapping[str, Callable[..., Any]] = {
     "torch._utils._rebuild_tensor_v2": _rebuilt_tensor,
     "_codecs.encode": _encoded,
@@ -120,7 +121,7 @@ _INSTRUCTIONS = (
 
 
 class _Instructions(dict[int, Callable[[Any], None]]):
-    """Opcode -> what it does; any other one ends the reading."""
+    """Opcode -> its action; any other opcode ends the reading."""
 
     def __missing__(self, code: int) -> Callable[[Any], None]:
         names = [opcode.name for opcode in pickletools.opcodes if opcode.code == chr(code)]
@@ -128,18 +129,18 @@ class _Instructions(dict[int, Callable[[Any], None]]):
 
 
 class _Unpickler(pickle._Unpickler):
-    """Python's unpickler, left with what makes dictionaries of tensors."""
+    """Python's unpickler, reduced to what builds dictionaries of tensors."""
 
     dispatch = _Instructions(
         (code, pickle._Unpickler.dispatch[code])
         for code in (getattr(pickle, name)[0] for name in _INSTRUCTIONS.split())
     )
     dispatch[pickle.EMPTY_DICT[0]] = lambda self: self.append(_Texts())
-    # What NumPy's objects are filled with is not needed, and filling could change anything.
+    # The contents of NumPy objects are not needed, and setting them could change anything.
     dispatch[pickle.BUILD[0]] = lambda self: self.stack.pop()
 
     def find_class(self, module: str, name: str) -> Any:
-        """Return what stands for a name: a function of ours, or its own text."""
+        """Return the stand-in for a name: a function of ours, or its own text."""
         full = f"{module}.{name}".replace("numpy._core.", "numpy.core.")
         if full in _CALLS:
             return _CALLS[full]
@@ -148,7 +149,7 @@ class _Unpickler(pickle._Unpickler):
         raise Refused(f"it names {shortened(full)}")
 
     def persistent_load(self, pid: Any) -> _Storage:
-        """Note which member a storage is in."""
+        """Record which member contains a storage."""
         kind, name, key, _device, n = pid
         if kind != "storage" or not isinstance(name, str):
             raise Refused("it refers to something outside the file")
@@ -158,7 +159,7 @@ class _Unpickler(pickle._Unpickler):
 
 
 def read_inert(data: bytes) -> Any:
-    """Read a pickle of dictionaries of tensors as plain data; nothing in it is run."""
+    """Read a pickle of dictionaries of tensors as plain data, without running it."""
     if len(data) > _LONGEST:
         raise Refused(f"its pickle is longer than {_LONGEST} bytes")
     try:
@@ -176,21 +177,21 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
     Parameters
     ----------
     path : path-like
-        The file, or the folder that holds it as ``data.pt``.
+        The file, or the folder that contains ``data.pt``.
     name : str, optional
-        Which experiment, where the file holds several.
+        Name of the experiment, if the file contains several.
 
     Returns
     -------
     Trajectory
         The authors' smoothed states and accelerations. Their commands are already held at the pose
-        times and shifted by the transport delay, so that `delay` is zero and `delay_known` false.
+        times and shifted by the transport delay, so `delay` is zero and `delay_known` false.
 
     Raises
     ------
     InputError
-        If it is no such file, or holds anything but the expected float64 tensors of matching
-        shapes, with finite values, increasing times and commands in [0, 1].
+        If the file is not of this kind, or contains anything but the expected float64 tensors of
+        matching shapes, with finite values, increasing times and commands in [0, 1].
     """
     file = Path(path)
     if file.is_dir():
@@ -229,7 +230,7 @@ def _read(file: Path, name: str | None) -> dict[str, Float[np.ndarray, "..."]]:
         pickles = [name for name in set(archive.names) if name.endswith("/data.pkl")]
         if len(pickles) != 1:
             raise Refused("a torch file has one data.pkl inside")
-        # Torch never compresses; stored members cannot be larger than the file.
+        # Torch never compresses; uncompressed members cannot exceed the file's size.
         if archive.is_packed():
             raise Refused("its content is compressed")
         root = pickles[0].removesuffix("data.pkl")
@@ -247,7 +248,7 @@ def _read(file: Path, name: str | None) -> dict[str, Float[np.ndarray, "..."]]:
 
 
 def _choose(content: Any, name: str | None) -> dict[str, _Tensor]:
-    """Pick one experiment out of the file's dictionary."""
+    """Choose one experiment from the file's dictionary."""
     for key in ("exps", *_WIDTHS):
         if not isinstance(content, dict) or key not in content:
             raise Refused(f"it has no {key!r}")
@@ -286,7 +287,7 @@ def _tensor(
         raise Refused(f"{key!r} is empty or reaches beyond its storage")
     flat = np.frombuffer(content, dtype).astype(np.float64, copy=False)
     strides = tuple(8 * step for step in stride)
-    # A copy, because the trajectory must own what the strides only point to.
+    # A copy, because the trajectory must own the numbers, and the strides refer to shared memory.
     return np.lib.stride_tricks.as_strided(flat[offset:], shape, strides).copy()
 
 

@@ -20,38 +20,38 @@ class TopicLog:
     """The messages of one topic before they are decoded."""
 
     msgtype: str
-    #: The definition that the bag embeds; empty for none.
+    #: The definition embedded in the bag; empty if there is none.
     definition: str = ""
-    #: Whether the definition is IDL rather than the ``.msg`` format.
+    #: Whether the definition is IDL instead of the ``.msg`` format.
     idl: bool = False
     #: The recorder's times [ns since the epoch].
     received_ns: list[int] = field(default_factory=list)
-    #: In CDR, with encapsulation.
+    #: Messages in CDR, with encapsulation.
     messages: list[bytes] = field(default_factory=list)
 
 
 @dataclass
 class Log:
-    """What the files of a bag hold."""
+    """Contents of a bag's files."""
 
     #: Messages of the wanted topics only.
     topics: dict[str, TopicLog] = field(default_factory=dict)
     #: Messages on all topics.
     n_messages: int = 0
-    #: Earliest and latest recorder time of them [ns since the epoch].
+    #: Earliest and latest recorder time of all messages [ns since the epoch].
     first_ns: int | None = None
     last_ns: int | None = None
-    #: What was wrong, in a few words each.
+    #: Descriptions of the damage, in a few words each.
     damage: list[str] = field(default_factory=list)
 
     def count(self, n_messages: int, first_ns: int, last_ns: int) -> None:
-        """Add messages to the number and the span of time."""
+        """Add messages to the count and the time span."""
         self.n_messages += n_messages
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
     def sort(self) -> None:
-        """Put messages into the order of the recorder's clock, as readers of bags do."""
+        """Sort messages by the recorder's clock, as readers of bags do."""
         for topic in self.topics.values():
             times = topic.received_ns
             order = sorted(range(len(times)), key=times.__getitem__)
@@ -72,11 +72,11 @@ class Log:
 
 
 def unpacked(data: bytes, compression: str, size: int) -> bytes:
-    """Unpack a chunk to its size; ValueError where it has another one or is damaged."""
+    """Unpack a chunk to its size; ValueError if the size differs or the chunk is damaged."""
     if compression == "zstd":
         import zstandard
 
-        # A decompressor takes as much memory as its window, up to the size of what it unpacks.
+        # A decompressor takes as much memory as its window, up to the size of its output.
         decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
         try:
             content = decompressor.stream_reader(data).read(size + 1)
@@ -99,7 +99,7 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """Unpack a message that rosbag2 compressed on its own."""
+    """Unpack a message that rosbag2 compressed individually."""
     import zstandard
 
     try:
@@ -113,7 +113,7 @@ def unpacked_message(data: bytes) -> bytes:
 
 @contextlib.contextmanager
 def unpacked_file(path: Path) -> Iterator[Path]:
-    """Unpack a storage file that rosbag2 compressed whole, for as long as the block lasts."""
+    """Unpack a fully compressed storage file, for the duration of the block."""
     import zstandard
 
     budget = Unpacking(path, path.stat().st_size)

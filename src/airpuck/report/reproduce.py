@@ -106,7 +106,7 @@ class Reproduction:
     wall_s: float
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         judged = {"published": self.judged.reference, "fitted": self.judged.evaluations}
         channels = ("x_mm", "y_mm", "yaw_rad")
         return {

@@ -66,11 +66,11 @@ def excite(
     hold : float, default 0.2
         Time between changes of the signals [s].
     margin : float, default 0.05
-        Distance to the rails at which the craft must be able to stop [m].
+        Distance from the rails at which the craft must be able to stop [m].
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Tuning of the controller; by default the packaged one.
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
 
@@ -146,7 +146,7 @@ def track(
     Parameters
     ----------
     model : Model
-        What the controller believes the craft to be.
+        The controller's model of the craft.
     reference : Reference
         What to track.
     duration : float
@@ -166,7 +166,7 @@ def track(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Tuning of the controller; by default the packaged one.
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
     make_pilot : callable, optional

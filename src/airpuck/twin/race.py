@@ -118,9 +118,9 @@ def race(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Tuning of the controller; by default the packaged one.
     progress : callable, optional
-        Called with the number of flights done, and of all.
+        Called with the number of flights done and the total.
 
     Returns
     -------

@@ -205,7 +205,7 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     Parameters
     ----------
     path : path-like
-        A TOML file; what it leaves out is as packaged.
+        A TOML file; omitted fields keep the packaged values.
 
     Returns
     -------

@@ -113,7 +113,7 @@ class Tracked(Result):
         return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json``."""
+        """Return the fields for ``--json``."""
         figures = super().to_json() | {
             "saturated": float(self.saturated.mean()),
             "clearance_m": float(self.clearance.min()),
@@ -172,7 +172,7 @@ def tracking_study(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Of the controller; by default the packaged one.
+        Tuning of the controller; by default the packaged one.
     make_pilot : callable, optional
         Makes a pilot of one's own from (model, reference), to fly in place of the controller.
 
