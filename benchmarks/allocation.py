@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from airpuck.control.allocation import ThrustAllocator, problem
-from airpuck.control.discretization import motor_lag
+from airpuck.control.lqr import motor_lag
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust

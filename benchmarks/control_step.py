@@ -21,7 +21,7 @@ from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, read_model
-from airpuck.physics.rollout import step
+from airpuck.physics.rigid_body import step
 
 FRAME, PERIOD = 1 / 240, 1 / 100
 

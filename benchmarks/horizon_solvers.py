@@ -19,8 +19,7 @@ import casadi as ca
 import numpy as np
 
 from airpuck.compute.process import low_latency
-from airpuck.control.horizon import Blocks, stages
-from airpuck.control.horizon_solvers import Condensed
+from airpuck.control.horizon import Blocks, Condensed, stages
 from airpuck.control.mpc import MPC
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController

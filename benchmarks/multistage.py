@@ -11,8 +11,7 @@ import piqp
 from jaxtyping import Float
 from scipy.sparse import csc_matrix
 
-from airpuck.control.horizon import Blocks, Stages
-from airpuck.control.horizon_solvers import Answer, Sizes
+from airpuck.control.horizon import Answer, Blocks, Sizes, Stages
 from airpuck.control.tuning import Regulator
 from airpuck.craft.vehicle import Vehicle
 

@@ -23,7 +23,7 @@ from airpuck.data.windows import make_windows
 from airpuck.evaluation.evaluate import PROTOCOLS
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from airpuck.recording.dataset import dataset_folder
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings

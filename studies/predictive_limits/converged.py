@@ -14,15 +14,13 @@ import casadi as ca
 import numpy as np
 
 from airpuck.compute.arrays import with_symbols
-from airpuck.control.discretization import point_mass
 from airpuck.control.law import Law, Moment, Step
-from airpuck.control.lqr import cost_to_go
+from airpuck.control.lqr import cost_to_go, point_mass
 from airpuck.control.reference import course
 from airpuck.control.tuning import Regulator
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
-from airpuck.physics.rigid_body import Dynamics, acceleration
-from airpuck.physics.rollout import step
+from airpuck.physics.rigid_body import Dynamics, acceleration, step
 
 #: Commands of the first guess.
 _FIRST = 0.3

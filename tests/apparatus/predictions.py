@@ -8,7 +8,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.innovations import Innovations, cut_at_commands
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 
 def predicted(

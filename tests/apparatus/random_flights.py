@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import Dynamics, register_pytrees
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import Dynamics, register_pytrees, rollout
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 
 #: Rates of motion capture and commands [Hz].
@@ -40,7 +39,7 @@ def fast_rollout(
     commands: Float[np.ndarray, "T n *batch"],
     durations: Float[np.ndarray, "T *batch"],
 ) -> Float[np.ndarray, "T z *batch"]:
-    """Do what `airpuck.physics.rollout.rollout` does, to rounding errors.
+    """Do what `airpuck.physics.rigid_body.rollout` does, to rounding errors.
 
     Parameters
     ----------

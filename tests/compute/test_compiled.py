@@ -16,7 +16,7 @@ from airpuck.compute.compiled import (
     program,
 )
 from airpuck.model.model_file import published_model
-from airpuck.physics.rollout import step
+from airpuck.physics.rigid_body import step
 
 DYNAMICS = published_model("M3").dynamics
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear, nnls
 
 from airpuck.control.allocation import Daqp, Piqp, ThrustAllocator
-from airpuck.control.discretization import motor_lag
+from airpuck.control.lqr import motor_lag
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.signal import cont2discrete
 
-from airpuck.control.discretization import motor_lag, point_mass, rotation_error
+from airpuck.control.lqr import motor_lag, point_mass, rotation_error
 
 period = st.floats(1e-3, 0.5)
 

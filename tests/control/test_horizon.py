@@ -16,8 +16,7 @@ from airpuck.control.horizon import Blocks, _brake, linearised, stages
 from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
-from airpuck.physics.rigid_body import acceleration
-from airpuck.physics.rollout import rollout, step
+from airpuck.physics.rigid_body import acceleration, rollout, step
 
 from ..apparatus.examples import examples
 

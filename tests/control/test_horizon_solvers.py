@@ -4,10 +4,8 @@ import casadi
 import numpy as np
 import pytest
 
-from airpuck.control.horizon import Blocks, Stages
-
 # The same problem is written down by hand, with the same damping.
-from airpuck.control.horizon_solvers import _DAMPING, Condensed
+from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages
 from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.craft.vehicle import Vehicle
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import solve_discrete_lyapunov
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.discretization import point_mass
-from airpuck.control.lqr import lqr, regulator
+from airpuck.control.lqr import lqr, point_mass, regulator
 from airpuck.control.tuning import Weights, default_tuning
 
 weight = st.floats(0.01, 100)

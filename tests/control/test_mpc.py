@@ -23,9 +23,8 @@ from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import published_model
-from airpuck.physics.rigid_body import derivative
-from airpuck.physics.rollout import rollout
-from airpuck.physics.rollout import step as physics
+from airpuck.physics.rigid_body import derivative, rollout
+from airpuck.physics.rigid_body import step as physics
 
 from ..apparatus.closed_loops import HOME, fly
 from ..apparatus.examples import examples

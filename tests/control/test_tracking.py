@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.control import tracking
-from airpuck.control.discretization import motor_lag
+from airpuck.control.lqr import motor_lag
 from airpuck.control.reference import SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
 from airpuck.craft.vehicle import Vehicle

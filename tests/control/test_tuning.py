@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import checked
-from airpuck.control.discretization import point_mass
 from airpuck.control.laws import LAWS
-from airpuck.control.lqr import regulator
+from airpuck.control.lqr import point_mass, regulator
 from airpuck.control.tuning import (
     Allocation,
     Estimation,

@@ -9,8 +9,13 @@ from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Span
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
-from airpuck.evaluation.innovations import cut_at_commands, free_run, innovations, speed_before
-from airpuck.evaluation.noise_likelihood import most_likely_noise
+from airpuck.evaluation.innovations import (
+    cut_at_commands,
+    free_run,
+    innovations,
+    most_likely_noise,
+    speed_before,
+)
 from airpuck.model.model_file import published_model
 
 from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.evaluation.noise_likelihood import initial_covariance, most_likely_noise
+from airpuck.evaluation.innovations import initial_covariance, most_likely_noise
 
 PERIOD, COUNT = 1 / 240, 800
 POSE = np.array([2e-4, 1e-4, 1e-3])

@@ -11,7 +11,7 @@ from airpuck.evaluation.innovations import innovations
 from airpuck.evaluation.prediction_bands import BAND, predict_with_errors, prediction_bands
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 

@@ -10,7 +10,7 @@ import pytest
 
 import airpuck
 from airpuck.physics.effects import Envelope
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from tests.apparatus.synthetic_flights import fly
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

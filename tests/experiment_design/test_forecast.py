@@ -20,7 +20,7 @@ from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import named_rung
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.synthetic_flights import fly
 

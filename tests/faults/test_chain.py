@@ -4,8 +4,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
-from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain, state_probabilities
-from airpuck.faults.hypotheses import Fault
+from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, Fault, fault_chain, state_probabilities
 
 FAULTS = (Fault((0, 1, 2), 5), Fault((), 12), *(Fault((m,), 5) for m in range(3)), Fault((0, 2), 5))
 NAMES = ("left", "right", "back")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck.data.trajectory import Span
-from airpuck.faults.hypotheses import Fault, predict_faults, usable_steps
+from airpuck.faults.chain import Fault, predict_faults, usable_steps
 from airpuck.model.model_file import published_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration

@@ -11,7 +11,7 @@ from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import read_model
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.robust_fits import MODEL, off
 from ..apparatus.synthetic_flights import fly

@@ -16,7 +16,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS, named_rung
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from airpuck.physics.thrust import is_monotone, thrust_slope
 
 from ..apparatus.synthetic_flights import fly

@@ -13,7 +13,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
 from airpuck.model.rungs import TERMS, named_rung
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.synthetic_flights import fly
 

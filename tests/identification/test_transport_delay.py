@@ -17,7 +17,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import RUNGS
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.random_flights import fast_rollout, random_flight
 from ..apparatus.synthetic_flights import fly

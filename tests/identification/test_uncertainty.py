@@ -21,10 +21,10 @@ from airpuck.identification.uncertainty import (
     varying,
     widened,
 )
-from airpuck.model.gauge import fix_gauge, gauge_directions
 from airpuck.model.model_file import read_model
+from airpuck.model.parameters import fix_gauge, gauge_directions
 from airpuck.model.rungs import RUNGS, named_rung
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.disturbed_flights import TRUTH, noisy
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.physics.contact import PlainNumbers, contact_impulse, mobility
+from airpuck.physics.puck import PlainNumbers, contact_impulse, mobility
 
 speeds = st.floats(-5, 5)
 share = st.floats(0, 1)

@@ -10,8 +10,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.model.statespace import linearize, trim
-from airpuck.physics.rigid_body import acceleration, derivative
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import acceleration, derivative, rollout
 
 
 @pytest.mark.parametrize("name", ["M0", "M3", "M4"])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck.model.model_file import published_model
-from airpuck.physics.rigid_body import derivative
-from airpuck.physics.rollout import rollout, step
+from airpuck.physics.rigid_body import derivative, rollout, step
 
 RNG = np.random.default_rng(0)
 STATE = np.concatenate([[0.1, -0.2, 0.4, 0.5, -0.3, 6.0], RNG.uniform(0.05, 0.6, 6)])

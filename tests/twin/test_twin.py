@@ -12,7 +12,7 @@ from airpuck.control.excitation import Excitation
 from airpuck.craft.table import Table
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.puck import PuckState
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.bag_writer import write_bag
 from airpuck.twin.plant import build_plant

@@ -1,4 +1,11 @@
-"""Thrust allocation: from requested accelerations to thrusts (eq. force_qp)."""
+"""Thrust allocation: from requested accelerations to thrusts (eq. force_qp).
+
+An allocation has two quadratic programs:
+
+`constrained`: min x'Px/2 s.t. lower ≤ (x, Ax) ≤ upper, P = diag(cost).
+`nearest`: min |Ax - b|²/2 + x'Dx/2 s.t. lower ≤ x ≤ upper, D = diag(ties).
+Both return None where that is infeasible or was not solved. A solver is made for one problem size.
+"""
 
 from __future__ import annotations
 

@@ -18,11 +18,9 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.allocation import all_finite
-from airpuck.control.discretization import point_mass
-from airpuck.control.horizon import Ahead, Blocks, Stages, stages
-from airpuck.control.horizon_solvers import Condensed
+from airpuck.control.horizon import Ahead, Blocks, Condensed, Stages, stages
 from airpuck.control.law import Law, LawOptions, Moment, Prediction, Status, Step, staged
-from airpuck.control.lqr import LQR, cost_to_go
+from airpuck.control.lqr import LQR, cost_to_go, point_mass
 from airpuck.control.reference import Arrival, Reference, SetPoint, course
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table

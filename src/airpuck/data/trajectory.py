@@ -1,4 +1,7 @@
-"""A trajectory: states at the sample times, commands at their own times, and excluded spans."""
+"""A trajectory: states at the sample times, commands at their own times, and excluded spans.
+
+Zero-order hold of commands (subsec:data_preprocessing): at a time, and over a step.
+"""
 
 from __future__ import annotations
 

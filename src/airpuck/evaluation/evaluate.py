@@ -23,8 +23,7 @@ from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
 from airpuck.evaluation.statistical_tests import BLOCK_S, rmse_interval
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import Dynamics, rollout
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")

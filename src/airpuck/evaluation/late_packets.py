@@ -22,8 +22,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import process_noise
 from airpuck.estimate.motor_regression import accelerations_by_motor
 from airpuck.evaluation.evaluate import delay_for
-from airpuck.evaluation.innovations import Innovations, motor_speeds_at
-from airpuck.evaluation.noise_likelihood import initial_covariance
+from airpuck.evaluation.innovations import Innovations, initial_covariance, motor_speeds_at
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust

@@ -1,4 +1,11 @@
-"""What a person asks of a model first, named once for tables, terminal and comparisons."""
+"""What a person asks of a model first, named once for tables, terminal and comparisons.
+
+If the configuration matrix Π is learned directly, s times a propeller's thrust curve and 1/s times
+its column of Π give the same motion. Only their products are comparable: the linear and angular
+acceleration that a propeller causes. `physical_thrust` chooses the scale at which the force part of
+a column has length 1/m, as Newton's law demands. Our own fits are at that scale already
+(`airpuck.model.parameters`); published parameters are as published.
+"""
 
 from __future__ import annotations
 

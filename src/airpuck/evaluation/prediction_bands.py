@@ -30,8 +30,7 @@ from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovat
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import CenterOfMassFrame
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import CenterOfMassFrame, rollout
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
 BAND = 1.959963984540054

@@ -4,6 +4,12 @@ Two questions. Are the innovations white, or do past ones say something about th
 motor commands still explain them, so that the model has not used all of their information? Both
 tests are made in the frame of the body, where a motor pushes one way whatever the yaw. A third asks
 which error of the model that would be. Late packets and feedback are part of the null hypothesis.
+
+The commands of a pair exclude each other and are held over many samples. So the correlations with
+one motor contain some of the other motors' correlations, and some of its own at other lags. The
+bands account for the latter (Ljung 1999, equation 16.69). To separate the motors, a Wald test uses
+one regression on the past commands of all motors. Its covariance is robust against innovations that
+are larger where commands change (HC3: White 1980, MacKinnon and White 1985).
 """
 
 from __future__ import annotations

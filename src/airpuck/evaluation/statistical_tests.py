@@ -2,6 +2,12 @@
 
 With enough samples any model is wrong. So effects are tested against the smallest relevant effect,
 a share of the variance, and not against zero (Murphy and Myors 1999).
+
+Intervals of root mean square errors come from a moving-block bootstrap over time (Künsch 1989).
+Predictions that start close together share samples and disturbances, so their errors are not
+independent, but blocks of time are. Whole blocks are therefore drawn with replacement. With few
+blocks, percentiles of the draws are too narrow. So intervals are Student's, about the logarithm of
+the mean square, with the spread of the draws and one degree of freedom less than there are blocks.
 """
 
 from __future__ import annotations

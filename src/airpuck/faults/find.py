@@ -7,8 +7,16 @@ from jaxtyping import Bool, Float
 from scipy.special import gammaln
 
 from airpuck.data.trajectory import Span, Trajectory, check_propellers, runs
-from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED, fault_chain, state_probabilities
-from airpuck.faults.hypotheses import STEP, Predicted, predict_faults, usable_steps
+from airpuck.faults.chain import (
+    RADIO_OUT,
+    STEP,
+    UNEXPLAINED,
+    Predicted,
+    fault_chain,
+    predict_faults,
+    state_probabilities,
+    usable_steps,
+)
 from airpuck.model.model_file import Model
 
 NOT_ARMED, CONTACT = "not armed", "contact"

@@ -1,4 +1,17 @@
-"""Check that motor order and signs of a vehicle file agree with a recording."""
+"""Check that motor order and signs of a vehicle file agree with a recording.
+
+The motion that commands should cause shows which axes of the logged pose have the wrong sign. A
+pose is logged as (sx x, sy y, sγ γ). Forces f in the body frame are R(γ) f in the world. In the log
+they are S R(γ) f with S = diag(sx, sy). Turned back by the logged yaw, they are
+
+    R(-sγ γ) S R(γ) f = S f              where sγ = det S
+                      = S R(2γ) f        otherwise.
+
+So a wrong sign of one axis, or of the yaw alone, scatters the forces. Both together mirror the
+craft, and wrong signs of both axes turn it by 180°. Of four corrections (the sign of y, the sign of
+yaw, both, or none) one leaves forces that the commands explain. A wrong sign of x is a wrong sign
+of y, turned by 180°.
+"""
 
 from __future__ import annotations
 

@@ -17,8 +17,7 @@ from airpuck.estimate.kalman import HeldCommands, KalmanFilter
 from airpuck.estimate.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import acceleration_map
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import acceleration_map, rollout
 from airpuck.physics.thrust import thrust
 
 #: Prediction horizon, and the largest lateness of packets [s].

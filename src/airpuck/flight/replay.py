@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.discretization import motor_lag
 from airpuck.control.law import Status
-from airpuck.control.lqr import LQR, look_ahead
+from airpuck.control.lqr import LQR, look_ahead, motor_lag
 from airpuck.control.reference import Target
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning

@@ -17,7 +17,7 @@ from airpuck.data.windows import gather_past
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import rollout
 from airpuck.physics.thrust import thrust_slope
 
 

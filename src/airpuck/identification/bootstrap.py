@@ -21,7 +21,7 @@ from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import reweighted
 from airpuck.identification.retiming import variance_of_mean
-from airpuck.model.gauge import fix_gauge
+from airpuck.model.parameters import fix_gauge
 from airpuck.model.uncertainty import Bootstrap
 
 #: Fewer blocks than this cannot be resampled: too many draws would leave parameters undetermined.

@@ -48,9 +48,8 @@ from airpuck.identification.uncertainty import (
     widened,
     without_meaningless,
 )
-from airpuck.model.gauge import fix_gauge
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import Parameters
+from airpuck.model.parameters import Parameters, fix_gauge
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay

@@ -19,8 +19,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.results import Result
 from airpuck.data.windows import Windows
 from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
-from airpuck.model.gauge import gauge_constraints, gauge_directions
-from airpuck.model.parameters import Parameters
+from airpuck.model.parameters import Parameters, gauge_constraints, gauge_directions
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 

@@ -12,8 +12,7 @@ from airpuck.compute.arrays import namespace, with_symbols
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
 from airpuck.physics import rigid_body
-from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import rollout
+from airpuck.physics.rigid_body import Dynamics, rollout
 from airpuck.physics.thrust import is_monotone
 
 #: x, y, γ and their rates.

@@ -2,6 +2,10 @@
 
 The paper's seq:model. All functions are plain array operations over a namespace `xp`; the batch is
 the last axis.
+
+`rollout` predicts a batch of windows over many steps (eq. extended_model_dynamics). The rigid body
+is integrated with the explicit Runge-Kutta method of fourth order, as in the paper. The motors are
+independent of the body, so their exact solution at the stage times is used.
 """
 
 from __future__ import annotations
@@ -12,10 +16,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from airpuck.compute.arrays import linear_map, register_pytree
+from airpuck.compute.arrays import linear_map, register_pytree, scan
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
-from airpuck.physics.motor import lag_at
+from airpuck.physics.motor import lag_at, motor_step
 from airpuck.physics.thrust import thrust
 
 #: The frame in which the offset of the centre of mass is constant. Physically it is the body frame;
@@ -171,3 +175,53 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
         rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
     turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
     return turn @ dynamics.configuration, xp.array([rx, ry, 0.0]) * spin**2
+
+
+def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
+    """Advance the extended state under a constant command by one Runge-Kutta step."""
+    h, tau, idle = duration, dynamics.motor_time_constant, dynamics.idle_lag
+    # A motor without lag has its new speed from the start of the step.
+    begin = xp.where(tau > 0, state[6:], command)
+    middle = motor_step(xp, begin, command, h / 2, tau, idle)
+    end = motor_step(xp, begin, command, h, tau, idle)
+
+    def rates(motion: Any, motor_speed: Any) -> Any:
+        return xp.stack([motion[3], *acceleration(xp, dynamics, motion, motor_speed)])
+
+    motion = state[2:6]
+    k1 = rates(motion, begin)
+    k2 = rates(motion + h / 2 * k1, middle)
+    k3 = rates(motion + h / 2 * k2, middle)
+    k4 = rates(motion + h * k3, end)
+    # Nothing depends on the position, so its stages are sums of the velocity's stages.
+    position = state[:2] + h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
+    return xp.concatenate([position, motion + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), end])
+
+
+def rollout(xp: Any, dynamics: Dynamics, state: Any, commands: Any, durations: Any) -> Any:
+    """Predict a batch of windows.
+
+    Parameters
+    ----------
+    xp : module
+        numpy or jax.numpy.
+    dynamics : Dynamics
+        Coefficients.
+    state : array, shape (6 + n, ...)
+        Extended states to start from.
+    commands : array, shape (T, n, ...)
+        Command in force over each step.
+    durations : array, shape (T, ...)
+        Duration of each step [s].
+
+    Returns
+    -------
+    array, shape (T, 6 + n, ...)
+        Extended state at the end of each step.
+    """
+
+    def advance(state: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
+        state = step(xp, dynamics, state, *held)
+        return state, state
+
+    return scan(xp, advance, state, (commands, durations))[1]

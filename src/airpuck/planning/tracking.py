@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.discretization import motor_lag, point_mass
 from airpuck.control.law import Law, LawOptions, Moment, Step, staged
-from airpuck.control.lqr import LQR
+from airpuck.control.lqr import LQR, motor_lag, point_mass
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController

@@ -1,6 +1,6 @@
 """The shortest flight as a nonlinear program: direct multiple shooting in CasADi, solved by IPOPT.
 
-The step from node to node is `airpuck.physics.rollout.step`, traced with CasADi's symbols.
+The step from node to node is `airpuck.physics.rigid_body.step`, traced with CasADi's symbols.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.arrays import with_symbols
 from airpuck.model.model_file import Model
-from airpuck.physics.rollout import step
+from airpuck.physics.rigid_body import step
 from airpuck.planning.request import Request
 
 #: x, y, γ and their rates.

@@ -1,4 +1,10 @@
-"""ROS message types of each stream, and codecs between their bytes and a stream's numbers."""
+"""ROS message types of each stream, and codecs between their bytes and a stream's numbers.
+
+Definitions are parsed within limits. rosbags compiles a definition to code, with a line for each
+element of an array of messages or texts. Its IDL parser tries every alternative in each pair of
+brackets, and evaluates constant expressions. A definition of a few bytes can therefore grow without
+bound.
+"""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from airpuck.control.discretization import rotation_error
+from airpuck.control.lqr import rotation_error
 from airpuck.data.trajectory import runs
 from airpuck.flight.replay import Replay
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track

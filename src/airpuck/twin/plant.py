@@ -14,9 +14,8 @@ from airpuck.compute.compiled import program
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import make_effects
-from airpuck.physics.contact import contact_impulse, mobility
-from airpuck.physics.rigid_body import Dynamics
-from airpuck.physics.rollout import step
+from airpuck.physics.puck import contact_impulse, mobility
+from airpuck.physics.rigid_body import Dynamics, step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Longest step of the integration [s]: below half the period of control.
