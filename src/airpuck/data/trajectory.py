@@ -152,20 +152,22 @@ class Trajectory:
         """Usual time between samples [s]."""
         return usual_period(self.time)
 
-    def steps(self, duration: float) -> int:
+    def steps(self, duration: float, least: int = 1) -> int:
         """Return a duration as a number of samples.
 
         Parameters
         ----------
         duration : float
             Duration [s].
+        least : int, default 1
+            Smallest number to return. An encoder needs two: commands act between samples.
 
         Returns
         -------
         int
-            Rounded to the nearest sample, and at least one.
+            Rounded to the nearest sample, and at least `least`.
         """
-        return max(round(duration / self.sample_period), 1)
+        return max(round(duration / self.sample_period), least)
 
     @cached_property
     def input(self) -> Float[np.ndarray, "N n"]:

@@ -70,7 +70,8 @@ class EffectErrors:
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     """Estimate the systematic errors of a model; None where the recording is too short for it."""
-    before, ahead = map(trajectory.steps, (_PAST_S, _AHEAD_S))
+    before = trajectory.steps(_PAST_S, least=2)
+    ahead = trajectory.steps(_AHEAD_S)
     count = len(trajectory.window_starts(before + ahead, ahead))
     if count * _AHEAD_S < _FEWEST_BLOCKS * _BLOCK_S:
         return None

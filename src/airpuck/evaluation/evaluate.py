@@ -257,7 +257,7 @@ def evaluate(
             "choose the encoder actuation",
             field="encoder",
         )
-    before, ahead = map(trajectory.steps, (protocol.encoder_time, protocol.prediction_time))
+    before, ahead = _samples(trajectory, protocol)
     step = min(trajectory.steps(protocol.horizon), ahead)
     spacing = max(1, round(step / _STARTS_PER_HORIZON))
     windows, errors = _predicted(model, trajectory, protocol, encoder, before + ahead)
@@ -297,11 +297,18 @@ def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
     )
 
 
+def _samples(trajectory: Trajectory, protocol: Protocol) -> tuple[int, int]:
+    """Return how many samples a window has before and after its present."""
+    return trajectory.steps(protocol.encoder_time, least=2), trajectory.steps(
+        protocol.prediction_time
+    )
+
+
 def _predicted(
     model: Model, trajectory: Trajectory, protocol: Protocol, encoder: Encoder, stride: int
 ) -> tuple[Windows, Float[np.ndarray, "T 3 W"]]:
     """Predict from one start in every `stride` samples."""
-    before, ahead = map(trajectory.steps, (protocol.encoder_time, protocol.prediction_time))
+    before, ahead = _samples(trajectory, protocol)
     windows = hold_for(model, make_windows(trajectory, before, ahead, stride=stride))
     past = _past(trajectory, windows, protocol)
     return windows, prediction_errors(model.dynamics, windows, encoder, past)
@@ -312,7 +319,7 @@ def _past(trajectory: Trajectory, windows: Windows, protocol: Protocol) -> Int[n
     firsts = np.array([first for first, _ in trajectory.segments])
     present = windows.present
     begun = firsts[np.searchsorted(firsts, present, side="right") - 1]
-    longest = trajectory.steps(protocol.longest_past or protocol.encoder_time)
+    longest = trajectory.steps(protocol.longest_past or protocol.encoder_time, least=2)
     return np.minimum(present - begun + 1, longest)
 
 

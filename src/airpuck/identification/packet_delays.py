@@ -31,6 +31,8 @@ _SWITCH = 0.1
 _KNOWN = 4e-3
 #: Packets later or earlier than this were lost, or their motors did not respond [s].
 _LOST = 0.06
+#: Fewest samples around an arrival: a line takes two, the size of the noise more.
+_FEWEST = 6
 #: Assumed error of other packets nearby, as a standard deviation [s]; how long before the window
 #: they still matter [s]; and the largest number on either side.
 _USUAL, _BEFORE, _MOST = 0.01, 0.03, 16
@@ -120,6 +122,8 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
     arrival = trajectory.command_time + shift
     change = np.diff(trajectory.command, axis=0, prepend=trajectory.command[:1])
     packet = np.flatnonzero(np.abs(change).max(axis=1) > _SWITCH)
+    if trajectory.steps(_LENGTH) < _FEWEST:
+        return None
     first = np.searchsorted(trajectory.time, arrival[packet]) - trajectory.steps(_LEAD)
     whole = np.isin(first, trajectory.window_starts(trajectory.steps(_LENGTH)))
     if not whole.any():

@@ -92,7 +92,9 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
         if len(time[part]) < fewest:
             continue  # excluded by preprocessing, which has no velocities there either
         gained, moved = integrated(modelled[part], np.diff(time[part])[:, None])
-        state[part, 3:] = gained + velocity(time[part], state[part, :3] - moved)
+        state[part, 3:] = gained + velocity(
+            time[part], state[part, :3] - moved, trajectory.sample_period
+        )
     return replace(trajectory, state=state)
 
 

@@ -179,7 +179,7 @@ class Loss(Settings):
                     file=other.source,
                 )
         steps = first.steps
-        before, stride = steps(self.encoder_time), steps(self.spacing)
+        before, stride = steps(self.encoder_time, least=2), steps(self.spacing)
         return before, None if ahead is None else steps(ahead), stride
 
 

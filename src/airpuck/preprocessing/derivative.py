@@ -33,18 +33,22 @@ def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 
 
 def smooth(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], duration: float
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    duration: float,
+    period: float | None = None,
 ) -> Float[np.ndarray, "N k"]:
     """Smooth with local cubic polynomials (Savitzky-Golay).
 
     If a window has no more poses than a cubic has coefficients, poses are not smoothed: their
-    differences contain little noise.
+    differences contain little noise. If `time` is a stretch between gaps, `period` is the usual
+    sample period of the whole recording, which a few samples may not show.
     """
-    period = usual_period(time)
-    window = window_length(duration, period)
+    own = usual_period(time)
+    window = window_length(duration, own if period is None else period)
     if window <= POLYNOMIAL_ORDER + 1:
         return values
-    if period != np.median(np.diff(time)):
+    if own != np.median(np.diff(time)):
         return _smooth_unevenly(time, values, window)
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
     # filter gives the same result, but importing scipy.signal takes longer than all of
@@ -70,17 +74,17 @@ def _smooth_unevenly(
 
 
 def velocity(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], period: float | None = None
 ) -> Float[np.ndarray, "N k"]:
     """Differentiate once: smooth over 46 ms, then second-order differences."""
-    return np.gradient(smooth(time, values, VELOCITY_TIME), time, axis=0, edge_order=2)
+    return np.gradient(smooth(time, values, VELOCITY_TIME, period), time, axis=0, edge_order=2)
 
 
 def acceleration(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], period: float | None = None
 ) -> Float[np.ndarray, "N k"]:
     """Differentiate twice: smooth over 62 ms, then the second divided difference."""
-    smoothed = smooth(time, values, ACCELERATION_TIME)
+    smoothed = smooth(time, values, ACCELERATION_TIME, period)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (
         2

@@ -208,14 +208,15 @@ def _velocity_and_acceleration(
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
     """Differentiate each stretch between gaps separately; mark those that are too short."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
-    short, fewest = [], shortest_stretch(usual_period(time))
+    short, period = [], usual_period(time)
+    fewest = shortest_stretch(period)
     for part in stretches(time):
         within = time[part]
         if len(within) < fewest:
             short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
             continue
-        rates[part] = velocity(within, values[part])
-        accelerations[part] = acceleration(within, values[part])
+        rates[part] = velocity(within, values[part], period)
+        accelerations[part] = acceleration(within, values[part], period)
     return rates, accelerations, short
 
 

@@ -164,7 +164,7 @@ def _protocol_words(evaluation: Evaluation) -> str:
     """Describe the protocol in a sentence."""
     protocol = evaluation.protocol
     after = evaluation.horizon_step * evaluation.sample_period
-    before = round(protocol.encoder_time / evaluation.sample_period)
+    before = max(round(protocol.encoder_time / evaluation.sample_period), 2)
     return (
         f"Protocol “{protocol.name}”, encoder “{evaluation.encoder}”: "
         f"{evaluation.errors.shape[2]} windows without overlap, each of {before} samples for the "
