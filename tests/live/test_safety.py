@@ -140,7 +140,7 @@ def test_the_others_half_is_out_of_bounds(side):
     last = poses(guard, 0.0, 0.5, at=(0.06 * side, 0.0, 0.0))
     assert guard.refusal(last) is None
     last = poses(guard, 0.5, 0.6, at=(0.04 * side, 0.0, 0.0))
-    assert guard.refusal(last) == "the craft is in the other's half"
+    assert guard.refusal(last) == "the craft is in the opponent's half"
     last = poses(guard, 0.6, 0.7, at=(0.02 * side, 0.0, 0.0))
     assert guard.refusal(last)
     last = poses(guard, 0.7, 1.2, at=(0.07 * side, 0.0, 0.0))

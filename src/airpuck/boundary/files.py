@@ -62,7 +62,7 @@ class Section(pydantic.BaseModel):
         return self
 
     def model_copy(self, **how: Any) -> Any:
-        """Copy as pydantic does, without what cached properties hold of the original."""
+        """Copy without the original's cached properties; see `pydantic.BaseModel.model_copy`."""
         copied = super().model_copy(**how)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             object.__delattr__(copied, name)

@@ -266,7 +266,7 @@ class Game:
                 progress(max(self.time / rules.limit_s, max(self.score) / rules.goals))
 
     def recording(self) -> Recording:
-        """Return what a recorder on the network would have logged.
+        """Return the flight as a recorder on the network would log it.
 
         Returns
         -------

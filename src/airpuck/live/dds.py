@@ -14,9 +14,9 @@ from airpuck.recording.cdr import Types
 
 _TOPIC_PREFIX = "rt"
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
-#: A process that was killed is gone from the graph after this long [s].
+#: A killed process disappears from the graph after this long [s].
 LEASE = 3
-#: At most 40 processes of one domain on one machine look for each other by port.
+#: At most 40 processes of one domain on one machine find each other by port.
 _LOCAL_PEERS = (
     "<ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>"
@@ -38,8 +38,7 @@ def domain_config(interface: str | None) -> str:
     """Return Cyclone's configuration of a domain on an interface; None is loopback.
 
     On loopback there is no multicast: participants look for each other at the ports of 127.0.0.1,
-    and no packet can leave the machine. On a named interface discovery is by multicast, as in
-    ROS 2.
+    and no packet can leave the machine. On a named interface discovery uses multicast, as in ROS 2.
     """
     interfaces = [name for _, name in socket.if_nameindex()]
     loopback = next((name for name in interfaces if name in ("lo", "lo0")), "lo")
@@ -84,7 +83,7 @@ def ros_type(name: str) -> str:
 
 
 def idl_struct(types: Types, msgtype: str, made: dict[str, Any] | None = None) -> Any:
-    """Make the IDL type of a ROS message, and those within it, unless they are in `made`."""
+    """Make the IDL type of a ROS message and its nested types, unless they are in `made`."""
     from cyclonedds.idl import make_idl_struct
 
     made = {} if made is None else made
@@ -124,8 +123,8 @@ def _field(types: Types, node: Any, description: Any, made: dict[str, Any]) -> A
 def raw_type(struct: Any) -> Any:
     """Make a type whose messages stay CDR bytes, for Cyclone's readers and writers.
 
-    A recorder need not take messages apart, and bytes that are no message cannot make a reader
-    fail. Cyclone asks a type for its name, its description, and conversion to and from bytes.
+    A recorder need not decode messages, and malformed bytes cannot make a reader fail. Cyclone asks
+    a type for its name, its description, and conversion to and from bytes.
     """
 
     class RawMessage:

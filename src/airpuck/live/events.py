@@ -1,4 +1,4 @@
-"""What a process says to others: events on ``/rosout``, a heartbeat on ``/diagnostics``."""
+"""Reports to other processes: events on ``/rosout``, a heartbeat on ``/diagnostics``."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from airpuck.recording.message import MessageCodec, definitions
 EVENTS, HEARTBEAT = "/rosout", "/diagnostics"
 EVENT_TYPE, HEARTBEAT_TYPE = "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray"
 Level = Literal["info", "warning", "error"]
-#: ROS's numbers of the levels of an event, and of a heartbeat.
+#: ROS's numeric levels of an event, and of a heartbeat.
 EVENT_LEVELS: dict[Level, int] = {"info": 20, "warning": 30, "error": 40}
 _HEARTBEAT_LEVELS: dict[Level, int] = {"info": 0, "warning": 1, "error": 2}
-#: An event that repeats within this time is held back [s].
+#: A repeated event within this time is held back [s].
 _REPEATS = 1.0
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 
@@ -43,26 +43,26 @@ class EventLog:
         self._heartbeats = graph.publisher(HEARTBEAT, HEARTBEAT_TYPE, types, STATE)
         #: When each kind of event was last published [s].
         self._published: dict[str, float] = {}
-        #: Events held back by kind: level, text of the last, and their number.
+        #: Events held back by kind: level, last text, and count.
         self._held: dict[str, tuple[Level, str, int]] = {}
-        #: How many events of each level there were, repetitions included.
+        #: Number of events of each level, repetitions included.
         self.counts: dict[str, int] = dict.fromkeys(EVENT_LEVELS, 0)
 
     def log(self, level: Level, text: str, *, kind: str | None = None) -> None:
-        """Publish an event; texts that differ only in numbers are of the same kind by default."""
+        """Publish an event; by default, texts that differ only in numbers are of the same kind."""
         self.counts[level] += 1
         kind = _NUMBER.sub("#", text) if kind is None else kind
         if time.monotonic() - self._published.get(kind, -math.inf) < _REPEATS:
-            # Last in order again, if it was held before.
+            # Move to the end of the order, if it was held before.
             _, _, count = self._held.pop(kind, (level, text, 0))
             self._held[kind] = level, text, count + 1
             return
-        # Those held back happened before.
+        # Events held back happened before this one.
         self.flush()
         self._publish(level, text, kind)
 
     def flush(self) -> None:
-        """Publish the repetitions that were held back; `heartbeat` does."""
+        """Publish the repetitions that were held back; `heartbeat` calls this."""
         held, self._held = self._held, {}
         for kind, (level, text, count) in held.items():
             self._publish(level, f"{text} ({count} times)" if count > 1 else text, kind)
@@ -89,7 +89,7 @@ class EventLog:
         self._heartbeats.send(self._heartbeat.encode(message))
 
     def _publish(self, level: Level, text: str, kind: str) -> None:
-        """Publish an event, and note when."""
+        """Publish an event, and record the time."""
         now = time.monotonic()
         self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
         self._published[kind] = now

@@ -34,7 +34,7 @@ from airpuck.model.model_file import Model
 
 
 class PlannedSetPoints:
-    """Set points whose times [s] count from when the craft first flies; a `Reference`."""
+    """Set points whose times [s] count from the craft's first flight; a `Reference`."""
 
     def __init__(self, points: SetPoints) -> None:
         self._points = points
@@ -55,7 +55,7 @@ class FollowedSetPoint:
 
     def __init__(self, geofence: tuple[float, float]) -> None:
         self._geofence = geofence
-        #: None before it has been moved to its first place.
+        #: None until it is first placed.
         self.point: SetPoint | None = None
 
     def at(self, now: float, ahead: float) -> Target:
@@ -63,7 +63,7 @@ class FollowedSetPoint:
         return (self.point or SetPoint(0.0, 0.0, 0.0)).at(now, ahead)
 
     def move(self, pose: Float[np.ndarray, " k"]) -> str | None:
-        """Move it to x, y, yaw, at rest; return why not, if it may not go there."""
+        """Move it to x, y, yaw, at rest; return the reason if that is not allowed."""
         if not np.isfinite(pose[:3]).all():
             return "a set point that is not finite"
         x, y, yaw = pose[:3].tolist()
@@ -74,17 +74,17 @@ class FollowedSetPoint:
 
 
 NAME = "airpuck fly"
-#: Idle commands at the end, since one may be lost.
+#: Number of idle commands at the end, since one may be lost.
 _LAST_COMMANDS = 5
-#: Steps before the flight, and how many of them are left out, for the pilot to forget the others.
+#: Number of rehearsal steps, and how many of them are skipped so that the pilot forgets the others.
 _WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
-#: Poses that came until then are taken in before a command is due [s].
+#: Poses that arrive by then are processed before a command is due [s].
 _EARLY = 0.002
 _GO, _QUIT = "g", "q"
-#: In the preflight check the frame may be wrong, and the units: what ends the test near a rail is
-#: the pilot, and where the poses jump its pulses remain what they are.
+#: In the preflight check the frame and the units may be wrong. The pilot itself ends the test near
+#: a rail, and pulses keep their length even if poses jump.
 ANYWHERE = SafetyLimits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
-#: For the check to find the graph, and for the guard to believe the poses [s].
+#: Time for the check to find the graph, and for the guard to accept the poses [s].
 _PATIENCE = 3.0
 
 
@@ -100,33 +100,33 @@ def fly_live(
     warm_up: bool = True,
     spectators: Sequence[Spectator] = (),
 ) -> dict[str, Any]:
-    """Fly a craft on the graph, until its time is over, SIGINT or SIGTERM.
+    """Fly a craft on the graph until the time is over, SIGINT or SIGTERM.
 
     Parameters
     ----------
     make_pilot : callable
-        Makes what computes the commands; called once no other controller is on the graph.
+        Makes the pilot; called once no other controller is on the graph.
     vehicle : Vehicle
         The craft.
     limits : SafetyLimits
-        What the guard lets through.
+        Limits enforced by the guard.
     settings : LiveSettings, optional
         How to join the graph, and for how long.
     period : float, default 0.01
         Time between commands [s].
     over : callable, optional
-        From the time of a command [s] to whether the flight is over.
+        Maps the time of a command [s] to whether the flight is over.
     name : str, default "airpuck fly"
-        What others see as its name.
+        Name of the process for others.
     warm_up : bool, default True
-        Whether the pilot flies some steps before, so that everything is compiled.
+        Whether to rehearse some steps, so that everything is compiled.
     spectators : sequence of Spectator, optional
-        Who sees what is measured and done, in their order.
+        Spectators of measurements and actions, in order.
 
     Returns
     -------
     dict
-        Figures for ``--json``.
+        Results for ``--json``.
 
     Raises
     ------
@@ -136,14 +136,14 @@ def fly_live(
     prioritize(first=True)
     with Process(name, settings or LiveSettings()) as process:
         process.refuse_second("command", vehicle.propeller_names, "controller")
-        # Others need not wait for the compiler.
+        # Other spectators need not wait for the compiler.
         prioritize(first=False)
         pilot = make_pilot()
         check_pilot(pilot)
         if warm_up:
             _warm_up(pilot, period)
         prioritize(first=True)
-        # Another one may have begun meanwhile.
+        # Another controller may have started meanwhile.
         process.refuse_second("command", vehicle.propeller_names, "controller")
         for spectator in spectators:
             spectator.begin(process, pilot)
@@ -159,7 +159,7 @@ def preflight_live(
     *,
     table: Table | None = None,
 ) -> Preflight:
-    """Give each motor of a craft on the graph short pulses, and judge what it does."""
+    """Give each motor of a craft on the graph short pulses, and judge the response."""
     pilot = PulseTest(model.vehicle, plan, table)
     settings = replace(settings or LiveSettings(), duration=pilot.duration + _PATIENCE)
     fly_live(
@@ -179,11 +179,11 @@ class Spectator(Protocol):
     """Observes a flight while it runs; it must not delay the loop."""
 
     def begin(self, process: Process, pilot: Pilot) -> None:
-        """Take note of who flies, before time begins."""
+        """Receive the flight's participants, before time begins."""
         ...
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a pose of the craft or of something else."""
+        """Receive a pose of the craft or another body."""
         ...
 
     def after(self, action: Action) -> None:
@@ -191,12 +191,12 @@ class Spectator(Protocol):
         ...
 
     def to_json(self) -> dict[str, Any]:
-        """Return figures for ``--json``."""
+        """Return results for ``--json``."""
         ...
 
 
 class GraphLink:
-    """Poses from the graph, of the craft and others, commands to the graph; a `Link`."""
+    """Poses from the graph, of the craft and others; commands to the graph; a `Link`."""
 
     def __init__(
         self,
@@ -218,11 +218,11 @@ class GraphLink:
 
     @property
     def now(self) -> float:
-        """The present, on this process's clock [s]."""
+        """The current time, on this process's clock [s]."""
         return self._clock.now
 
     def wait_until(self, time: float) -> list[Measurement]:
-        """Sleep; then take what has come; see `airpuck.flight.loop.Link`."""
+        """Sleep, then process new messages; see `airpuck.flight.loop.Link`."""
         self._clock.sleep_until(time)
         arrived = [Measurement("pose", stamp, pose) for stamp, pose in self.poses.take()]
         if arrived:
@@ -241,15 +241,15 @@ class GraphLink:
         self.commands.send(command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Publish what the craft is asked to do; see `airpuck.flight.loop.Link`."""
+        """Publish the reference; see `airpuck.flight.loop.Link`."""
         if self._references is not None:
             self._references.send(reference)
 
 
 class _Flight:
-    """One flight: the guard, the link, and what others hear of it."""
+    """One flight: the guard, the link, and reports to others."""
 
-    #: Reads the keys that were pressed; None without a terminal.
+    #: Reads pressed keys; None without a terminal.
     pressed: Callable[[], str] | None = None
 
     def __init__(
@@ -284,12 +284,12 @@ class _Flight:
         self._quit = False
 
     def run(self, over: Callable[[float], bool]) -> dict[str, Any]:
-        """Fly; return the figures for ``--json``."""
+        """Fly; return results for ``--json``."""
         process, link = self._process, self._link
         usage = f"; any key stops the motors, {_GO} lets them run, {_QUIT} ends"
         process.start(usage if self.pressed else "")
-        # What takes long the first time is done before the motors may run; the poses that have
-        # come meanwhile are old.
+        # Slow first-time work is done before the motors may run; poses that arrived meanwhile are
+        # stale.
         self._give_way()
         self._report("starting")
         for inbox in self._inboxes:
@@ -318,7 +318,7 @@ class _Flight:
         }
 
     def _after(self, action: Action) -> None:
-        """Do what can wait until the command is sent."""
+        """Do work that can wait until the command is sent."""
         done, step = self._link.commands.sent, action.step
         for timing in (self._timing, self._recent):
             timing.add(action.due, done, self._link.newest)
@@ -341,7 +341,7 @@ class _Flight:
             self._report(step.status)
 
     def _follow_wishes(self) -> None:
-        """Move the set point to where the graph wants it; at first, to where the craft is."""
+        """Move the set point to the target on the graph; initially to the craft's position."""
         followed = self._reference
         if self._wishes is None or not isinstance(followed, FollowedSetPoint):
             return
@@ -353,7 +353,7 @@ class _Flight:
                 self._process.events.log("warning", f"refused: {refusal}", kind="set point")
 
     def _obey(self, key: str) -> None:
-        """Do what the operator asks for: any other key stops the motors."""
+        """Act on the operator's keys: any other key stops the motors."""
         if key == _GO:
             self._guard.release("operator")
         elif key == _QUIT:
@@ -362,7 +362,7 @@ class _Flight:
             self._guard.stop("operator", "stopped by the operator")
 
     def _give_way(self) -> None:
-        """Leave the motors to another controller, as long as there is one."""
+        """Leave the motors to another controller while there is one."""
         graph = self._process.graph
         rivals = graph.publishers(self._process.topics.command)
         if rivals:
@@ -372,7 +372,7 @@ class _Flight:
             self._guard.release("rival")
 
     def _report(self, status: str) -> None:
-        """Report unreadable publishers, and the loop's timing; once a second."""
+        """Report publishers with unreadable types, and the loop's timing; once a second."""
         for inbox in self._inboxes:
             inbox.report_strangers()
         warning = self._recent.warning()
@@ -387,7 +387,7 @@ class _Flight:
 
 
 def _warm_up(pilot: Pilot, period: float) -> None:
-    """Fly some steps on the spot before time begins, so that everything is compiled and loaded."""
+    """Rehearse some steps on the spot before time begins, so that everything is compiled."""
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):
         now = k * period
@@ -397,7 +397,7 @@ def _warm_up(pilot: Pilot, period: float) -> None:
 
 @contextlib.contextmanager
 def keyboard() -> Iterator[Callable[[], str] | None]:
-    """Read single key presses; yield their reader, or None without a terminal."""
+    """Read single key presses; yield a reader, or None without a terminal."""
     # A process in the background would be stopped for reading.
     if not sys.stdin or not sys.stdin.isatty() or os.tcgetpgrp(0) != os.getpgrp():
         yield None

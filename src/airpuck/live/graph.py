@@ -16,7 +16,7 @@ from airpuck.recording.conversion import SECOND_NS
 if TYPE_CHECKING:
     from uuid import UUID
 
-#: Samples taken at once; more wait for the next call.
+#: Number of samples taken at once; more wait for the next call.
 _BATCH = 256
 
 
@@ -30,7 +30,7 @@ class Quality:
     transient_local: bool = False
     #: Messages kept.
     depth: int = 64
-    #: A message is worth sending for this long [s]; None is forever.
+    #: Lifetime of a message [s]; None is forever.
     lifespan: float | None = None
 
 
@@ -43,7 +43,7 @@ LOG = Quality(transient_local=True, depth=1000, lifespan=10.0)
 
 @dataclass(frozen=True)
 class Sample:
-    """A message as it came."""
+    """A received message."""
 
     #: When it was sent, by the sender's clock [ns since the epoch].
     sent_ns: int
@@ -61,7 +61,7 @@ class Endpoint:
     #: ROS names.
     topic: str
     msgtype: str
-    #: What it offers.
+    #: The offered quality of service.
     reliable: bool
     transient_local: bool
 
@@ -85,7 +85,7 @@ class Subscription:
         self._reader, self._kind, self._condition = reader, kind, condition
 
     def take(self) -> list[Sample]:
-        """Take what has come since the last call."""
+        """Take new messages since the last call."""
         return [
             Sample(item.sample_info.source_timestamp, item.data)
             for item in self._reader.take(_BATCH)
@@ -99,7 +99,7 @@ class Graph:
     Parameters
     ----------
     name : str
-        What others see as its name.
+        Name of the process for others.
     domain : int, optional
         DDS domain; by default ``ROS_DOMAIN_ID``, or 0.
     interface : str, optional
@@ -108,8 +108,8 @@ class Graph:
     Raises
     ------
     InputError
-        If Cyclone DDS is not installed, the domain or the interface does not exist, or this
-        process is in the domain over another interface already.
+        If Cyclone DDS is not installed, the domain or the interface does not exist, or this process
+        has already joined the domain over another interface.
     """
 
     #: Cyclone configures a domain once in a process.
@@ -153,7 +153,7 @@ class Graph:
         self._publications = read(self._participant, builtin.BuiltinTopicDcpsPublication)
         self._subscriptions = read(self._participant, builtin.BuiltinTopicDcpsSubscription)
         self._endpoints: dict[UUID, Endpoint] = {}
-        #: Subscribers: their process and their topic, as in ROS.
+        #: Subscribers: their process and their topic, with ROS names.
         self._hearers: dict[UUID, tuple[UUID, str | None]] = {}
         self._owners: dict[UUID, str] = {}
 
@@ -167,7 +167,7 @@ class Graph:
         types : mapping
             Definitions by type name.
         quality : Quality
-            What is offered.
+            The offered quality of service.
 
         Returns
         -------
@@ -195,7 +195,7 @@ class Graph:
         quality : Quality
             Requested quality; a publisher that offers less is not matched.
         wakes : bool, default False
-            Whether `wait` returns when a message comes; costs a moment for each message.
+            Whether `wait` returns when a message comes; this adds a small cost for each message.
 
         Returns
         -------
@@ -205,7 +205,7 @@ class Graph:
         Raises
         ------
         InputError
-            If this process has the topic with another type.
+            If this process already uses the topic with another type.
         """
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
@@ -276,7 +276,7 @@ class Graph:
         ]
 
     def subscribers(self, topic: str) -> set[UUID]:
-        """Return which other processes have subscribed to a topic, as far as discovery has come.
+        """Return which other processes have subscribed to a topic, as far as discovery knows.
 
         Parameters
         ----------
@@ -314,7 +314,7 @@ class Graph:
         Returns
         -------
         str
-            Name, process and machine, as far as the other side says.
+            Name, process and machine, as far as the other side reports them.
         """
         from cyclonedds.core import InstanceState, Policy
 
@@ -323,7 +323,7 @@ class Graph:
                 continue
             properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
             name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
-            # Not one of our processes: what Cyclone says of it, if it runs Cyclone.
+            # For foreign processes, the information from Cyclone, if they run it.
             self._owners[item.key] = name or (
                 f"{properties.get('__ProcessName', 'an unknown program')} (process "
                 f"{properties.get('__Pid', '?')} on {properties.get('__Hostname', '?')})"
@@ -332,7 +332,7 @@ class Graph:
         return self._owners.get(who, f"an unknown program (participant {who})")
 
     def close(self) -> None:
-        """Leave the graph; others see it at once."""
+        """Leave the graph; others notice at once."""
         self._writers.clear()
         # Cyclone's Python deletes an entity without references, and offers no other way.
         participant: Any = self._participant

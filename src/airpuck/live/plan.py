@@ -1,4 +1,4 @@
-"""The plan ahead of a predictive law, on the graph: a path, and what holds it back."""
+"""The plan of a predictive law, on the graph: a path, and the active limits."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from airpuck.live.graph import SENSOR
 from airpuck.live.process import Process
 from airpuck.recording.message import MessageCodec, definitions
 
-#: A standard message, which rviz and Foxglove draw; and the name on ``/diagnostics`` of what
-#: limits it.
+#: A standard message, which rviz and Foxglove draw; and the name on ``/diagnostics`` of its active
+#: limits.
 PLAN, PLAN_TYPE = "/control/plan", "nav_msgs/msg/Path"
 NAME = "airpuck plan"
-#: Poses of a path that are drawn; somebody else's may have any number.
+#: Number of poses of a path that are drawn; foreign paths may have any number.
 _MOST = 200
 _POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -33,7 +33,7 @@ class PlanOutbox:
         self._publisher = process.graph.publisher(PLAN, PLAN_TYPE, types, SENSOR)
 
     def send(self, step: Step) -> None:
-        """Send what a step expects, if its law predicts."""
+        """Publish the prediction of a step, if its law predicts."""
         plan, estimate = step.prediction, step.estimate
         if plan is None or estimate is None:
             return
@@ -62,7 +62,7 @@ class PlanOutbox:
 
 
 def positions(path: Any) -> Float[np.ndarray, "N 2"] | None:
-    """Return the positions of a path; None if there are not two, or one is not finite."""
+    """Return the positions of a path; None if there are fewer than two, or one is not finite."""
     points = [(at.pose.position.x, at.pose.position.y) for at in path.poses[:_MOST]]
     found = np.array(points, dtype=float).reshape(-1, 2)
     return found if len(found) > 1 and np.isfinite(found).all() else None

@@ -1,4 +1,4 @@
-"""A process on the graph: how it joins, its streams as numbers, its events, clock and end."""
+"""A process on the graph: joining, streams as numbers, events, clock and shutdown."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from airpuck.recording.message import StreamCodec
 if TYPE_CHECKING:
     from airpuck.control.reference import Numbers
 
-#: Estimates and references are sent again when lost; of other streams only the newest counts.
+#: Estimates and references are sent again when lost; of other streams only the newest message
+#: counts.
 _QUALITY = {"estimate": STATE, "reference": STATE}
 #: Time between heartbeats [s].
 _HEARTBEAT = 1.0
@@ -35,14 +36,14 @@ _NOTABLE_OFFSET = 0.1
 #: A process that did not poll for this long was suspended [s]; messages from the system's buffers
 #: keep arriving for this long afterwards [s].
 _STOOD_STILL, _COMES_LATE = 0.1, 0.05
-#: How often the last message is sent again, for those that came late [s].
+#: Period for resending the last message to late subscribers [s].
 _REMIND = 1.0
 
 
 class Process:
     """A process on the graph, to be used as a context manager.
 
-    From `start` on, SIGINT and SIGTERM end its loop rather than the process.
+    From `start` on, SIGINT and SIGTERM end its loop instead of the process.
     """
 
     def __init__(self, name: str, settings: LiveSettings) -> None:
@@ -52,7 +53,7 @@ class Process:
         self.events = EventLog(self.graph, name, quiet=settings.quiet)
         self.clock = Clock()
         self.beat = Every(_HEARTBEAT)
-        #: Whether SIGINT or SIGTERM has come.
+        #: Whether SIGINT or SIGTERM has arrived.
         self.interrupted = False
         self._handlers: dict[signal.Signals, Any] = {}
 
@@ -65,7 +66,7 @@ class Process:
         self.graph.close()
 
     def refuse_second(self, stream: str, motors: tuple[str, ...], role: str) -> None:
-        """Raise an InputError if another process publishes a stream; it has one publisher only."""
+        """Raise InputError if another process already publishes a stream."""
         topic, codec, quality = _wire(self, stream, motors)
         heard = self.graph.subscription(topic, codec.msgtype, codec.types, quality)
         start = time.monotonic()
@@ -81,18 +82,18 @@ class Process:
             time.sleep(0.02)
 
     def start(self, text: str) -> None:
-        """Let time begin; everything slow has been done."""
+        """Start the clock; all slow work has been done."""
         for number in (signal.SIGINT, signal.SIGTERM):
             self._handlers[number] = signal.signal(number, self._interrupt)
         self.events.log("info", f"on domain {self.graph.domain}{text}")
-        # The garbage collector need not look through what exists now.
+        # The garbage collector need not scan existing objects.
         gc.collect()
         gc.freeze()
         self.clock.restart()
 
     @property
     def goes_on(self) -> bool:
-        """Whether its time is not over, and no signal has come."""
+        """Whether time is left, and no signal has come."""
         duration = self.settings.duration
         return not self.interrupted and (duration is None or self.clock.now < duration)
 
@@ -109,7 +110,7 @@ def _wire(
 
 
 class Inbox:
-    """One stream as it arrives; what is wrong with its messages is logged, unless it is quiet."""
+    """One stream as it arrives; problems with its messages are logged, unless it is quiet."""
 
     def __init__(
         self,
@@ -129,15 +130,15 @@ class Inbox:
         self._stamps, self._reported_offset = StampClock(), 0.0
         self._looked, self._late_until = self._clock.now, -math.inf
         self._strangers: set[Endpoint] = set()
-        #: Messages that could be used, and that could not.
+        #: Number of usable messages, and of unusable ones.
         self.good = self.bad = 0
 
     def discard(self) -> None:
-        """Drop what has come."""
+        """Drop pending messages."""
         self._subscription.take()
 
     def take(self) -> list[tuple[float, Float[np.ndarray, " k"]]]:
-        """Take what has come: when each message was stamped, on our clock [s], and its numbers."""
+        """Take new messages: the time of each stamp on our clock [s], and its numbers."""
         taken = []
         for arrival, stamp_ns, values in self._decoded():
             if stamp_ns is None:
@@ -158,7 +159,7 @@ class Inbox:
         return taken
 
     def take_commands(self) -> list[Float[np.ndarray, " k"]]:
-        """Take numbers that act on arrival, whatever their stamps and the sender's clock say."""
+        """Take numbers that act on arrival, whatever their stamps and the sender's clock."""
         before, self._looked = self._looked, self._clock.now
         if self._looked - before > _STOOD_STILL:
             self._late_until = self._looked + _COMES_LATE
@@ -175,7 +176,7 @@ class Inbox:
         return taken
 
     def report_strangers(self) -> None:
-        """Warn once of each publisher of another type on the topic: it is not heard."""
+        """Warn once about each publisher of another type on the topic: it is ignored."""
         for endpoint in self._graph.publishers(self._topic):
             if endpoint.msgtype != self._codec.msgtype and endpoint not in self._strangers:
                 self._strangers.add(endpoint)
@@ -186,7 +187,7 @@ class Inbox:
                 self._warn(text, kind=text)
 
     def _decoded(self) -> Iterator[tuple[float, int | None, Float[np.ndarray, " k"]]]:
-        """Take arrivals [s], stamps [ns since the epoch] and numbers; garbage is refused."""
+        """Take arrivals [s], stamps [ns since the epoch] and numbers of well-formed messages."""
         for sample in self._subscription.take():
             arrival = self._clock.now
             try:
@@ -197,7 +198,7 @@ class Inbox:
                 yield arrival, stamp_ns, values
 
     def _refuse(self, kind: str, text: str) -> None:
-        """Count a message that cannot be used, and warn."""
+        """Count an unusable message, and warn."""
         self.bad += 1
         self._warn(text, kind=f"{kind} {self._topic}")
 
@@ -207,7 +208,7 @@ class Inbox:
 
 
 class Outbox:
-    """One stream as it leaves."""
+    """One outgoing stream."""
 
     def __init__(self, process: Process, stream: str, motors: tuple[str, ...] = ()) -> None:
         self._clock = process.clock
@@ -219,12 +220,12 @@ class Outbox:
         self.sent = -math.inf
 
     def send(self, values: Numbers, moment: float | None = None) -> None:
-        """Send numbers of some moment on our clock [s], by default now."""
+        """Send numbers for a time on our clock [s], by default now."""
         moment = self._clock.now if moment is None else moment
         self._publisher.send(self._codec.encode(self._clock.stamp_ns(moment), values))
         self._last, self.sent = values, self._clock.now
 
     def remind(self) -> None:
-        """Send the last numbers again, if that was a second ago, for those that came late."""
+        """Resend the last numbers every second, for late subscribers."""
         if self._last is not None and self._clock.now - self.sent > _REMIND:
             self.send(self._last)

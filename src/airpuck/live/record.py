@@ -26,13 +26,13 @@ _DEPTH = 2000
 
 @dataclass
 class _Topic:
-    """A topic that is listened to."""
+    """A topic with a subscription."""
 
-    #: Who published on it first.
+    #: The first publisher.
     first: Endpoint
     quality: Quality
     subscription: Subscription
-    #: Taken from an earlier subscription, and not yet handed out.
+    #: Messages from an earlier subscription that were not handed out yet.
     waiting: list[Sample]
 
 
@@ -43,7 +43,7 @@ class Heard:
     #: ROS names.
     topic: str
     msgtype: str
-    #: When it came and when it was sent [ns since the epoch].
+    #: Times of arrival and of sending [ns since the epoch].
     received_ns: int
     sent_ns: int
     #: Messages in CDR, with encapsulation.
@@ -51,22 +51,22 @@ class Heard:
 
 
 class Listener:
-    """Subscribes to whatever others publish, as they begin to; with `own`, to our own, too.
+    """Subscribes to all topics that others publish; with `own`, to our own, too.
 
-    `motors` are the propellers of a craft whose commands are not the authors' message.
+    `motors` are the propellers of a craft whose commands do not use the authors' message.
     """
 
     def __init__(self, graph: Graph, motors: tuple[str, ...] = (), *, own: bool = False) -> None:
         self._graph, self._own = graph, own
         self.types: Types = command_type(motors)[1] if motors else definitions("")
-        #: What is not heard and why; the user empties it.
+        #: Topics that are not heard, with reasons; the user empties it.
         self.notes: list[str] = []
         self._topics: dict[str, _Topic] = {}
         self._refused: set[tuple[str, str]] = set()
         self._look = Every(_LOOK)
 
     def topic(self, name: str) -> Endpoint:
-        """Return the first publisher on a topic that is listened to."""
+        """Return the first publisher on a subscribed topic."""
         return self._topics[name].first
 
     def listen(self, seconds: float) -> Iterator[Heard]:
@@ -78,13 +78,14 @@ class Listener:
             earlier, topic.waiting = topic.waiting, []
             # While there were two subscriptions, both received.
             taken = earlier + [one for one in topic.subscription.take() if one not in earlier]
-            # Read after taking: nothing is received before it was sent, however slow the caller.
+            # Read the clock after taking: nothing is received before it was sent, however slow the
+            # caller.
             received = time.time_ns()
             for sample in taken:
                 yield Heard(name, topic.first.msgtype, received, sample.sent_ns, sample.data)
 
     def _subscribe(self) -> None:
-        """Subscribe to new topics, and ask for less where a publisher offers less."""
+        """Subscribe to new topics, and lower the requested quality if a publisher offers less."""
         for endpoint in self._graph.publishers(own=self._own):
             name, msgtype = endpoint.topic, endpoint.msgtype
             offered = Quality(endpoint.reliable, endpoint.transient_local, _DEPTH)
@@ -121,7 +122,7 @@ class Listener:
 
 
 NAME = "airpuck record"
-#: A recorder that is killed loses at most this much [s], and what the disk had not written.
+#: A killed recorder loses at most this much [s], and what the disk had not written.
 _FLUSH = 0.5
 #: How long to wait for messages [s].
 _WAIT = 0.05
@@ -133,10 +134,10 @@ def record(
     *,
     motors: tuple[str, ...] = (),
 ) -> dict[str, Any]:
-    """Record every topic of the graph as a rosbag2 folder, until its time is over, SIGINT, SIGTERM.
+    """Record every topic of the graph as a rosbag2 folder, until time is over, SIGINT or SIGTERM.
 
-    What was received half a second ago is in the file, whatever happens: `read_recording` reads a
-    file whose recorder was killed. Returns the figures for ``--json``.
+    Messages are in the file half a second after their arrival, whatever happens: `read_recording`
+    can read the file of a killed recorder. Returns the results for ``--json``.
     """
     path = Path(folder)
     check_output(path, "new folder")
@@ -174,7 +175,7 @@ def _record(process: Process, bag: BagFile, motors: tuple[str, ...]) -> dict[str
 
 
 def _take(listener: Listener, bag: BagFile, places: dict[str, int]) -> None:
-    """Record what has come; `places` are the topics in the bag."""
+    """Record new messages; `places` are the topics in the bag."""
     for heard in listener.listen(_WAIT):
         if heard.topic not in places:
             first = listener.topic(heard.topic)

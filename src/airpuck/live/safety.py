@@ -1,4 +1,4 @@
-"""When motors must idle, whatever the controller asks for; independent of any network."""
+"""The guard: when motors must idle, whatever the controller requests. Needs no network."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import checked_step
 
-#: Takes the level and the text of an event.
+#: Receives the level and the text of an event.
 _Log = Callable[[Literal["info", "error"], str], object]
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What a flight must keep to."""
+    """Limits of a flight."""
 
-    #: Greatest distance of the craft's centre from the middle of the table along x and y [m].
+    #: Largest distance of the craft's centre from the centre of the table along x and y [m].
     geofence: tuple[float, float]
     #: Half of the table that the craft's centre must not leave, by the sign of its x; 0: none.
     half: int = 0
-    #: How near to the centre line it may come there [m].
+    #: Smallest allowed distance to the centre line [m].
     line: float = 0.0
-    #: Motors idle when no pose came for this long [s].
+    #: Motors idle after this long without a pose [s].
     pose_timeout: float = 0.05
-    #: This many equal poses in a row are no measurement: every real one has noise.
+    #: This many equal poses in a row are not measurements: real ones have noise.
     frozen: int = 12
-    #: Two poses in a row that are this far apart, beyond what `fastest` explains, jumped [m, rad].
+    #: Two consecutive poses this far apart, beyond what `fastest` explains, count as a jump [m,
+    #: rad].
     jump: tuple[float, float] = (0.05, 0.5)
-    #: Speed and spin that the craft never reaches [m/s, rad/s].
+    #: Speed and yaw rate that the craft never reaches [m/s, rad/s].
     fastest: tuple[float, float] = (3.0, 40.0)
     #: After a fault, poses must be good for this long before motors may run again [s].
     settle: float = 0.3
@@ -61,7 +62,7 @@ class Guard:
         self._heard = -math.inf
         self._last: tuple[float, Float[np.ndarray, " 3"]] | None = None
         self._equal = 1
-        #: Since when everything has been good; None while something is not.
+        #: Since when everything has been good; None while something is wrong.
         self._good_since: float | None = None
         self._reason = "no pose yet"
         self._stopped: dict[str, str] = {}
@@ -79,7 +80,7 @@ class Guard:
                 self._good_since = time
 
     def fault(self, reason: str) -> None:
-        """Note a fault; poses must be good for a while before motors run again."""
+        """Record a fault; poses must be good for a while before motors run again."""
         self._good_since = None
         self._reason = reason
 
@@ -93,7 +94,7 @@ class Guard:
         self._stopped[who] = reason
 
     def release(self, who: str) -> None:
-        """Take a stop back."""
+        """Withdraw a stop."""
         if self._stopped.pop(who, None) is not None:
             self.fault("after a stop")
 
@@ -108,7 +109,7 @@ class Guard:
         return None
 
     def _fault_of(self, time: float, pose: Float[np.ndarray, " 3"]) -> str | None:
-        """Return what is wrong with a pose that follows the last one; None if nothing is."""
+        """Return the problem with a pose that follows the last one; None if there is none."""
         if not np.isfinite(pose).all():
             return "pose is not finite"
         x, y, yaw = pose.tolist()
@@ -126,21 +127,21 @@ class Guard:
         if abs(x) > self.limits.geofence[0] or abs(y) > self.limits.geofence[1]:
             return "the craft is outside the geofence"
         if self.limits.half and x * self.limits.half < self.limits.line:
-            return "the craft is in the other's half"
+            return "the craft is in the opponent's half"
         return None
 
 
 class GuardedPilot(Pilot):
     """A pilot whose commands pass a guard.
 
-    `idle` is the command of idling motors, and the least command that is sent.
+    `idle` is the command of idling motors, and the lowest command that is sent.
     """
 
     def __init__(
         self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
     ) -> None:
         self.pilot, self.guard, self.watches = pilot, guard, pilot.watches
-        #: What the pilot tracked at its latest step.
+        #: The pilot's reference at its latest step.
         self.reference = pilot.reference
         self._idle, self._log = idle, log
         #: Why the motors idle, as last logged; None while they run.
@@ -153,7 +154,7 @@ class GuardedPilot(Pilot):
         self._tell(self.pilot.measured, measurement)
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Pass on what was sent; see `Pilot.sent`."""
+        """Forward the command that was sent; see `Pilot.sent`."""
         self._tell(self.pilot.sent, time, command)
 
     def _tell(self, method: Callable[..., None], *news: Any) -> None:
@@ -171,7 +172,7 @@ class GuardedPilot(Pilot):
             try:
                 step = checked_step(self.pilot, self.pilot.step(time))
                 self.reference = self.pilot.reference
-            # After any failure of a controller, the motors must idle and the loop must run.
+            # After any failure of a controller, the motors must idle and the loop must continue.
             except Exception as error:
                 reason = _failure(error)
             else:
@@ -185,7 +186,7 @@ class GuardedPilot(Pilot):
         return Step(self._idle.copy(), "unsafe", np.zeros(3), None)
 
     def _log_change(self, reason: str | None) -> None:
-        """Log the reason why motors idle, or that they run, when it changes."""
+        """Log the reason for idling motors, or that they run, when it changes."""
         if reason is None and self._logged is not None:
             self._log("info", "flying")
         elif reason is not None and reason != self._logged:
@@ -194,5 +195,5 @@ class GuardedPilot(Pilot):
 
 
 def _failure(error: Exception) -> str:
-    """Write how the controller failed."""
+    """Describe how the controller failed."""
     return f"the controller failed: {type(error).__name__}: {error}"

@@ -1,4 +1,4 @@
-"""The score of a game on the graph, from what the flying process measures."""
+"""The score of a game on the graph, from the measurements of the flying process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from airpuck.live.process import Process
 
 #: Players on the left and on the right.
 NAMES = ("airpuck", "human")
-#: Message of a ruling; filled with the score, the player concerned, and the other.
+#: Message of a ruling; filled in with the score, the player concerned, and the other.
 _SAID = {
     "goal": "goal for {1}, {0}",
     "foul": "foul of {1}, the puck was too long on its side; {2} serves, {0}",
@@ -24,17 +24,17 @@ _SAID = {
 
 
 class Score:
-    """Keeps the score of a flight that plays, and says what changes; a `Spectator`."""
+    """Keeps the score of a flight that plays, and reports changes; a `Spectator`."""
 
     def __init__(self, play: AirHockey) -> None:
         self.keeper = Scorekeeper(play)
-        #: What was called in the latest period.
+        #: Rulings of the latest period.
         self.rulings: list[Ruling] = []
         self._sight: str | None = None
         self._new: list[Measurement] = []
 
     def begin(self, process: Process, pilot: Pilot) -> None:
-        """Take note of who flies; see `Spectator`."""
+        """Receive the participants; see `Spectator`."""
         self._events, self._pilot = process.events, pilot
 
     def measured(self, measurement: Measurement) -> None:
@@ -50,7 +50,7 @@ class Score:
                 self.keeper.puck(one.stamp, one.values)
             else:
                 self.keeper.frame(one.stamp)
-            # Frame by frame, however many of them have come at once.
+            # Process frame by frame, even if several have arrived at once.
             self.rulings += self.keeper.judge()
         self._new.clear()
         left, right = self.keeper.score

@@ -18,9 +18,9 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-#: In place of a skill.
+#: Replaces a skill.
 PAGE = "page"
-#: Where the mallet is at first [m].
+#: Initial position of the mallet [m].
 BEGINS = 0.85
 #: Time from the call to fetching a stuck puck, or the opponent's [s].
 _FETCHED = 0.2
@@ -31,8 +31,8 @@ _HOLDS = 0.25
 class Human:
     """A human on the right of a twin that has a puck and a mallet.
 
-    A script of some skill, or who is at a page (`PAGE`): then the graph says where the mallet is
-    wanted.
+    A script with some skill, or the person at a page (`PAGE`): then the graph gives the mallet's
+    target.
     """
 
     def __init__(self, twin: Twin, process: Process, skill: str, seed: int) -> None:
@@ -43,7 +43,7 @@ class Human:
         self._puck, self._random = world.puck, np.random.default_rng([seed, 21])
         self._side = Side(1, "human", world.mallet)
         self._hand = GuidedHand()
-        #: Where the graph wants the mallet; None where a script moves it.
+        #: Target of the mallet on the graph; None if a script moves it.
         self.targets: Inbox | None = None
         if skill == PAGE:
             self.targets, self._side.hand = Inbox(process, "mallet_target"), self._hand
@@ -57,7 +57,7 @@ class Human:
         self._referee = Referee(rules, twin.settings, 1 if self._puck.state.x > 0 else -1)
 
     def act(self, now: float) -> None:
-        """See puck and craft, move the mallet, and put the puck where it belongs."""
+        """Observe puck and craft, move the mallet, and serve the puck."""
         self._follow(now)
         puck, craft = self._puck, self._twin.state
         seen = None if puck.goal else puck.state
@@ -82,9 +82,9 @@ class Human:
 
 
 NAME = "airpuck twin"
-#: Measurements that this process could not send for this long are lost [s].
+#: Measurements are lost if this process could not send them for this long [s].
 _LOST = 0.05
-#: Simulated before the start, so that everything is compiled [s].
+#: Time simulated before the start, so that everything is compiled [s].
 _WARM_UP = 0.1
 
 
@@ -98,7 +98,7 @@ def serve_twin(
     puck: PuckState | None = None,
     human: str | None = None,
 ) -> dict[str, Any]:
-    """Put a simulated table on the graph, until its time is over, SIGINT or SIGTERM.
+    """Put a simulated table on the graph, until time is over, SIGINT or SIGTERM.
 
     Parameters
     ----------
@@ -109,19 +109,19 @@ def serve_twin(
     twin_settings : TwinSettings, optional
         Table, sensors, radio and faults; by default the packaged ones.
     seed : int, default 0
-        Seed of everything random.
+        Seed of all random numbers.
     pose : tuple of float, default (0, 0, 0)
-        Where the craft stands at first: x, y [m], yaw [rad].
+        Initial pose of the craft: x, y [m], yaw [rad].
     puck : PuckState, optional
-        A puck, which comes back there out of a goal; by default there is none.
+        A puck, which returns to this position from a goal; by default there is no puck.
     human : str, optional
-        Skill of a scripted human who plays on the right with a mallet, and serves by the rules, or
-        ``page``: the person at a page moves the mallet; by default there is no human.
+        Skill of a scripted human who plays on the right with a mallet, and serves by the rules; or
+        ``page``: the person at a page moves the mallet. By default there is no human.
 
     Returns
     -------
     dict
-        Figures for ``--json``.
+        Results for ``--json``.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def serve_twin(
 
 
 class _Table:
-    """A twin, and the streams it lives on."""
+    """A twin and its streams."""
 
     def __init__(
         self, twin: Twin, process: Process, puck: PuckState | None, human: str | None, seed: int
@@ -165,7 +165,7 @@ class _Table:
         process.start(f": {twin.model.name}")
 
     def turn(self) -> None:
-        """Wait for a command or the next measurement; simulate to the present."""
+        """Wait for a command or the next measurement; simulate up to the present."""
         process, clock = self._process, self._process.clock
         due = min(self._twin.next_event, process.beat.due)
         process.graph.wait(due - clock.now)
@@ -207,7 +207,7 @@ class _Table:
         }
 
     def _serve(self) -> None:
-        """Put a puck that is in a goal back to where it was at first."""
+        """Return a puck in a goal to its initial position."""
         puck = self._twin.world.puck
         if puck is not None and self._puck is not None and puck.goal:
             side = "right" if puck.goal > 0 else "left"
@@ -215,7 +215,7 @@ class _Table:
             puck.place(self._puck)
 
     def _report_contact(self) -> None:
-        """Log when commands begin and stop to reach the motors."""
+        """Log when commands begin and stop reaching the motors."""
         running = self._twin.in_contact
         if running == self._running:
             return

@@ -1,4 +1,4 @@
-"""Watching the graph: the newest of everything, and how the craft compares with its model."""
+"""Watching the graph: the newest data, and how the craft compares with its model."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, definitions
 
 NAME = "airpuck watch"
-#: How often to look [s].
+#: Polling period [s].
 _LOOK = 0.02
-#: Rates are counted over this long [s].
+#: Window over which rates are counted [s].
 _COUNTED = 1.0
 #: Events kept.
 _EVENTS = 200
 
 
 class Observer:
-    """Keeps the newest of what a craft and its controller publish, and judges the craft."""
+    """Keeps the newest data that a craft and its controller publish, and judges the craft."""
 
     def __init__(self, process: Process, model: Model) -> None:
         self._monitor = HealthMonitor(model)
@@ -43,15 +43,15 @@ class Observer:
         #: Newest numbers of each stream, and when they came [s].
         self.newest: dict[str, Float[np.ndarray, " k"]] = {}
         self.heard: dict[str, float] = {}
-        #: How often each stream comes [Hz].
+        #: Message rate of each stream [Hz].
         self.rates: dict[str, float] = {}
         #: Newest heartbeat of each process: when it came [s], its state, its figures.
         self.beats: dict[str, tuple[float, str, Mapping[str, str]]] = {}
-        #: Newest events: when each came [s], and the message.
+        #: Newest events: arrival time [s] and message.
         self.events: deque[tuple[float, Any]] = deque(maxlen=_EVENTS)
         self._take_events = _messages(process, EVENTS, EVENT_TYPE, LOG)
         self._take_beats = _messages(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
-        #: Where the controller's newest plan leads [m]; `beats` say by `plan.NAME` what limits it.
+        #: Path of the controller's newest plan [m]; its limits are in `beats` under `plan.NAME`.
         self.plan: Float[np.ndarray, "N 2"] | None = None
         self._take_plans = _messages(process, PLAN, PLAN_TYPE, SENSOR)
         self._counts: Counter[str] = Counter()
@@ -67,7 +67,7 @@ class Observer:
         return {"duration_s": self.clock.now, **self.health.to_json()}
 
     def look(self) -> list[Float[np.ndarray, " 3"]]:
-        """Take in what has come; return the poses."""
+        """Process new messages; return the poses."""
         now, poses = self.clock.now, []
         for stream, inbox in self._inboxes.items():
             for stamp, values in inbox.take():
@@ -95,14 +95,14 @@ class Observer:
         return poses
 
     def age(self, stream: str) -> float:
-        """Return how long ago a stream's newest numbers came [s]."""
+        """Return the age of a stream's newest numbers [s]."""
         return self.clock.now - self.heard.get(stream, -math.inf)
 
 
 def _messages(
     process: Process, topic: str, msgtype: str, quality: Quality
 ) -> Callable[[], list[Any]]:
-    """Subscribe to a topic that is no stream; the result takes its messages, without garbage."""
+    """Subscribe to a topic that is not a stream; the result returns its well-formed messages."""
     types = definitions("")
     codec = MessageCodec(msgtype, types)
     subscription = process.graph.subscription(topic, msgtype, types, quality)
@@ -122,16 +122,16 @@ def _messages(
 def watch_live(
     model: Model, report: Callable[[str], Any], settings: LiveSettings | None = None
 ) -> dict[str, Any]:
-    """Compare a craft in flight with its model; nothing is commanded.
+    """Compare a craft in flight with its model, without commanding anything.
 
-    What differs beyond doubt is published as an event, too, when it changes.
+    Significant deviations are also published as events when they change.
 
     Parameters
     ----------
     model : Model
-        What the craft is believed to be.
+        Model of the craft.
     report : callable
-        Takes a line a second.
+        Receives a line every second.
     settings : LiveSettings, optional
         How to join the graph, and for how long.
 
@@ -140,7 +140,7 @@ def watch_live(
     dict
         Figures for ``--json``.
     """
-    # Its lines say what its events would.
+    # The printed lines already contain its events.
     settings = replace(settings or LiveSettings(), quiet=True)
     with Process(NAME, settings) as process:
         observer, events, clock = Observer(process, model), process.events, process.clock
@@ -158,7 +158,7 @@ def watch_live(
             named = tuple(finding.split(" at ")[0] for finding in health.findings)
             if named != findings:
                 findings = named
-                text = ", ".join(health.findings) or "nothing deviates from the model any more"
+                text = ", ".join(health.findings) or "no more deviations from the model"
                 events.log(level, text)
             events.heartbeat(level, str(health), {})
         return observer.to_json()

@@ -1,4 +1,4 @@
-"""A craft on the simulated table: from the command that was sent to how it moves."""
+"""A craft on the simulated table: from the command that was sent to the craft's motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from airpuck.twin.settings import Motors, TwinSettings
 
 
 class MotorUnit:
-    """From the received command to what the motors follow."""
+    """From the received command to the command that the motors follow."""
 
     def __init__(self, settings: Motors, names: tuple[str, ...]) -> None:
         for field, faults in (("stalls", settings.stalls), ("weak", settings.weak)):
@@ -34,7 +34,7 @@ class MotorUnit:
         self._edges = sorted(
             {settings.unarmed_s, *(t for f in faults for t in (f.start_s, f.stop_s))}
         )
-        #: When each motor may follow its command; never while it idles.
+        #: When each motor may follow its command; infinite while it idles.
         self._released = np.full(len(names), np.inf)
 
     def next_change(self, now: float) -> float:
@@ -43,7 +43,7 @@ class MotorUnit:
         return min(times, default=math.inf)
 
     def follow(self, now: float, command: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return what the motors follow now."""
+        """Return the commands that the motors follow now."""
         s = self._settings
         if now < s.unarmed_s:
             return np.zeros_like(command)
@@ -61,7 +61,7 @@ class MotorUnit:
         return command
 
     def share(self, now: float) -> Float[np.ndarray, " n"]:
-        """Return the share of its thrust that each motor gives now."""
+        """Return the fraction of its thrust that each motor gives now."""
         share = np.ones(len(self._released))
         for motor, weakness in self._weak:
             if weakness.start_s <= now < weakness.stop_s:
@@ -72,7 +72,7 @@ class MotorUnit:
 #: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
 #: is straight to a micrometre.
 _SHORT_STEP = 1e-3
-#: What near is, beside what both move in a step [m].
+#: Distance that counts as near, in addition to both bodies' travel in a step [m].
 _NEAR = 5e-3
 
 
@@ -88,18 +88,18 @@ class Craft:
     plant : Plant
         Of both.
     seed : int
-        Of the radio.
+        Random generator of the radio.
     pose : tuple of float
-        Where it stands at first [m, m, rad].
+        Initial pose [m, m, rad].
     logs : bool
-        Whether to keep contacts.
+        Whether to record contacts.
 
     Attributes
     ----------
     state : array, shape (6 + n,)
         Pose, rates and motor speeds.
     contacts : list of (float, float)
-        When it met a rail [s], and how fast it was towards it [m/s].
+        When it met a rail [s], and its speed towards the rail [m/s].
     """
 
     def __init__(
@@ -119,16 +119,16 @@ class Craft:
         self.contacts: list[tuple[float, float]] = []
         self._logs = logs
         self._sag = settings.effects.battery_sag_1_s
-        # What a step that is under way began with, and where it would lead without a puck.
+        # State at the beginning of the current step, and at its end without a puck.
         self._step: tuple[float, float, Any, Any] = (0.0, 0.0, None, None)
         self._after, self._met = self.state, False
 
     def next_change(self, now: float) -> float:
-        """Return when its motion next changes: a packet, a timeout, a motor's fault [s]."""
+        """Return when its motion next changes: a packet, a timeout, a motor fault [s]."""
         return min(self.radio.next_change(now), self.motors.next_change(now))
 
     def thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
-        """Return the share of the thrust that battery and motors still give."""
+        """Return the fraction of the thrust that battery and motors still give."""
         return max(1 - self._sag * time, 0.0) * self.motors.share(time)
 
     def pose(self) -> Float[np.ndarray, " 3"]:
@@ -136,7 +136,7 @@ class Craft:
         return self.state[:3]
 
     def longest_step(self, puck: PuckOnTable) -> float:
-        """Return how long a step may be: shorter where it may soon hit the puck [s]."""
+        """Return how long a step may be; shorter if the craft may soon hit the puck [s]."""
         other = puck.state
         x, y, _, vx, vy = self.state[:5].tolist()
         apart = math.hypot(other.x - x, other.y - y) - self.radius - puck.radius
@@ -144,7 +144,7 @@ class Craft:
         return LONGEST_STEP if apart > moves + _NEAR else _SHORT_STEP
 
     def moving(self, duration: float, now: float = 0.0) -> Moving:
-        """Begin a step, as if there were no puck; return its way."""
+        """Begin a step, as if there were no puck; return its path."""
         command = self.motors.follow(now, self.radio.command(now))
         self._step = now, duration, command, self.thrust_left(now)
         self._after, self._met = self._flown(duration)
@@ -175,18 +175,18 @@ class Craft:
         return self._disc(self.state, 1.0)
 
     def take(self, disc: Moving) -> None:
-        """Be where a contact with another disc has left it, and move so."""
+        """Take the position and motion after a contact with another disc."""
         moved = [disc.x, disc.y, self.state[2], disc.vx, disc.vy, disc.spin]
         self.state = np.concatenate([moved, self.state[6:]])
 
     def _flown(self, duration: float) -> tuple[Any, bool]:
-        """Return where the craft alone gets to from here, and whether it meets a rail."""
+        """Return where the craft gets to without a puck, and whether it meets a rail."""
         _, _, command, left = self._step
         state, met = self.plant.advance(self.state, command, duration, left)
         return state, bool(met)
 
     def _disc(self, after: Float[np.ndarray, " s"], duration: float) -> Moving:
-        """Return it on its way to a state."""
+        """Return the craft as a moving disc that reaches a given state."""
         x, y, yaw, vx, vy, spin = self.state[:6].tolist()
         to_x, to_y, _, to_vx, to_vy, to_spin = after[:6].tolist()
         dynamics, disc = self.plant.dynamics, self.plant.disc
@@ -215,7 +215,7 @@ class Craft:
     def _towards_rail(
         self, before: Float[np.ndarray, " s"], after: Float[np.ndarray, " s"]
     ) -> float:
-        """Return how fast it was towards the rail that it met in a step [m/s]."""
+        """Return its speed towards the rail that it met in a step [m/s]."""
         fastest = 0.0
         for axis, reach in enumerate(self.plant.table.reach(self.radius)):
             towards = math.copysign(1.0, after[axis]) * float(before[3 + axis])

@@ -29,9 +29,9 @@ from airpuck.twin.twin import Twin
 class Excited:
     """An excitation experiment on the twin."""
 
-    #: As a recorder on the network would have logged it.
+    #: The recording, as made by a recorder on the network.
     recording: Recording
-    #: For how long the signals paused, since the craft was near a rail [s].
+    #: How long the signals paused because the craft was near a rail [s].
     paused: float
     #: When it met a rail nevertheless, from the start of the flight [s].
     contacts: tuple[float, ...]
@@ -62,7 +62,7 @@ def excite(
     seed : int, default 0
         Seed of signals, noise and radio.
     amplitude : float or sequence of float, default 1
-        Largest signal, of all or of each; see `Excitation`.
+        Largest signal, one number for all or one each; see `Excitation`.
     hold : float, default 0.2
         Time between changes of the signals [s].
     margin : float, default 0.05
@@ -77,7 +77,7 @@ def excite(
     Returns
     -------
     Recording
-        As a recorder on the network would have logged it.
+        The recording, as made by a recorder on the network.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def fly_excitation(
     tuning: Tuning | None = None,
     plant: Plant | None = None,
 ) -> Excited:
-    """Fly an excitation experiment, and log how near to the rails it came; see `excite`."""
+    """Fly an excitation experiment, and record its smallest distance to the rails; see `excite`."""
     _check_duration(plan.duration_s, tuning)
     settings = settings or default_twin_settings()
     twin = Twin(model, settings, seed=seed, plant=plant)
@@ -148,21 +148,21 @@ def track(
     model : Model
         The controller's model of the craft.
     reference : Reference
-        What to track.
+        Reference to track.
     duration : float
         Length [s].
     truth : Model, optional
-        The truth of the twin; by default what the controller believes.
+        The truth of the twin; by default the controller's model.
     seed : int, default 0
         Seed of noise and radio.
     pose : tuple of float, default (0, 0, 0)
-        Where the craft stands at first [m, m, rad].
+        Initial pose of the craft [m, m, rad].
     gain : array, shape (3, 6), optional
-        Of the LQR; by default from the tuning's weights.
+        Gain of the LQR; by default from the tuning's weights.
     compensate_delay, reject_disturbance : bool, default True
         See `TrackingController`.
     on_board : bool, default False
-        Whether the controller uses the IMU and the optical sensor too.
+        Whether the controller also uses the IMU and the optical sensor.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -170,15 +170,15 @@ def track(
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
     make_pilot : callable, optional
-        Makes a pilot of one's own from (model, reference), which the options of the controller do
-        not concern.
+        Factory of a user's pilot from (model, reference); the controller's options then do not
+        apply.
 
     Returns
     -------
     recording : Recording
-        As a recorder on the network would have logged it.
+        The recording, as made by a recorder on the network.
     log : FlightLog
-        What the controller did.
+        The controller's log.
 
     Raises
     ------

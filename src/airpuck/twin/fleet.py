@@ -1,8 +1,8 @@
 """A fleet: many craft at once, each with its own parameters, radio and noise, without feedback.
 
 The plant is the twin's (`airpuck.twin.plant`) with the batch as last axis, on the cores of a CPU or
-on a GPU. Each craft steps from event to event, a frame of the motion capture or a command that
-arrives, so that delays are exact and differ from craft to craft.
+on a GPU. Each craft steps from event to event, where an event is a motion-capture frame or an
+arriving command, so that delays are exact and differ between craft.
 """
 
 from __future__ import annotations
@@ -31,23 +31,24 @@ from airpuck.twin.sensors import command_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
 
-#: Craft of one batch on a CPU: enough that the loop costs little, few enough for its cache.
+#: Number of craft in one batch on a CPU: enough that the loop costs little, few enough for its
+#: cache.
 BATCH = 512
-#: Events of all craft between two transfers of their states.
+#: Number of events of all craft between two transfers of their states.
 SEGMENT = 256
 
 
 @dataclass(frozen=True, eq=False)
 class FleetFlight:
-    """What a fleet did."""
+    """Result of a fleet's flight."""
 
-    #: Times of the frames that were kept [s].
+    #: Times of the stored frames [s].
     time: Float[np.ndarray, " N"]
     #: True states at these times: x, y, γ, vx, vy, ω and the motor speeds.
     state: Float[np.ndarray, "N s B"]
     #: Truth of each craft.
     models: tuple[Model, ...]
-    #: Of the radio and the sensors of each craft.
+    #: Seed of the radio and the sensors of each craft.
     seeds: tuple[int, ...]
     #: When commands were sent [s].
     command_time: Float[np.ndarray, " K"]
@@ -55,16 +56,16 @@ class FleetFlight:
     command: Float[np.ndarray, "K n B"]
     #: Table, sensors, radio, effects.
     settings: TwinSettings
-    #: Steps of the integration, of all craft together.
+    #: Number of integration steps of all craft together.
     steps: int
-    #: One in this many frames was kept.
+    #: Interval between stored frames.
     every: int = 1
 
     def __len__(self) -> int:
         return self.state.shape[2]
 
     def recording(self, craft: int) -> Recording:
-        """Return what a recorder would have logged of one craft."""
+        """Return the recording of one craft."""
         if self.every != 1:
             raise InputError("a recording needs every frame; fly with every=1", field="every")
         sensor = pose_sensor(self.settings.motion_capture, self.seeds[craft])
@@ -90,7 +91,7 @@ def fly_fleet(
 ) -> FleetFlight:
     """Fly many craft at once with given commands.
 
-    What is given once holds for all craft; what is given for each says how many there are.
+    Values that are given once hold for all craft; values for each craft determine their number.
 
     Parameters
     ----------
@@ -103,18 +104,18 @@ def fly_fleet(
     period : float, default 0.01
         Time between commands [s].
     seeds : sequence of int, default (0,)
-        Of radio and sensors, one for all or one for each craft.
+        Seed of radio and sensors, one for all or one for each craft.
     delays : array, shape (B,), optional
-        Mean delay of each craft's radio; by default the settings' delay, or where they have none
-        the transport delay of its model [s].
+        Mean delay of each craft's radio; by default the settings' delay, or else the transport
+        delay of its model [s].
     poses : array, shape (3, B), optional
-        Where they stand at first, by default at the origin [m, m, rad].
+        Initial poses, by default at the origin [m, m, rad].
     settings : TwinSettings, optional
         Table, sensors, radio, effects; by default the packaged ones.
     every : int, default 1
-        Keep one in `every` frames of the motion capture.
+        Store one in `every` frames of the motion capture.
     precision : {"double", "single"}, default "double"
-        Of the arithmetic.
+        Precision of the arithmetic.
 
     Returns
     -------
@@ -125,11 +126,11 @@ def fly_fleet(
     ------
     InputError
         If sizes do not agree, a number is out of range, or the settings ask for motors that start
-        late or stall, which only `Twin` knows.
+        late or stall, which only `Twin` supports.
 
     Notes
     -----
-    The steps equal the steps of a `Twin` with its on-board sensors off; the states agree up to
+    The steps equal those of a `Twin` with its on-board sensors off; the states agree up to
     rounding. Runs on JAX's default device.
     """
     settings = settings or default_twin_settings()
@@ -182,14 +183,14 @@ def fly_fleet(
 
 
 def _delays(settings: TwinSettings, models: tuple[Model, ...]) -> list[float]:
-    """Return the mean delay of the radio: one, or where models differ one for each."""
+    """Return the mean delay of the radio: one value, or one for each craft if models differ."""
     delays = [settings.with_delay(model.transport_delay).radio.delay_s or 0.0 for model in models]
     # Craft that share their radio are simulated faster.
     return delays[:1] if len(set(delays)) == 1 else delays
 
 
 def _each(values: Sequence[Any], size: int) -> tuple[Any, ...]:
-    """Repeat what is given once."""
+    """Repeat a value that is given once."""
     return tuple(values) * size if len(values) == 1 else tuple(values)
 
 
@@ -203,7 +204,7 @@ def _common_size(**sizes: int) -> int:
 
 
 def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
-    """Raise InputError for craft that cannot share a program, or faults that only `Twin` knows."""
+    """Raise InputError for craft that cannot share a program, or faults that need a `Twin`."""
     if not models:
         raise InputError("is empty", field="models")
     kinds = {
@@ -255,7 +256,7 @@ def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: s
 
 
 def _frames(rate: float, duration: float, every: int) -> tuple[Float[np.ndarray, " F"], int]:
-    """Return times to step to, and one in how many of them to keep."""
+    """Return event times, and how many events lie between stored frames."""
     pieces = math.ceil(1 / (rate * LONGEST_STEP) - 1e-9)
     count = math.floor(duration * rate * (1 + 1e-12)) + 1
     frames = np.arange((count - 1) * pieces + 1) / (rate * pieces)
@@ -263,17 +264,17 @@ def _frames(rate: float, duration: float, every: int) -> tuple[Float[np.ndarray,
 
 
 class _Fleet(NamedTuple):
-    """All that may differ: the last axis of every array has one entry for each craft, or one."""
+    """Everything that may differ between craft, along the last axis of every array."""
 
     #: Coefficients.
     dynamics: Dynamics
-    #: About the centre of mass [kg m²].
+    #: Moment of inertia about the centre of mass [kg m²].
     inertia: Any
-    #: What was sent, and zeros.
+    #: Sent commands, and zeros.
     commands: Any
     #: When the command that the motors follow changes, infinite at the end [s].
     times: Any
-    #: The number of the command that they follow from then on.
+    #: Index of the command that they follow from then on.
     heard: Any
     #: At first.
     state: Any
@@ -284,7 +285,7 @@ class _Fleet(NamedTuple):
         return self.state.shape[-1]
 
     def batches(self, size: int) -> Iterator[tuple[_Fleet, slice]]:
-        """Cut the fleet into batches of one size; the last is filled up with the last craft."""
+        """Divide the fleet into batches of one size; the last is padded with the last craft."""
         import jax
 
         for begin in range(0, self.size, size):
@@ -327,7 +328,7 @@ def _program(table: Table, mass: float, radius: float, sag: float) -> Any:
             following = jnp.where(hears, fleet.heard[change, radio], following)
             frame = jnp.minimum(frame + seen, len(frames) - 2)
             carry = state, until, frame, change + hears, following
-            # The state of each craft in one piece: faster to pick out of the batch.
+            # Keep the state of each craft contiguous: it is faster to extract from the batch.
             return carry, (state.T, jnp.where(seen, frame, -1))
 
         return jax.lax.scan(one, carry, length=SEGMENT)
@@ -373,12 +374,12 @@ def _fly_batch(
     steps: int,
     state: Float[np.ndarray, "N b s"],
 ) -> None:
-    """Fly one batch, segment by segment, and put the states to keep in their places."""
+    """Fly one batch, segment by segment, and store the selected states."""
     wanted = state.shape[1]
     state[0] = fleet.state.T[:wanted]
     counts = np.zeros(fleet.times.shape[1], dtype=np.int32)
     carry = (fleet.state, np.zeros(len(counts)), counts, counts, counts + len(fleet.commands) - 1)
-    # The flight's end is repeated: what comes after it takes no time.
+    # The flight's end is repeated: later events take no time.
     frames = np.append(frames, frames[-1])
     for _ in range(0, steps, SEGMENT):
         carry, (states, reached) = program(fleet, frames, carry)

@@ -18,7 +18,7 @@ from airpuck.physics.puck import contact_impulse, mobility
 from airpuck.physics.rigid_body import Dynamics, step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
-#: Longest step of the integration [s]: below half the period of control.
+#: Longest integration step [s]: less than half the control period.
 LONGEST_STEP = 1 / 240
 
 
@@ -47,11 +47,11 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
 
 @dataclass(frozen=True)
 class CraftBody:
-    """The craft as a rail meets it."""
+    """The craft's properties for contacts with a rail."""
 
     #: [kg].
     mass: Any
-    #: About the centre of mass [kg m²].
+    #: Moment of inertia about the centre of mass [kg m²].
     inertia: Any
     #: [m].
     radius: Any
@@ -69,7 +69,7 @@ class Plant:
     def advance(self) -> Callable[..., Any]:
         """Compiled ``(state, command, duration, thrust scales) -> (state, met)`` of one craft.
 
-        `met` says whether it met a rail.
+        `met` tells whether it met a rail.
         """
 
         def advanced(xp: Any, state: Any, command: Any, duration: Any, scale: Any) -> Any:
@@ -88,7 +88,7 @@ def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:
 
 
 def advance(xp: Any, plant: Plant, state: Any, command: Any, duration: Any) -> Any:
-    """Advance a craft, or a batch, by one step of the integration; rails push it back."""
+    """Advance a craft, or a batch, by one integration step; rails push it back."""
     return rebound(xp, plant, step(xp, plant.dynamics, state, command, duration))
 
 
@@ -101,7 +101,7 @@ def rebound(xp: Any, plant: Plant, state: Any) -> Any:
         state = _bounce(xp, plant, state, axis=0, reach=x_reach)
         return _bounce(xp, plant, state, axis=1, reach=y_reach)
 
-    # A rail is met rarely, and its impulse costs more than the step of the integration.
+    # Contacts with a rail are rare, and their impulse costs more than the integration step.
     return if_any(xp, beyond, bounced, state)
 
 
@@ -113,8 +113,8 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     depth = xp.abs(position) - reach
     meets = (depth > 0) & (side * speed > 0)
 
-    # From the centre of mass to the contact, along the normal (into the table) and the tangent,
-    # the normal turned by 90 degrees.
+    # From the centre of mass to the contact, along the normal (into the table) and the tangent (the
+    # normal turned by 90 degrees).
     yaw, spin = state[2], state[5]
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == "body":
@@ -135,12 +135,12 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
         table.friction,
     )
 
-    # Of the centre of mass, then of the geometric centre, which turns about it.
+    # Velocity of the centre of mass, then of the geometric centre, which turns about it.
     turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia
     gained_x = (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
     gained_y = (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
     zero = 0.0 * position
-    # It comes back by the depth, scaled like the speed.
+    # It moves back by the depth, scaled like the speed.
     back = -side * depth * (1 + table.restitution)
     along = (back, zero) if axis == 0 else (zero, back)
     change = [*along, zero, gained_x, gained_y, turned]

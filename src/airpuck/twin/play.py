@@ -1,4 +1,4 @@
-"""The discs of a table and its puck, as they move together: craft, and mallets of hands."""
+"""The joint motion of all discs on a table: puck, craft, and mallets."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.craft import Craft
 from airpuck.twin.plant import LONGEST_STEP
 
-#: A step that lasts no longer is a rounding error of times: it tells nothing of speed [s].
+#: A shorter step is a rounding error of times and gives no speed [s].
 _NO_TIME = 1e-9
 
 
 class HandMallet:
-    """The human's mallet: it goes to where the hand wants it, as fast as a hand can.
+    """The human's mallet: it follows the hand's target at the speed of a hand.
 
     Parameters
     ----------
     mallet : Mallet
-        Size and limits.
+        Dimensions and limits.
     table : Table
-        What it stays on. It keeps to the half in which it starts.
+        The table. The mallet keeps to the half in which it starts.
     x, y : float
-        Where its middle is at first [m].
+        Initial position of its centre [m].
 
     Attributes
     ----------
     target : tuple of float
-        Where the hand wants it [m].
+        Target of the hand [m].
     x, y, vx, vy : float
-        Where it is [m], and its velocity [m/s].
+        Position [m] and velocity [m/s].
     """
 
     def __init__(self, mallet: Mallet, table: Table, x: float, y: float) -> None:
@@ -50,17 +50,17 @@ class HandMallet:
         self.target = self.x, self.y
 
     def allowed(self, x: float, y: float) -> tuple[float, float]:
-        """Return the nearest place on its half of the table.
+        """Return the nearest position on its half of the table.
 
         Parameters
         ----------
         x, y : float
-            A place [m].
+            A position [m].
 
         Returns
         -------
         x, y : float
-            Where the mallet's middle may be [m].
+            The nearest position that the mallet's centre can reach [m].
         """
         x_reach, y_reach = self._reach
         x = self._side * max(self.radius, min(self._side * x, x_reach))
@@ -71,7 +71,7 @@ class HandMallet:
         return math.inf
 
     def longest_step(self, puck: PuckOnTable) -> float:
-        """Return how long a step may be; its way is straight [s]."""
+        """Return how long a step may be; the path is straight [s]."""
         return LONGEST_STEP
 
     def pose(self) -> Float[np.ndarray, " 3"]:
@@ -83,7 +83,7 @@ class HandMallet:
         return Moving(self.x, self.y, self.vx, self.vy, radius=self.radius)
 
     def moving(self, duration: float, now: float = 0.0) -> Moving:
-        """Return its way during a step: straight, at a speed from which it can still stop."""
+        """Return its path in a step: straight, at a speed from which it can still stop."""
         fastest, hardest = self._limits
         x, y = self.allowed(*self.target)
         dx, dy = x - self.x, y - self.y
@@ -108,36 +108,36 @@ class HandMallet:
         )
 
     def arrive(self, way: Moving, duration: float, hit: bool = False) -> None:
-        """Be where its way has led; a wedged puck may have held it back."""
+        """Move to the end of the path; a wedged puck may have held it back."""
         if duration > _NO_TIME:
             self.vx, self.vy = (way.x - self.x) / duration, (way.y - self.y) / duration
         self.x, self.y = way.x, way.y
 
 
 class WorldObserver(Protocol):
-    """Measures at times of its own."""
+    """Takes measurements at its own times."""
 
     @property
     def due(self) -> float:
-        """When it next measures [s]."""
+        """Time of its next measurement [s]."""
         ...
 
     def observe(self, time: float) -> None:
-        """Measure now, if that is due."""
+        """Take a measurement if it is due."""
         ...
 
 
 class World:
-    """A puck and the discs that play with it, on one table; time passes from event to event.
+    """A puck and the discs that play with it, on one table, simulated from event to event.
 
     Parameters
     ----------
     play : AirHockey
-        Table, puck and mallet; settings of a twin are such, too.
+        Table, puck and mallet; a twin's settings contain all three.
     puck : PuckState, optional
-        The puck at first; by default there is none.
+        Initial state of the puck; by default there is no puck.
     logs : bool, default True
-        Whether to keep all contacts of the puck.
+        Whether to record all contacts of the puck.
 
     Attributes
     ----------
@@ -174,7 +174,7 @@ class World:
         return next((body for body in self.bodies if isinstance(body, HandMallet)), None)
 
     def run(self, time: float) -> None:
-        """Let time pass until the last event that is not after a time [s]."""
+        """Advance to the last event that is not after a time [s]."""
         while True:
             following = min(observer.due for observer in self.observers)
             for body in self.bodies:
@@ -191,10 +191,10 @@ class World:
         return np.full(3, math.nan) if self.puck.goal else np.array(self.puck.state[:3])
 
     def _advance(self, time: float) -> None:
-        """Move all discs to a time; no event lies in between."""
+        """Move all discs to a time; there must be no event in between."""
         while self.time < time:
             duration = min(time - self.time, LONGEST_STEP)
-            # The last piece ends at the time itself, not a rounding error before it.
+            # The last piece ends at the exact time, not a rounding error before it.
             end = time if duration == time - self.time else self.time + duration
             if self.puck is not None:
                 for body in self.bodies:
@@ -204,7 +204,7 @@ class World:
             self._part()
 
     def _step(self, end: float, duration: float) -> None:
-        """Move on until a time, or until the puck hits a disc that gives way."""
+        """Advance to a time, or until the puck hits a disc that can move."""
         begin, hit = self.time, None
         ways = [body.moving(duration, begin) for body in self.bodies]
         if self.puck is None:
@@ -219,7 +219,7 @@ class World:
             body.arrive(way, duration, way is hit)
 
     def _part(self) -> None:
-        """Part discs that overlap; a craft bounces off the other as off a rail."""
+        """Separate discs that overlap; a craft bounces off the other as off a rail."""
         for first, second in itertools.combinations(self.bodies, 2):
             one, other = first.disc(), second.disc()
             dx, dy = one.x - other.x, one.y - other.y

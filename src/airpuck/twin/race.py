@@ -1,4 +1,4 @@
-"""Races: plans flown on the twin with its radio and noise, beside a set point at their goal."""
+"""Races: plans flown on the twin with radio and noise, compared with a set point at their goal."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ from airpuck.twin.twin import Twin
 TOLERANCE = (0.01, 0.1, 0.05)
 #: A point counts as passed within this distance [m].
 _PASSED = 0.03
-#: A plan that is slower than this starts, or ends, at rest (m/s, rad/s).
+#: A plan with lower speeds than these starts, or ends, at rest [m/s, rad/s].
 _STANDING, _STOPPED = 1e-6, 1e-2
-#: Standing still before the start; patience after the planned end, for a plan and a set point [s].
+#: Time at rest before the start; waiting time after the planned end, for a plan and a set point
+#: [s].
 _LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
-#: Distance that plans of courses keep from the rails [m]; how gently they switch (`Limits`).
+#: Distance that plans of courses keep from the rails [m]; their weight of smoothness (`Limits`).
 _MARGIN, _SMOOTHING = 0.02, 2e-4
 
 Course = Literal["straight", "slalom", "eight"]
@@ -56,20 +57,20 @@ class Race(Result):
     Attributes
     ----------
     plan : Plan
-        What was to be flown.
+        The planned flight.
     flown : tuple of float or None
-        How long each flight took to the goal [s]; None: it was not reached.
+        Time of each flight to the goal [s]; None: not reached.
     set_point : tuple of float or None, or None
-        The same for the controller that is given the goal alone; None where that is another task: a
-        plan past points or discs, or to a goal in motion.
+        The same for a controller with only the goal. None if that is a different task: a plan past
+        points or discs, or to a moving goal.
     contacts : int
-        With a rail, of all flights of the plan together.
+        Number of rail contacts in all flights of the plan.
     touches : int
-        Flights of the plan that touched a disc which it must not.
+        Number of flights of the plan that touched a forbidden disc.
     paths : tuple of array, shape (N, 2)
-        Where the craft really was, of each flight of the plan [m].
+        True positions of the craft in each flight of the plan [m].
     recording : Recording
-        Of the first flight of the plan.
+        Log of the first flight of the plan.
     """
 
     JSON = (
@@ -110,11 +111,11 @@ def race(
     Parameters
     ----------
     planned : Plan
-        What to fly; its model is what the controller believes.
+        Plan to fly; its model is the controller's.
     truth : Model
         The truth of the twin.
     seeds : int, default 1
-        Number of flights, each with its noise and radio.
+        Number of flights, each with its own noise and radio.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -130,11 +131,12 @@ def race(
     Raises
     ------
     InputError
-        If the plan starts in motion: the twin's craft stands at first.
+        If the plan starts in motion: the twin's craft is initially at rest.
     """
     if np.abs(planned.states[0, 3:6]).max() > _STANDING:
         raise InputError(
-            "starts in motion; the twin flies plans that start at rest (plan without --velocity)",
+            "starts in motion; the twin only flies plans that start at rest (plan without "
+            "--velocity)",
             field="plan",
         )
     settings = settings or default_twin_settings()
@@ -177,7 +179,7 @@ def _flown(
     tuning: Tuning,
     plant: Plant,
 ) -> Twin:
-    """Fly a reference from where the plan begins; return the twin."""
+    """Fly a reference from the start of a plan; return the twin."""
     x, y, yaw = (float(v) for v in planned.states[0, :3])
     twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
     if isinstance(reference, Plan):
@@ -189,7 +191,7 @@ def _flown(
 
 
 def _reached(twin: Twin, planned: Plan) -> float | None:
-    """Return how long the craft took past all points to the goal, in truth; None if it did not."""
+    """Return the true time of the craft past all points to the goal; None if it did not arrive."""
     time, states = twin.truth
     time, goal = time - _LEAD, planned.samples[1][-1]
     passed = 0
@@ -208,7 +210,7 @@ def _reached(twin: Twin, planned: Plan) -> float | None:
 
 
 def _touches(twin: Twin, planned: Plan) -> bool:
-    """Return whether the craft touched a disc that it must not touch."""
+    """Return whether the craft touched a forbidden disc."""
     place, radius = twin.truth[1][:, :2], planned.model.vehicle.radius_m
     return any(
         bool((np.hypot(*(place - (x, y)).T) < disc + radius).any())

@@ -13,8 +13,8 @@ from scipy.special import ndtri
 from airpuck.model.model_file import Model
 from airpuck.twin.settings import Radio, TwinSettings
 
-#: Craft of a fleet that are handled together: enough that calls cost little, few enough that arrays
-#: of a long flight stay small.
+#: Number of craft in a fleet that are handled together: enough that calls cost little, few enough
+#: that arrays of a long flight stay small.
 _TOGETHER = 64
 
 
@@ -24,7 +24,7 @@ def passage(
     time: Float[np.ndarray, " K"],
     chance: Float[np.ndarray, "*batch K 2"],
 ) -> Float[np.ndarray, "*batch K"]:
-    """Return when packets arrive that do not meet each other; infinite where they are lost.
+    """Return the arrival times of independent packets; infinite if a packet is lost.
 
     `chance`: two uniform random numbers for each packet.
     """
@@ -39,11 +39,10 @@ def passage(
 def queued_delay(
     settings: Radio, period: float, packets: int = 200_000, seed: int = 0
 ) -> tuple[float, float]:
-    """Simulate how long packets take that do not overtake each other.
+    """Simulate delays of packets that do not overtake each other.
 
-    A packet waits for earlier packets, so that delays are longer on average, and spread less, than
-    delays of single packets: 21.7 ± 6.3 ms instead of 20.8 ± 7 ms at a hundred packets a
-    second.
+    A packet waits for earlier packets. Delays are therefore longer on average, and vary less, than
+    those of single packets: 21.7 ± 6.3 ms instead of 20.8 ± 7 ms at a hundred packets a second.
     """
     sent = period * np.arange(packets)
     chance = np.random.default_rng(seed).random((packets, 2))
@@ -54,13 +53,13 @@ def queued_delay(
 
 
 def as_received(model: Model, settings: TwinSettings, period: float) -> Model:
-    """Return a model with the delay that its packets have on average, and that fits find."""
+    """Return a model with the mean delay of its packets, which is the delay that fits find."""
     radio = settings.with_delay(model.transport_delay).radio
     return model.with_delay(queued_delay(radio, period)[0])
 
 
 class RadioLink:
-    """Packets on their way, and what the craft received last."""
+    """Packets in transit, and the last packet that the craft received."""
 
     def __init__(self, settings: Radio, rng: np.random.Generator, n_propellers: int) -> None:
         self._settings, self._rng = settings, rng
@@ -97,7 +96,7 @@ class RadioLink:
         return min(time for time in (arrival, timeout, math.inf) if time > now)
 
     def _receive(self, now: float) -> None:
-        """Take in the packets that have arrived."""
+        """Process the packets that have arrived."""
         while self._flying and self._flying[0][0] <= now:
             self._received_at, self._received = self._flying.popleft()
 
@@ -110,12 +109,12 @@ def heard_commands(
 ) -> tuple[Float[np.ndarray, "E B"], Int[np.ndarray, "E B"]]:
     """Return which command the motors of each craft of a fleet follow, and from when on.
 
-    Craft by craft what a `RadioLink` would do; commands by their number, ``len(sent)``: stop.
+    Equivalent to a `RadioLink` for each craft; commands by index, ``len(sent)``: stop.
     """
     batches = [slice(begin, begin + _TOGETHER) for begin in range(0, len(seeds), _TOGETHER)]
     changes = []
     for craft in batches:
-        # The very numbers that a `RadioLink` draws.
+        # The same random numbers as in a `RadioLink`.
         chance = [np.random.default_rng([s, 0]).random((len(sent), 2)) for s in seeds[craft]]
         delay = np.array(delays[craft])[:, None]
         arrival = passage(settings.radio, delay, sent, np.array(chance))
@@ -131,9 +130,9 @@ def heard_commands(
 def _changes(
     arrival: Float[np.ndarray, "B K"], timeout: float, unarmed: float
 ) -> tuple[Float[np.ndarray, "B E"], Int[np.ndarray, "B E"]]:
-    """Return when what each craft's motors follow changes, and the number of the command, K: stop.
+    """Return when each craft's command changes, and the index of the new command, K: stop.
 
-    Arrivals are infinite where a packet is lost; so are the times after the last change.
+    Arrivals of lost packets are infinite; so are the times after the last change.
     """
     size, packets = arrival.shape
     # No packet overtakes another.
@@ -147,7 +146,7 @@ def _changes(
     order = np.argsort(times, axis=1, kind="stable")
     times, commands = np.take_along_axis(times, order, axis=1), commands[order]
     if unarmed > 0:
-        # What was in force by then, perhaps nothing, is from then on.
+        # The command in force before, possibly none, continues.
         times = np.concatenate([np.full((size, 1), unarmed), times], axis=1)
         commands = np.concatenate([np.full((size, 1), packets), commands], axis=1)
         late = np.count_nonzero(times <= unarmed, axis=1) - 1

@@ -28,16 +28,16 @@ class Sensor:
     rate: float
     #: Standard deviation of each channel.
     noise: tuple[float, ...]
-    #: From the sample to the controller: its least, and the mean of what is added [s].
+    #: Delay from the sample to the controller: minimum, and mean of the random part [s].
     latency: tuple[float, float]
     rng: np.random.Generator
-    #: Share of samples that are missing.
+    #: Fraction of missing samples.
     dropped: float = 0.0
-    #: Times without any [s].
+    #: Intervals without samples [s].
     gaps: tuple[tuple[float, float], ...] = ()
-    #: Offset [s] and drift.
+    #: Clock offset [s] and drift.
     clock: tuple[float, float] = (0.0, 0.0)
-    #: Whether to keep what was delivered.
+    #: Whether to store delivered samples.
     logs: bool = True
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class Sensor:
 
     @property
     def next_arrival(self) -> float:
-        """When the next of the measurements on their way arrives; infinite for none [s]."""
+        """Arrival time of the next measurement in transit; infinite if there is none [s]."""
         waits = self._delivered < len(self._logged)
         return self._logged[self._delivered][1] if waits else math.inf
 
@@ -58,10 +58,10 @@ class Sensor:
         return self._count / self.rate
 
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
-        """Take the sample that is due; a truth of NaN gives none."""
+        """Take the due sample; a truth of NaN gives none."""
         time = self.due
         self._count += 1
-        # All numbers are always drawn, so that one setting does not change what another draws.
+        # All numbers are always drawn, so that one setting does not change the draws of another.
         values = truth + np.multiply(self.noise, self.rng.standard_normal(len(self.noise)))
         late, luck = self.rng.exponential(self.latency[1]), self.rng.random()
         unseen = luck < self.dropped or np.isnan(truth).any()
@@ -94,7 +94,7 @@ class Sensor:
 
 
 class SensorSet:
-    """Sensors, and what a perfect one of each kind would say."""
+    """Sensors, with a function that gives noise-free readings."""
 
     def __init__(
         self, sensors: Sequence[Sensor], truth: Callable[[Kind], Float[np.ndarray, " k"]]
@@ -104,7 +104,7 @@ class SensorSet:
 
     @property
     def due(self) -> float:
-        """When one next measures [s]."""
+        """Time of the next measurement of any sensor [s]."""
         return min(sensor.due for sensor in self.sensors)
 
     @property
@@ -113,13 +113,13 @@ class SensorSet:
         return min(min(sensor.due, sensor.next_arrival) for sensor in self.sensors)
 
     def observe(self, time: float) -> None:
-        """Take the samples that are due."""
+        """Take the due samples."""
         for sensor in self.sensors:
             if sensor.due <= time:
                 sensor.measure(self._truth(sensor.kind))
 
     def arrived(self, now: float) -> list[Measurement]:
-        """Return what has arrived since the last call, in the order of arrival."""
+        """Return new measurements in order of arrival."""
         found = [entry for sensor in self.sensors for entry in sensor.arrived(now)]
         found.sort(key=lambda entry: entry[0])
         return [measurement for _, measurement in found]
@@ -138,7 +138,7 @@ def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:
 def pose_sensor(
     capture: MotionCapture, seed: int, logs: bool = True, *, kind: Kind = "pose", number: int = 1
 ) -> Sensor:
-    """Build the motion capture of a twin, of its craft or of another body."""
+    """Build the motion capture of a twin, for its craft or another body."""
     return Sensor(
         kind,
         rate=capture.rate_hz,
@@ -155,7 +155,7 @@ def pose_sensor(
 def build_sensors(
     settings: TwinSettings, seed: int, logs: bool, played: Sequence[Kind] = ()
 ) -> list[Sensor]:
-    """Build the sensors, each with random numbers of its own; `played`: puck, mallet or none."""
+    """Build the sensors, each with its own random numbers; `played`: puck, mallet or none."""
     board = settings.on_board
     sensors = [pose_sensor(settings.motion_capture, seed, logs)]
     noises: dict[Kind, tuple[float, ...]] = {
@@ -175,12 +175,12 @@ def build_sensors(
 def command_stream(
     sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
 ) -> Stream:
-    """Lay out commands as a recorder logs them."""
+    """Lay out commands like a recorder."""
     return log_stream(sent, names, latency=1e-4)
 
 
 def log_stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
-    """Lay out messages that carry the controller's time."""
+    """Lay out messages with the controller's time."""
     times, values = zip(*logged, strict=True)
     stamp = _nanoseconds(times)
     return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)

@@ -1,4 +1,4 @@
-"""Everything about a twin but its model: sensors, radio, effects, faults; a TOML file."""
+"""Everything about a twin except its model: sensors, radio, effects, faults; a TOML file."""
 
 from __future__ import annotations
 
@@ -34,15 +34,16 @@ Interval = Annotated[tuple[NonNegative, NonNegative], pydantic.AfterValidator(_f
 class Radio(Section):
     """The link from the controller to the motors."""
 
-    #: Mean of the time that a packet takes; left out: the transport delay of the twin's model.
+    #: Mean delay of a packet; by default the transport delay of the twin's model.
     delay_s: NonNegative | None = None
-    #: Its standard deviation. It is normal and never negative; packets do not overtake each other.
+    #: Its standard deviation. Delays are normal and never negative; packets do not overtake each
+    #: other.
     jitter_s: NonNegative = 0.0
-    #: Share of packets that never arrive.
+    #: Fraction of packets that never arrive.
     loss: Fraction = 0.0
-    #: The motors stop when no packet came for this long.
+    #: The motors stop after this long without a packet.
     timeout_s: Positive = 0.2
-    #: Times during which nothing arrives.
+    #: Intervals during which nothing arrives.
     outages_s: tuple[Interval, ...] = ()
 
 
@@ -54,14 +55,15 @@ class MotionCapture(Section):
     #: Standard deviations of white noise.
     position_noise_m: NonNegative
     yaw_noise_rad: NonNegative
-    #: From the frame to the controller; the jitter is the mean of an exponential distribution.
+    #: Delay from the frame to the controller; the jitter is the mean of an exponential
+    #: distribution.
     latency_s: NonNegative = 0.001
     latency_jitter_s: NonNegative = 0.0003
-    #: Share of frames that are missing.
+    #: Fraction of missing frames.
     dropped: Fraction = 0.0
-    #: Times without any frame.
+    #: Intervals without frames.
     gaps_s: tuple[Interval, ...] = ()
-    #: Stamps are (1 + drift) t + offset, t the recorder's time.
+    #: Stamps are (1 + drift) t + offset, where t is the recorder's time.
     clock_offset_s: float = 0.0
     clock_drift: float = 0.0
 
@@ -69,9 +71,9 @@ class MotionCapture(Section):
 class OnBoard(Section):
     """Inertial and optical sensors on the craft; their noise is not verified."""
 
-    #: Measurements per second of each; 0: there are none.
+    #: Sampling rate of each sensor; 0: no sensor.
     rate_hz: NonNegative = 100.0
-    #: From the measurement to the controller.
+    #: Delay from the measurement to the controller.
     latency_s: NonNegative = 0.01
     #: Standard deviations of white noise.
     acceleration_noise_m_s2: NonNegative = 0.35
@@ -91,11 +93,11 @@ def _effect_fields() -> dict[str, Any]:
 class Effects(pydantic.create_model("Coefficients", __base__=Section, **_effect_fields())):
     """Optional physics (`airpuck.physics.effects`); zero: off."""
 
-    #: Share of the thrust that is lost per second of flight.
+    #: Fraction of the thrust that is lost per second of flight.
     battery_sag_1_s: NonNegative = 0.0
 
     def coefficients(self) -> dict[str, Any]:
-        """Return the coefficients of those that are switched on, by name."""
+        """Return the coefficients of the active effects, by name."""
         values = {}
         for name, quantity in EFFECTS.items():
             value = tuple(getattr(self, key) for key in quantity.settings or (quantity.key,))
@@ -119,40 +121,40 @@ class Stall(Section):
 
 
 class Weakness(Stall):
-    """A motor that gives only a share of its thrust for a while."""
+    """A motor that temporarily delivers only part of its thrust."""
 
-    #: Thrust given, of what the model says.
+    #: Delivered fraction of the modelled thrust.
     share: Fraction
 
 
 class Motors(Section):
     """How motors fail to follow their command."""
 
-    #: They stand still until then.
+    #: The motors stand still until this time.
     unarmed_s: NonNegative = 0.0
-    #: A motor that idles begins to follow a higher command this much later.
+    #: Delay before an idling motor begins to follow a higher command.
     starting_delay_s: NonNegative = 0.0
     #: Commands below this value count as idling.
     idle_below: Fraction = 0.05
     #: Failures.
     stalls: tuple[Stall, ...] = ()
-    #: Losses of thrust; shares of one motor multiply.
+    #: Losses of thrust; factors for the same motor multiply.
     weak: tuple[Weakness, ...] = ()
 
 
 class TwinSettings(AirHockey):
-    """Everything about a twin but the model of the craft.
+    """Everything about a twin except the model of the craft.
 
     Attributes
     ----------
     table : Table
         Rails and goals.
     puck : Puck
-        The puck, where there is one.
+        The puck, if there is one.
     mallet : Mallet
-        The human's, where there is one.
+        The human's mallet, if there is one.
     radio : Radio
-        From the controller to the motors.
+        The link from the controller to the motors.
     motion_capture : MotionCapture
         Poses.
     on_board : OnBoard

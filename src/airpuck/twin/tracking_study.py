@@ -29,38 +29,38 @@ from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
-#: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from and back to the middle.
+#: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from the centre and back.
 SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))
-#: Time before the first one [s], and from one to the next in the paper [s].
+#: Time before the first set point [s], and between set points in the paper [s].
 _LEAD, DWELL = 0.9, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Tracked(Result):
-    """One flight to the set points."""
+    """One flight through the set points."""
 
     JSON = "model pilot regulator gains setpoints=results outcomes"
 
-    #: Name of the model that the controller believed.
+    #: Name of the controller's model.
     model: str
-    #: Law of the controller; None where another pilot flew.
+    #: Law of the controller; None if a user's pilot flew.
     regulator: str | None
-    #: Of the LQR; None where another law or pilot flew.
+    #: Gains of the LQR; None if another law or pilot flew.
     gains: Gains | None
     #: The flight on the twin.
     twin: Track
-    #: The real flight that it imitates.
+    #: The real flight that it reproduces.
     real: Track | None
-    #: What the controller did on the twin.
+    #: The controller's log on the twin.
     log: FlightLog
-    #: Of the flight on the twin.
+    #: Tracking performance on the twin.
     recording: Recording
     #: The craft and its table.
     vehicle: Vehicle
     table: Table
-    #: What flew, for tables: the model, and the law or the pilot where there are several or own.
+    #: Label for tables: the model, plus the law or the pilot if there are several or a user's.
     label: str
-    #: A pilot of one's own that flew, by the name of its class, and what to warn of.
+    #: Class name of a user's pilot, and a warning.
     pilot: str | None = None
     warnings: tuple[str, ...] = ()
 
@@ -77,7 +77,7 @@ class Tracked(Result):
 
     @property
     def outcomes(self) -> Mapping[str, int]:
-        """How many control steps ended how."""
+        """Number of control steps per outcome."""
         return dict(sorted(Counter(self.log.status).items()))
 
     @property
@@ -88,12 +88,12 @@ class Tracked(Result):
 
     @property
     def saturated(self) -> Bool[np.ndarray, "K n"]:
-        """Which commands are the greatest that the motors take."""
+        """Which commands are at the motors' maximum."""
         return self.log.command >= self.vehicle.command_max - 1e-6
 
     @property
     def step_times(self) -> list[float]:
-        """Median, 99 % quantile and maximum of what a control step took [ms]."""
+        """Median, 99 % quantile and maximum of the control step's computing time [ms]."""
         return (1e3 * np.quantile(self.log.took, [0.5, 0.99, 1.0])).tolist()
 
     @property
@@ -105,8 +105,8 @@ class Tracked(Result):
     def rmse(self) -> Float[np.ndarray, " 3"] | None:
         """Difference between twin and real flight, root mean square [m, m, rad].
 
-        Over the six seconds from the first set point that differs from the start on, which is
-        0.5 to 6.5 s on the figure's axis (`origin`).
+        Over the six seconds from the first set point that differs from the start, which is 0.5 to
+        6.5 s on the figure's axis (`origin`).
         """
         if self.real is None:
             return None
@@ -144,29 +144,29 @@ def tracking_study(
     tuning: Tuning | None = None,
     make_pilot: PilotMaker | None = None,
 ) -> list[Tracked]:
-    """Fly set points, by default the paper's, on the twin with several models, and laws.
+    """Fly set points, by default the paper's, on the twin with several models and laws.
 
-    Beside a real flight the twin flies that flight's set points at its times, from where it
-    started, with an LQR's gains fitted to its log; otherwise the set points with the tuning's
-    gains.
+    To compare with a real flight, the twin flies that flight's set points at its times, from the
+    same start, with LQR gains fitted to its log. Otherwise it flies the given set points with the
+    tuning's gains.
 
     Parameters
     ----------
     models : sequence of Model
-        What the controller believes, one flight each.
+        Models for the controller, one flight each.
     truth : Model
         The truth of the twin.
     flights : sequence of Recording or None, optional
         The real flight of each model, if there is one.
     set_points : SetPoints, optional
-        Where to go, where no flight is imitated; by default the paper's.
+        Set points if no flight is reproduced; by default the paper's.
     dwell : float, default 2
-        Time from one of the paper's set points to the next, and at the last one [s].
+        Time between the paper's set points, and at the last one [s].
     seed : int, default 0
         Seed of noise and radio.
     full_controller : bool, optional
-        Whether the controller compensates the transport delay and rejects disturbances, as it does
-        by default where a law is not ``lqr``; the paper's did neither.
+        Whether the controller compensates the transport delay and rejects disturbances. By default
+        it does if a law is not ``lqr``; the paper's controller did neither.
     regulators : sequence of str, optional
         Laws that each model flies with, by name (see `airpuck.Law`); by default the tuning's.
     settings : TwinSettings, optional
@@ -174,18 +174,18 @@ def tracking_study(
     tuning : Tuning, optional
         Tuning of the controller; by default the packaged one.
     make_pilot : callable, optional
-        Makes a pilot of one's own from (model, reference), to fly in place of the controller.
+        Factory of a user's pilot from (model, reference), which replaces the controller.
 
     Returns
     -------
     list of Tracked
-        For each model, one for each law.
+        For each model, one flight per law.
 
     Raises
     ------
     InputError
         If a model does not fit the twin, a recording lacks a stream, a set point is beyond the
-        rails, or the pilot is none.
+        rails, or the pilot is invalid.
     """
     numbers.DWELL.check(dwell, "dwell")
     tuning = tuning or default_tuning()
@@ -283,14 +283,14 @@ class _Course:
     set_points: SetPoints
     #: Length [s].
     duration: float
-    #: Where the craft stands at first.
+    #: Initial pose of the craft.
     pose: tuple[float, float, float]
-    #: The real flight that it imitates.
+    #: The real flight that it reproduces.
     real: Track | None
 
     @classmethod
     def planned(cls, set_points: SetPoints | None, dwell: float) -> _Course:
-        """Return a flight from the middle to set points, by default the paper's."""
+        """Return a flight from the centre through set points, by default the paper's."""
         if set_points is None:
             changes = _LEAD + dwell * np.arange(len(SET_POINTS) - 1)
             set_points = SetPoints([0.0, *changes.tolist()], SET_POINTS)
@@ -298,7 +298,7 @@ class _Course:
 
     @classmethod
     def flown(cls, real: Track, border: tuple[float, float]) -> _Course:
-        """Return a real flight's set points at its times, from where it started."""
+        """Return a real flight's set points at its times, from the same start."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
         # Noise, or another radius, may put a craft that touches a rail beyond it.
         reach = np.array([*border, np.inf])

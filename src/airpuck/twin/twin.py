@@ -1,4 +1,4 @@
-"""The twin: a simulated table that a flight loop cannot tell from a real one."""
+"""The twin: a simulated table that a flight loop cannot distinguish from a real one."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class Twin:
     settings : TwinSettings, optional
         Table, sensors, radio, effects, faults; by default the packaged ones.
     seed : int, default 0
-        Seed of everything random: the same seed gives the same flight.
+        Seed of all random numbers: the same seed gives the same flight.
     pose : tuple of float, default (0, 0, 0)
-        Where the craft stands at first [m, m, rad].
+        Initial pose of the craft [m, m, rad].
     plant : Plant, optional
-        From `build_plant` of the same model and settings, to compile only once.
+        From `build_plant` for the same model and settings, to compile only once.
     puck : PuckState, optional
-        Where a puck is at first, and how it moves; by default there is none.
+        Initial state of the puck; by default there is no puck.
     mallet : tuple of float, optional
-        Where the human's mallet is at first [m]; by default there is none. It needs a puck.
+        Initial position of the human's mallet [m]; by default there is no mallet. It needs a puck.
     logs : bool, default True
         Whether to keep everything for `recording` and `truth`; not for runs of hours.
     world : World, optional
-        The table that it shares with another disc; by default one of its own.
+        The table that it shares with another disc; by default its own.
 
     Attributes
     ----------
@@ -58,8 +58,8 @@ class Twin:
     Raises
     ------
     InputError
-        If the seed is no number to begin with, the craft or the puck would not be on the table, or
-        a world that is shared lacks a puck or, when time passes, a second disc.
+        If the seed is invalid, the craft or the puck would not be on the table, or a shared world
+        lacks a puck or, when time passes, a second disc.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Twin:
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
         _check_pose(pose, settings.table, model.vehicle.radius_m)
-        # An accelerometer feels what pushes the craft, but not the pull of gravity along a slope.
+        # An accelerometer senses forces on the craft, but not the pull of gravity along a slope.
         pushed = tuple(e for e in self.plant.dynamics.effects if e.gravity is None)
         self._felt = replace(self.plant.dynamics, effects=pushed)
         shared = world is not None
@@ -96,7 +96,7 @@ class Twin:
             played = ("puck", "mallet")
         self.now = 0.0
         self.world = world
-        # In a game somebody takes note of contacts, and then drops them.
+        # In a game another object records contacts, and then drops them.
         self.craft = Craft(model, settings, self.plant, seed, pose, logs or shared)
         world.bodies.append(self.craft)
         if mallet is not None:
@@ -121,7 +121,7 @@ class Twin:
 
     @property
     def border(self) -> tuple[float, float]:
-        """Where the table ends: ±x, ±y [m]."""
+        """The edge of the table: ±x, ±y [m]."""
         return self.settings.table.reach(0.0)
 
     @property
@@ -137,11 +137,11 @@ class Twin:
 
     @property
     def due(self) -> float:
-        """When a sensor next measures; see `airpuck.twin.play.WorldObserver` [s]."""
+        """Time of the next measurement; see `airpuck.twin.play.WorldObserver` [s]."""
         return self._sensors.due
 
     def observe(self, time: float) -> None:
-        """Take the samples that are due; see `airpuck.twin.play.WorldObserver`."""
+        """Take the due samples; see `airpuck.twin.play.WorldObserver`."""
         if self._logs and self._sensors.sensors[0].due <= time:
             self._log_truth(time)
         self._sensors.observe(time)
@@ -152,7 +152,7 @@ class Twin:
         Parameters
         ----------
         command : array, shape (n,)
-            Motor commands; what lies outside [0, 1] is clipped, as a real radio does.
+            Motor commands; values outside [0, 1] are clipped, as by a real radio.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class Twin:
         self.craft.radio.send(self.now, command)
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
-        """Log what the craft is asked to do; see `airpuck.flight.loop.Link`."""
+        """Log the reference; see `airpuck.flight.loop.Link`."""
         if self._logs:
             self._announced.append((self.now, np.array(reference, dtype=float)))
 
@@ -180,7 +180,7 @@ class Twin:
 
     @property
     def in_contact(self) -> bool:
-        """Whether the craft's electronics get commands, rather than having timed out."""
+        """Whether the craft's electronics receive commands and have not timed out."""
         return self.craft.radio.in_contact(self.now)
 
     @property
@@ -195,14 +195,13 @@ class Twin:
         return np.array(self._puck_truth).reshape(-1, 6)
 
     def recording(self) -> Recording:
-        """Return what a recorder on the network would have logged.
+        """Return the flight as a recorder on the network would log it.
 
         Returns
         -------
         Recording
-            Streams ``pose``, ``command``, and where there are any ``reference``, ``imu``,
-            ``mouse``, ``puck``, ``mallet``; stamps as the senders put them, arrivals on the
-            recorder's clock.
+            Streams ``pose``, ``command``, and if present ``reference``, ``imu``, ``mouse``,
+            ``puck``, ``mallet``. Stamps are the senders'; arrivals are on the recorder's clock.
         """
         names = self.model.vehicle.propeller_names
         streams = self._sensors.streams()
@@ -213,14 +212,14 @@ class Twin:
         return Recording(streams=streams, source=f"twin of {self.model.name}")
 
     def _log_truth(self, time: float) -> None:
-        """Keep the states at a frame of the motion capture."""
+        """Store the states at a frame of the motion capture."""
         self._truth.append((time, self.state))
         puck = self.world.puck
         if puck is not None:
             self._puck_truth.append((math.nan,) * 6 if puck.goal else puck.state)
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
-        """Return what a perfect sensor would say."""
+        """Return noise-free readings."""
         if kind == "pose":
             return self.craft.pose()
         if kind == "puck":
@@ -237,7 +236,7 @@ class Twin:
 
 
 def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple[Kind, ...]:
-    """Return which bodies are there beside the craft; refuse what are no places."""
+    """Return the other bodies beside the craft; raise InputError for invalid positions."""
     if puck is None:
         if mallet is not None:
             raise InputError("is there for a puck; give one, too", field="mallet")

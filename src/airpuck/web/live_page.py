@@ -54,7 +54,7 @@ class LivePage:
         pages.say_status("starting", (0, 0), level)
 
     def begin(self, process: Process, pilot: Pilot) -> None:
-        """Take note of who flies; see `Spectator`."""
+        """Receive the participants; see `Spectator`."""
         assert isinstance(pilot, Player)
         self._process, self._player = process, pilot
         self._targets = Outbox(process, "mallet_target")

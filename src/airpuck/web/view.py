@@ -49,7 +49,7 @@ def view_live(
     Parameters
     ----------
     model : Model
-        What the craft is believed to be.
+        Model of the craft.
     settings : LiveSettings, optional
         How to join the graph, and for how long.
     host : str, default "127.0.0.1"
