@@ -204,6 +204,35 @@ def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
     assert np.abs(left_out[1, ~wanted_less]).max() < left_out[0].max() / 2
 
 
+def test_over_several_steps_the_bend_counts_what_follows_from_each():
+    blocks, step = Blocks(0.01, (12,)), 0.01
+    regulator = default_tuning().regulator
+    w = regulator.weights
+    effort = step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
+    plan, wanted, tiny = np.full((1, 6), 0.9), np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0]), 1e-3
+    s = posed(plan, wanted, blocks=blocks)
+
+    def weighted(one: np.ndarray, other: np.ndarray, pushed: np.ndarray, pull: np.ndarray) -> float:
+        inner = np.sum(s.weights[:-1] * one[:-1] * other[:-1])
+        return inner + one[-1] @ s.terminal @ other[-1] + np.sum(effort * pushed * pull)
+
+    def cost(stages) -> float:
+        return weighted(stages.error, stages.error, stages.excess, stages.excess) / 2
+
+    throughout = np.flatnonzero((s.bend > 0).all(axis=0))
+    assert len(throughout)
+    for motor in throughout:
+        change = tiny * np.eye(6)[motor][None]
+        more, less = (posed(plan + d, wanted, blocks=blocks) for d in (change, -change))
+        curvature = (cost(more) - 2 * cost(s) + cost(less)) / tiny**2
+        error, excess = (
+            (getattr(more, n) - getattr(less, n)) / 2 / tiny for n in ("error", "excess")
+        )
+        speed = (more.states[:, 6 + motor] - less.states[:, 6 + motor]) / 2 / tiny
+        bent = curvature - weighted(error, error, excess, excess)
+        assert s.bend[:, motor] @ speed**2 == pytest.approx(bent, rel=0.02)
+
+
 def test_straight_thrust_curves_do_not_bend():
     straight = MODEL.parameters.thrust * [1.0, 0.0, 0.0]
     model = replace(MODEL, parameters=replace(MODEL.parameters, thrust=straight))
