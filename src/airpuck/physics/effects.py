@@ -29,7 +29,7 @@ class BodyMotion:
     left: Any
     #: ω [rad/s].
     spin: Any
-    #: Angular velocity [rad/s].
+    #: Cosine and sine of the yaw.
     cos: Any
     sin: Any
 
