@@ -20,6 +20,16 @@ Variables = Float[np.ndarray, " m"]
 Rows = Float[np.ndarray, "3 m"]
 #: Bounds of the variables, then of the rows.
 Bounds = Float[np.ndarray, " m+3"]
+#: Outcome of a request. ``exact``: met. ``scaled``: the linear or angular acceleration is reduced
+#: along its direction (s1, s2 < 1). ``nearest``: no scaled request is feasible; the thrusts give
+#: the nearest acceleration. ``failed``: the solver found no solution; the thrusts are the lowest
+#: allowed.
+Outcome = Literal["exact", "scaled", "nearest", "failed"]
+#: A request counts as fully met if both slacks are this close to 1.
+_UNSCALED = 1e-6
+#: Weights of slacks and thrusts relative to the distance in the nearest-acceleration problem: small
+#: enough not to change the distance, large enough to choose among equally near solutions.
+_TIE_SLACK, _TIE_THRUST = 1e-7, 1e-8
 
 
 class Piqp:
@@ -115,19 +125,6 @@ class Daqp:
 
 
 SOLVERS = {"daqp": Daqp, "piqp": Piqp}
-
-
-#: Outcome of a request. ``exact``: met. ``scaled``: the linear or angular acceleration is reduced
-#: along its direction (s1, s2 < 1). ``nearest``: no scaled request is feasible; the thrusts give
-#: the nearest acceleration. ``failed``: the solver found no solution; the thrusts are the lowest
-#: allowed.
-Outcome = Literal["exact", "scaled", "nearest", "failed"]
-
-#: A request counts as fully met if both slacks are this close to 1.
-_UNSCALED = 1e-6
-#: Weights of slacks and thrusts relative to the distance in the nearest-acceleration problem: small
-#: enough not to change the distance, large enough to choose among equally near solutions.
-_TIE_SLACK, _TIE_THRUST = 1e-7, 1e-8
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,13 @@ _TURNING, _MOST_ROOM = 8e-4, 0.015
 _UNDECIDED = np.pi - 0.5
 #: Below this speed, or this distance from a disc's centre, the direction is undefined [m/s, m].
 _NOWHERE = 1e-9
+#: Cost of a squared change of a command, apart from its effect. The linearisation holds only near
+#: the plan: without this cost, plans of a craft that turns fast jump between two ways to brake.
+_DAMPING = 0.5
+#: How DAQP treats a limit.
+_HARD, _SOFT = 0, 8
+#: DAQP's exit flags for a solution within all limits, and for one beyond soft limits.
+_OPTIMAL, _SOFTENED = 1, 2
 
 
 @dataclass(frozen=True)
@@ -306,11 +313,6 @@ def _direction(xp: Any, vectors: Num[Any, "N 2"]) -> Num[Any, "N 2"]:
     return xp.where(length > _NOWHERE, vectors / xp.maximum(length, _NOWHERE), 0.0)
 
 
-#: Cost of a squared change of a command, apart from its effect. The linearisation holds only near
-#: the plan: without this cost, plans of a craft that turns fast jump between two ways to brake.
-_DAMPING = 0.5
-
-
 @dataclass(frozen=True, eq=False)
 class Answer:
     """A solution."""
@@ -342,12 +344,6 @@ class Sizes:
     def __getstate__(self) -> dict[str, Any]:
         """Return everything except the solver's memory: the key of a compiled `form`."""
         return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver", "_astray")}
-
-
-#: How DAQP treats a limit.
-_HARD, _SOFT = 0, 8
-#: DAQP's exit flags for a solution within all limits, and for one beyond soft limits.
-_OPTIMAL, _SOFTENED = 1, 2
 
 
 class Condensed(Sizes):

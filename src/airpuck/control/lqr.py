@@ -24,6 +24,11 @@ from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import Dynamics, acceleration_map
 from airpuck.physics.thrust import InverseThrust, inverse_thrust, thrust
 
+#: Bounds of the effectiveness used by the allocation. A motor that seems dead still gets a small
+#: request, so that the controller notices when it recovers; no estimate may make the controller
+#: timid.
+_EFFECTIVENESS = (0.1, 1.5)
+
 
 def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 3"]]:
     """Discretise the craft as a point mass driven by accelerations (eq. point_mass_subsystem)."""
@@ -160,12 +165,6 @@ class LQR(Law):
             if all_finite(command):
                 return Step(command, outcome, plan.request, estimate), state
         return Step(self._idle.copy(), "failed", plan.request, estimate), state
-
-
-#: Bounds of the effectiveness used by the allocation. A motor that seems dead still gets a small
-#: request, so that the controller notices when it recovers; no estimate may make the controller
-#: timid.
-_EFFECTIVENESS = (0.1, 1.5)
 
 
 class AllocationProblem(NamedTuple):

@@ -28,6 +28,13 @@ from airpuck.physics.angle import pose_difference
 
 #: Commands that began to act longer ago than this affect only the motor speeds [s].
 _REMEMBERED = 0.5
+#: No control without a pose from the last 50 ms: twelve frames of motion capture.
+STALE = 0.05
+#: A pose this far from its prediction cannot be the craft: [m, m, rad].
+_JUMP = (0.1, 0.1, 1.0)
+#: Poses that agree with each other for this long, but not with the prediction, are accepted [s];
+#: rounding of stamps must not cost a frame.
+_BELIEVED_AFTER = STALE - 1e-6
 
 
 class TrackingController(Pilot):
@@ -295,15 +302,6 @@ def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFi
     return ActuationFilter(
         model, estimation.noise, lasting=estimation.forgetting_s, compiled=compiled
     )
-
-
-#: No control without a pose from the last 50 ms: twelve frames of motion capture.
-STALE = 0.05
-#: A pose this far from its prediction cannot be the craft: [m, m, rad].
-_JUMP = (0.1, 0.1, 1.0)
-#: Poses that agree with each other for this long, but not with the prediction, are accepted [s];
-#: rounding of stamps must not cost a frame.
-_BELIEVED_AFTER = STALE - 1e-6
 
 
 class PoseGate:

@@ -27,6 +27,20 @@ from airpuck.boundary.files import (
 )
 from airpuck.boundary.limits import PROPELLERS
 
+#: Plausible radii of craft on a table [m].
+_RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
+#: Plausible ratios: farthest propeller to radius; mass to squared radius [kg/m²]; inertia to mass
+#: times squared radius (a disc has ½).
+_FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
+#: Largest plausible ratio of a propeller's thrust to the craft's weight; longest lag and delay [s].
+_THRUST, _TIME = 10.0, 1.0
+_GRAVITY = 9.81
+_LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+_MASSES = {"grams": 1e-3}
+_INERTIAS = {"g m²": 1e-3, "kg cm²": 1e-4, "kg mm²": 1e-6, "g cm²": 1e-7, "g mm²": 1e-9}
+_FORCES = {"gram-force": 1e-3 * _GRAVITY}
+_TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
+
 
 class Propeller(Section):
     """One propeller: its position, and the direction in which its thrust pushes the craft."""
@@ -234,22 +248,6 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
             field=unknown[0],
         )
     return [columns.index(name) for name in names]
-
-
-#: Plausible radii of craft on a table [m].
-_RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
-#: Plausible ratios: farthest propeller to radius; mass to squared radius [kg/m²]; inertia to mass
-#: times squared radius (a disc has ½).
-_FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
-#: Largest plausible ratio of a propeller's thrust to the craft's weight; longest lag and delay [s].
-_THRUST, _TIME = 10.0, 1.0
-_GRAVITY = 9.81
-
-_LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
-_MASSES = {"grams": 1e-3}
-_INERTIAS = {"g m²": 1e-3, "kg cm²": 1e-4, "kg mm²": 1e-6, "g cm²": 1e-7, "g mm²": 1e-9}
-_FORCES = {"gram-force": 1e-3 * _GRAVITY}
-_TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 
 
 def check_sizes(

@@ -27,6 +27,14 @@ FORMAT = "airpuck trajectory 1"
 #: Steps below this multiple of the median are not pauses; they alternate if their mean differs by
 #: this fraction.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
+#: Causes that are described in words, singular and plural.
+_NOUNS = {
+    "gap": ("gap", "gaps"),
+    "frozen pose": ("frozen pose", "frozen poses"),
+    "jumping pose": ("jump", "jumps"),
+    "no commands": ("pause of the commands", "pauses of the commands"),
+    "contact": ("contact", "contacts"),
+}
 
 
 @dataclass(frozen=True)
@@ -448,16 +456,6 @@ def mean_hold(
     left = (time[interval + 1] - event_time[within])[:, None]
     np.add.at(mean, interval, change * left / length[interval])
     return mean, slope
-
-
-#: Causes that are described in words, singular and plural.
-_NOUNS = {
-    "gap": ("gap", "gaps"),
-    "frozen pose": ("frozen pose", "frozen poses"),
-    "jumping pose": ("jump", "jumps"),
-    "no commands": ("pause of the commands", "pauses of the commands"),
-    "contact": ("contact", "contacts"),
-}
 
 
 def left_out_words(trajectory: Trajectory) -> str:

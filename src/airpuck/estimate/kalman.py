@@ -25,6 +25,17 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
 Command = Float[np.ndarray, " n"]
+#: Number of one-command intervals that one call handles; longer times take several calls. A command
+#: begins to act between two poses of 240 Hz nearly half of the time.
+_PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
+#: How late a measurement may arrive if sensors have different latencies [s].
+_REMEMBERED = 0.1
+#: A belief about the craft in the form of the equations: arrays that are never written to.
+Belief = tuple[Any, ...]
+#: Time, belief and motor speeds.
+_State = tuple[float, Belief, Float[np.ndarray, " n"]]
+#: Durations [s] and commands of intervals.
+_Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
 
 class HeldCommands:
@@ -63,20 +74,6 @@ class HeldCommands:
                 now = begins
             acting = command
         return [*pieces, (stop - now, acting)]
-
-
-#: Number of one-command intervals that one call handles; longer times take several calls. A command
-#: begins to act between two poses of 240 Hz nearly half of the time.
-_PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
-#: How late a measurement may arrive if sensors have different latencies [s].
-_REMEMBERED = 0.1
-
-#: A belief about the craft in the form of the equations: arrays that are never written to.
-Belief = tuple[Any, ...]
-#: Time, belief and motor speeds.
-_State = tuple[float, Belief, Float[np.ndarray, " n"]]
-#: Durations [s] and commands of intervals.
-_Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
 
 class KalmanFilter:

@@ -39,6 +39,12 @@ _GAIN = 1e-3
 #: Standard deviation of the speed at the first pose of a stretch, in pose noise per sample period:
 #: practically unknown.
 _UNSURE = 1e3
+#: Fewest innovations that a likelihood is made from.
+_FEWEST = 50
+#: What the search for the noise begins with.
+_FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
+#: How long poses are used before a prediction starts, so that the speed is determined [s].
+_SETTLE_S = 0.25
 
 
 def most_likely_noise(
@@ -147,14 +153,6 @@ def initial_covariance(xp: Any, pose_variance: Any, disturbance: Any, period: An
     speed = pose_variance * (_UNSURE / period) ** 2
     rows = [[pose_variance, zero, zero], [zero, speed, zero], [zero, zero, disturbance]]
     return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
-
-
-#: Fewest innovations that a likelihood is made from.
-_FEWEST = 50
-#: What the search for the noise begins with.
-_FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
-#: How long poses are used before a prediction starts, so that the speed is determined [s].
-_SETTLE_S = 0.25
 
 
 @dataclass(frozen=True, eq=False)

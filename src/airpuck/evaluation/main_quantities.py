@@ -21,6 +21,13 @@ from airpuck.model.parameters import thrust_scale as parameters_scale
 from airpuck.model.quantities import QUANTITIES, Quantity
 from airpuck.physics.thrust import thrust
 
+#: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
+_BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
+#: Without a meaning where the configuration matrix is learned directly.
+UNUSED_WHERE_DIRECT = frozenset(q.name for q in QUANTITIES if q.in_matrix)
+#: Quantities that are positive by nature, so that a change in percent says something.
+_POSITIVE = frozenset(q.name for q in QUANTITIES if q.positive)
+
 
 def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
     """Return the factor that brings each thrust curve to newtons."""
@@ -51,14 +58,6 @@ def largest_accelerations(
     force = thrust(coefficients, np.full(len(coefficients), speed))
     matrix = np.asarray(model.dynamics.configuration)
     return np.hypot(matrix[0], matrix[1]) * force, matrix[2] * force
-
-
-#: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
-_BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
-#: Without a meaning where the configuration matrix is learned directly.
-UNUSED_WHERE_DIRECT = frozenset(q.name for q in QUANTITIES if q.in_matrix)
-#: Quantities that are positive by nature, so that a change in percent says something.
-_POSITIVE = frozenset(q.name for q in QUANTITIES if q.positive)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,12 @@ from airpuck.model.model_file import Model
 
 #: Share of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10
+#: Channels of the innovations in the frame of the body.
+BODY_CHANNELS = ("forward", "left", "yaw")
+#: Largest lag [samples].
+LAGS = 25
+#: Share of the strongest push below which there is none.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,14 +197,6 @@ def _pseudo_inverse(matrix: Float[np.ndarray, "F F"]) -> tuple[Float[np.ndarray,
     """Invert a symmetric matrix in the directions that the data show, and count them."""
     rank = np.linalg.matrix_rank(matrix, rtol=_NONE, hermitian=True)
     return np.linalg.pinv(matrix, rtol=_NONE, hermitian=True), int(rank)
-
-
-#: Channels of the innovations in the frame of the body.
-BODY_CHANNELS = ("forward", "left", "yaw")
-#: Largest lag [samples].
-LAGS = 25
-#: Share of the strongest push below which there is none.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

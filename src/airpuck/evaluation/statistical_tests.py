@@ -25,6 +25,13 @@ LEVEL = 0.01
 LEAST_SHARE = 0.01
 #: 99.5 % quantile of the normal distribution: half of a 99 % band, in standard deviations.
 BAND = 2.5758293035489004
+#: Length of a block [s]. The rule of Politis and White (2004) asks for 0.6 to 1.6 s on the squared
+#: errors of seven real flights; faults and other disturbances last up to some seconds.
+BLOCK_S = 3.0
+#: Fewer blocks say nothing about their spread.
+FEWEST_BLOCKS = 4
+#: Draws; their spread is then known within 2 %.
+_DRAWS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +171,6 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
     found = binomtest(successes, trials).proportion_ci(method="wilson")
     return float(found.low), float(found.high)
-
-
-#: Length of a block [s]. The rule of Politis and White (2004) asks for 0.6 to 1.6 s on the squared
-#: errors of seven real flights; faults and other disturbances last up to some seconds.
-BLOCK_S = 3.0
-#: Fewer blocks say nothing about their spread.
-FEWEST_BLOCKS = 4
-#: Draws; their spread is then known within 2 %.
-_DRAWS = 1000
 
 
 def blocks(start: Float[np.ndarray, " W"]) -> float:

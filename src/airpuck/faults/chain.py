@@ -33,6 +33,20 @@ SHORTEST = 0.1
 LONGEST_HOLD = 0.6
 #: Number of samples between the times in a step at which accelerations are evaluated.
 _SPACING = 2
+RADIO_OUT, UNEXPLAINED = "radio out", "unexplained motion"
+#: Fraction of the steps at which a fault of one kind begins: each about once an hour. Two motors at
+#: once are thirty times rarer, so that they are not preferred if one explains as much.
+_BEGINS, _PAIR = 1e-5, 1 / 30
+#: Fraction of the faults that end within a step, once they may.
+_ENDS = 0.1
+#: Fraction of the held commands that end within a step in a stop, due to an on-board timeout.
+_TIMES_OUT = 0.02
+#: Number of steps after which a held command is no longer jitter.
+_HELD_AT_LEAST = 4
+#: Fraction of the steps at which an unexplained motion begins, and fraction at which it ends.
+_COMES, _PASSES = 1e-3, 0.3
+#: Probability that a recording begins before the motors are armed.
+_UNARMED = 0.02
 
 
 @dataclass(frozen=True)
@@ -119,23 +133,6 @@ def _stopping_steps(lag: float, length: float) -> int:
 def usable_steps(trajectory: Trajectory, knots: Int[np.ndarray, " K1"]) -> Bool[np.ndarray, " K"]:
     """Return which steps touch no excluded span."""
     return np.logical_and.reduceat(trajectory.usable, knots[:-1]) & trajectory.usable[knots[1:]]
-
-
-RADIO_OUT, UNEXPLAINED = "radio out", "unexplained motion"
-
-#: Fraction of the steps at which a fault of one kind begins: each about once an hour. Two motors at
-#: once are thirty times rarer, so that they are not preferred if one explains as much.
-_BEGINS, _PAIR = 1e-5, 1 / 30
-#: Fraction of the faults that end within a step, once they may.
-_ENDS = 0.1
-#: Fraction of the held commands that end within a step in a stop, due to an on-board timeout.
-_TIMES_OUT = 0.02
-#: Number of steps after which a held command is no longer jitter.
-_HELD_AT_LEAST = 4
-#: Fraction of the steps at which an unexplained motion begins, and fraction at which it ends.
-_COMES, _PASSES = 1e-3, 0.3
-#: Probability that a recording begins before the motors are armed.
-_UNARMED = 0.02
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,6 +36,22 @@ AXES = ("x", "y", "z")
 _HALF_TURN = 0.5
 #: How much more another choice of signs must explain, of at most 2.
 _MARGIN = 0.15
+#: Longest transport delay tried [s].
+_LONGEST_DELAY = 0.1
+#: Rotation of the whole layout that is worth mentioning [rad].
+_TURNED = 0.3
+#: Fraction of the variance that the commands must explain before anything is concluded.
+_EXPLAINED = 0.3
+#: Shortest usable recording from which anything is concluded [s].
+_SHORTEST = 2.0
+#: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
+#: poor guess of the inertia.
+_WRONG_UNIT = 5.0
+#: How much rotating the layout back must raise the mean cosine; otherwise swapped motors are the
+#: better explanation.
+_BETTER = 0.02
+#: Verdict on a propeller that agrees once the layout is rotated back.
+_TURNS = "turned with the whole layout"
 
 
 @dataclass(frozen=True)
@@ -133,24 +149,6 @@ def _correlation(cause: np.ndarray, effect: np.ndarray) -> complex:
     """Return the normalised inner product; zero if either vector is zero."""
     size = np.linalg.norm(cause) * np.linalg.norm(effect)
     return complex(np.vdot(cause, effect) / size) if size > 0 else 0j
-
-
-#: Longest transport delay tried [s].
-_LONGEST_DELAY = 0.1
-#: Rotation of the whole layout that is worth mentioning [rad].
-_TURNED = 0.3
-#: Fraction of the variance that the commands must explain before anything is concluded.
-_EXPLAINED = 0.3
-#: Shortest usable recording from which anything is concluded [s].
-_SHORTEST = 2.0
-#: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
-#: poor guess of the inertia.
-_WRONG_UNIT = 5.0
-#: How much rotating the layout back must raise the mean cosine; otherwise swapped motors are the
-#: better explanation.
-_BETTER = 0.02
-#: Verdict on a propeller that agrees once the layout is rotated back.
-_TURNS = "turned with the whole layout"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,9 @@ from airpuck.control.reference import asked, check_inside
 from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import called, check_pilot, checked_step
 
+#: Every how many steps a prediction is stored or published.
+PREDICTIONS_EVERY = 10
+
 
 @runtime_checkable
 class Link(Protocol):
@@ -60,10 +63,6 @@ class Link(Protocol):
         reference : array, shape (6,)
             x, y, yaw and their rates.
         """
-
-
-#: Every how many steps a prediction is stored or published.
-PREDICTIONS_EVERY = 10
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,15 @@ _STALE = 0.05
 _MARGIN = 0.05
 #: After a pause this long between two steps the test restarts [s].
 _PAUSE = 0.2
+#: Time span of poses used before a pulse begins and after it ends [s].
+_BEFORE, _AFTER = 0.15, 0.25
+#: Transport delays tried [s], and the longest step of integration [s].
+_DELAYS = np.arange(0.0, 0.15, 1e-3)
+_STEP = 1e-3
+#: Fewest poses on each side of a pulse for fitting a line.
+_FEWEST = 20
+#: A pulse shorter than this fraction of the usual length was cut off.
+_CUT_OFF = 0.7
 
 
 @dataclass(frozen=True)
@@ -124,17 +133,6 @@ class PulseTest(Pilot):
             x, y = pose[:2]
             return f"the craft is at a rail or off the table, x = {x:.3g} m, y = {y:.3g} m"
         return ""
-
-
-#: Time span of poses used before a pulse begins and after it ends [s].
-_BEFORE, _AFTER = 0.15, 0.25
-#: Transport delays tried [s], and the longest step of integration [s].
-_DELAYS = np.arange(0.0, 0.15, 1e-3)
-_STEP = 1e-3
-#: Fewest poses on each side of a pulse for fitting a line.
-_FEWEST = 20
-#: A pulse shorter than this fraction of the usual length was cut off.
-_CUT_OFF = 0.7
 
 
 @dataclass(frozen=True, eq=False)

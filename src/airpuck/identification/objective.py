@@ -40,6 +40,21 @@ from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, acceleration, register_pytrees
 from airpuck.physics.thrust import thrust, thrust_slope
 
+#: Number of windows handled at once: large enough to fill vector units, small enough for the cache,
+#: and few enough that a block of two seconds fills one batch
+#: (`airpuck.identification.uncertainty`).
+BATCH = 64
+#: Recordings up to this many samples, a minute at 240 Hz, share a program: unused samples cost
+#: nothing.
+_SHORTEST = 1 << 14
+#: Number of windows above which the batch size doubles: an eighth less time for each, but another
+#: program to compile.
+_LARGE = 10_000
+#: Number of windows above which `PredictionLoss.thinned` drops some, and the factor.
+_MANY, _THINNED = 1000, 4
+#: First samples of B windows, and how often each counts.
+_Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
+
 
 def normal_equations(
     dynamics: tuple[Any, tuple[Any, Any], Any, Any],
@@ -195,20 +210,6 @@ def compiled_normal_equations() -> Callable[..., tuple[Any, Any, Any]]:
     return for_batches(normal_equations, static_argnames=("encoder", "lengths", "frame"))
 
 
-#: Number of windows handled at once: large enough to fill vector units, small enough for the cache,
-#: and few enough that a block of two seconds fills one batch
-#: (`airpuck.identification.uncertainty`).
-BATCH = 64
-#: Recordings up to this many samples, a minute at 240 Hz, share a program: unused samples cost
-#: nothing.
-_SHORTEST = 1 << 14
-#: Number of windows above which the batch size doubles: an eighth less time for each, but another
-#: program to compile.
-_LARGE = 10_000
-#: Number of windows above which `PredictionLoss.thinned` drops some, and the factor.
-_MANY, _THINNED = 1000, 4
-
-
 @dataclass(frozen=True)
 class Quadratic:
     """A loss and its quadratic approximation at a point, as sums over G clusters of windows."""
@@ -234,10 +235,6 @@ class Quadratic:
     def hessian(self) -> Float[np.ndarray, "P P"]:
         """Its Gauss-Newton Hessian."""
         return self.informations.sum(axis=0)
-
-
-#: First samples of B windows, and how often each counts.
-_Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,6 +27,10 @@ from airpuck.model.rungs import Rung, named_rung
 _ENCODER = PaperEncoder()
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
+#: Largest fraction of the windows that faults may take; beyond it the model must be wrong.
+MOST = 0.5
+#: Number of motor time constants after which an encoder knows the motor speeds again.
+_SETTLING = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +128,6 @@ def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     """Return the transport delay found by preprocessing, in whole samples [s]."""
     known = [trajectory.delay for trajectory in trajectories if trajectory.delay_known]
     return float(np.mean(known)) if known else vehicle.nominal.transport_delay_s
-
-
-#: Largest fraction of the windows that faults may take; beyond it the model must be wrong.
-MOST = 0.5
-#: Number of motor time constants after which an encoder knows the motor speeds again.
-_SETTLING = 3.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,20 @@ from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 
+NAME = "airpuck fly"
+#: Number of idle commands at the end, since one may be lost.
+_LAST_COMMANDS = 5
+#: Number of rehearsal steps, and how many of them are skipped so that the pilot forgets the others.
+_WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
+#: Poses that arrive by then are processed before a command is due [s].
+_EARLY = 0.002
+_GO, _QUIT = "g", "q"
+#: In the preflight check the frame and the units may be wrong. The pilot itself ends the test near
+#: a rail, and pulses keep their length even if poses jump.
+ANYWHERE = SafetyLimits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
+#: Time for the check to find the graph, and for the guard to accept the poses [s].
+_PATIENCE = 3.0
+
 
 class PlannedSetPoints:
     """Set points whose times [s] count from the craft's first flight; a `Reference`."""
@@ -71,21 +85,6 @@ class FollowedSetPoint:
             return f"a set point outside the geofence, ({x:.2f}, {y:.2f})"
         self.point = SetPoint(x, y, yaw)
         return None
-
-
-NAME = "airpuck fly"
-#: Number of idle commands at the end, since one may be lost.
-_LAST_COMMANDS = 5
-#: Number of rehearsal steps, and how many of them are skipped so that the pilot forgets the others.
-_WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
-#: Poses that arrive by then are processed before a command is due [s].
-_EARLY = 0.002
-_GO, _QUIT = "g", "q"
-#: In the preflight check the frame and the units may be wrong. The pilot itself ends the test near
-#: a rail, and pulses keep their length even if poses jump.
-ANYWHERE = SafetyLimits(geofence=(math.inf, math.inf), jump=(math.inf, math.inf))
-#: Time for the check to find the graph, and for the guard to accept the poses [s].
-_PATIENCE = 3.0
 
 
 def fly_live(

@@ -22,6 +22,11 @@ from airpuck.recording.message import command_type, definitions
 _LOOK = 0.1
 #: How many messages of a topic may wait for the listener.
 _DEPTH = 2000
+NAME = "airpuck record"
+#: A killed recorder loses at most this much [s], and what the disk had not written.
+_FLUSH = 0.5
+#: How long to wait for messages [s].
+_WAIT = 0.05
 
 
 @dataclass
@@ -119,13 +124,6 @@ class Listener:
         topic.subscription = self._ask(topic.first, quality)
         topic.waiting += before.take()
         self._graph.unsubscribe(before)
-
-
-NAME = "airpuck record"
-#: A killed recorder loses at most this much [s], and what the disk had not written.
-_FLUSH = 0.5
-#: How long to wait for messages [s].
-_WAIT = 0.05
 
 
 def record(

@@ -26,6 +26,11 @@ BEGINS = 0.85
 _FETCHED = 0.2
 #: The mallet follows a target for this long after its message [s].
 _HOLDS = 0.25
+NAME = "airpuck twin"
+#: Measurements are lost if this process could not send them for this long [s].
+_LOST = 0.05
+#: Time simulated before the start, so that everything is compiled [s].
+_WARM_UP = 0.1
 
 
 class Human:
@@ -79,13 +84,6 @@ class Human:
                 self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp
         if now - self._wanted_at > _HOLDS:
             self._hand.wanted = None
-
-
-NAME = "airpuck twin"
-#: Measurements are lost if this process could not send them for this long [s].
-_LOST = 0.05
-#: Time simulated before the start, so that everything is compiled [s].
-_WARM_UP = 0.1
 
 
 def serve_twin(

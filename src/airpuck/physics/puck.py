@@ -17,6 +17,14 @@ from typing import Any, Literal, NamedTuple
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
 
+#: Bodies that approach more slowly than this count as separating [m/s]: friction and bounces leave
+#: rounding errors.
+STILL = 1e-12
+#: Drag below this has no effect, and its reciprocal may overflow [1/s].
+_NO_DRAG = 1e-12
+#: Parts of the table that a puck can meet. It is in the goal once it is completely behind the line.
+Boundary = Literal["rail", "post", "goal"]
+
 
 class PlainNumbers:
     """The namespace for single numbers: NumPy's functions take ten times as long for one number."""
@@ -79,15 +87,6 @@ def contact_impulse(
     impulse_n = xp.where(work > 0, wanted_n / k_nn, impulse_n)
     impulse_t = xp.where(work > 0, 0.0, impulse_t)
     return impulse_n, impulse_t
-
-
-#: Bodies that approach more slowly than this count as separating [m/s]: friction and bounces leave
-#: rounding errors.
-STILL = 1e-12
-#: Drag below this has no effect, and its reciprocal may overflow [1/s].
-_NO_DRAG = 1e-12
-#: Parts of the table that a puck can meet. It is in the goal once it is completely behind the line.
-Boundary = Literal["rail", "post", "goal"]
 
 
 class PuckState(NamedTuple):

@@ -7,7 +7,6 @@ states no bounds is left out.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -15,10 +14,7 @@ from jaxtyping import Float
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Envelope
 from airpuck.physics.thrust import thrust
-
-if TYPE_CHECKING:
-    from airpuck.planning.request import Request
-    from airpuck.planning.settings import Limits
+from airpuck.planning.settings import Limits
 
 #: Number of yaws per turn that `strongest_push` evaluates.
 _YAWS = 314
@@ -120,13 +116,13 @@ def strongest_thrust(
 
 
 def strongest_push(
-    request: Request, times: Float[np.ndarray, " K"], *, motors_known: bool = True
+    model: Model, limits: Limits, motors: Float[np.ndarray, " n"], times: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, " K"]:
-    """Bound the acceleration of the geometric centre over time, over all yaws."""
-    model, limits = request.model, request.limits
-    if not motors_known:
-        times = np.full_like(times, np.inf)
-    ranges = thrust_range(model, motor_range(model, request.start[6:], times), limits)
+    """Bound the acceleration of the geometric centre at times since given motor speeds.
+
+    The bound holds for all yaws. At infinite times it holds for any motor speeds.
+    """
+    ranges = thrust_range(model, motor_range(model, motors, times), limits)
     offset = float(np.hypot(*model.dynamics.center_of_mass))
     turned = offset * (limits.spin**2 + largest_moment(model, limits))
     added = added_accelerations(model, limits)[0] + abs(gravity(model))

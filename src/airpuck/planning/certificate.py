@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.physics.angle import wrapped
-from airpuck.planning.attainable import gravity, has_bounds, largest_moment, strongest_push
+from airpuck.planning.attainable import gravity, has_bounds, largest_moment
 from airpuck.planning.request import Goal, Request
-from airpuck.planning.yaw_program import Fineness, Weight, YawProgram
+from airpuck.planning.yaw_program import LEAST_MOMENT, Fineness, Weight, YawProgram
 
 #: The search begins with coarse grids; a fine grid pays off only near the bound.
 _COARSE, _FINE = Fineness(40, 8, 100, 256), Fineness(60, 20, 240, 480)
@@ -40,6 +40,9 @@ _COASTS = np.linspace(0.0, 1.0, 9)
 _BINS, _LONGEST = 4000, 2.0
 #: Durations tried for a leg between way points, as fractions of the plan's, which includes turns.
 _SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
+#: Times at which a hit of a rail is looked for, as multiples of the time to brake at full thrust in
+#: a straight line, without turns.
+_BRAKING_TIMES = (1.0, 1.2, 1.5)
 #: If the bound exceeds this fraction of the tried duration, it came from that duration's weight.
 _NEAR = 0.8
 
@@ -161,8 +164,8 @@ class _Durations:
 
 def _by_the_limits(request: Request) -> float:
     """Return the time that the change of state takes at the largest rates [s]."""
-    limits, strongest = request.limits, strongest_push(request, np.array([np.inf]))[0]
-    turning = max(largest_moment(request.model, limits), 1e-9)
+    limits, strongest = request.limits, request.strongest_push
+    turning = max(largest_moment(request.model, limits), LEAST_MOMENT)
     change = request.goal.state - request.start[:6]
     change[2] = wrapped(np, change[2])
     rates = [limits.speed, limits.speed, limits.spin, strongest, strongest, turning]
@@ -238,9 +241,8 @@ def unavoidable_rail(request: Request) -> str | None:
         room = request.reach[axis] - outwards * float(request.start[axis])
         if not (outwards and np.isfinite(room)):
             continue
-        strongest = float(strongest_push(request, np.array([np.inf]))[0])
-        for share in (1.0, 1.2, 1.5):
-            time = share * abs(speed) / strongest
+        for share in _BRAKING_TIMES:
+            time = share * abs(speed) / request.strongest_push
             against, none = -outwards * normal, np.zeros(0)
             weight = Weight(against * time, -against, none, none.astype(complex))
             most = float(YawProgram(anywhere, weight, time, _COARSE, np.zeros(1)).most[-1, 0])

@@ -38,6 +38,14 @@ _FORMAT = "airpuck minimal times 2"
 _INTERVALS = 20
 #: Corners of a cell, as offsets along each axis.
 _CORNERS = np.ogrid[:2, :2, :2]
+#: Random states: least distance [m] and largest speed [m/s].
+_NEAREST, _FASTEST = 0.02, 2.0
+#: Figures of an error, as quantiles.
+_QUANTILES = {"median": 0.5, "p95": 0.95, "worst": 1.0}
+#: Decimals of times and of their errors in a file: 0.01 and 0.1 ms.
+_DIGITS, _ERROR_DIGITS = 5, 4
+#: Keeps the direction finite for a craft at rest or at its place [m²/s].
+_TINY = 1e-12
 
 Arrival = Literal["rest", "any"]
 ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
@@ -100,7 +108,7 @@ class MinimalTimes:
         away, velocity = np.asarray(away, dtype=float), np.asarray(velocity, dtype=float)
         distance, speed = np.hypot(*away), np.hypot(*velocity)
         # Times are even functions of the direction and flat at 0 and π, like a cosine.
-        both = np.maximum(distance * speed, 1e-12)
+        both = np.maximum(distance * speed, _TINY)
         cosine = (away[0] * velocity[0] + away[1] * velocity[1]) / both
         value = self.time[ARRIVALS.index(arrival)]
         places = (
@@ -132,7 +140,7 @@ class MinimalTimes:
             "distance_m": self.distance.tolist(),
             "speed_m_s": self.speed.tolist(),
             "direction_rad": self.direction.tolist(),
-            "time_s": np.round(self.time, 5).tolist(),
+            "time_s": np.round(self.time, _DIGITS).tolist(),
             "error_s": dict(self.error),
         }
         write_toml(path, content, header="Shortest times of airpuck plans.")
@@ -274,12 +282,12 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
 
     found = stretched(least_squares(missed, np.zeros(3)).x)
     away = np.abs(looked_up(found) - planned)[_FITTED:]
-    error = dict(zip(("median", "p95", "worst"), np.quantile(away, (0.5, 0.95, 1.0)), strict=True))
+    error = dict(zip(_QUANTILES, np.quantile(away, list(_QUANTILES.values())), strict=True))
     return replace(
         found,
         source=f"{model.vehicle.name}, {model.name}: scaled from {times.source}",
         craft=craft_of(model),
-        error={name: round(float(value), 4) for name, value in error.items()},
+        error={name: round(float(value), _ERROR_DIGITS) for name, value in error.items()},
     )
 
 
@@ -313,7 +321,8 @@ def _random_states(count: int, times: MinimalTimes) -> list[_State]:
     """Draw states, the same for every craft."""
     random, drawn = np.random.default_rng(1), []
     for _ in range(count):
-        distance, speed = random.uniform(0.02, times.distance[-1] / 2), random.uniform(0, 2)
+        distance = random.uniform(_NEAREST, times.distance[-1] / 2)
+        speed = random.uniform(0, _FASTEST)
         angle, yaw = random.uniform(0, np.pi), random.uniform(-np.pi, np.pi)
         velocity = float(speed * np.cos(angle)), float(speed * np.sin(angle))
         drawn.append((float(distance), velocity, float(yaw)))

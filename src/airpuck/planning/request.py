@@ -29,6 +29,12 @@ _MOST_POINTS = 20
 _SAME = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
 #: Time step for checking whether the craft can brake before a rail [s].
 _STEP = 1e-3
+#: Braking is followed for at most this long [s].
+_LONGEST_BRAKING = 5.0
+#: Rounding of the distance travelled [m] and of thrusts [N].
+_ROUNDING, _FORCE_ROUNDING = 1e-6, 1e-12
+#: Motor speeds at which the reserve is evaluated: steps of 0.05 % of the range.
+_SPEEDS = 2001
 
 
 @dataclass(frozen=True)
@@ -82,10 +88,16 @@ class Request:
     def highest_command(self) -> Float[np.ndarray, " n"]:
         """The command of each motor at which the reserve begins."""
         vehicle, curves = self.model.vehicle, self.model.dynamics.thrust
-        speeds = np.linspace(vehicle.command_min, vehicle.command_max, 2001)
+        speeds = np.linspace(vehicle.command_min, vehicle.command_max, _SPEEDS)
         forces = thrust(curves, np.tile(speeds, (vehicle.n_propellers, 1)))
         allowed = (1 - self.limits.reserve) * forces[:, -1:]
-        return speeds[(forces <= allowed + 1e-12).sum(axis=1) - 1]
+        return speeds[(forces <= allowed + _FORCE_ROUNDING).sum(axis=1) - 1]
+
+    @property
+    def strongest_push(self) -> float:
+        """Bound on the acceleration of the centre at any yaw and with any motor speeds [m/s²]."""
+        always = np.array([np.inf])
+        return float(strongest_push(self.model, self.limits, self.start[6:], always)[0])
 
     def goal_yaws(self) -> tuple[float, ...]:
         """Return the final yaws worth trying, as continuous angles; the nearest first."""
@@ -209,14 +221,15 @@ def _check_braking(request: Request, state: Float[np.ndarray, " 5"], field: str,
     """Reject a velocity towards a rail that even the hardest braking cannot stop in time."""
     if not has_bounds(request.model, request.limits):
         return
-    times = np.arange(_STEP, 5.0, _STEP)
-    push = strongest_push(request, times, motors_known=field == "start")
+    times = np.arange(_STEP, _LONGEST_BRAKING, _STEP)
+    known = times if field == "start" else np.full_like(times, np.inf)
+    push = strongest_push(request.model, request.limits, request.start[6:], known)
     lost = np.cumsum(push) * _STEP
     for axis, name in enumerate("xy"):
         velocity = float(state[3 + axis])
         room = request.reach[axis] - float(state[axis]) * np.sign(velocity)
         travelled = float(np.maximum(abs(velocity) - lost, 0.0).sum() * _STEP)
-        if travelled > room + 1e-6:
+        if travelled > room + _ROUNDING:
             raise InputError(
                 f"at {abs(velocity):g} m/s towards a rail {room:.3f} m away along {name}, it "
                 f"{fate}: no thrust stops it in less than {travelled:.3f} m",

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.model.model_file import Model
-from airpuck.planning.attainable import strongest_push
 from airpuck.planning.certificate import unavoidable_rail
 from airpuck.planning.request import Request
 from airpuck.planning.transcription import Path, Solved, Transcription, program_for
@@ -43,6 +42,29 @@ _FREE = (
 _ROUND = 1.3
 #: Ratio of the guess's peak speed to its mean speed, 1.5, with room for corrections.
 _STEEPEST = 1.6
+#: Duration of the guess for a leg of length l at acceleration a, in units of √(l/a): rest to rest
+#: takes 2, and turns need some more.
+_SLACK = 2.2
+#: Shortest leg [m] and shortest time [s] of a guess.
+_SHORTEST_LEG, _SHORTEST_TIME = 0.05, 0.1
+#: Number of intervals of the program that ranks the starts, and largest number in a refined leg.
+COARSE, _MOST_INTERVALS = 12, 400
+#: Longest time that a command is held on the coarse and on the fine grid [s]. The number of
+#: intervals doubles until both are met: longer intervals let the yaw rate exceed its limit between
+#: nodes.
+_LONGEST_COARSE, _LONGEST_FINE = 0.12, 0.04
+#: Number of paths that may be refined before the search gives up, and number of grids for each.
+_REFINED, _FINER = 5, 3
+#: Relative error of the durations on the coarse grid.
+_WORTH = 1.02
+#: Weights of the commands' changes [s]. With the larger one all starts converge, to flights some
+#: 0.1 % slower; from those, most flights also converge with the smaller one.
+TIDY, _FAST = 1e-2, 1e-3
+#: Parts into which an interval is divided to check a path by simulation. Tolerances of this check:
+#: error at the end (x, y, γ and their rates), overlap between nodes with anything it must not touch
+#: [m], and relative excess of the yaw rate there.
+_PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
+_GRAZED, _OVERSPUN = 3e-3, 1e-3
 
 
 def starts(request: Request, intervals: int) -> Iterator[tuple[str, Path, float]]:
@@ -93,10 +115,10 @@ def guess(
     legs = len(request.via) + 1
     # Ends of the legs along the corners; a detour belongs to the leg that it bypasses.
     ends = along if legs > 1 else along[[0, -1]]
-    push = float(strongest_push(request, np.array([np.inf]))[0])
-    lengths = np.maximum(np.diff(ends), 0.05)
+    push = request.strongest_push
+    lengths = np.maximum(np.diff(ends), _SHORTEST_LEG)
     turn = abs(yaw - request.start[2])
-    durations = np.maximum(2.2 * np.sqrt(lengths / push), 0.1)
+    durations = np.maximum(_SLACK * np.sqrt(lengths / push), _SHORTEST_TIME)
     # The yaw rate of a half-sine turn peaks at π times its mean.
     turn = max(_STEEPEST * turn, np.pi * abs(aside))
     durations = np.maximum(durations, turn / request.limits.spin / legs)
@@ -132,26 +154,6 @@ def _detours(request: Request, side: float) -> Float[np.ndarray, "W 2"] | None:
         if 0 < to @ along < length and abs(to @ left) < radius:
             found.append((to @ along, np.array([x, y]) + side * _ROUND * radius * left))
     return np.array([point for _, point in sorted(found, key=lambda f: f[0])]) if found else None
-
-
-#: Number of intervals of the program that ranks the starts, and largest number in a refined leg.
-COARSE, _MOST_INTERVALS = 12, 400
-#: Longest time that a command is held on the coarse and on the fine grid [s]. The number of
-#: intervals doubles until both are met: longer intervals let the yaw rate exceed its limit between
-#: nodes.
-_LONGEST_COARSE, _LONGEST_FINE = 0.12, 0.04
-#: Number of paths that may be refined before the search gives up, and number of grids for each.
-_REFINED, _FINER = 5, 3
-#: Relative error of the durations on the coarse grid.
-_WORTH = 1.02
-#: Weights of the commands' changes [s]. With the larger one all starts converge, to flights some
-#: 0.1 % slower; from those, most flights also converge with the smaller one.
-TIDY, _FAST = 1e-2, 1e-3
-#: Parts into which an interval is divided to check a path by simulation. Tolerances of this check:
-#: error at the end (x, y, γ and their rates), overlap between nodes with anything it must not touch
-#: [m], and relative excess of the yaw rate there.
-_PARTS, _MISSED = 5, np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 2e-2])
-_GRAZED, _OVERSPUN = 3e-3, 1e-3
 
 
 @dataclass(frozen=True)

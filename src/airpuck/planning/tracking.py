@@ -39,10 +39,16 @@ _DIFFERENCE = 1e-5
 _PARTS = 4
 #: Newton's method: largest remaining slope, and number of iterations.
 _TOLERANCE, _ITERATIONS = 1e-6, 40
+#: Its line search: least decrease as a share of the linear one (Armijo), and the shortest step.
+_DECREASE, _SHORTEST = 1e-4, 1e-4
+#: Rounding of a number of periods.
+_ROUNDING = 1e-9
 #: The craft is at rest once it has stayed this near (x, y, γ and their rates) for this long [s];
 #: longer than a pilot's steps on the spot before a flight.
 _AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
 _RESTS = 1.0
+#: A longer pause between two steps restarts the time at rest [s].
+_INTERRUPTED = 0.1
 
 
 class PlanTracker(Law):
@@ -90,7 +96,7 @@ class PlanTracker(Law):
         left = plan.begin + plan.duration - acting
         if _rests(plan):
             left = max(left + _LATER, _LEAST)
-        return max(int(min(left, _HORIZON) / self.period + 1e-9), 1)
+        return max(int(min(left, _HORIZON) / self.period + _ROUNDING), 1)
 
     def _correction(
         self,
@@ -208,7 +214,10 @@ def least_correction(
         inside = a[:, (x > low) & (x < high)]
         step = np.linalg.solve(np.eye(len(price)) + inside @ inside.T, -slope)
         share, before = 1.0, dual(price)
-        while dual(price + share * step) > before + 1e-4 * share * (slope @ step) and share > 1e-4:
+        while (
+            dual(price + share * step) > before + _DECREASE * share * (slope @ step)
+            and share > _SHORTEST
+        ):
             share /= 2
         price = price + share * step
         slope, x = residual(price)
@@ -248,7 +257,7 @@ class Departing(Pilot):
         step = self._controller.step(time)
         if not self._departed and step.flies and step.estimate is not None:
             error = pose_difference(np, step.estimate.state, self._start)
-            if time > self._latest + 0.1 or (np.abs(error) > _AT_REST).any():
+            if time > self._latest + _INTERRUPTED or (np.abs(error) > _AT_REST).any():
                 self._since = time
             self._latest = time
             if time >= self._since + _RESTS:

@@ -44,6 +44,8 @@ _OPTIONS = {
         "adaptive_mu_globalization": "never-monotone-mode",
     },
 }
+#: Compiled programs that a process keeps.
+_PROGRAMS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +228,7 @@ class Transcription:
         return states, nodes[:, self.size :], durations
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=_PROGRAMS)
 def program_for(model: Model, intervals: int, legs: int, discs: int) -> Transcription:
     """Return the program, built on first use in this process."""
     return Transcription(model, intervals, legs, discs)

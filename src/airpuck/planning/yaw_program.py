@@ -43,6 +43,13 @@ _REDRAWN = 16
 _TURNS = 1e-9
 #: Fewest intervals between the columns of yaw rate.
 _FEWEST_COLUMNS = 8
+#: Floors that avoid a division by zero for a craft that cannot turn: of an angular acceleration
+#: [rad/s²] or its change of the yaw rate in a step [rad/s], and of the reachable yaw rates [rad/s].
+LEAST_MOMENT, _LEAST_REACH = 1e-9, 1e-6
+#: Moments tried in the last half step, if the final yaw rate is free.
+_MOMENTS = 65
+#: A gain below this fraction of `_IMPOSSIBLE` marks a moment out of reach.
+_SMALLEST_SHARE = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +159,9 @@ class YawProgram:
     def _columns(self, horizon: float, fineness: Fineness) -> Float[np.ndarray, " S"]:
         """Lay columns over all reachable yaw rates; the extremes are columns."""
         begin, limit = float(self._request.start[5]), self._request.limits.spin
-        reach = max(self._largest * horizon, 1e-6)
+        reach = max(self._largest * horizon, _LEAST_REACH)
         low, high = max(-limit, begin - reach), min(limit, begin + reach)
-        wanted = (high - low) * fineness.moments / max(self._largest * self.step, 1e-9)
+        wanted = (high - low) * fineness.moments / max(self._largest * self.step, LEAST_MOMENT)
         count = int(np.clip(np.ceil(wanted), _FEWEST_COLUMNS, fineness.columns))
         return np.linspace(low, high, count + 1)
 
@@ -277,7 +284,7 @@ class YawProgram:
         yaws, ending = self._yaws[rows % count], worth[rows % count]
         if np.isnan(goal[5]):
             least, most = moment_range(self._model, *(force[:, k] for force in self._boxes))
-            moments = np.linspace(least - self._added[1], most + self._added[1], 65)
+            moments = np.linspace(least - self._added[1], most + self._added[1], _MOMENTS)
             best = half * self._gains(k, yaws, moments).max(axis=1)
             return np.full(len(coasts), (ending.max(axis=1) + best).max())
         moments = (goal[5] - self._spins) * 2 / self.step
@@ -315,7 +322,7 @@ def _pushed(
     best = np.full_like(worth, _IMPOSSIBLE)
     count = worth.shape[1]
     for j, change in enumerate(changes):
-        if gain[0, j] < _IMPOSSIBLE * 1e-15 or abs(change) >= count:
+        if gain[0, j] < _IMPOSSIBLE * _SMALLEST_SHARE or abs(change) >= count:
             continue
         to, of = (
             slice(max(change, 0), count + min(change, 0)),

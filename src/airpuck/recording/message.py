@@ -32,6 +32,28 @@ _ANNOTATION = re.compile(r"@[\w:]++\s*+\(")
 _COMPUTED = re.compile(r"[(*/%|^&~]|<<")
 #: Cost of a type, of an element of an array of strings or types, and of an expression, in fields.
 _FIELDS_PER_TYPE, _FIELDS_PER_ELEMENT, _FIELDS_PER_EXPRESSION = 20, 2, 5
+HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
+HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
+_HEADER = "std_msgs/Header header\n"
+_GAME = "airpuck_msgs/msg/GameEventStamped"
+#: Definitions of the authors' messages, for bags that embed none, and of ours.
+_OWN = {
+    _GAME: _HEADER + "".join(f"float64 {column}\n" for column in COLUMNS["game"]),
+    HOLOHOVER_CONTROL: _HEADER + "".join(f"float64 {motor}\n" for motor in HOLOHOVER_MOTORS),
+    "holohover_msgs/msg/HolohoverIMUStamped": (
+        f"{_HEADER}geometry_msgs/Vector3 acc\ngeometry_msgs/Vector3 gyro\n"
+    ),
+    "holohover_msgs/msg/HolohoverMouseStamped": f"{_HEADER}float64 v_x\nfloat64 v_y\n",
+    "holohover_msgs/msg/HolohoverStateStamped": (
+        f"{_HEADER}holohover_msgs/HolohoverState state_msg\n"
+    ),
+    "holohover_msgs/msg/HolohoverState": (
+        "float64 x\nfloat64 y\nfloat64 v_x\nfloat64 v_y\nfloat64 yaw\nfloat64 w_z\n"
+    ),
+}
+#: Frames named in messages; the other messages are in the world's frame.
+_FRAMES = {**dict.fromkeys(COMMANDS, "body"), "imu": "body", "mouse": "body"}
+_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
@@ -81,28 +103,6 @@ def _code_size(fields: Any, msgtype: str) -> int:
     return size
 
 
-HOLOHOVER_CONTROL = "holohover_msgs/msg/HolohoverControlStamped"
-HOLOHOVER_MOTORS = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
-
-_HEADER = "std_msgs/Header header\n"
-_GAME = "airpuck_msgs/msg/GameEventStamped"
-#: Definitions of the authors' messages, for bags that embed none, and of ours.
-_OWN = {
-    _GAME: _HEADER + "".join(f"float64 {column}\n" for column in COLUMNS["game"]),
-    HOLOHOVER_CONTROL: _HEADER + "".join(f"float64 {motor}\n" for motor in HOLOHOVER_MOTORS),
-    "holohover_msgs/msg/HolohoverIMUStamped": (
-        f"{_HEADER}geometry_msgs/Vector3 acc\ngeometry_msgs/Vector3 gyro\n"
-    ),
-    "holohover_msgs/msg/HolohoverMouseStamped": f"{_HEADER}float64 v_x\nfloat64 v_y\n",
-    "holohover_msgs/msg/HolohoverStateStamped": (
-        f"{_HEADER}holohover_msgs/HolohoverState state_msg\n"
-    ),
-    "holohover_msgs/msg/HolohoverState": (
-        "float64 x\nfloat64 y\nfloat64 v_x\nfloat64 v_y\nfloat64 yaw\nfloat64 w_z\n"
-    ),
-}
-
-
 def _fields(*parents: str, of: str) -> tuple[str, ...]:
     return tuple(f"{parent}.{name}".lstrip(".") for parent in parents for name in of.split())
 
@@ -143,10 +143,6 @@ PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "game": {_GAME: COLUMNS["game"]},
     }
 )
-#: Frames named in messages; the other messages are in the world's frame.
-_FRAMES = {**dict.fromkeys(COMMANDS, "body"), "imu": "body", "mouse": "body"}
-
-_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def definitions(msgtype: str = "", text: str = "", *, idl: bool = False) -> Types:

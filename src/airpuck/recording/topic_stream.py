@@ -43,6 +43,9 @@ _ACCEPTED = (
     "a message of numbers of one type, one for each motor or an array of them, with or without a "
     "header (std_msgs/msg/Float64MultiArray, sensor_msgs/msg/JointState, own types)"
 )
+Decoded = Mapping[str, np.ndarray]
+#: Fields to decode, and a function that turns them into columns and values.
+Plan = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.ndarray, "N k"]]]]
 
 
 class Place(NamedTuple):
@@ -139,11 +142,6 @@ def _in_one_order(
     sorted_values = np.empty_like(values)
     sorted_values[:, order[0]] = np.take_along_axis(values, order, axis=1)
     return tuple(str(name) for name in names[0]), sorted_values
-
-
-Decoded = Mapping[str, np.ndarray]
-#: Fields to decode, and a function that turns them into columns and values.
-Plan = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.ndarray, "N k"]]]]
 
 
 def may_hold(stream: str, topic: TopicLog) -> bool:

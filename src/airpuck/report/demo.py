@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,6 +65,7 @@ def demo(
         If the folder holds other bags, or cannot be written to.
     """
     from airpuck.evaluation.evaluate import compare
+    from airpuck.experiment_design.trials import on_processes
     from airpuck.preprocessing.pipeline import load_trajectory
     from airpuck.report.control_report import tracking_sections
     from airpuck.report.evaluation_report import JudgedModels, errors_as_text
@@ -79,8 +77,8 @@ def demo(
     truth = _truth()
     names = " and ".join(_SEEDS)
     progress(f"flying the {names} experiments on the twin in parallel: {duration:g} s each")
-    with _flying_beside(bags / "validation", _SEEDS["validation"], duration):
-        fly_experiment(bags / "training", _SEEDS["training"], duration)
+    with on_processes(None) as run:  # one flight keeps one core busy
+        list(run(fly_experiment, map(bags.joinpath, _SEEDS), _SEEDS.values(), repeat(duration)))
     trajectories = {name: load_trajectory(bags / name) for name in _SEEDS}
     for name, trajectory in trajectories.items():
         delay = 1e3 * trajectory.delay
@@ -127,22 +125,6 @@ def fly_experiment(folder: str | os.PathLike[str], seed: int, duration: float) -
     from airpuck import excite
 
     _replace_bag(excite(_truth(), duration, seed), Path(folder))
-
-
-@contextmanager
-def _flying_beside(folder: Path, seed: int, duration: float) -> Iterator[None]:
-    """Call `fly_experiment` in another process, because one flight keeps one core busy."""
-    code = "import json, sys, airpuck.report.demo as d; d.fly_experiment(*json.loads(sys.argv[1]))"
-    words = [sys.executable, "-c", code, json.dumps([str(folder), seed, duration])]
-    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
-        try:
-            yield
-        except BaseException:
-            process.kill()
-            raise
-        _, said = process.communicate()
-    if process.returncode:
-        raise RuntimeError(f"the {folder.name} flight failed: {said.strip()}")
 
 
 def _identified(training: Trajectory) -> list[Fit]:

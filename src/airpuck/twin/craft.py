@@ -15,6 +15,12 @@ from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import Motors, TwinSettings
 
+#: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
+#: is straight to a micrometre.
+_SHORT_STEP = 1e-3
+#: Distance that counts as near, in addition to both bodies' travel in a step [m].
+_NEAR = 5e-3
+
 
 class MotorUnit:
     """From the received command to the command that the motors follow."""
@@ -67,13 +73,6 @@ class MotorUnit:
             if weakness.start_s <= now < weakness.stop_s:
                 share[motor] *= weakness.share
         return share
-
-
-#: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
-#: is straight to a micrometre.
-_SHORT_STEP = 1e-3
-#: Distance that counts as near, in addition to both bodies' travel in a step [m].
-_NEAR = 5e-3
 
 
 class Craft:
