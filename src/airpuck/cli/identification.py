@@ -38,12 +38,12 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
-    from airpuck.evaluation.verdict import Verdict
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.method import Method
     from airpuck.identification.selection import Selection
     from airpuck.model.model_file import Model
     from airpuck.model.rungs import Rung
+    from airpuck.twin.verdict import Verdict
 
 PANEL = "From a recording to a validated model"
 _OPTIMISER = "Optimiser"
@@ -197,7 +197,7 @@ def _judged(
     fit: Fit, training: Sequence[Trajectory], other: Trajectory | None, found: Evaluation | None
 ) -> tuple[Verdict, list[Table], dict[str, Any]]:
     """Judge a fit: the verdict, tables, and figures for JSON."""
-    from airpuck.evaluation.verdict import verdict
+    from airpuck.twin.verdict import verdict
 
     said = verdict(fit.model, other or training[0], found)
     figures = {**fit.to_json(), "verdict": said.to_json()}

@@ -9,6 +9,7 @@ slower motors. The result is the systematic error of the model (docs/method.md).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,9 @@ _PER_MOTOR = 3
 LOW_SPEED = 0.2
 #: What a channel of one window tells beyond its first pose and velocity: two numbers, about.
 _TOLD = 2
+#: Differences, which leave nothing of slow errors; they raise the variance of white noise by this.
+_DIFFERENCES = 3
+_GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Ways to accelerate: row of Π, sign.
 WAYS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))
 
@@ -66,6 +70,8 @@ class EffectErrors:
     #: How much later than modelled commands take effect, lag and delay together [s].
     later: float
     later_error: float
+    #: Standard deviation of the white noise in measured poses [m, m, rad].
+    noise: Float[np.ndarray, " 3"]
 
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
@@ -105,7 +111,14 @@ def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
     told = _TOLD * values.shape[1] * len(windows)
     covariance *= told / max(told - len(units), 1)
     estimate, covariance = estimate * units, covariance * np.outer(units, units)
-    return _in_words_of_control(model, curves, estimate, covariance)
+    left = (values - columns @ estimate).reshape(len(windows), -1, 3)
+    found = _in_words_of_control(model, curves, estimate, covariance)
+    return replace(found, noise=_white(left))
+
+
+def _white(left: Float[np.ndarray, "W T 3"]) -> Float[np.ndarray, " 3"]:
+    """Return the standard deviation of white noise, beside errors that change slowly."""
+    return np.sqrt(np.mean(np.diff(left, n=_DIFFERENCES, axis=1) ** 2, axis=(0, 1)) / _GROWN)
 
 
 def _in_words_of_control(
@@ -156,6 +169,7 @@ def _in_words_of_control(
         *pushes(LOW_SPEED * vehicle.command_max),
         float(late @ estimate),
         float(np.sqrt(late @ covariance @ late)),
+        np.zeros(3),
     )
 
 

@@ -14,7 +14,6 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Span, Trajectory, left_out_words
 from airpuck.evaluation.evaluate import Evaluation, coasting
 from airpuck.evaluation.fit_measures import FitMeasures, fit_text
-from airpuck.evaluation.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.report.craft import craft_section
 from airpuck.report.fit_figures import thrust_figure
@@ -31,6 +30,7 @@ from airpuck.report.prediction_figures import (
     touched_by,
     worst_windows,
 )
+from airpuck.twin.verdict import Verdict, verdict
 
 #: Headings of errors in tables.
 _CHANNELS = ("x mm", "y mm", "γ rad")

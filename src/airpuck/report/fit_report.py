@@ -15,7 +15,6 @@ from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
-from airpuck.evaluation.verdict import verdict
 from airpuck.identification.fit_result import Fit, knowledge_words
 from airpuck.identification.selection import (
     SELECTION_HEADINGS,
@@ -52,6 +51,7 @@ from airpuck.report.page import (
     write_page,
 )
 from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
+from airpuck.twin.verdict import verdict
 
 #: Footnote on the standard errors in tables of parameters.
 _INTERVALS = (

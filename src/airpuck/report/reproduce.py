@@ -16,7 +16,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
-from airpuck.evaluation.verdict import verdict
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
@@ -39,6 +38,7 @@ from airpuck.report.page import (
 )
 from airpuck.report.parameter_table import ladder_table
 from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
+from airpuck.twin.verdict import verdict
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"

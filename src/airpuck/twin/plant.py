@@ -22,7 +22,9 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 LONGEST_STEP = 1 / 240
 
 
-def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
+def build_plant(
+    model: Model, settings: TwinSettings | None = None, *, compiled: bool = True
+) -> Plant:
     """Put a craft on a table, with the effects of its model and of the settings.
 
     Parameters
@@ -31,6 +33,8 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
         The truth.
     settings : TwinSettings, optional
         Table and effects; by default the packaged ones.
+    compiled : bool, default True
+        Whether to compile its steps (a second, once) or to run them in NumPy.
 
     Returns
     -------
@@ -42,7 +46,8 @@ def build_plant(model: Model, settings: TwinSettings | None = None) -> Plant:
     switched_on = make_effects(settings.effects.coefficients(), layout)
     dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
-    return Plant(dynamics, CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m), settings.table)
+    body = CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m)
+    return Plant(dynamics, body, settings.table, compiled)
 
 
 @dataclass(frozen=True)
@@ -64,10 +69,12 @@ class Plant:
     dynamics: Dynamics
     disc: CraftBody
     table: Table
+    #: Whether `advance` is compiled, or run in NumPy.
+    compiled: bool = True
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
-        """Compiled ``(state, command, duration, thrust scales) -> (state, met)`` of one craft.
+        """Function ``(state, command, duration, thrust scales) -> (state, met)`` of one craft.
 
         `met` tells whether it met a rail.
         """
@@ -79,7 +86,8 @@ class Plant:
             return state, (state != free).any()
 
         n = self.dynamics.configuration.shape[1]
-        return program(advanced, np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n), compiled=True)
+        examples = np.zeros(6 + n), np.zeros(n), 0.0, np.ones(n)
+        return program(advanced, *examples, compiled=self.compiled)
 
 
 def scaled(dynamics: Dynamics, factor: Any) -> Dynamics:

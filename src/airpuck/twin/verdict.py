@@ -21,6 +21,7 @@ from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect
 from airpuck.model.model_file import Model
+from airpuck.twin.rehearsal import failures
 
 #: Largest relative standard error of an acceleration that control may ask for, and of the response
 #: time [s]: with both, all controllers of studies/verdicts.py settle.
@@ -222,7 +223,9 @@ def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
         return "not_enough_excitation", uncertain
     if wrong := _wrong(*evidence.total, evidence.effects):
         return "not_trusted", wrong
-    return "trusted", []
+    # Last, since flights take longer than all the rest.
+    unsettled = failures(model, evidence.trajectory, evidence.effects)
+    return ("not_trusted", unsettled) if unsettled else ("trusted", [])
 
 
 def _structural(model: Model) -> list[str]:
@@ -361,7 +364,8 @@ def _known(evidence: _Evidence) -> list[str]:
     return [
         f"Its largest acceleration is known to {percent(float(relative.max()))} in every "
         f"direction; the response time τ + d is {response} ms. Systematic "
-        "errors that this recording shows are included."
+        "errors that this recording shows are included. In simulation, the packaged controller "
+        "settles on such a craft."
     ]
 
 

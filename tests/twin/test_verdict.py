@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.uncertainty import Uncertainty
+from airpuck.twin.verdict import missed_motion, verdict
 
 from ..apparatus.synthetic_flights import fly
 

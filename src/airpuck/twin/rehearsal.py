@@ -1,0 +1,124 @@
+"""Flights on the twin with the controller that a model's user would design from it.
+
+The craft is once the model itself and once what the recording shows of it; cameras are as in the
+recording.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+from airpuck.control.authority import control_authority
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.effect_errors import EffectErrors
+from airpuck.evaluation.presentation import largest_acceleration
+from airpuck.flight.loop import fly
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
+from airpuck.twin.plant import build_plant
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin
+
+#: Where the craft goes from rest at the origin, and how near it must stay [m, m, rad].
+GOAL, NEAR = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1)
+#: Least time to get there, and for how long it must stay near [s].
+_ARRIVES, _STAYS = 2.0, 1.0
+#: A craft of little thrust has this many times the shortest time that its accelerations allow, and
+#: at most so long [s].
+_LEISURE, _LONGEST = 3.0, 20.0
+#: Frames per second that a controller needs at most; more cost time only.
+_MOST_FRAMES = 240.0
+
+
+def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
+    """Return whether the controller designed from a model brings a craft to rest at the goal."""
+    tuning = default_tuning()
+    # NumPy, since a program for one flight takes longer to compile than to do without.
+    pilot = TrackingController(model, SetPoint(*GOAL), tuning, table=settings.table, compiled=False)
+    plant = build_plant(craft, settings, compiled=False)
+    twin = Twin(craft, settings, plant=plant)
+    arrives = _time_there(model)
+    fly(pilot, twin, arrives + _STAYS, tuning.period_s)
+    time, state = twin.truth
+    goal = np.array([*GOAL, 0.0, 0.0, 0.0])
+    off = [pose_difference(np, row[:6], goal)[:3] for row in state[time >= arrives]]
+    return not twin.contacts and bool((np.abs(off) < NEAR).all())
+
+
+def _time_there(model: Model) -> float:
+    """Return when a craft must have arrived [s]."""
+    pushes = np.maximum(largest_acceleration(model), 1e-9)
+    least = max(
+        math.sqrt(4 * math.hypot(*GOAL[:2]) / pushes[:4].min()),
+        math.sqrt(4 * GOAL[2] / pushes[4:].min()),
+    )
+    return float(np.clip(_LEISURE * least, _ARRIVES, _LONGEST))
+
+
+def as_seen(model: Model, effects: EffectErrors) -> Model:
+    """Return the craft that a recording shows: a model with its systematic errors mended."""
+    matrix = np.array(model.dynamics.configuration)
+    runs = np.linalg.norm(effects.modelled, axis=0) > 0
+    thrusts = np.linalg.norm(effects.modelled, axis=0) / np.linalg.norm(matrix, axis=0)
+    matrix[:, runs] = effects.found[:, runs] / thrusts[runs]
+    delay = max(model.transport_delay + effects.later, 0.0)
+    parameters = replace(model.parameters, configuration_matrix=matrix, transport_delay=delay)
+    return replace(model, parameters=parameters, uncertainty=None)
+
+
+def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSettings:
+    """Return a twin with the cameras of a recording, on a table with room for the craft."""
+    usual = default_twin_settings()
+    cameras = usual.motion_capture.model_copy(
+        update={
+            "rate_hz": min(1 / trajectory.sample_period, _MOST_FRAMES),
+            "position_noise_m": float(effects.noise[:2].mean()),
+            "yaw_noise_rad": float(effects.noise[2]),
+        }
+    )
+    room = 2 * model.vehicle.radius_m
+    table = usual.table.model_copy(
+        update={"length_m": usual.table.length_m + room, "width_m": usual.table.width_m + room}
+    )
+    on_board = usual.on_board.model_copy(update={"rate_hz": 0.0})
+    updates = {"motion_capture": cameras, "table": table, "on_board": on_board}
+    return usual.model_copy(update=updates)
+
+
+def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:
+    """Tell which simulated flights do not settle, why, and what to do."""
+    settings = like(trajectory, effects, model)
+    flown = "In simulation, the packaged controller"
+    try:
+        if settles(model, model, settings):
+            if settles(model, as_seen(model, effects), settings):
+                return []
+            return [
+                f"{flown} does not settle on the craft that the recording shows: motors and timing "
+                "differ too much from the modelled ones. Try a richer model (`--model auto`)."
+            ]
+        cameras = default_twin_settings().motion_capture
+        if settles(model, model, settings.model_copy(update={"motion_capture": cameras})):
+            noise = settings.motion_capture
+            return [
+                f"{flown} settles with good cameras, but not with the noise of this recording: "
+                f"{1e3 * noise.position_noise_m:.2g} mm and {1e3 * noise.yaw_noise_rad:.2g} mrad "
+                f"at {noise.rate_hz:.0f} Hz. Improve the cameras, or state their noise in the "
+                "tuning ([estimation] position_m, yaw_rad) and lower the weights of the errors."
+            ]
+    except InputError as error:
+        return [f"No controller can be designed from the model: {error.problem}."]
+    cause = (
+        "; ".join(control_authority(model).sentences) or "its motors are too weak or too unequal"
+    )
+    return [
+        f"{flown} does not settle on the craft that the model describes: {cause}. Check the motors, "
+        "or tune a controller for this craft and fly it in simulation (`airpuck twin`)."
+    ]
