@@ -185,6 +185,13 @@ def test_numbers_have_the_digits_that_their_errors_allow(flight):
     assert f"response time τ + d is {response:.1f} ± 3.6 ms" in said
 
 
+def test_a_model_whose_controller_does_not_settle_is_not_trusted(flight, monkeypatch):
+    monkeypatch.setattr("airpuck.twin.verdict.failures", lambda *_: ["It does not settle."])
+    found = judged(MODEL, flight)
+    assert found.outcome == "not_trusted"
+    assert found.sentences[1] == "It does not settle."
+
+
 def test_a_response_time_whose_parts_trade_off_is_known(flight):
     model = known()
     assert model.uncertainty is not None
@@ -219,7 +226,8 @@ def test_what_the_data_say_nothing_about_is_not_determined():
     found = verdict(replace(model, uncertainty=uncertainty))
     assert not found.trusted
     assert "I (not determined)" in " ".join(found.sentences)
-    assert found.to_json()["relative_errors"]["I"] == np.inf
+    assert found.relative_errors["I"] == np.inf
+    assert found.to_json()["relative_errors"]["I"] is None
 
 
 def test_without_a_recording_nothing_is_judged(flight):

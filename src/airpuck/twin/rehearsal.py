@@ -1,7 +1,7 @@
 """Flights on the twin with the controller that a model's user would design from it.
 
-The craft is once the model itself and once what the recording shows of it; cameras are as in the
-recording.
+The craft is what a recording shows: the model with its systematic errors mended. Cameras are as in
+the recording.
 """
 
 from __future__ import annotations
@@ -45,7 +45,8 @@ def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
     plant = build_plant(craft, settings, compiled=False)
     twin = Twin(craft, settings, plant=plant)
     arrives = _time_there(model)
-    fly(pilot, twin, arrives + _STAYS, tuning.period_s)
+    with np.errstate(all="ignore"):  # as compiled programs compute
+        fly(pilot, twin, arrives + _STAYS, tuning.period_s)
     time, state = twin.truth
     goal = np.array([*GOAL, 0.0, 0.0, 0.0])
     off = [pose_difference(np, row[:6], goal)[:3] for row in state[time >= arrives]]
@@ -93,32 +94,31 @@ def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSet
 
 
 def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:
-    """Tell which simulated flights do not settle, why, and what to do."""
-    settings = like(trajectory, effects, model)
+    """Tell why the controller does not settle, and what to do; nothing where it settles."""
+    settings, seen = like(trajectory, effects, model), as_seen(model, effects)
     flown = "In simulation, the packaged controller"
     try:
-        if settles(model, model, settings):
-            if settles(model, as_seen(model, effects), settings):
-                return []
-            return [
-                f"{flown} does not settle on the craft that the recording shows: motors and timing "
-                "differ too much from the modelled ones. Try a richer model (`--model auto`)."
-            ]
-        cameras = default_twin_settings().motion_capture
-        if settles(model, model, settings.model_copy(update={"motion_capture": cameras})):
-            noise = settings.motion_capture
+        if settles(model, seen, settings):
+            return []
+        noise, cameras = settings.motion_capture, default_twin_settings().motion_capture
+        if settles(model, seen, settings.model_copy(update={"motion_capture": cameras})):
             return [
                 f"{flown} settles with good cameras, but not with the noise of this recording: "
                 f"{1e3 * noise.position_noise_m:.2g} mm and {1e3 * noise.yaw_noise_rad:.2g} mrad "
                 f"at {noise.rate_hz:.0f} Hz. Improve the cameras, or state their noise in the "
                 "tuning ([estimation] position_m, yaw_rad) and lower the weights of the errors."
             ]
+        if settles(model, model, settings):
+            return [
+                f"{flown} settles on the craft that the model describes, but not on the one that "
+                "the recording shows: motors and timing differ too much. Try a richer model "
+                "(`--model auto`)."
+            ]
     except InputError as error:
         return [f"No controller can be designed from the model: {error.problem}."]
-    cause = (
-        "; ".join(control_authority(model).sentences) or "its motors are too weak or too unequal"
-    )
+    missing = control_authority(model).sentences or ("its motors are too weak or too unequal",)
     return [
-        f"{flown} does not settle on the craft that the model describes: {cause}. Check the motors, "
-        "or tune a controller for this craft and fly it in simulation (`airpuck twin`)."
+        f"{flown} does not settle on the craft that the model describes: {'; '.join(missing)}. "
+        "Check the motors, or tune a controller for this craft and fly it in simulation first "
+        "(`airpuck twin`)."
     ]

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.numbers import percent
+from airpuck.boundary.results import Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
 from airpuck.evaluation.evaluate import Evaluation, coasting
@@ -47,7 +48,7 @@ Outcome = Literal[
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Result):
     """Whether a model can be trusted for control.
 
     Attributes
@@ -70,6 +71,11 @@ class Verdict:
         Standard error of the response time, systematic errors included [s].
     """
 
+    JSON = (
+        "trusted outcome sentences relative_errors missed acceleration_errors "
+        "response_error_s=response_error"
+    )
+
     outcome: Outcome
     sentences: tuple[str, ...]
     relative_errors: dict[str, float]
@@ -81,19 +87,6 @@ class Verdict:
     def trusted(self) -> bool:
         """Whether the model can be trusted for control."""
         return self.outcome == "trusted"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
-        names = "missed", "acceleration_errors"
-        arrays = {name: getattr(self, name) for name in names}
-        return {
-            "trusted": self.trusted,
-            "outcome": self.outcome,
-            "sentences": list(self.sentences),
-            "relative_errors": self.relative_errors,
-            **{name: None if a is None else a.tolist() for name, a in arrays.items()},
-            "response_error_s": self.response_error,
-        }
 
 
 def missed_motion(evaluation: Evaluation, trajectory: Trajectory) -> Float[np.ndarray, " 3"]:

@@ -1,0 +1,90 @@
+"""Flights before a verdict: craft that a controller brings to rest, and others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
+from airpuck.model.model_file import Model, published_model
+from airpuck.twin.rehearsal import as_seen, failures, like, settles
+from airpuck.twin.settings import default_twin_settings
+
+from ..apparatus.synthetic_flights import fly
+
+MODEL = replace(published_model("M3"), frame="body", indexing="start")
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(MODEL, 6.0, seed=3)
+
+
+def shown(model: Model, flight) -> EffectErrors:
+    found = effect_errors(model, flight)
+    assert found is not None
+    return found
+
+
+def scaled(factor: np.ndarray) -> Model:
+    thrust = factor[:, None] * np.asarray(MODEL.parameters.thrust)
+    return replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
+
+
+def test_the_craft_of_a_recording_has_the_strength_that_it_shows(flight):
+    weaker = scaled(np.array([0.8, 1.0, 1.0, 1.2, 1.0, 1.0]))
+    seen = as_seen(weaker, shown(weaker, flight))
+    full = np.asarray(weaker.parameters.thrust).sum(axis=1)
+    true = MODEL.dynamics.configuration * np.asarray(MODEL.parameters.thrust).sum(axis=1)
+    np.testing.assert_allclose(seen.dynamics.configuration * full, true, rtol=0.02, atol=0.1)
+
+
+def test_the_noise_of_the_cameras_is_that_of_the_recording(flight):
+    noise = np.array([1e-3, 1e-3, 0.01])
+    state = flight.state.copy()
+    state[:, :3] += np.random.default_rng(0).normal(size=(len(flight), 3)) * noise
+    cameras = like(flight, shown(MODEL, replace(flight, state=state)), MODEL).motion_capture
+    assert cameras.position_noise_m == pytest.approx(noise[0], rel=0.1)
+    assert cameras.yaw_noise_rad == pytest.approx(noise[2], rel=0.1)
+    assert cameras.rate_hz == pytest.approx(240, rel=0.01)
+    without = like(flight, shown(MODEL, flight), MODEL).motion_capture
+    assert without.position_noise_m < 1e-5 and without.yaw_noise_rad < 1e-4
+
+
+@pytest.mark.slow
+def test_a_controller_settles_on_its_own_craft(flight):
+    assert failures(MODEL, flight, shown(MODEL, flight)) == []
+
+
+@pytest.mark.slow
+def test_a_controller_does_not_settle_without_a_motor():
+    dead = scaled(np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))
+    assert not settles(dead, dead, default_twin_settings())
+
+
+@pytest.mark.parametrize(
+    ("settled", "told"),
+    [
+        ([True], []),
+        ([False, True], ["noise of this recording", "[estimation] position_m"]),
+        ([False, False, True], ["not on the one that the recording shows", "--model auto"]),
+        ([False, False, False], ["the craft that the model describes", "another motion: back"]),
+    ],
+)
+def test_what_is_said_names_the_cause(flight, monkeypatch, settled, told):
+    """Flights: as seen; with good cameras; of the model itself."""
+    outcomes = iter(settled)
+    monkeypatch.setattr("airpuck.twin.rehearsal.settles", lambda *_: next(outcomes))
+    dead = scaled(np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))
+    said = failures(dead, flight, shown(MODEL, flight))
+    assert next(outcomes, "no more flights") == "no more flights"
+    assert len(said) == bool(told)
+    assert all(words in said[0] for words in told)
+
+
+def test_no_controller_is_no_trust(flight):
+    falling = replace(
+        MODEL, parameters=replace(MODEL.parameters, thrust=np.tile([1.0, 0.0, -0.9], (6, 1)))
+    )
+    [said] = failures(falling, flight, shown(MODEL, flight))
+    assert said.startswith("No controller can be designed")
