@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.evaluation.verdict import missed_motion, verdict
 from airpuck.identification.fit import identify
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
+from airpuck.twin.verdict import missed_motion, verdict
 
 from ..apparatus.synthetic_flights import edited, record
 

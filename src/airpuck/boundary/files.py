@@ -62,7 +62,18 @@ class Section(pydantic.BaseModel):
         return self
 
     def model_copy(self, **how: Any) -> Any:
-        """Copy without the original's cached properties; see `pydantic.BaseModel.model_copy`."""
+        """Copy as pydantic does, without what cached properties hold of the original.
+
+        Parameters
+        ----------
+        **how : Any
+            As pydantic's: `update` and `deep`.
+
+        Returns
+        -------
+        Section
+            The copy; updated fields are not checked.
+        """
         copied = super().model_copy(**how)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             object.__delattr__(copied, name)

@@ -1,5 +1,5 @@
 """Model x trajectory -> errors.
 
 Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `innovations.innovations`,
-`main_quantities.physical_thrust`, `verdict.verdict`.
+`main_quantities.physical_thrust`.
 """
