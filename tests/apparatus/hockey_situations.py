@@ -9,6 +9,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.hockey.interception import Outlook
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckBelief, PuckModel
+from airpuck.hockey.searching import Searcher, Turns
 from airpuck.hockey.tactic import Intention, View
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
@@ -46,10 +47,18 @@ def later(view, duration, craft=None):
 
 def decided(strategy, view, periods=4):
     """Ask a strategy for some periods, in which nothing moves; return its last proposal."""
-    found = None
+    found, turns = None, Turns()
     for k in range(periods):
-        view = replace(view, time=view.time + 0.01 * (k > 0))
-        found = strategy.propose(view, Outlook(view))
+        found = asked(strategy, replace(view, time=view.time + 0.01 * k), turns)
+    return found
+
+
+def asked(strategy, view, turns):
+    """Ask a strategy once; it has all turns to search to itself."""
+    outlook = Outlook(view)
+    found = strategy.propose(view, outlook)
+    if isinstance(strategy, Searcher) and turns.give(view, outlook, [strategy]):
+        found = strategy.propose(view, outlook)
     return found
 
 

@@ -93,7 +93,7 @@ def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
     for speed, kinds in ((0.2, {"strike", "bank", "clear"}), (1.5, {"prepare"})):
         view = view_of((-0.3, 0.1, 0, -speed, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))
         tactic = AllRounder(AllRounder().strategies[2:])
-        intention = decided(Asked(tactic), view, 12)
+        intention = decided(Asked(tactic), view)
         assert intention.kind in kinds
 
 

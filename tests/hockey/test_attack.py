@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from airpuck.hockey import attack
+from airpuck.hockey import attack, searching
 from airpuck.hockey.attack import Shoot
 from airpuck.hockey.interception import Outlook, stays_inside
 from airpuck.hockey.shot import ArrivalError
@@ -145,7 +145,7 @@ def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypat
         return np.where(y > y.min() + 0.01, 0.27, 0.24), np.zeros(len(y))
 
     monkeypatch.setattr(attack, "chances", chances)
-    monkeypatch.setattr(attack, "way_is_free", lambda *_: True)
+    monkeypatch.setattr(searching, "path_is_clear", lambda *_: True)
     intention = decided(Shoot(least=0.25), view, 2)
     assert np.ptp(seen[0]) > 0.02
     assert intention.chance == 0.27

@@ -206,3 +206,52 @@ def test_a_striker_aims_at_the_open_corner_and_a_keeper_does_not_strike(side):
     assert not ends[0].goal and ends[0].state.x == rests.x
     assert ends[1].goal == 1
     assert ends[1].state.y * side < 0
+
+
+def test_a_hand_without_delay_acts_on_the_newest_frame():
+    hand = Keeper(PLAY, Dexterity(reaction_s=0.0, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0))
+    for time, y in ((0.0, 0.1), (0.1, -0.1), (0.2, 0.05)):
+        # It covers the goal on the side of a resting puck, half as far aside.
+        assert hand.target(time, (-1.0, 0.0), PuckState(0.5, y), (0.9, 0.0))[1] == y / 2
+
+
+def test_a_hand_that_has_seen_one_frame_acts_on_that():
+    hand = Keeper(PLAY, EXACT)
+    assert hand.target(0.0, (-1.0, 0.0), PuckState(0.5, 0.1), (0.9, 0.0))[1] == 0.05
+    # The second frame counts when the reaction time has passed.
+    assert hand.target(0.1, (-1.0, 0.0), PuckState(0.5, -0.1), (0.9, 0.0))[1] == 0.05
+    assert hand.target(0.35, (-1.0, 0.0), PuckState(0.5, -0.1), (0.9, 0.0))[1] == -0.05
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_stroke_begins_at_the_border_of_the_hand_s_half_where_there_is_no_room_behind(side):
+    reach_x, reach_y = PLAY.table.reach(PLAY.mallet.radius_m)
+    # Behind a puck near the own line the start is on the line, at the side it would be.
+    line = wanted(PuckState(-0.93, side * 0.1), own=(-1.04, side * 0.25))
+    assert line[0] == -reach_x
+    assert 0.1 < side * line[1] < 0.13
+    # Behind one near a rail it is at the rail.
+    puck = PuckState(-0.2, side * 0.455)
+    rail = wanted(puck, own=(-0.36, side * 0.44))
+    assert rail[1] == side * reach_y
+    assert rail[0] == pytest.approx(-0.37, abs=0.01)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_hand_before_a_puck_at_a_rail_goes_round_it_on_the_inner_side(side):
+    # On the outer side there is no room between the puck and the rail.
+    puck, own = PuckState(-0.6, side * 0.47), (-0.5, side * 0.5)
+    found = wanted(puck, own)
+    assert found[0] < own[0]
+    assert side * found[1] < side * puck.y
+    inner = puck.y - side * 2 * (PLAY.mallet.radius_m + PLAY.puck.radius_m)
+    way = found - own
+    assert (inner - own[1]) / way[1] == pytest.approx(-0.15 / way[0])
+
+
+def test_it_clears_a_puck_off_a_rail():
+    for y in (0.51, -0.51):
+        _, world = episode(EXACT, PuckState(-0.6, y), 2.5)
+        assert world.puck is not None
+        assert world.puck.goal >= 0
+        assert world.puck.goal or world.puck.state.x > 0 or abs(world.puck.state.y) < 0.4

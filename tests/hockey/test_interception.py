@@ -14,10 +14,9 @@ from airpuck.hockey.interception import (
     PlannedContact,
     around,
     effort,
-    run_up,
+    path_is_clear,
     slack,
     stays_inside,
-    way_is_free,
 )
 from airpuck.hockey.shot import unit
 from airpuck.physics.puck import Disc, PuckState, strike
@@ -127,7 +126,7 @@ def test_the_way_round_the_puck_does_not_touch_it():
     assert nearest > PITCH.contact_distance
     np.testing.assert_allclose(place, goal, atol=0.02)
     through = PlannedContact(0.8, 0.0, 0.5)
-    assert not way_is_free(view, outlook, through)
+    assert not path_is_clear(view, outlook, through)
 
 
 def test_the_outlook_is_the_way_of_the_twins_puck():
@@ -139,8 +138,8 @@ def test_the_outlook_is_the_way_of_the_twins_puck():
             alone.run(time)
             np.testing.assert_allclose(outlook.at(time)[:2], alone.state[:2], atol=0.02)
             np.testing.assert_allclose(outlook.places[round((time - 3) / 0.02)], alone.state[:2])
-        crosses = (outlook.places[:, 0] < -0.4).any()
-        assert outlook.comes(-0.4) == crosses
+        comes = (outlook.places[:, 0] < PITCH.fence[1, 0] + 0.1).any()
+        assert outlook.is_reachable == comes
         assert (outlook.threat is not None) == (alone.goal < 0)
     # Between two steps it goes straight; beyond the ends it goes on.
     view = view_of((0.0, 0.1, 0, 1.0, 0.0, 0))
@@ -166,17 +165,15 @@ def test_a_threat_is_when_the_puck_is_at_the_own_goal():
         assert Outlook(view_of(puck)).threat is None
 
 
-def test_one_search_a_decision_and_a_velocity_that_is_known():
+def test_a_velocity_is_known_or_not():
     view = view_of((0.3, 0, 0, -1.0, 0, 0))
-    outlook = Outlook(view)
-    assert [outlook.take_search() for _ in range(3)] == [True, False, False]
     for deviation, known in ((0.02, True), (0.04, False)):
         covariance = SEEN + np.diag([0, 0, 0, deviation, deviation, 0]) ** 2
         belief = replace(view.puck, covariance=covariance)
         assert Outlook(replace(view, puck=belief)).known == known
 
 
-def test_a_way_is_free_where_a_craft_on_a_cubic_keeps_off_the_puck():
+def test_a_path_is_clear_where_a_craft_on_a_cubic_keeps_off_the_puck():
     rng, free, blocked = np.random.default_rng(4), 0, 0
     for _ in range(300):
         craft = np.array([*rng.uniform([-0.95, -0.3], [-0.2, 0.3]), 0, *rng.normal(0, 0.3, 2), 0])
@@ -191,7 +188,7 @@ def test_a_way_is_free_where_a_craft_on_a_cubic_keeps_off_the_puck():
         times = np.linspace(0.04, 0.76, 200)
         apart = np.linalg.norm(way(times) - outlook.at(times)[:, :2], axis=1)
         nearest = (apart - PITCH.contact_distance)[times < 0.6].min()
-        found = way_is_free(view, outlook, meeting)
+        found = path_is_clear(view, outlook, meeting)
         # Nine places are looked at, with a margin.
         if nearest < -0.01:
             assert not found
@@ -219,10 +216,12 @@ def test_a_way_round_leads_to_the_nearer_side_and_straight_where_nothing_is_betw
 
 def test_a_run_up_begins_behind_the_contact():
     view = view_of((-0.4, 0.1, 0, 0, 0, 0), craft=(-0.8, 0.0, 0, 0, 0, 0))
-    place, avoid = run_up(view, Outlook(view), PlannedContact(1.0, 0.3, 1.0))
+    found = PlannedContact(1.0, 0.3, 1.0, "strike").approach(view, Outlook(view))
     expected = np.array([-0.4, 0.1]) - (PITCH.contact_distance + 0.1) * unit(0.3)
-    np.testing.assert_allclose([place.x, place.y], expected)
-    np.testing.assert_allclose(avoid, (-0.4, 0.1, PITCH.contact_distance + 0.01))
+    np.testing.assert_allclose([found.reference.x, found.reference.y], expected)
+    np.testing.assert_allclose(found.meet, (1.0, -0.4, 0.1))
+    assert found.kind == "strike"
+    np.testing.assert_allclose(found.avoid, (-0.4, 0.1, PITCH.contact_distance + 0.01))
 
 
 def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():

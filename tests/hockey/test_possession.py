@@ -8,12 +8,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from airpuck.hockey.interception import Outlook, slack
 from airpuck.hockey.possession import Catch, Free, good_place
+from airpuck.hockey.searching import Turns
 from airpuck.hockey.shot import unit
 
 from ..apparatus.hockey_situations import (
     PITCH,
     PLAY,
     after_contact,
+    asked,
     assert_mirrored,
     contact,
     decided,
@@ -117,10 +119,10 @@ def test_a_stuck_puck_is_pushed_to_a_better_place_and_not_into_the_own_goal(plac
     view = view_of((*place, 0, 0, 0, 0), craft=(-0.7, 0.0, 0, 0, 0, 0))
     assert good_place(view, np.array([place]))[0] < 0.25
     found = None
-    strategy = Free()
+    strategy, turns = Free(), Turns()
     for k in range(40):
         now = view_of(view.puck.mean, view.craft, 0.01 * k)
-        intention = strategy.propose(now, Outlook(now))
+        intention = asked(strategy, now, turns)
         assert intention is None or intention.kind == "free"
         if intention is not None and intention.avoid is None:
             found = now, intention

@@ -25,6 +25,7 @@ class Cameras:
         self.keeper = Scorekeeper(PLAY, rules)
         self.random = np.random.default_rng(seed)
         self.time, self.said = 0.0, []
+        self.pose = np.zeros(3)
 
     def see(self, *place, puck=True, frames=1):
         """Frames with a puck at a place, or without one."""
@@ -32,8 +33,8 @@ class Cameras:
             self.time += FRAME
             self.keeper.frame(self.time)
             if puck:
-                pose = np.array([*place, 0.3]) + self.random.normal(0.0, 5e-5, 3)
-                self.keeper.puck(self.time, pose)
+                self.pose = np.array([*place, 0.3]) + self.random.normal(0.0, 5e-5, 3)
+                self.keeper.puck(self.time, self.pose)
             self.said += self.keeper.judge()
 
     def rest(self, x, y, frames=60):
@@ -155,6 +156,20 @@ def test_poses_that_freeze():
         assert cameras.said == []
 
 
+def test_poses_that_freeze_while_the_puck_is_slow():
+    """They are no puck that rests: neither in the mouth of a goal, nor for a foul."""
+    for x, said in ((1.05, [("goal", -1)]), (0.5, [])):
+        cameras = Cameras(Rules(foul_s=2.0))
+        cameras.rest(x, 0.0)
+        cameras.fly((x, 0.0, 0.4, 0.0), 0.1)
+        for _ in range(round(3.0 / FRAME)):
+            cameras.time += FRAME
+            cameras.keeper.frame(cameras.time)
+            cameras.keeper.puck(cameras.time, cameras.pose)
+            cameras.said += cameras.keeper.judge()
+        assert cameras.said == said
+
+
 @pytest.mark.parametrize("place", [(1.1, 0.0), (1.12, 0.1), (1.3, 0.0), (-1.11, 0.0), (5.0, 5.0)])
 @pytest.mark.parametrize("frames", [1, 2, 3, 50])
 def test_poses_that_jump_into_a_goal(place, frames):
@@ -189,6 +204,8 @@ def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in(gap):
     cameras.rest(0.9, 0.0)
     cameras.fly((0.9, 0.0, 3.0, 0.0), 0.0775)
     cameras.time += gap
+    # They see other things before they see the puck again.
+    cameras.nothing(0.5)
     cameras.rest(0.7, 0.0)
     assert cameras.said == []
 

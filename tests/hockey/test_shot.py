@@ -241,3 +241,40 @@ def test_a_bank_shot_is_read_by_halves():
         found = flown(MIRRORS, start[None], motion, before_the_goal)
         assert found.bounces[0] == bounces
         assert low < found.passes[0] < high
+
+
+def test_a_shot_that_touches_a_post_does_not_score_whatever_comes_after():
+    # At 45° the path must pass the post by r √2 along the line; after a bounce it would be less.
+    room = HALF - RADIUS * math.sqrt(2)
+    places = np.array([[0.8, room - 0.3 + off] for off in (-0.002, 0.002)])
+    found = flown(PLAY, places, np.tile([2.0, 2.0, 0.0], (2, 1)))
+    assert found.scores.tolist() == [True, False]
+    assert found.bounces.tolist() == [0, 0]
+
+
+def test_less_certain_contacts_have_less_chance_by_drawn_laws_of_contact():
+    # The law of contact alone is uncertain; a bank shot depends on restitution and grip.
+    known = AirHockey(
+        puck=Puck(
+            standard_error=dict.fromkeys(
+                ("drag_1_s", "spin_drag_1_s", "rail.restitution", "rail.grip"), 1e-9
+            )
+        )
+    )
+    rng, place, motion = np.random.default_rng(3), (-0.45, 0.05), (-0.6, 0.9, -40.0)
+    for normal in (0.2, 0.35, 0.6):
+        chance, _ = chances(
+            PITCH,
+            PuckModel(known),
+            contact(place, motion, normal, 1.3),
+            np.zeros((1, 6, 6)),
+            ArrivalError(0.0, 0.0),
+            count=512,
+        )
+        many = contact(place, motion, np.full(4000, normal), 1.3)
+        laws = (
+            np.clip(rng.normal(mean, sd, 4000), 0, 1) for mean, sd in ((0.8, 0.03), (0.48, 0.1))
+        )
+        drawn = flown(known, many.place, struck(PITCH, many, *laws))
+        assert 0.1 < drawn.scores.mean() < 0.9
+        assert chance[0] == pytest.approx(drawn.scores.mean(), abs=0.03)

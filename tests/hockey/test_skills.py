@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.reference import SetPoint
 from airpuck.craft.table import AirHockey, Table
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.skills import SKILLS, Skill, Stage, episode, skills
+from airpuck.hockey.tactic import Intention
 from airpuck.model.model_file import read_model
+from airpuck.physics.puck import PuckState
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 SETTINGS = default_twin_settings().with_delay(MODEL.transport_delay)
+PLANT = build_plant(MODEL, SETTINGS)
 
 
 def test_the_interval_is_wilsons():
@@ -47,8 +51,8 @@ def start_of(stage, name, number):
 
 @pytest.mark.parametrize("name", SKILLS)
 def test_starts_are_the_challenges_on_this_table(name):
-    stage = Starts(MODEL, SETTINGS, build_plant(MODEL, SETTINGS), pitch_of(MODEL, PLAY))
-    starts = np.array([start_of(stage, name, number) for number in range(80)])
+    stage = Starts(MODEL, SETTINGS, PLANT, pitch_of(MODEL, PLAY))
+    starts = np.array([start_of(stage, name, number) for number in range(40)])
     x, y, _, vx, vy, spin = starts.T
     speed, along = np.hypot(vx, vy), 2.2 / 1.948
     if name == "defend":
@@ -66,6 +70,48 @@ def test_starts_are_the_challenges_on_this_table(name):
         else:
             near_rail = np.abs(y) > room - 1e-9
             assert (near_rail | (x < -0.8 * along + 1e-9)).all() and not speed.any()
+
+
+class Placed(Stage):
+    """A stage on which the puck starts elsewhere."""
+
+    start = PuckState(0.0, 0.0)
+
+    def twin(self, puck, seed):
+        return super().twin(self.start, seed)
+
+
+class Idle:
+    """A tactic that stays at home and counts its decisions."""
+
+    def __init__(self):
+        self.decisions = 0
+
+    def decide(self, view):
+        self.decisions += 1
+        return Intention("home", SetPoint(*view.pitch.home, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "result"),
+    [
+        # A puck that rests ends the episode: anywhere in the own half, or where it can be shot.
+        ("defend", PuckState(-0.4, 0.1), (True, True)),
+        ("prepare", PuckState(-0.4, 0.1), (True, True)),
+        # So does one that is out of reach, or in a goal.
+        ("defend", PuckState(0.6, 0.1, 0.0, 0.5, 0.0), (True, False)),
+        ("hit", PuckState(0.6, 0.1, 0.0, 0.5, 0.45), (False, False)),
+        ("hit", PuckState(0.6, 0.0, 0.0, 1.5, 0.0), (True, False)),
+        ("defend", PuckState(-1.09, 0.12, 0.0, -3.0, 0.0), (False, False)),
+        ("prepare", PuckState(-1.09, 0.12, 0.0, -3.0, 0.0), (False, False)),
+    ],
+)
+def test_an_episode_ends_when_its_outcome_is_certain(name, start, result):
+    idle = Idle()
+    stage = Placed(MODEL, SETTINGS, PLANT, pitch_of(MODEL, PLAY), lambda: idle)
+    object.__setattr__(stage, "start", start)
+    assert episode(stage, name, [0, 0]) == result
+    assert idle.decisions < 15
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from airpuck.hockey.attack import Shoot
 from airpuck.hockey.goalkeeper import Blind, Defend, Wait
 from airpuck.hockey.interception import Outlook
 from airpuck.hockey.possession import Catch, Free
+from airpuck.hockey.searching import Searcher, Turns
 from airpuck.hockey.tactic import Intention, View
 
 #: In play a puck that is slower than this is shot as it comes [m/s].
@@ -44,7 +45,7 @@ class AllRounder:
             clear,
             Wait(),
         )
-        self._blind = Blind()
+        self._blind, self._turns = Blind(), Turns()
 
     def decide(self, view: View) -> Intention:
         """Return what to do now; see `Tactic.decide`."""
@@ -52,8 +53,14 @@ class AllRounder:
             return self._blind.propose(view)
         outlook = Outlook(view)
         self._blind.seen(view, outlook)
+        intention, searchers = None, []
         for strategy in self.strategies:
+            if isinstance(strategy, Searcher):
+                searchers.append(strategy)
             intention = strategy.propose(view, outlook)
             if intention is not None:
-                return intention
-        return self._blind.propose(view)
+                break
+        # What a search finds takes precedence over what comes later in the list.
+        searcher = self._turns.give(view, outlook, searchers)
+        found = searcher and searcher.propose(view, outlook)
+        return found or intention or self._blind.propose(view)

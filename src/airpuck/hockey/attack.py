@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,14 +12,13 @@ from airpuck.hockey.interception import (
     Outlook,
     PlannedContact,
     effort,
-    run_up,
     slack,
     stays_inside,
-    way_is_free,
 )
 from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
+from airpuck.hockey.searching import Searcher
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
-from airpuck.hockey.tactic import Intention, Kind, View
+from airpuck.hockey.tactic import Kind, View
 
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
@@ -27,36 +26,32 @@ _NORMALS = np.linspace(-1.4, 1.4, 61)
 _SPEEDS = np.array([0.6, 1.3, 2.1])
 #: Number of best candidates that are evaluated with all errors, and directions around each [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
+#: Number of candidates that the best are picked from.
+_PICKED = 200
+#: A candidate is evaluated with all errors from this share of the least probability on.
+_PROMISING = 1 / 3
+#: Least difference of the speeds of craft and puck along the normal [m/s].
+_FASTER = 0.2
+#: Error of the direction of a shot beyond that of the craft's place, in the first evaluation [rad].
+_DIRECTION_ERROR = 0.02
+#: A shot whose mean number of banks is higher is a bank shot.
+_BANKED = 0.5
 #: Discount rate of the probability of scoring with waiting time [1/s]; a guess.
 _PATIENCE = 0.12
-#: Gain in probability for which the shot under way is replaced; a guess.
+#: Gain in probability for which the planned shot is replaced; a guess.
 _BETTER = 0.08
-#: Search every fourth decision; evaluate the best candidates in the next.
-_EVERY = 4
-#: After a longer break between calls, the shot under way is dropped [s].
-_INTERRUPTED = 0.05
-#: Nearer than this before a contact nothing is changed but its place [s].
-_COMMITTED = 0.15
-#: Largest share of the craft's acceleration that the path to a contact may need: when the contact
-#: is planned, and while it is kept. Chosen by matches.
-_EASY, _STRAINED = 0.9, 1.4
+#: Decisions between searches for shots, and for the fallback that only clears the puck.
+_EVERY, _EVERY_CLEAR = 4, 5
+#: Largest share of the craft's acceleration that the path to a new contact may need. Chosen by
+#: matches.
+_EASY = 0.9
 #: Model of the opponent, guesses: distance of its home from its goal line [m], reaction time [s],
 #: and speed on its way home [m/s].
 _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class _Shot:
-    """A planned contact with its probability of scoring."""
-
-    meeting: PlannedContact
-    chance: float
-    kind: Kind
-    path: Float[np.ndarray, "N 2"]
-
-
-@dataclass(frozen=True, eq=False)
-class _Found:
+class _Candidates:
     """Contacts that a search found: times [s], directions [rad], speeds [m/s]."""
 
     time: Float[np.ndarray, " M"]
@@ -64,7 +59,7 @@ class _Found:
     speed: Float[np.ndarray, " M"]
 
 
-class Shoot:
+class Shoot(Searcher):
     """Shoots, directly or over banks, where the probability of scoring is high enough.
 
     Parameters
@@ -86,66 +81,47 @@ class Shoot:
         speeds: Float[np.ndarray, " L"] = _SPEEDS,
         clears: bool = False,
     ) -> None:
-        self.clears = clears
+        super().__init__()
+        self.clears, self._period = clears, _EVERY_CLEAR if clears else _EVERY
         self.least, self.error, self.speeds = least, error or ArrivalError(), speeds
-        self._plan: _Shot | None = None
-        #: The path to the start of a shot that is not possible from here.
-        self._approach: Intention | None = None
-        self._found: _Found | None = None
-        self._age, self._asked = _EVERY, -math.inf
+        self._candidates: _Candidates | None = None
+        self.every = self._period
 
-    def propose(self, view: View, outlook: Outlook) -> Intention | None:
-        """Return a shot, or the way to where one is possible; None: there is none."""
-        # After a break, a planned contact is out of date.
-        interrupted, self._asked = view.time > self._asked + _INTERRUPTED, view.time
-        if interrupted:
-            self._plan = self._approach = self._found = None
-            self._age = _EVERY
-        if not outlook.known or not outlook.comes(view.pitch.fence[1, 0] + 0.1):
-            self._plan = self._approach = self._found = None
-            self._age = _EVERY
-            return None
-        self._plan = plan = self._still(view, outlook)
-        self._age += 1
-        if self._found is not None and outlook.take_search():
-            self._choose(view, outlook, self._found)
-            self._found = None
-        elif self._found is None and self._is_due(view, plan) and outlook.take_search():
-            self._age, self._found = 0, self._search(view, outlook)
-            if self._found is None:
+    def applies(self, view: View, outlook: Outlook) -> bool:
+        """Return whether the puck comes within reach; see `Searcher.applies`."""
+        return outlook.known and outlook.is_reachable
+
+    def wants_search(self, view: View, outlook: Outlook) -> bool:
+        """Return whether a better shot could still be taken; see `Searcher.wants_search`."""
+        if self._plan is not None and self._plan.is_committed(view):
+            return False
+        return self.applies(view, outlook)
+
+    def forget(self) -> None:
+        """Drop the planned shot and the candidates; see `Searcher.forget`."""
+        super().forget()
+        self._candidates, self.every = None, self._period
+
+    def search(self, view: View, outlook: Outlook) -> None:
+        """Find candidates, or evaluate those of the last search; see `Searcher.search`."""
+        found, self._candidates = self._candidates, None
+        self.every = self._period
+        if found is None:
+            self._candidates = self._promising(view, outlook)
+            if self._candidates is not None:
+                self.every = 1
+            elif self._plan is None:
                 self._approach = None
-        if self._plan is None:
-            return self._approach
-        return self._intention(view, outlook, self._plan)
+            return
+        shots = self._likely(view, outlook, found)
+        if self._plan is not None:
+            least = (self._plan.chance or 0.0) + _BETTER
+            shots = [shot for shot in shots if (shot.chance or 0.0) > least]
+        self.adopt(view, outlook, shots)
+        if self._plan in shots:
+            self._plan = replace(self._plan, path=after_contact(view, outlook, self._plan))
 
-    def _is_due(self, view: View, plan: _Shot | None) -> bool:
-        """Return whether a search for another contact is due."""
-        committed = plan is not None and plan.meeting.time - view.time < _COMMITTED
-        return self._age >= _EVERY and not committed
-
-    def _still(self, view: View, outlook: Outlook) -> _Shot | None:
-        """Return the plan under way if it can still be kept."""
-        if self._plan is None:
-            return None
-        meeting = self._plan.meeting
-        left = meeting.time - view.time
-        if left < -0.02:
-            return None
-        if left < _COMMITTED:
-            return self._plan
-        place = meeting.place(view, outlook.at(meeting.time))
-        velocity = meeting.speed * unit(meeting.normal)
-        able = effort(view, meeting.time, place, velocity) < _STRAINED
-        return self._plan if able and stays_inside(view, place, velocity) else None
-
-    def _choose(self, view: View, outlook: Outlook, found: _Found) -> None:
-        """Adopt the best contact found if it is better than the shot under way."""
-        shot, approach = self._closely(view, outlook, found)
-        if self._plan is None or (shot and shot.chance > self._plan.chance + _BETTER):
-            self._plan = shot
-        self._approach = approach if self._plan is None else None
-
-    def _search(self, view: View, outlook: Outlook) -> _Found | None:
+    def _promising(self, view: View, outlook: Outlook) -> _Candidates | None:
         """Return the most promising contacts that the craft can reach in time."""
         pitch = view.pitch
         times = view.time + _TIMES
@@ -161,7 +137,7 @@ class Shoot:
         fits = stays_inside(view, place, velocity)
         # The craft must be faster than the puck along the normal.
         motion = np.broadcast_to(pucks[:, None, None, 3:], (*shape, 3))
-        fits &= ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1) > 0.2
+        fits &= ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1) > _FASTER
         when = np.broadcast_to(times[:, None, None], shape)
         able = np.nonzero(fits)
         able = _of(able, slack(view, when[able], place[able], velocity[able]) > 0)
@@ -174,11 +150,13 @@ class Shoot:
         value = np.full(shape, -1.0)
         later = np.exp(-_PATIENCE * (when[able] - view.time))
         value[able] = chance[inverse, able[1], able[2]] * later
-        best = self._apart(np.unravel_index(np.argsort(value, axis=None)[:-200:-1], shape), value)
+        best = self._apart(
+            np.unravel_index(np.argsort(value, axis=None)[:-_PICKED:-1], shape), value
+        )
         if not best:
             return None
         k, j, s = (np.array(part) for part in zip(*best, strict=True))
-        return _Found(times[k], _NORMALS[j], self.speeds[s])
+        return _Candidates(times[k], _NORMALS[j], self.speeds[s])
 
     def _coarse(
         self,
@@ -200,7 +178,7 @@ class Shoot:
         opponent = _opponent(view, times - view.time)
         others = opponent and (opponent[0][:, None, None], opponent[1])
         flights = flown(pitch.play, contacts.place, after, others)
-        spread = math.hypot(self.error.place / pitch.contact_distance, 0.02)
+        spread = math.hypot(self.error.place / pitch.contact_distance, _DIRECTION_ERROR)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
         weights = np.exp(-(apart**2) / 2)
         weights /= weights.sum(axis=1, keepdims=True)
@@ -212,7 +190,7 @@ class Shoot:
         """Return the best few contacts that differ from each other."""
         found: list[tuple[int, int, int]] = []
         for k, j, s in zip(*(part.tolist() for part in order), strict=True):
-            if value[k, j, s] < self.least / 3:
+            if value[k, j, s] < _PROMISING * self.least:
                 break
             if all(abs(k - a) > 1 or abs(j - b) > 2 or s != c for a, b, c in found):
                 found.append((k, j, s))
@@ -220,58 +198,36 @@ class Shoot:
                     break
         return found
 
-    def _closely(
-        self, view: View, outlook: Outlook, found: _Found
-    ) -> tuple[_Shot | None, Intention | None]:
-        """Evaluate contacts with all errors; return the best, or the path to where it begins."""
+    def _likely(self, view: View, outlook: Outlook, found: _Candidates) -> list[PlannedContact]:
+        """Evaluate contacts with all errors; return those that are likely enough, best first."""
         time = np.repeat(found.time, len(_ASIDE))
         speed = np.repeat(found.speed, len(_ASIDE))
         normal = (found.normal[:, None] + _ASIDE).ravel()
         times, where = np.unique(time, return_inverse=True)
         times = np.maximum(times, outlook.times[0])
-        told = predict_puck(view.puck_model, outlook.belief, times.tolist())
-        pucks = told.mean[where]
+        predicted = predict_puck(view.puck_model, outlook.belief, times.tolist())
+        pucks = predicted.mean[where]
         contacts = Contacts(pucks[:, :2], pucks[:, 3:], normal, speed[:, None] * unit(normal))
         opponent = _opponent(view, time - view.time)
         chance, bounces = chances(
             view.pitch,
             view.puck_model,
             contacts,
-            told.covariance[where],
+            predicted.covariance[where],
             self.error,
             opponent and (opponent[0][:, None], opponent[1]),
         )
         value = chance * np.exp(-_PATIENCE * (time - view.time))
-        blocked = None
-        for each in np.argsort(value)[::-1].tolist():
+        shots = []
+        for k in np.argsort(value)[::-1].tolist():
             # A later contact of lower value may have a higher chance.
-            if chance[each] < self.least:
+            if chance[k] < self.least:
                 continue
-            meeting = PlannedContact(float(time[each]), float(normal[each]), float(speed[each]))
-            kind: Kind = "bank" if bounces[each] > 0.5 else "strike"
+            kind: Kind = "bank" if bounces[k] > _BANKED else "strike"
+            when = float(time[k]), float(normal[k]), float(speed[k])
             kind = "clear" if self.clears else kind
-            path = after_contact(view, meeting, pucks[each])
-            shot = _Shot(meeting, float(chance[each]), kind, path)
-            if way_is_free(view, outlook, meeting):
-                return shot, None
-            blocked = blocked or shot
-        if blocked is None:
-            return None, None
-        return None, self._way_to(view, outlook, blocked)
-
-    def _way_to(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
-        """Return how to go round the puck to the start of the run-up."""
-        meeting = shot.meeting
-        behind, avoid = run_up(view, outlook, meeting)
-        meet = (meeting.time, *outlook.at(meeting.time)[:2].tolist())
-        return Intention(shot.kind, behind, meet, shot.path, shot.chance, avoid)
-
-    def _intention(self, view: View, outlook: Outlook, shot: _Shot) -> Intention:
-        """Return a planned contact as an intention."""
-        meeting = shot.meeting
-        puck = outlook.at(meeting.time)
-        meet = (meeting.time, float(puck[0]), float(puck[1]))
-        return Intention(shot.kind, meeting.reference(view, puck), meet, shot.path, shot.chance)
+            shots.append(PlannedContact(*when, kind, float(chance[k])))
+        return shots
 
 
 def _of(indices: tuple[np.ndarray, ...], which: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, ...]:
@@ -280,13 +236,13 @@ def _of(indices: tuple[np.ndarray, ...], which: Bool[np.ndarray, " N"]) -> tuple
 
 
 def after_contact(
-    view: View, meeting: PlannedContact, puck: Float[np.ndarray, " 6"]
+    view: View, outlook: Outlook, contact: PlannedContact
 ) -> Float[np.ndarray, "N 2"]:
     """Return where the puck goes after a contact."""
-    contact = Contacts(puck[:2], puck[3:], meeting.normal, meeting.speed * unit(meeting.normal))
-    state = np.concatenate([puck[:3], struck(view.pitch, contact)])
-    belief = PuckBelief(meeting.time, state, np.zeros((6, 6)))
-    return drawn_path(view.pitch.play, belief)
+    puck = outlook.at(contact.time)
+    touch = Contacts(puck[:2], puck[3:], contact.normal, contact.velocity)
+    state = np.concatenate([puck[:3], struck(view.pitch, touch)])
+    return drawn_path(view.pitch.play, PuckBelief(contact.time, state, np.zeros((6, 6))))
 
 
 def _opponent(
@@ -296,7 +252,7 @@ def _opponent(
     if view.opponent is None:
         return None
     here = view.opponent[:2]
-    way = np.array([view.pitch.goal_line - _OPPONENT_WAITS, 0.0]) - here
+    path = np.array([view.pitch.goal_line - _OPPONENT_WAITS, 0.0]) - here
     covered = _OPPONENT_RETURNS * np.maximum(ahead - _OPPONENT_REACTS, 0.0)
-    share = np.minimum(covered / max(float(np.hypot(*way)), 1e-6), 1.0)
-    return here + share[:, None] * way, view.pitch.opponent_radius
+    share = np.minimum(covered / max(float(np.hypot(*path)), 1e-6), 1.0)
+    return here + share[:, None] * path, view.pitch.opponent_radius

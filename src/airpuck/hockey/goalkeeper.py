@@ -17,7 +17,7 @@ _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
 _BLIND = 1.0
 
 
-class Defend:
+class Defend(Catch):
     """Stops a puck that is on its way into the own goal: slows it down, or stands in its way.
 
     Parameters
@@ -26,17 +26,21 @@ class Defend:
         By how much the craft must be able to be early to slow it down [s].
     """
 
+    every = 1
+
     def __init__(self, reserve: float = 0.05) -> None:
-        self._catch = Catch(reserve)
+        super().__init__(reserve)
+
+    def applies(self, view: View, outlook: Outlook) -> bool:
+        """Return whether the puck threatens the own goal; see `Searcher.applies`."""
+        return outlook.threat is not None and super().applies(view, outlook)
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return how to stop the puck; None: there is no danger."""
-        if outlook.threat is None:
-            return None
-        caught = self._catch.propose(view, outlook)
-        if caught is not None:
-            return caught
-        return block(view, outlook)
+        caught = super().propose(view, outlook)
+        if caught is None and outlook.threat is not None:
+            return block(view, outlook)
+        return caught
 
 
 def block(view: View, outlook: Outlook) -> Intention:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,24 +13,46 @@ from jaxtyping import Float
 from airpuck.control.reference import Reference, Rendezvous, SetPoint
 from airpuck.hockey.prediction import predict_path
 from airpuck.hockey.shot import unit
-from airpuck.hockey.tactic import View
+from airpuck.hockey.tactic import Intention, Kind, View
 
+# Numbers without a source are guesses that won matches.
 #: Horizon and step of the puck's predicted path [s].
 HORIZON, STEP = 2.0, 0.02
+#: The puck threatens the goal within this of the line, and of the posts [m]: the path has steps.
+_AT_LINE, _AT_POSTS = 0.01, 0.02
+#: Standard deviation of the puck's velocity up to which it is known well enough to plan [m/s]: five
+#: frames after a hit.
+_KNOWN = 0.05
+#: A puck this far beyond the craft's half can still be touched: about the sum of the radii [m].
+_TOUCHED = 0.1
+#: So near to a contact the plan is final, because thrust can change little until then [s].
+_COMMITMENT = 0.15
+#: So long after its time a contact that did not happen is given up [s]: later than the craft aims
+#: beyond the contact.
+_EXPIRY = 0.03
+#: Largest share of the craft's acceleration that the path to a planned contact may need: more than
+#: all, because thrust does not limit a short peak at the start.
+_STRAINED = 1.4
 #: Time that the predictive law needs: this factor times the shortest time, plus a constant [s].
 _SLOWER, _LATER = 1.1, 0.03
-#: The craft aims this far beyond the contact, so that the discs surely touch [m].
-_DEEPER = 0.006
+#: The craft aims this far beyond the contact, so that the discs surely touch [m], but for at most
+#: this time [s]; a slower approach counts as this fast [m/s].
+_DEEPER, _LONGEST_DEEPER, _SLOWEST_APPROACH = 0.006, 0.03, 0.05
 #: Precision of a contact [m, m, rad, m/s, m/s, rad/s]: yaw is free.
 _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
 #: Fractions of the path at which clearance from the puck is checked.
-_SHARES = np.linspace(0.1, 0.9, 9)
+_CHECKED = np.linspace(0.1, 0.9, 9)
 #: Delay until the craft reacts to a recoil [s].
 _NOTICED = 0.08
 #: Distance from the start of the run-up to the contact [m].
 _RUN_UP = 0.1
-#: Clearance when passing the puck [m].
-_PASSING = 0.012
+#: Clearance when passing the puck [m]: on the path to a contact, of the disc that the law keeps out
+#: of, on the straight path to a waypoint, and of the waypoint beside the puck.
+_PASSING, AVOIDED, _BLOCKED, _BESIDE = 0.012, 0.01, 0.03, 0.07
+#: A puck nearer to the straight path is passed on the left [m].
+_STRAIGHT = 0.01
+#: Shorter distances have no direction [m].
+_NO_DISTANCE = 1e-6
 
 
 class Outlook:
@@ -47,27 +69,21 @@ class Outlook:
         self.places, self.motions = self.states[:, :2], self.states[:, 3:]
         #: Speed now [m/s]; a row of the motions is vx, vy, spin.
         self.speed = float(np.hypot(*self.motions[0, :2]))
-        self._searched = False
-
-    def take_search(self) -> bool:
-        """Take the only search of this decision; return whether it was left."""
-        searched, self._searched = self._searched, True
-        return not searched
 
     @cached_property
     def threat(self) -> float | None:
         """When the puck will be at the own goal [s]; None: it will not."""
         pitch = self.view.pitch
         half = pitch.play.table.goal_width_m / 2
-        at = (self.places[:, 0] < -pitch.goal_line + pitch.play.puck.radius_m + 0.01) & (
-            np.abs(self.places[:, 1]) < half + 0.02
+        at = (self.places[:, 0] < -pitch.goal_line + pitch.play.puck.radius_m + _AT_LINE) & (
+            np.abs(self.places[:, 1]) < half + _AT_POSTS
         )
         return float(self.times[np.argmax(at)]) if at.any() else None
 
     @cached_property
     def known(self) -> bool:
-        """Whether the velocity is known well enough to plan: some frames after a hit."""
-        return float(np.trace(self.belief.covariance[3:5, 3:5])) < 0.05**2
+        """Whether the puck's velocity is known well enough to plan."""
+        return float(np.trace(self.belief.covariance[3:5, 3:5])) < _KNOWN**2
 
     def at(self, time: Any) -> Float[np.ndarray, "*n 6"]:
         """Return the state of the puck at a time, or several, within the horizon."""
@@ -76,9 +92,10 @@ class Outlook:
         share = (steps - index)[..., None]
         return (1 - share) * self.states[index] + share * self.states[index + 1]
 
-    def comes(self, x: float) -> bool:
-        """Return whether the puck will be on the near side of a line across the table."""
-        return bool((self.places[:, 0] < x).any())
+    @cached_property
+    def is_reachable(self) -> bool:
+        """Whether the puck will be in the half in which the craft can touch it."""
+        return bool((self.places[:, 0] < self.view.pitch.fence[1, 0] + _TOUCHED).any())
 
 
 def slack(
@@ -120,9 +137,9 @@ def _braking(view: View, velocity: Float[np.ndarray, "*n 2"]) -> Float[np.ndarra
     return velocity * speed / (2 * view.pitch.acceleration)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlannedContact:
-    """A contact that is planned: the craft's middle, the puck's, and how the craft moves then."""
+    """A contact that the craft plans: when, from which side, and how fast it moves then."""
 
     #: When [s].
     time: float
@@ -130,36 +147,71 @@ class PlannedContact:
     normal: float
     #: Speed of the craft along the normal; negative: it recedes [m/s].
     speed: float
+    #: What it is for, the probability of scoring, and where the puck goes; see `Intention`.
+    kind: Kind = "prepare"
+    chance: float | None = None
+    path: Float[np.ndarray, "N 2"] | None = None
+
+    @property
+    def velocity(self) -> Float[np.ndarray, " 2"]:
+        """Velocity of the craft at the contact [m/s]."""
+        return self.speed * unit(self.normal)
 
     def place(self, view: View, puck: Float[np.ndarray, " 6"]) -> Float[np.ndarray, " 2"]:
         """Return where the craft's middle is when it touches a puck."""
         return puck[:2] - view.pitch.contact_distance * unit(self.normal)
 
+    def is_committed(self, view: View) -> bool:
+        """Return whether the contact is too near in time to be changed."""
+        return self.time - view.time < _COMMITMENT
+
+    def holds(self, view: View, outlook: Outlook) -> bool:
+        """Return whether the craft can still keep the contact."""
+        if self.is_committed(view):
+            return view.time - self.time <= _EXPIRY
+        place = self.place(view, outlook.at(self.time))
+        able = effort(view, self.time, place, self.velocity) < _STRAINED
+        return bool(able and stays_inside(view, place, self.velocity))
+
     def reference(self, view: View, puck: Float[np.ndarray, " 6"]) -> Reference:
         """Return what leads the craft there, and then home."""
-        way = unit(self.normal)
-        place = self.place(view, puck)
-        # The discs close in with the difference of their speeds.
-        closing = self.speed - float(puck[3:5] @ way)
-        later = min(_DEEPER / max(closing, 0.05), 0.03)
-        place = view.pitch.clipped(place + way * self.speed * later)
-        state = (*place, view.craft[2], *(way * self.speed), 0.0)
+        normal = unit(self.normal)
+        # The discs approach with the difference of their speeds.
+        closing = self.speed - float(puck[3:5] @ normal)
+        later = min(_DEEPER / max(closing, _SLOWEST_APPROACH), _LONGEST_DEEPER)
+        place = view.pitch.clipped(self.place(view, puck) + self.velocity * later)
+        state = (*place, view.craft[2], *self.velocity, 0.0)
         after = SetPoint(*view.pitch.home, 0.0)
         return Rendezvous(self.time + later, state, precision=_PRECISE, then=after)
 
+    def intention(self, view: View, outlook: Outlook) -> Intention:
+        """Return the intention to touch the puck."""
+        return self._intention(self.reference(view, outlook.at(self.time)), outlook)
 
-def way_is_free(view: View, outlook: Outlook, meeting: PlannedContact) -> bool:
-    """Return whether the craft gets to a contact without touching the puck before.
+    def approach(self, view: View, outlook: Outlook) -> Intention:
+        """Return the intention to go round the puck to where the run-up begins."""
+        behind = self.place(view, outlook.at(self.time)) - _RUN_UP * unit(self.normal)
+        x, y = outlook.places[0].tolist()
+        avoid = (x, y, view.pitch.contact_distance + AVOIDED)
+        return replace(self._intention(around(view, outlook, behind), outlook), avoid=avoid)
 
-    The way is the one of least effort: a cubic in time.
+    def _intention(self, reference: Reference, outlook: Outlook) -> Intention:
+        meet = (self.time, *outlook.at(self.time)[:2].tolist())
+        return Intention(self.kind, reference, meet, self.path, self.chance)
+
+
+def path_is_clear(view: View, outlook: Outlook, contact: PlannedContact) -> bool:
+    """Return whether the craft reaches a contact without touching the puck earlier.
+
+    The path is the one of least effort: a cubic in time.
     """
-    puck = outlook.at(meeting.time)
-    left = meeting.time - view.time
-    way = cubic(view.craft, meeting.place(view, puck), meeting.speed * unit(meeting.normal), left)
-    times = view.time + _SHARES * left
-    apart = np.linalg.norm(way - outlook.at(times)[:, :2], axis=1) - view.pitch.contact_distance
-    # On the straight of the last bit it comes near by itself.
-    return bool((apart > _PASSING * np.minimum(1.0, 2 * (1 - _SHARES))).all())
+    left = contact.time - view.time
+    place = contact.place(view, outlook.at(contact.time))
+    path = cubic(view.craft, place, contact.velocity, left)
+    pucks = outlook.at(view.time + _CHECKED * left)[:, :2]
+    apart = np.linalg.norm(path - pucks, axis=1) - view.pitch.contact_distance
+    # The discs approach each other on the last part of the path.
+    return bool((apart > _PASSING * np.minimum(1.0, 2 * (1 - _CHECKED))).all())
 
 
 def cubic(
@@ -168,8 +220,8 @@ def cubic(
     velocity: Float[np.ndarray, " 2"],
     duration: float,
 ) -> Float[np.ndarray, "S 2"]:
-    """Return the way of least effort to a place and a velocity, at some shares of its time."""
-    s = _SHARES[:, None]
+    """Return points of the path of least effort to a place and a velocity."""
+    s = _CHECKED[:, None]
     return (
         (1 + 2 * s) * (1 - s) ** 2 * craft[:2]
         + s * (1 - s) ** 2 * duration * craft[3:5]
@@ -181,7 +233,7 @@ def cubic(
 def effort(
     view: View, time: Any, place: Float[np.ndarray, "*n 2"], velocity: Float[np.ndarray, "*n 2"]
 ) -> Any:
-    """Return the greatest acceleration on the way of least effort, as a share of what there is."""
+    """Return the greatest acceleration on the path of least effort, as a share of the craft's."""
     delay = view.pitch.delay
     left = np.maximum(np.asarray(time) - view.time - delay, 1e-3)[..., None]
     start = view.craft[3:5]
@@ -195,30 +247,21 @@ def effort(
 def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPoint:
     """Return the next waypoint to a goal, round a puck that lies in between."""
     here, puck = view.craft[:2], outlook.places[0]
-    radius = view.pitch.contact_distance + 0.03
-    way = goal - here
-    length = float(np.hypot(*way))
-    if length > 1e-6:
-        along = way / length
+    radius = view.pitch.contact_distance
+    path = goal - here
+    length = float(np.hypot(*path))
+    if length > _NO_DISTANCE:
+        along = path / length
         ahead = float((puck - here) @ along)
         across = puck - here - ahead * along
         beside = float(np.hypot(*across))
-        if 0 < ahead < length + radius and beside < radius:
+        if 0 < ahead < length + radius + _BLOCKED and beside < radius + _BLOCKED:
             # To the side on which it passes already, or where there is more room.
-            out = -across / beside if beside > 0.01 else np.array([-along[1], along[0]])
-            if not view.pitch.inside(puck + out * (radius + 0.01)):
+            out = -across / beside if beside > _STRAIGHT else np.array([-along[1], along[0]])
+            if not view.pitch.inside(puck + out * (radius + _BLOCKED + AVOIDED)):
                 out = -out
-            goal = puck + out * (radius + 0.04)
+            goal = puck + out * (radius + _BESIDE)
     return standing(view.pitch.clipped(goal))
-
-
-def run_up(
-    view: View, outlook: Outlook, meeting: PlannedContact
-) -> tuple[SetPoint, tuple[float, float, float]]:
-    """Return the next place on the way to where a contact begins, and the puck's disc to avoid."""
-    behind = meeting.place(view, outlook.at(meeting.time)) - _RUN_UP * unit(meeting.normal)
-    x, y = outlook.places[0].tolist()
-    return around(view, outlook, behind), (x, y, view.pitch.contact_distance + 0.01)
 
 
 def standing(place: Float[np.ndarray, " 2"]) -> SetPoint:
