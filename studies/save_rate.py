@@ -49,7 +49,7 @@ def could_be_saved(pitch: Pitch, times_of: MinimalTimes, start: PuckState) -> bo
     """Return whether the shortest times allow the craft to touch the puck before it is in."""
     times = np.arange(0.0, 3.0, 0.002)
     belief = PuckBelief(0.0, np.array(start), np.zeros((6, 6)))
-    places = predict_path(pitch.play, belief, times)[:, :2]
+    places = predict_path(pitch.equipment, belief, times)[:, :2]
     before = places[:, 0] > -pitch.goal_line
     ways = np.linspace(0.0, 2.0, 2001)
     shortest = times_of(np.stack([ways, 0 * ways]), np.zeros((2, len(ways))), "any")

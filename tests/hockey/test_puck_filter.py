@@ -234,6 +234,7 @@ def test_what_does_not_cross_in_time_has_no_crossing():
     for mean in ((0, 0.1, 0, 0, 0, 0), (0, 0.1, 0, 0, 1.0, 0), (0, 0.1, 0, -0.2, 0, 0)):
         belief = PuckBelief(0.0, np.array(mean, dtype=float), nothing)
         assert predict_crossing(KNOWN, belief, 0.4, 1.0) is None
+        assert mean[3] or predict_crossing(KNOWN, belief, 0.4, 60.0) is None
     # 0.5 m at 0.25 m/s with the drag take 2.55 s: beyond two seconds, but not three.
     belief = PuckBelief(0.0, np.array([0, 0.1, 0, 0.25, 0, 0]), nothing)
     assert predict_crossing(KNOWN, belief, 0.5) is None

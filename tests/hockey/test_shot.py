@@ -246,7 +246,7 @@ def test_a_bank_shot_is_read_by_halves():
 def test_a_shot_that_touches_a_post_does_not_score_whatever_comes_after():
     # At 45° the path must pass the post by r √2 along the line; after a bounce it would be less.
     room = HALF - RADIUS * math.sqrt(2)
-    places = np.array([[0.8, room - 0.3 + off] for off in (-0.002, 0.002)])
+    places = np.array([[0.8, room - 0.3 + off] for off in (-0.0005, 0.0005)])
     found = flown(PLAY, places, np.tile([2.0, 2.0, 0.0], (2, 1)))
     assert found.scores.tolist() == [True, False]
     assert found.bounces.tolist() == [0, 0]
@@ -278,3 +278,19 @@ def test_less_certain_contacts_have_less_chance_by_drawn_laws_of_contact():
         drawn = flown(known, many.place, struck(PITCH, many, *laws))
         assert 0.1 < drawn.scores.mean() < 0.9
         assert chance[0] == pytest.approx(drawn.scores.mean(), abs=0.03)
+
+
+def test_few_errors_that_are_evenly_spread_suffice_for_the_chance():
+    rng = np.random.default_rng(0)
+    place, motion = rng.uniform([-0.7, -0.3], [-0.2, 0.3], (100, 2)), np.zeros((100, 3))
+    normal = rng.uniform(-1.2, 1.2, 100)
+    shots = Contacts(place, motion, normal, 1.3 * unit(normal))
+    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-2, 5e-3, 5e-3, 0.5]) ** 2, (100, 1, 1))
+    few, many = (
+        chances(PITCH, PuckModel(PLAY), shots, covariance, ArrivalError(), count=count)[0]
+        for count in (64, 2048)
+    )
+    likely = many > 0.03
+    assert likely.sum() > 20
+    # 64 independent errors would miss by up to 0.06.
+    assert np.sqrt(np.mean((few - many)[likely] ** 2)) < 0.04

@@ -1,4 +1,4 @@
-"""The package's own tactic: the first of its strategies that has something to propose."""
+"""The package's own tactic: the first strategy with a proposal acts."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from airpuck.hockey.possession import Catch, Free
 from airpuck.hockey.searching import Searcher, Turns
 from airpuck.hockey.tactic import Intention, View
 
-#: In play a puck that is slower than this is shot as it comes [m/s].
+#: A slower puck is shot without being caught first [m/s].
 _CAUGHT = 0.35
 
 
 @runtime_checkable
 class Strategy(Protocol):
-    """Knows one thing to do."""
+    """One thing that a player can do."""
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
-        """Return what to do; None: nothing of this kind."""
+        """Return an intention; None if the strategy does not apply."""
         ...
 
 
 class AllRounder:
-    """Plays: shoots, defends, slows the puck down, frees it, waits: a `Tactic`.
+    """Shoots, defends, catches and frees the puck, and waits; a `Tactic`.
 
     Parameters
     ----------
     strategies : sequence of Strategy, optional
-        What it can do; of those that have something to propose, the first one does. By default
-        `Shoot`, `Defend`, `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
+        By priority: the first strategy with a proposal acts. By default `Shoot`, `Defend`,
+        `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
     """
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:

@@ -32,7 +32,7 @@ _PICKED = 200
 _PROMISING = 1 / 3
 #: Least difference of the speeds of craft and puck along the normal [m/s].
 _FASTER = 0.2
-#: Error of the direction of a shot beyond that of the craft's place, in the first evaluation [rad].
+#: Further error of a shot's direction, in the first evaluation [rad].
 _DIRECTION_ERROR = 0.02
 #: A shot whose mean number of banks is higher is a bank shot.
 _BANKED = 0.5
@@ -46,8 +46,10 @@ _EVERY, _EVERY_CLEAR = 4, 5
 #: matches.
 _EASY = 0.9
 #: Model of the opponent, guesses: distance of its home from its goal line [m], reaction time [s],
-#: and speed on its way home [m/s].
+#: and speed on its return [m/s].
 _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
+#: An opponent nearer to its home is there [m].
+_AT_HOME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ class Shoot(Searcher):
         self._candidates, self.every = None, self._period
 
     def search(self, view: View, outlook: Outlook) -> None:
-        """Find candidates, or evaluate those of the last search; see `Searcher.search`."""
+        """Find candidates, or evaluate the last ones; see `Searcher.search`."""
         found, self._candidates = self._candidates, None
         self.every = self._period
         if found is None:
@@ -177,7 +179,7 @@ class Shoot(Searcher):
         after = struck(pitch, contacts)
         opponent = _opponent(view, times - view.time)
         others = opponent and (opponent[0][:, None, None], opponent[1])
-        flights = flown(pitch.play, contacts.place, after, others)
+        flights = flown(pitch.equipment, contacts.place, after, others)
         spread = math.hypot(self.error.place / pitch.contact_distance, _DIRECTION_ERROR)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
         weights = np.exp(-(apart**2) / 2)
@@ -242,17 +244,17 @@ def after_contact(
     puck = outlook.at(contact.time)
     touch = Contacts(puck[:2], puck[3:], contact.normal, contact.velocity)
     state = np.concatenate([puck[:3], struck(view.pitch, touch)])
-    return drawn_path(view.pitch.play, PuckBelief(contact.time, state, np.zeros((6, 6))))
+    return drawn_path(view.pitch.equipment, PuckBelief(contact.time, state, np.zeros((6, 6))))
 
 
 def _opponent(
     view: View, ahead: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, "n 2"], float] | None:
-    """Return where the opponent will be on its way home, and its radius; None if unseen."""
+    """Return where the opponent will be on its return home, and its radius; None if unseen."""
     if view.opponent is None:
         return None
     here = view.opponent[:2]
     path = np.array([view.pitch.goal_line - _OPPONENT_WAITS, 0.0]) - here
     covered = _OPPONENT_RETURNS * np.maximum(ahead - _OPPONENT_REACTS, 0.0)
-    share = np.minimum(covered / max(float(np.hypot(*path)), 1e-6), 1.0)
+    share = np.minimum(covered / max(float(np.hypot(*path)), _AT_HOME), 1.0)
     return here + share[:, None] * path, view.pitch.opponent_radius

@@ -68,7 +68,7 @@ def contestant(name: str) -> Contestant:
     if kind in HANDS:
         hand, levels = HANDS[kind]
         dexterity = _by_level(levels, level if colon else "medium", name)
-        return Contestant(name, hand=lambda play, seed: hand(play, dexterity, seed))
+        return Contestant(name, hand=lambda equipment, seed: hand(equipment, dexterity, seed))
     if kind == "airpuck":
         return _flown(name, lambda: None, _by_level(LEVELS, level if colon else "hard", name))
     if ".py" in name:
@@ -145,9 +145,9 @@ def _finite(given: Any) -> np.ndarray | None:
 def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:
     """Return a craft whose player has a tactic and a level."""
 
-    def player(model: Model, play: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
+    def player(model: Model, equipment: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
         return Player(
-            model, play, tactic(), level=level, side=side, seed=seed, opponent_radius=opponent
+            model, equipment, tactic(), level=level, side=side, seed=seed, opponent_radius=opponent
         )
 
     return Contestant(name, player=player)

@@ -28,6 +28,10 @@ from airpuck.twin.sensors import SensorSet, log_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
 
+#: Random streams of a game's own, and of the cameras of a game without craft; see
+#: `airpuck.twin.sensors.pose_sensor`.
+_STREAM = 20
+_CAMERA_STREAMS: dict[Kind, int] = {"pose": 1, "puck": 4, "mallet": 5}
 #: Time between commands [s].
 PERIOD = 0.01
 #: Where discs stand at first, from their own line; where the puck is served, from the middle [m].
@@ -44,11 +48,10 @@ _TOLD = 1.0
 _SAME = 0.2
 
 
-#: ``hit``: a side's disc touched the puck, with an impulse [N s]; ``rail``, ``post``: the puck did
-#: that, near the side; ``goal``: the side scored; ``own_goal``: it conceded one that would not have
-#: been one without its own touch; ``foul``, ``stuck``, ``serve``, ``over``: as `Ruling`;
-#: ``contact``: its craft met a rail, at a speed [m/s]; ``crossed``: the middle of its disc left its
-#: half.
+#: ``hit``: a side's disc touched the puck, with an impulse [N s]; ``rail``, ``post``: the puck hit
+#: one in the side's half; ``goal``: the side scored; ``own_goal``: the side's own touch led to the
+#: goal; ``foul``, ``stuck``, ``serve``, ``over``: as `Ruling`; ``contact``: the side's craft hit a
+#: rail, at a speed [m/s]; ``crossed``: the centre of the side's disc left its half.
 EventKind = Literal[
     "serve",
     "goal",
@@ -62,7 +65,7 @@ EventKind = Literal[
     "contact",
     "crossed",
 ]
-#: In a recording an event is its place here.
+#: A recording stores an event as its index in this list.
 KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 
@@ -186,7 +189,7 @@ class Game:
         model = model or read_model("paper:M3")
         self.settings, self.seed, self._logs = settings, seed, logs
         self.time, self._steps = 0.0, 0
-        self._random = np.random.default_rng([seed, 20])
+        self._random = np.random.default_rng([seed, _STREAM])
         self.referee = Referee(rules or Rules(), settings, int(self._random.choice([-1, 1])))
         self.events: list[GameEvent] = []
         self.world = World(settings, PuckState(0.0, 0.0))
@@ -202,7 +205,7 @@ class Game:
         )
         self._cameras: SensorSet | None = None
         if all(side.twin is None for side in self.sides):
-            kinds: dict[Kind, int] = {"pose": 1, "puck": 4, "mallet": 5}
+            kinds: dict[Kind, int] = _CAMERA_STREAMS
             sensors = [
                 pose_sensor(settings.motion_capture, seed, logs, kind=kind, number=number)
                 for kind, number in kinds.items()
@@ -294,7 +297,7 @@ class Game:
         return Recording(streams=streams, source=f"game of {names}")
 
     def figures(self) -> dict[str, float]:
-        """Return what the game was like, in numbers; it must have kept its events.
+        """Return the figures of the game, from the events that it kept.
 
         Returns
         -------

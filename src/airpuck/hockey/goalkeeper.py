@@ -7,18 +7,31 @@ import math
 import numpy as np
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.interception import Outlook, around, slack, standing
+from airpuck.hockey.interception import AVOIDED, Outlook, around, slack, standing
 from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
 #: Precision of a block [m, m, rad, m/s, m/s, rad/s]: yaw is free, velocities are loose.
 _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
+# The following numbers are guesses that won matches.
+#: Value of a block in seconds to spare: from here on more time to spare is worth nothing [s]; lost
+#: per metre from here; lost per metre off the puck's path; lost by a block behind the puck.
+_SPARE, _AWAY, _OFF_PATH, _PASSED = 0.1, 0.2, 2.0, 5.0
+#: By how much craft and puck would overlap where the fence keeps the craft off [m].
+_OVERLAP = 0.004
+#: Distance to a resting puck at which the craft waits [m], beyond the disc to avoid.
+_NEAR = 0.02
+#: A slower puck is not pushed; a faster one, or one this far in the other half, is not avoided
+#: [m/s, m/s, m].
+_SLOW, _FAST, _OTHER_HALF = 0.3, 0.5, 0.1
+#: Shorter vectors have no direction [m, m/s].
+_RESTS = 1e-6
 #: Time for which the craft covers the last predicted line of an unseen puck [s].
 _BLIND = 1.0
 
 
 class Defend(Catch):
-    """Stops a puck that is on its way into the own goal: slows it down, or stands in its way.
+    """Stops a puck that is moving into the own goal: slows it down, or stands in its path.
 
     Parameters
     ----------
@@ -44,37 +57,37 @@ class Defend(Catch):
 
 
 def block(view: View, outlook: Outlook) -> Intention:
-    """Stand in the way of the puck where there is most time for it."""
+    """Stand in the puck's path at the nearest place that the craft reaches in time."""
     pitch = view.pitch
     assert outlook.threat is not None
     # Before it is in the goal.
     count = max(int(np.searchsorted(outlook.times, outlook.threat)), 2)
-    times, motions = outlook.times[1:count], outlook.motions[1:count, :2]
-    speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), 1e-6)
-    places = outlook.places[1:count] + pitch.contact_distance * motions / speed[:, None]
-    places = pitch.clipped(places)
+    times, pucks = outlook.times[1:count], outlook.places[1:count]
+    motions = outlook.motions[1:count, :2]
+    speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), _RESTS)
+    places = pitch.clipped(pucks + pitch.contact_distance * motions / speed[:, None])
     # Room to be thrown back: not nearer to the rail than home.
     places[:, 0] = np.maximum(places[:, 0], pitch.home[0])
-    apart = np.linalg.norm(places - outlook.places[1:count], axis=1)
-    late = slack(view, times, places, np.zeros_like(places))
-    # What is beyond the fence covers less; of places with time enough the one nearest to here.
-    near = np.linalg.norm(places - view.craft[:2], axis=1)
-    late = np.minimum(late, 0.1) - 0.2 * near - 2.0 * np.maximum(apart - pitch.contact_distance, 0)
-    # A puck that is behind the fence already is not met there any more: the craft would push it on,
-    # or stand where it has been.
-    passed = ((places - outlook.places[1:count]) * motions).sum(axis=1) < 0
-    late -= 5.0 * (passed | (apart < pitch.contact_distance - 0.004))
-    best = int(np.argmax(late))
+    apart = np.linalg.norm(places - pucks, axis=1)
+    spare = slack(view, times, places, np.zeros_like(places))
+    away = np.linalg.norm(places - view.craft[:2], axis=1)
+    value = np.minimum(spare, _SPARE) - _AWAY * away
+    # A craft that the fence keeps off the puck's path covers less of the goal.
+    value -= _OFF_PATH * np.maximum(apart - pitch.contact_distance, 0)
+    # Behind the fence the craft would push the puck on, or stand where it has been.
+    passed = ((places - pucks) * motions).sum(axis=1) < 0
+    value -= _PASSED * (passed | (apart < pitch.contact_distance - _OVERLAP))
+    best = int(np.argmax(value))
     place, time = places[best], float(times[best])
     # Forwards by half of the recoil, so that it goes back as fast as it came.
     forwards = -pitch.recoil / 2 * motions[best]
     state = (*place, view.craft[2], *forwards, 0.0)
     reference = Rendezvous(time, state, precision=_BLOCK, then=standing(place))
-    return Intention("defend", reference, (time, *outlook.places[1 + best].tolist()))
+    return Intention("defend", reference, (time, *pucks[best].tolist()))
 
 
 class Wait:
-    """Waits at home, between puck and goal; goes round a puck that lies in the way."""
+    """Waits at home, between puck and goal; goes round a puck that lies in between."""
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return where to wait."""
@@ -84,30 +97,30 @@ class Wait:
         if puck[0] > x + pitch.contact_distance:
             y = puck[1] * before / (puck[0] + pitch.goal_line)
         goal = pitch.clipped(np.array([x, y]))
-        near = np.linalg.norm(puck - goal) < pitch.contact_distance + 0.02
+        apart = float(np.linalg.norm(goal - puck))
         kind = "wait" if puck[0] < 0 else "home"
-        radius = pitch.contact_distance + 0.01
-        if near and outlook.speed < 0.3:
-            # Someone else's strategy will move the puck; it must not be pushed backwards.
-            goal = puck + (goal - puck) / max(np.linalg.norm(goal - puck), 1e-6) * (radius + 0.02)
-        if outlook.speed > 0.5 or puck[0] > 0.1:
+        radius = pitch.contact_distance + AVOIDED
+        if apart < pitch.contact_distance + _NEAR and outlook.speed < _SLOW:
+            # Another strategy will move the puck; it must not be pushed backwards.
+            goal = puck + (goal - puck) / max(apart, _RESTS) * (radius + _NEAR)
+        if outlook.speed > _FAST or puck[0] > _OTHER_HALF:
             return Intention(kind, standing(goal))
         return Intention(kind, around(view, outlook, goal), avoid=(*puck.tolist(), radius))
 
 
 class Blind:
-    """Defends where the puck was last believed to come, and then goes home."""
+    """Defends the last predicted line of an unseen puck, and then goes home."""
 
     def __init__(self) -> None:
         self._since = -math.inf
         self._line = 0.0
 
     def seen(self, view: View, outlook: Outlook) -> None:
-        """Take note of where the puck goes while it is seen."""
+        """Remember where the puck will cross the line of home."""
         self._since = view.time
         x = view.pitch.home[0]
         before = outlook.places[:, 0] < x
-        half = view.pitch.play.table.goal_width_m / 2
+        half = view.pitch.equipment.table.goal_width_m / 2
         y = outlook.places[int(np.argmax(before)), 1] if before.any() else 0.0
         self._line = float(np.clip(y, -half, half))
 

@@ -29,26 +29,30 @@ _COMES = 0.3
 _BACK, _THROUGH = 0.10, 0.15
 #: Distance from its start at which a stroke begins [m], and its duration [s].
 _READY, _STROKE = 0.002, 0.3
-#: Average speed on the way to the start of a stroke, as a share of the full speed.
+#: Average speed on the path to the start of a stroke, as a share of the full speed.
 _GETS_THERE = 0.6
 #: Time between decisions, and time for which the error of sight stays the same [s].
 _LOOK, _ERRS = 0.03, 1.0
-#: Clearance of a shot to the post [m].
-_POST = 0.02
+#: Clearance of a shot to the post, and from the rail to the aim of a bank shot [m].
+_POST, _BANK = 0.02, 0.02
+#: Room that a stroke needs behind the puck [m].
+_ROOM = 0.03
+#: Clearance when going round the puck, and length of the first leg back [m].
+_ROUND, _LEG = 0.01, 0.15
+#: Part of the puck's distance from the table's axis at which the hand waits.
+_FOLLOWS = 0.5
+#: Shorter distances have no direction [m].
+_NO_DISTANCE = 1e-9
 #: Directions of a stroke when rails forbid all that lead to the goal [rad].
 _AWAY = (0.6, -0.6, 1.2, -1.2, 1.5, -1.5)
+#: x, y [m].
+Place = tuple[float, float]
 
 
 class Hand(Protocol):
     """Moves a mallet: a script, or the person at the page."""
 
-    def target(
-        self,
-        time: float,
-        own: tuple[float, float],
-        puck: PuckState | None,
-        opponent: tuple[float, float],
-    ) -> tuple[float, float]:
+    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
         """Return the target of the mallet.
 
         Everything is in the hand's own frame: its goal is at negative x.
@@ -106,19 +110,13 @@ KEEPERS = {**HUMANS, "hard": Dexterity(0.20, 0.005, 0.15, 4.0)}
 
 
 class GuidedHand:
-    """A hand on the right that somebody else guides, at a page for example; a `Hand`."""
+    """A hand on the right that a person guides, for example at a page; a `Hand`."""
 
     def __init__(self) -> None:
         #: Target of the mallet in the world's frame [m]; None keeps it where it is.
-        self.wanted: tuple[float, float] | None = None
+        self.wanted: Place | None = None
 
-    def target(
-        self,
-        time: float,
-        own: tuple[float, float],
-        puck: PuckState | None,
-        opponent: tuple[float, float],
-    ) -> tuple[float, float]:
+    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
         """Return the target of the mallet; see `Hand.target`."""
         return own if self.wanted is None else Frame(1).point(*self.wanted)
 
@@ -126,12 +124,12 @@ class GuidedHand:
 class HumanHand(ABC):
     """A scripted hand with human limits; a `Hand`.
 
-    It sees puck and opponent late, and the puck with an error, and predicts the puck over its
-    bounces. It moves the mallet within its speed. A subclass decides where the mallet goes.
+    It sees puck and opponent with a delay, and the puck with an error. It predicts the puck over
+    bounces, and moves the mallet within its speed. A subclass decides where the mallet goes.
 
     Parameters
     ----------
-    play : AirHockey
+    equipment : AirHockey
         Table, puck and mallet.
     dexterity : Dexterity
         Its limits.
@@ -142,16 +140,16 @@ class HumanHand(ABC):
     #: Distance from the own goal line at which it waits [m].
     waits_m = _HOME
 
-    def __init__(self, play: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
-        self._play, self._dexterity = play, dexterity
+    def __init__(self, equipment: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
+        self._equipment, self._dexterity = equipment, dexterity
         self._random = np.random.default_rng(seed)
-        self._line = play.table.length_m / 2
+        self._line = equipment.table.length_m / 2
         self._home = -self._line + self.waits_m
-        self._reach = play.table.reach(play.mallet.radius_m)
-        self._together = play.mallet.radius_m + play.puck.radius_m
+        self._reach = equipment.table.reach(equipment.mallet.radius_m)
+        self._together = equipment.mallet.radius_m + equipment.puck.radius_m
         # Full speed is only reached towards a place that is this far.
-        self._leash = dexterity.speed_m_s**2 / (2 * play.mallet.acceleration_m_s2)
-        self._seen: deque[tuple[float, PuckState | None, tuple[float, float]]] = deque()
+        self._leash = dexterity.speed_m_s**2 / (2 * equipment.mallet.acceleration_m_s2)
+        self._seen: deque[tuple[float, PuckState | None, Place]] = deque()
         self._looks, self._wanted = 0.0, (self._home, 0.0)
         self._goes_by: list[PuckState] = []
         self._opponent = (0.0, 0.0)
@@ -160,13 +158,7 @@ class HumanHand(ABC):
         #: While a stroke lasts: until when, and along which direction.
         self._stroke: tuple[float, float, float] | None = None
 
-    def target(
-        self,
-        time: float,
-        own: tuple[float, float],
-        puck: PuckState | None,
-        opponent: tuple[float, float],
-    ) -> tuple[float, float]:
+    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
         """Return the target of the mallet; see `Hand.target`."""
         self._seen.append((time, puck, opponent))
         while len(self._seen) > 1 and self._seen[1][0] <= time - self._dexterity.reaction_s:
@@ -179,9 +171,12 @@ class HumanHand(ABC):
                 self._error = x, y
             _, seen, self._opponent = self._seen[0]
             self._goes_by = self._foreseen(seen)
-            self._wanted = self.decided(time, own)
+            if self._goes_by:
+                self._wanted = self._through(time, own) or self.decided(time, own)
+            else:
+                self._stroke, self._wanted = None, (self._home, 0.0)
         dx, dy = self._wanted[0] - own[0], self._wanted[1] - own[1]
-        share = min(1.0, self._leash / max(math.hypot(dx, dy), 1e-9))
+        share = min(1.0, self._leash / max(math.hypot(dx, dy), _NO_DISTANCE))
         return own[0] + share * dx, own[1] + share * dy
 
     def _foreseen(self, seen: PuckState | None) -> list[PuckState]:
@@ -189,7 +184,7 @@ class HumanHand(ABC):
         if seen is None:
             return []
         x, y = self._error
-        puck = PuckOnTable(self._play, seen._replace(x=seen.x + x, y=seen.y + y), logs=False)
+        puck = PuckOnTable(self._equipment, seen._replace(x=seen.x + x, y=seen.y + y), logs=False)
         path = []
         for k in range(round(_AHEAD / _STEP)):
             puck.run(self._dexterity.reaction_s + k * _STEP)
@@ -197,21 +192,21 @@ class HumanHand(ABC):
         return path
 
     @abstractmethod
-    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
-        """Return where the mallet should go."""
+    def decided(self, time: float, own: Place) -> Place:
+        """Return where the mallet should go for the puck that it foresees."""
 
     def aims(self) -> tuple[float, ...]:
         """Return the y of the targets of a stroke on the other's line, best first [m]."""
         # The mirror image of the goal's middle in either rail: a bank shot.
-        width = self._play.table.width_m
-        return 0.0, width - 2e-2, -width + 2e-2
+        width = self._equipment.table.width_m
+        return 0.0, width - _BANK, -width + _BANK
 
     def _aim_anew(self) -> None:
         """Draw another error of aim."""
         self._aim = float(self._random.normal(0.0, self._dexterity.aim_rad))
 
-    def _through(self, time: float, own: tuple[float, float]) -> tuple[float, float] | None:
-        """Return where a stroke under way leads; None: there is none, or it is over."""
+    def _through(self, time: float, own: Place) -> Place | None:
+        """Return the target of the present stroke; None: there is none, or it is over."""
         if self._stroke is None:
             return None
         (until, nx, ny), puck = self._stroke, self._goes_by[0]
@@ -220,19 +215,23 @@ class HumanHand(ABC):
         self._stroke = None
         return None
 
-    def _guarded(self, own: tuple[float, float]) -> tuple[float, float]:
-        """Return a place before the goal that the puck will pass."""
+    def _guarded(self, own: Place) -> Place:
+        """Return a place in front of the goal, on the puck's path."""
         line = max(-self._line + self._together, min(own[0], self._home))
-        half = self._play.table.goal_width_m / 2
+        half = self._equipment.table.goal_width_m / 2
         for before, after in zip(self._goes_by, self._goes_by[1:], strict=False):
             if after.x <= line < before.x:
                 share = (before.x - line) / (before.x - after.x)
                 y = before.y + share * (after.y - before.y)
                 return line, max(-half, min(y, half))
-        y = self._goes_by[0].y * 0.5
-        return self._home, max(-half, min(y, half))
+        return self._waiting()
 
-    def _struck(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+    def _waiting(self) -> Place:
+        """Return a place at home, on the side of the puck."""
+        half = self._equipment.table.goal_width_m / 2
+        return self._home, max(-half, min(_FOLLOWS * self._goes_by[0].y, half))
+
+    def _struck(self, time: float, own: Place) -> Place:
         """Return where to begin a stroke, or begin it."""
         fastest = self._dexterity.speed_m_s
         puck = self._goes_by[-1]
@@ -252,20 +251,20 @@ class HumanHand(ABC):
         if math.dist(own, start) < _READY or (0 < along < 2 * back and aside < _READY):
             self._stroke = time + _STROKE, nx, ny
             return puck.x + _THROUGH * nx, puck.y + _THROUGH * ny
-        if along < self._together and aside < self._together + 0.01:
+        if along < self._together and aside < self._together + _ROUND:
             # Round the puck, not through it.
             side = math.copysign(1.0, own[1] - puck.y)
             free = puck.y + side * 2 * self._together
             if abs(free) > self._reach[1]:
                 free = puck.y - side * 2 * self._together
-            return max(-self._reach[0], own[0] - 0.15), free
+            return max(-self._reach[0], own[0] - _LEG), free
         return start
 
-    def _direction(self, puck: PuckState) -> tuple[float, float]:
+    def _direction(self, puck: PuckState) -> Place:
         """Return the direction of a stroke: at the goal, or away from a rail that is too near."""
         lead = self._line - puck.x
         angles = [math.atan2(y - puck.y, lead) for y in self.aims()]
-        back, angle = self._together + 0.03, 0.0
+        back, angle = self._together + _ROOM, 0.0
         for angle in (*angles, *_AWAY):
             x, y = puck.x - back * math.cos(angle), puck.y - back * math.sin(angle)
             if x >= -self._reach[0] and abs(y) <= self._reach[1]:
@@ -277,22 +276,16 @@ class HumanHand(ABC):
 class ScriptedHand(HumanHand):
     """A scripted human: stops fast pucks, strikes slow ones at the goal, waits before its own."""
 
-    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+    def decided(self, time: float, own: Place) -> Place:
         """Strike, stop the puck, or wait; see `HumanHand.decided`."""
-        if not self._goes_by:
-            self._stroke = None
-            return self._home, 0.0
         puck = self._goes_by[0]
-        if through := self._through(time, own):
-            return through
         fast = math.hypot(puck.vx, puck.vy) > _TOO_FAST
         if puck.vx < 0.0 and (fast or (puck.x > 0.0 and puck.vx < -_COMES)):
             return self._guarded(own)
         if puck.x < 0.0:
             return self._struck(time, own)
         self._aim_anew()
-        half = self._play.table.goal_width_m / 2
-        return self._home, max(-half, min(0.5 * puck.y, half))
+        return self._waiting()
 
 
 class Keeper(HumanHand):
@@ -300,30 +293,25 @@ class Keeper(HumanHand):
 
     waits_m = _IN_GOAL
 
-    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+    def decided(self, time: float, own: Place) -> Place:
         """Cover the place where the puck will pass; see `HumanHand.decided`."""
-        return self._guarded((self._home, own[1])) if self._goes_by else (self._home, 0.0)
+        return self._guarded((self._home, own[1]))
 
 
 class Striker(Keeper):
     """A keeper who strikes slow pucks at the open corner."""
 
-    def decided(self, time: float, own: tuple[float, float]) -> tuple[float, float]:
+    def decided(self, time: float, own: Place) -> Place:
         """Strike a slow puck in the own half, else keep the goal; see `HumanHand.decided`."""
-        if not self._goes_by:
-            self._stroke = None
-        elif through := self._through(time, own):
-            return through
-        else:
-            puck = self._goes_by[0]
-            if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= _TOO_FAST:
-                return self._struck(time, own)
-            self._aim_anew()
+        puck = self._goes_by[0]
+        if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= _TOO_FAST:
+            return self._struck(time, own)
+        self._aim_anew()
         return super().decided(time, own)
 
     def aims(self) -> tuple[float, ...]:
         """Aim at the corner away from the opponent first; see `HumanHand.aims`."""
-        corner = self._play.table.goal_width_m / 2 - self._play.puck.radius_m - _POST
+        corner = self._equipment.table.goal_width_m / 2 - self._equipment.puck.radius_m - _POST
         open_side = -math.copysign(1.0, self._opponent[1])
         return open_side * corner, *super().aims()
 

@@ -35,8 +35,8 @@ _EXPIRY = 0.03
 _STRAINED = 1.4
 #: Time that the predictive law needs: this factor times the shortest time, plus a constant [s].
 _SLOWER, _LATER = 1.1, 0.03
-#: The craft aims this far beyond the contact, so that the discs surely touch [m], but for at most
-#: this time [s]; a slower approach counts as this fast [m/s].
+#: The craft aims this far beyond the contact, so that the discs surely touch [m], or for this time
+#: if that is less [s]. A slower approach counts as this fast [m/s].
 _DEEPER, _LONGEST_DEEPER, _SLOWEST_APPROACH = 0.006, 0.03, 0.05
 #: Precision of a contact [m, m, rad, m/s, m/s, rad/s]: yaw is free.
 _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
@@ -53,6 +53,8 @@ _PASSING, AVOIDED, _BLOCKED, _BESIDE = 0.012, 0.01, 0.03, 0.07
 _STRAIGHT = 0.01
 #: Shorter distances have no direction [m].
 _NO_DISTANCE = 1e-6
+#: A shorter time to a contact counts as this long [s].
+_SHORTEST = 1e-3
 
 
 class Outlook:
@@ -65,7 +67,7 @@ class Outlook:
         start = max(view.time, view.puck.time)
         #: Times [s], and states of the puck then.
         self.times = start + STEP * np.arange(count + 1)
-        self.states = predict_path(view.pitch.play, view.puck, self.times)
+        self.states = predict_path(view.pitch.equipment, view.puck, self.times)
         self.places, self.motions = self.states[:, :2], self.states[:, 3:]
         #: Speed now [m/s]; a row of the motions is vx, vy, spin.
         self.speed = float(np.hypot(*self.motions[0, :2]))
@@ -74,8 +76,8 @@ class Outlook:
     def threat(self) -> float | None:
         """When the puck will be at the own goal [s]; None: it will not."""
         pitch = self.view.pitch
-        half = pitch.play.table.goal_width_m / 2
-        at = (self.places[:, 0] < -pitch.goal_line + pitch.play.puck.radius_m + _AT_LINE) & (
+        half = pitch.equipment.table.goal_width_m / 2
+        at = (self.places[:, 0] < -pitch.goal_line + pitch.equipment.puck.radius_m + _AT_LINE) & (
             np.abs(self.places[:, 1]) < half + _AT_POSTS
         )
         return float(self.times[np.argmax(at)]) if at.any() else None
@@ -101,7 +103,7 @@ class Outlook:
 def slack(
     view: View, time: Any, place: Float[np.ndarray, "*n 2"], velocity: Float[np.ndarray, "*n 2"]
 ) -> Any:
-    """Return by how much the craft can be earlier at places, with velocities, than times [s].
+    """Return the time to spare if the craft is to reach places, with velocities, at times [s].
 
     Seen from a frame that moves with the final velocity, it comes to rest there: the shortest time
     to rest from the relative state equals the shortest time to the rendezvous.
@@ -121,7 +123,7 @@ def stays_inside(
     velocity: Float[np.ndarray, "*n 2"],
     recoil: Float[np.ndarray, "*n 2"] | float = 0.0,
 ) -> Any:
-    """Return whether a craft with a velocity at a place got there, and can stop, on its half.
+    """Return whether the run-up to places with velocities, and the braking, stay within the fence.
 
     The recoil is the change of velocity by a contact; it persists until the craft reacts.
     """
@@ -235,7 +237,7 @@ def effort(
 ) -> Any:
     """Return the greatest acceleration on the path of least effort, as a share of the craft's."""
     delay = view.pitch.delay
-    left = np.maximum(np.asarray(time) - view.time - delay, 1e-3)[..., None]
+    left = np.maximum(np.asarray(time) - view.time - delay, _SHORTEST)[..., None]
     start = view.craft[3:5]
     away = place - view.craft[:2] - start * delay
     first = (6 * away - left * (4 * start + 2 * velocity)) / left**2

@@ -11,6 +11,8 @@ from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 from airpuck.planning.minimal_time import MinimalTimes
 
+#: Number of commands of which the thrust is computed.
+_COMMANDS = 500
 _SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
 _REACTION = numbers.Range(0.0, 1.0, "after that nothing is seen in time", "s")
 _NOISE = numbers.Range(0.0, 1.0, "no shot would go forward", "rad")
@@ -25,7 +27,7 @@ class Level:
     thrust : float
         Share of the craft's thrust that is used.
     reaction_s : float
-        How much later puck and opponent are seen.
+        Delay with which puck and opponent are seen.
     shot_noise_rad : float
         Standard deviation of the direction in which shots are struck.
 
@@ -54,11 +56,11 @@ LEVELS = {
 
 
 def weakened(model: Model, share: float) -> Model:
-    """Return a craft whose commands end where its propellers give a share of their thrust."""
+    """Return a craft whose largest command gives a share of the full thrust."""
     if share >= 1.0:
         return model
     vehicle = model.vehicle
-    commands = np.linspace(vehicle.command_min, vehicle.command_max, 500)
+    commands = np.linspace(vehicle.command_min, vehicle.command_max, _COMMANDS)
     given = np.array(
         [np.sum(thrust(model.dynamics.thrust, np.full(vehicle.n_propellers, c))) for c in commands]
     )
@@ -70,7 +72,8 @@ def weakened(model: Model, share: float) -> Model:
 def slower(times: MinimalTimes, share: float) -> MinimalTimes:
     """Return the shortest times of a craft that accelerates with a share of the thrust.
 
-    With the acceleration a, a way d from the speed v takes T(d, v, a) = T(d, v / √s, a / s) / √s.
+    With the acceleration a, the distance d from the speed v takes
+    T(d, v, a) = T(d, v / √s, a / s) / √s.
     """
     root = share**0.5
     return replace(times, speed=times.speed * root, time=times.time / root)

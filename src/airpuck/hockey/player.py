@@ -29,8 +29,8 @@ from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
 from airpuck.planning.minimal_time import MinimalTimes, minimal_times_of
 
-#: How the puck is seen. ``frozen``: poses come, but the same number again and again of a puck that
-#: was moving; ``lost``: none for a while.
+#: How the puck is seen. ``frozen``: the same pose repeated for a puck that was moving; ``lost``: no
+#: pose for a while.
 Sight = Literal["seen", "hidden", "frozen", "lost"]
 
 #: Age of the last pose from which on the puck counts as hidden, and as lost [s].
@@ -45,6 +45,10 @@ _NOWHERE = np.array([[50.0, 50.0, 0.1]])
 _MARGIN = 0.01
 #: Distance over which the craft's mean acceleration is computed [m].
 _SHORT = 0.3
+#: Weight of the newest frame in the opponent's velocity: a compromise of noise and delay.
+_SMOOTHING = 0.3
+#: Half the size of the fence of a craft that is too large for its half [m].
+_NO_ROOM = 1e-3
 #: Clearance between the craft's edge at home and its goal line [m].
 _HOME = 0.10
 
@@ -56,12 +60,12 @@ class Player(Pilot):
     ----------
     model : Model
         The craft.
-    play : AirHockey
+    equipment : AirHockey
         Table and puck.
     tactic : Tactic, optional
         Decides what to do; by default the package's own.
     level : Level, optional
-        What the player holds back; by default nothing.
+        A handicap; by default none.
     side : {-1, 1}, default -1
         Sign of the x of its half.
     tuning : Tuning, optional
@@ -91,7 +95,7 @@ class Player(Pilot):
     def __init__(
         self,
         model: Model,
-        play: AirHockey,
+        equipment: AirHockey,
         tactic: Tactic | None = None,
         *,
         level: Level = LEVELS["hard"],
@@ -104,11 +108,11 @@ class Player(Pilot):
             raise InputError(f"must be -1 or 1, not {side!r}", field="side")
         self.watches = ("puck", "mallet")
         self.tactic: Tactic = tactic or AllRounder()
-        self.level, self.side, self.play = level, side, play
+        self.level, self.side, self.equipment = level, side, equipment
         self.frame = Frame(side)
-        self.filter = PuckFilter(play)
+        self.filter = PuckFilter(equipment)
         self._times = slower(minimal_times_of(model), level.thrust)
-        self.pitch = pitch_of(model, play, self._times, opponent_radius)
+        self.pitch = pitch_of(model, equipment, self._times, opponent_radius)
         controls = _predictive(tuning or default_tuning())
         self._controller = TrackingController(
             weakened(model, level.thrust), SetPoint(*self.pitch.home, 0.0), controls
@@ -121,9 +125,9 @@ class Player(Pilot):
         self.sight: Sight = "lost"
         self.took = (0.0, 0.0)
         self._random = np.random.default_rng(seed)
-        #: By which angle the shot under way is turned; nan: there is none [rad].
+        #: Angle by which the present shot is turned; nan: there is none [rad].
         self._noise = math.nan
-        #: What is seen later: when it may be, its stamp and pose.
+        #: Poses that wait for the reaction time to pass: stamp and pose.
         self._puck_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
         self._opponent_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
         #: The opponent as of its last pose: stamp, x, y, vx, vy.
@@ -190,7 +194,7 @@ class Player(Pilot):
         belief = self.filter.belief
         if belief is None or self.sight != "seen":
             return None
-        return self.frame.points(drawn_path(self.play, belief))
+        return self.frame.points(drawn_path(self.equipment, belief))
 
     def _see(self, time: float) -> None:
         """Update puck and opponent with the poses that are visible by now."""
@@ -212,7 +216,7 @@ class Player(Pilot):
 
     def _see_puck(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Update the puck with a pose, unless it is off the table."""
-        table = self.play.table
+        table = self.equipment.table
         if (np.abs(pose[:2]) > np.array([table.length_m, table.width_m]) / 2 + _BEYOND).any():
             return
         if self._last_puck is not None and np.array_equal(pose, self._last_puck):
@@ -232,7 +236,9 @@ class Player(Pilot):
             if stamp <= last:
                 return
             if stamp - last < _HIDDEN:
-                velocity = state[2:] + 0.3 * ((place - state[:2]) / (stamp - last) - state[2:])
+                velocity = state[2:] + _SMOOTHING * (
+                    (place - state[:2]) / (stamp - last) - state[2:]
+                )
         self._opponent = stamp, np.concatenate([place, velocity])
 
     def _decide(self, time: float) -> None:
@@ -295,7 +301,7 @@ class Player(Pilot):
 
 def pitch_of(
     model: Model,
-    play: AirHockey,
+    equipment: AirHockey,
     times: MinimalTimes | None = None,
     opponent_radius: float | None = None,
 ) -> Pitch:
@@ -304,19 +310,19 @@ def pitch_of(
     # There and back at full thrust: d = a T² / 4.
     acceleration = 4 * _SHORT / float(times((_SHORT, 0.0), (0.0, 0.0))) ** 2
     vehicle = model.vehicle
-    x, y = play.table.reach(vehicle.radius_m + _MARGIN)
+    x, y = equipment.table.reach(vehicle.radius_m + _MARGIN)
     # A craft that is too large for the table stays in the middle of its half.
     front = -vehicle.radius_m - _MARGIN
-    fence = np.array([[min(-x, front - 1e-3), -max(y, 1e-3)], [front, max(y, 1e-3)]])
-    home = -play.table.length_m / 2 + vehicle.radius_m + _HOME
+    fence = np.array([[min(-x, front - _NO_ROOM), -max(y, _NO_ROOM)], [front, max(y, _NO_ROOM)]])
+    home = -equipment.table.length_m / 2 + vehicle.radius_m + _HOME
     return Pitch(
-        play=play,
+        equipment=equipment,
         craft_radius=vehicle.radius_m,
         craft_mass=vehicle.mass_kg,
         craft_inertia=float(model.parameters.inertia),
-        opponent_radius=play.mallet.radius_m if opponent_radius is None else opponent_radius,
+        opponent_radius=equipment.mallet.radius_m if opponent_radius is None else opponent_radius,
         fence=fence,
-        home=(min(home, front - 5e-4), 0.0),
+        home=(min(home, front - _NO_ROOM / 2), 0.0),
         delay=model.transport_delay,
         acceleration=acceleration,
     )

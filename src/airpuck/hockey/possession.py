@@ -88,7 +88,7 @@ class Catch(Searcher):
         fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > self.slowest)
         spare = np.full(normal.shape, -np.inf)
         spare[fits] = slack(view, times[fits], place[fits], velocity[fits])
-        # Enough time matters more than much; soon is better than late, head-on than aslant.
+        # Enough time matters more than much; sooner is better, and so is head-on.
         value = np.minimum(spare - self.reserve, _SPARE) - _WAITING * (times - view.time)
         value -= _ASLANT * np.abs(_BESIDE)
         value += _AT_GOOD_PLACE * good_place(view, pucks)[:, None]
@@ -103,21 +103,21 @@ class Catch(Searcher):
 
 def _receding(view: View, speed: Any, aslant: Any) -> Any:
     """Return the craft's speed along the normal after which the puck leaves it slowly."""
-    pitch, puck = view.pitch, view.pitch.play.puck
+    pitch, puck = view.pitch, view.pitch.equipment.puck
     gives = pitch.craft_mass / (pitch.craft_mass + puck.mass_kg) * (1 + puck.craft.restitution)
     along = speed * np.cos(aslant)
     return (_LEAVES + along) / gives - along
 
 
 def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
-    """Return from 0 to 1 how good places of the puck are to shoot from.
+    """Return how good places of the puck are to shoot from, 0 to 1.
 
-    Good are those with room for the craft behind, well within its half.
+    A good place has room for the craft behind the puck, well within its half.
     """
-    pitch, table = view.pitch, view.pitch.play.table
-    room = table.width_m / 2 - pitch.play.puck.radius_m - 2 * pitch.craft_radius
+    pitch, table = view.pitch, view.pitch.equipment.table
+    room = table.width_m / 2 - pitch.equipment.puck.radius_m - 2 * pitch.craft_radius
     across = np.clip((room - np.abs(place[:, 1])) / _ENOUGH, 0, 1)
-    behind = place[:, 0] + pitch.goal_line - pitch.play.puck.radius_m - 2 * pitch.craft_radius
+    behind = place[:, 0] + pitch.goal_line - pitch.equipment.puck.radius_m - 2 * pitch.craft_radius
     before = -place[:, 0] - 2 * pitch.contact_distance
     along = np.clip(np.minimum(behind, before) / _ENOUGH, 0, 1)
     return across * along
@@ -153,7 +153,7 @@ class Free(Searcher):
         best, found = _LEAST, []
         for j in np.flatnonzero(able).tolist():
             belief = PuckBelief(time, np.concatenate([puck[:3], after[j]]), np.zeros((6, 6)))
-            end = predict_path(view.pitch.play, belief, time + _AFTER)
+            end = predict_path(view.pitch.equipment, belief, time + _AFTER)
             if end[:, 0].min() < -view.pitch.goal_line:
                 continue
             places = good_place(view, end[:, :2])

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +14,7 @@ from airpuck.craft.table import AirHockey, Puck
 from airpuck.physics.puck import PuckState, coast, time_of
 from airpuck.physics.puck_on_table import PuckOnTable, Touch
 
-#: What is not known of numbers that were not identified on this table; and from bounce to bounce.
+#: Standard deviations of parameters that were not identified on this table, bounces included.
 _ASSUMED = {
     "drag_1_s": 0.05,
     "spin_drag_1_s": 0.1,
@@ -72,16 +71,16 @@ class PuckModel:
 
     Parameters
     ----------
-    play : AirHockey
-        Table and puck. Of numbers with a standard error that is how much they are off, else a
-        guess.
+    equipment : AirHockey
+        Table and puck. Identified parameters vary by their standard errors, others by a guess.
     """
 
-    def __init__(self, play: AirHockey) -> None:
-        self.play = play
+    def __init__(self, equipment: AirHockey) -> None:
+        self.equipment = equipment
         #: How uncertain each number is.
         self.spread = {
-            name: play.puck.standard_error.get(name, assumed) for name, assumed in _ASSUMED.items()
+            name: equipment.puck.standard_error.get(name, assumed)
+            for name, assumed in _ASSUMED.items()
         }
         #: How uncertain the drag is [1/s].
         self.drag_error = self.spread["drag_1_s"]
@@ -89,11 +88,11 @@ class PuckModel:
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
         """The table with each number too high, and too low."""
-        puck = self.play.puck
+        puck = self.equipment.puck
         return [
             (
-                self.play.model_copy(update={"puck": _changed(puck, name, spread)}),
-                self.play.model_copy(update={"puck": _changed(puck, name, -spread)}),
+                self.equipment.model_copy(update={"puck": _changed(puck, name, spread)}),
+                self.equipment.model_copy(update={"puck": _changed(puck, name, -spread)}),
             )
             for name, spread in self.spread.items()
         ]
@@ -133,28 +132,31 @@ def predict_puck(
         Mean, covariance and bounces.
     """
     model = model if isinstance(model, PuckModel) else PuckModel(model)
-    mean, touches, goal = _path(model.play, belief, belief.mean, times)
-    columns = []
-    for above, below in _both_sides(model, belief):
-        high, low = (_path(play, belief, state, times)[0] for play, state in (above, below))
-        columns.append((high - low) / 2)
-    deviation = np.array(columns)
+    when = np.array(times, dtype=float)
+    puck = PuckOnTable(model.equipment, PuckState(*belief.mean.tolist()), belief.time)
+    puck.run(max(when, default=belief.time))
+    deviation = np.array(
+        [
+            (predict_path(*above, when) - predict_path(*below, when)) / 2
+            for above, below in _both_sides(model, belief)
+        ]
+    )
     covariance = np.einsum("kti,ktj->tij", deviation, deviation)
-    ahead = np.array(times, dtype=float) - belief.time
-    covariance += process_noise(ahead, ACCELERATION_DENSITY)
-    return PuckPrediction(np.array(times, dtype=float), mean, covariance, touches, goal)
+    covariance += process_noise(when - belief.time, ACCELERATION_DENSITY)
+    mean = predict_path(model.equipment, belief, when)
+    return PuckPrediction(when, mean, covariance, tuple(puck.touches), puck.goal)
 
 
 def predict_path(
-    play: AirHockey, belief: PuckBelief, times: Float[np.ndarray, " T"]
+    equipment: AirHockey, belief: PuckBelief, times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T 6"]:
     """Return the mean state of an untouched puck at increasing times."""
-    puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
+    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     found, done = np.empty((len(times), 6)), 0
     while done < len(times):
         until = min(puck.next_meeting + _BEYOND, times[-1])
         here = int(np.searchsorted(times, until, side="right"))
-        found[done:here] = _coasting(play.puck, puck.state, times[done:here] - puck.time)
+        found[done:here] = _coasting(equipment.puck, puck.state, times[done:here] - puck.time)
         done = here
         if puck.goal:
             found[done:] = puck.state
@@ -163,15 +165,15 @@ def predict_path(
     return found
 
 
-def drawn_path(play: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
+def drawn_path(equipment: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
     """Return the path of an untouched puck over the next 1.2 s, with corners at the rails."""
     times = belief.time + _DRAWN
-    puck = PuckOnTable(play, PuckState(*belief.mean.tolist()), belief.time, logs=False)
+    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     bounces = []
     while not puck.goal and (bounce := puck.next_meeting) < times[-1]:
         bounces.append(bounce)
         puck.run(bounce + _BEYOND)
-    return predict_path(play, belief, np.union1d(times, bounces))[:, :2]
+    return predict_path(equipment, belief, np.union1d(times, bounces))[:, :2]
 
 
 def _coasting(
@@ -229,13 +231,13 @@ def predict_crossing(
     """
     model = model if isinstance(model, PuckModel) else PuckModel(model)
     end = belief.time + horizon
-    middle = _crossing(model.play, belief, belief.mean, x, end)
+    middle = _crossing(model.equipment, belief, x, end)
     if middle is None:
         return None
     centre = np.array([middle[0], middle[1].y])
     columns = []
-    for (high, above), (low, below) in _both_sides(model, belief):
-        found = [_crossing(high, belief, above, x, end), _crossing(low, belief, below, x, end)]
+    for above, below in _both_sides(model, belief):
+        found = [_crossing(*above, x, end), _crossing(*below, x, end)]
         # A side that does not cross in time is taken to be the mirror image of the other.
         ends = [np.array([time, state.y]) - centre for time, state in filter(None, found)]
         if found[1] is not None:
@@ -247,27 +249,28 @@ def predict_crossing(
 
 def _both_sides(
     model: PuckModel, belief: PuckBelief
-) -> Iterator[tuple[tuple[AirHockey, Float[np.ndarray, "6"]], tuple[AirHockey, Any]]]:
-    """Yield table and state a standard deviation to both sides: of the belief, of the numbers."""
+) -> Iterator[tuple[tuple[AirHockey, PuckBelief], tuple[AirHockey, PuckBelief]]]:
+    """Yield table and belief a standard deviation to both sides: of the state, of the numbers."""
     variance, axes = np.linalg.eigh(belief.covariance)
     for step in (axes * np.sqrt(np.maximum(variance, 0.0))).T[variance > 0]:
-        yield (model.play, belief.mean + step), (model.play, belief.mean - step)
+        above, below = (replace(belief, mean=belief.mean + sign * step) for sign in (1, -1))
+        yield (model.equipment, above), (model.equipment, below)
     for upper, lower in model.variants:
-        yield (upper, belief.mean), (lower, belief.mean)
+        yield (upper, belief), (lower, belief)
 
 
 def _crossing(
-    play: AirHockey, belief: PuckBelief, state: Float[np.ndarray, " 6"], x: float, end: float
+    equipment: AirHockey, belief: PuckBelief, x: float, end: float
 ) -> tuple[float, PuckState] | None:
     """Return when a puck crosses a line, and its state there: free paths are straight in σ."""
-    puck = PuckOnTable(play, PuckState(*state.tolist()), belief.time, logs=False)
+    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
     while puck.time < end and not puck.goal:
         now, start = puck.time, puck.state
         until = min(puck.next_meeting + _BEYOND, end)
         sigma = (x - start.x) / start.vx if start.vx else -1.0
-        after = time_of(play.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
+        after = time_of(equipment.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
         if now + after <= until:
-            return now + after, coast(play.puck, start, after)
+            return now + after, coast(equipment.puck, start, after)
         puck.run(until)
     return None
 
@@ -281,15 +284,3 @@ def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np
         noise[:, axis, axis + 3] = noise[:, axis + 3, axis] = square * duration**2 / 2
         noise[:, axis + 3, axis + 3] = square * duration
     return noise
-
-
-def _path(
-    play: AirHockey, belief: PuckBelief, state: Float[np.ndarray, " 6"], times: Sequence[float]
-) -> tuple[Float[np.ndarray, "T 6"], tuple[Touch, ...], int]:
-    """Return states of a puck that begins somewhere, its bounces, and in which goal it ends."""
-    puck = PuckOnTable(play, PuckState(*state.tolist()), belief.time)
-    found = []
-    for time in times:
-        puck.run(time)
-        found.append(puck.state)
-    return np.array(found).reshape(-1, 6), tuple(puck.touches), puck.goal

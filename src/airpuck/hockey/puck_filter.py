@@ -26,12 +26,16 @@ from airpuck.physics.puck import PuckState, sigma_of, time_of, walls_of
 
 #: A measurement whose squared, normalised innovation is above this is no noise: once in 1e7 frames.
 GATE = 35.0
-#: What is believed of velocity and spin after a hit [m/s, rad/s].
+#: Standard deviations of velocity and spin after a hit [m/s, rad/s].
 _UNKNOWN = np.array([10.0, 10.0, 50.0])
 #: Correlation time of the error of the drag [s].
 _DRAG_MEMORY = 0.1
 #: After a longer gap in the measurements the filter restarts [s].
 _LOST = 0.5
+#: Longest time that a puck is predicted ahead [s].
+_LONGEST = 60.0
+#: A smaller change of velocity has no direction [m/s].
+_NO_CHANGE = 1e-6
 #: Frames whose times differ by less are the same one [s].
 _SAME = 1e-6
 
@@ -56,13 +60,13 @@ class PuckNoise:
 class PuckFilter:
     """Estimates the puck's motion from its poses.
 
-    Between bounces it is a Kalman filter with the drag of the puck; bounces off rails and posts it
-    foresees. A pose that cannot be noise is taken for a hit or for an outlier: an outlier, if the
-    next pose goes with what was believed before.
+    Between bounces it is a Kalman filter with the drag of the puck; bounces off rails and posts are
+    predicted. A pose too far from the prediction is a hit, unless the next pose agrees with the
+    earlier belief: then it was an outlier.
 
     Parameters
     ----------
-    play : AirHockey
+    equipment : AirHockey
         Table and puck.
     noise : PuckNoise, optional
         Of the poses.
@@ -77,14 +81,14 @@ class PuckFilter:
         Poses that were not used.
     """
 
-    def __init__(self, play: AirHockey, noise: PuckNoise | None = None) -> None:
+    def __init__(self, equipment: AirHockey, noise: PuckNoise | None = None) -> None:
         noise = noise or PuckNoise()
-        self.model = PuckModel(play)
+        self.model = PuckModel(equipment)
         self.belief: PuckBelief | None = None
         self.events: list[PuckEvent] = []
         self.outliers = 0
         self._variance = np.square([noise.position_m, noise.position_m, noise.yaw_rad])
-        self._walls = walls_of(play)
+        self._walls = walls_of(equipment)
         # Before a pose that did not fit.
         self._before: PuckBelief | None = None
 
@@ -137,7 +141,7 @@ class PuckFilter:
         if self.belief is None:
             raise InputError("no pose of the puck has come yet")
         for time in times:
-            ahead = numbers.Range(0, 60, "a puck is predicted ahead, not for longer", "s")
+            ahead = numbers.Range(0, _LONGEST, "a puck is predicted ahead, not for longer", "s")
             ahead.check(time - self.belief.time, "times")
         return predict_puck(self.model, self.belief, times)
 
@@ -161,7 +165,7 @@ class PuckFilter:
     def _begin(
         self, time: float, pose: Float[np.ndarray, " 3"], kind: Literal["seen"] | None
     ) -> None:
-        """Believe a pose, and nothing of the velocity."""
+        """Restart from a pose, with unknown velocity."""
         covariance = np.diag(np.concatenate([self._variance, np.square(_UNKNOWN)]))
         self.belief = PuckBelief(time, np.concatenate([pose, np.zeros(3)]), covariance)
         if kind is not None:
@@ -169,7 +173,7 @@ class PuckFilter:
             self.events.append(PuckEvent(time, kind))
 
     def _decide(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Find out from the next pose what the one was that did not fit."""
+        """Decide from the next pose whether the one before was an outlier or a hit."""
         before, self._before = self._before, None
         assert before is not None
         assert self.belief is not None
@@ -178,20 +182,20 @@ class PuckFilter:
             self.outliers += 1
             self.belief = before
             return
-        # Where the old way and the new one meet.
+        # Where the old path and the new one meet.
         span = time - before.time
         now = (pose[:2] - self.belief.mean[:2]) / (time - self.belief.time)
         change = before.mean[3:5] - now
         missing = pose[:2] - before.mean[:2] - now * span
-        when = float(missing @ change / max(change @ change, 1e-12))
+        when = float(missing @ change / max(change @ change, _NO_CHANGE**2))
         latest = self.belief.time
         self.events.append(PuckEvent(min(max(before.time + when, before.time), latest), "hit"))
 
     def _moved(self, belief: PuckBelief, time: float) -> tuple[PuckBelief, list[PuckEvent]]:
         """Return the belief at a later time, and the bounces until then."""
-        puck, duration = self.model.play.puck, time - belief.time
-        meeting = self._walls.first(PuckState(*belief.mean.tolist()))
-        if time_of(puck.drag_1_s, meeting.sigma) <= duration:
+        puck, duration = self.model.equipment.puck, time - belief.time
+        bounce = self._walls.first(PuckState(*belief.mean.tolist()))
+        if time_of(puck.drag_1_s, bounce.sigma) <= duration:
             found = predict_puck(self.model, belief, [time])
             bounces = [PuckEvent(t.time, t.met) for t in found.touches if t.met in ("rail", "post")]
             return PuckBelief(time, found.mean[0], found.covariance[0]), bounces

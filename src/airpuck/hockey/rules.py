@@ -17,7 +17,7 @@ _RESTS = 0.05
 
 
 class Rules(Section):
-    """What a game is played by.
+    """The rules of a game.
 
     Attributes
     ----------
@@ -55,8 +55,8 @@ class Referee:
     Parameters
     ----------
     rules : Rules
-        What is played by.
-    play : AirHockey
+        The rules.
+    equipment : AirHockey
         Table and puck.
     first : int
         Who serves first, -1 (left) or 1.
@@ -68,15 +68,15 @@ class Referee:
     phase : str
         ``play``, ``goal``, ``over``.
     server : int
-        Whose puck it was, or will be, at the serve.
+        The side that served last, or will serve next.
     """
 
-    def __init__(self, rules: Rules, play: AirHockey, first: int) -> None:
+    def __init__(self, rules: Rules, equipment: AirHockey, first: int) -> None:
         self.rules = rules
         self.score = (0, 0)
         self.phase: Phase = "play"
         self.server = first
-        self._centre = play.puck.radius_m
+        self._centre = equipment.puck.radius_m
         self._resumes = 0.0
         self._side, self._side_since = first, 0.0
         self._stuck_since: float | None = None
@@ -115,7 +115,7 @@ class Referee:
         return found
 
     def resume(self, time: float, side: int) -> None:
-        """Go on with a puck that somebody has put into play.
+        """Resume with a puck that someone has put into play.
 
         Parameters
         ----------

@@ -15,19 +15,20 @@ from airpuck.hockey.rules import Referee, Rules, Ruling
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 
-#: Poses in a row, each as the last ones foretold, before the puck's motion is believed.
+#: Consecutive poses that agree with the prediction before the puck's motion is trusted.
 _SURE = 3
 #: A puck that was about to score and is unseen for longer has scored [s].
 _GONE = 0.2
-#: Nothing stops a puck that will be in so soon, or that rails and discs cannot meet any more [s].
+#: Times to the goal at which nothing can stop a puck: anywhere, and in the mouth of the goal, where
+#: it meets neither rails nor discs [s].
 _AT_ONCE, _IN_THE_MOUTH = 0.02, 0.6
-#: So far beyond the rail's line it is in the mouth of the goal; poses may be off by more
-#: elsewhere [m].
+#: Distance beyond the rail's line from which on a puck is in the mouth of the goal, and by which
+#: poses may be off elsewhere [m].
 _MOUTH, _OFF = 1e-3, 0.02
-#: A puck that is elsewhere sooner than at twice its speed, or at this one, was put there [m/s];
-#: give or take [m].
+#: A puck that reappears farther away than it could have moved, at twice its speed and at
+#: this speed, was put there by hand [m/s]; tolerance of the distance [m].
 _SENT_BACK, _NEAR = 5.0, 0.05
-#: The same pose again of a puck that moved faster than this is no measurement [m/s].
+#: A repeated pose of a puck that moved faster than this is not a measurement [m/s].
 _MOVING = 0.1
 #: A longer gap without any pose means that the cameras were blind [s].
 _BLIND = 0.1
@@ -57,7 +58,7 @@ class Scorekeeper:
 
     Parameters
     ----------
-    play : AirHockey
+    equipment : AirHockey
         Table and puck.
     rules : Rules, optional
         By default first to seven; the time limit and the pause before a serve are not used.
@@ -70,16 +71,16 @@ class Scorekeeper:
         How often something was called, by kind and side, in all games.
     """
 
-    def __init__(self, play: AirHockey, rules: Rules | None = None) -> None:
+    def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
         # Who puts the puck back decides when.
         unhurried = {"pause_s": math.inf, "limit_s": math.inf}
-        self._play = play
+        self._equipment = equipment
         self._rules = (rules or Rules()).model_copy(update=unhurried)
-        self._filter = PuckFilter(play)
-        self._line = play.table.length_m / 2
+        self._filter = PuckFilter(equipment)
+        self._line = equipment.table.length_m / 2
         self.games = 1
         self.calls: Counter[tuple[str, int]] = Counter()
-        self._referee = Referee(self._rules, play, first=-1)
+        self._referee = Referee(self._rules, equipment, first=-1)
         #: Whether the puck has yet to be seen in play.
         self._away = True
         self._known = 0
@@ -176,12 +177,12 @@ class Scorekeeper:
     @property
     def _rail(self) -> float:
         """How far from the middle a puck can get that is not in the mouth of a goal [m]."""
-        return self._line - self._play.puck.radius_m
+        return self._line - self._equipment.puck.radius_m
 
     def _resume(self, time: float, side: int) -> None:
-        """Go on with a puck that somebody has put into play; after the end, in another game."""
+        """Resume with a puck that someone has put into play; after the end, in another game."""
         if self._referee.phase == "over":
-            self._referee = Referee(self._rules, self._play, side)
+            self._referee = Referee(self._rules, self._equipment, side)
             self.games += 1
         self._referee.resume(time, side)
         self._away = False
@@ -190,7 +191,7 @@ class Scorekeeper:
         """Return whether a pose may be one of a puck on the table or in the mouth of a goal."""
         if not np.isfinite(pose).all():
             return False
-        table, radius = self._play.table, self._play.puck.radius_m
+        table, radius = self._equipment.table, self._equipment.puck.radius_m
         x, y = np.abs(pose[:2]).tolist()
         in_front = y < table.goal_width_m / 2
         far = self._line + radius if in_front else self._rail + _OFF
@@ -209,7 +210,7 @@ class Scorekeeper:
         horizon = _IN_THE_MOUTH if abs(state.x) > self._rail + _MOUTH else _AT_ONCE
         if abs(state.x + state.vx * horizon) < self._line:
             return None
-        alone = PuckOnTable(self._play, state, logs=False)
+        alone = PuckOnTable(self._equipment, state, logs=False)
         alone.run(horizon)
         if not alone.goal:
             return None
@@ -218,6 +219,6 @@ class Scorekeeper:
     def _carried(self, leaving: _Leaving) -> bool:
         """Return whether the puck reappeared too far from the goal to have moved there unaided."""
         time, x, y = self._landed
-        way = math.hypot(x - leaving.x, y - leaving.y)
+        distance = math.hypot(x - leaving.x, y - leaving.y)
         fastest = max(2 * leaving.speed, _SENT_BACK)
-        return time > leaving.time and way > _NEAR + fastest * (time - leaving.time)
+        return time > leaving.time and distance > _NEAR + fastest * (time - leaving.time)

@@ -89,7 +89,7 @@ class Turns:
         """Let one of the searchers search; return which, or None if none is due."""
         self._decision += 1
         waiting = [each for each in searchers if each.wants_search(view, outlook)]
-        # Of two that are equally overdue, the one that has waited longer.
+        # Among equally overdue searchers, the longest wait decides.
         chosen = min(waiting, key=self._urgency, default=None)
         if chosen is None or self._urgency(chosen)[0] > self._decision:
             return None

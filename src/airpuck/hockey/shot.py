@@ -21,11 +21,22 @@ from airpuck.physics.puck import Disc, strike
 
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
-#: How an opponent gets to where a straight way of the puck leads, once the puck is on it: it
-#: accelerates, then goes so fast [m/s², m/s]; how well that is known [m].
+#: How an opponent moves to cover a straight path of the puck, once the puck is on it: its
+#: acceleration and largest speed [m/s², m/s], and the standard deviation of its reach [m].
 _PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
 #: Probability that the opponent reads a shot after 0, 1, 2 banks.
 _READS = (1.0, 1.0, 0.5)
+#: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
+_ROLLS_OUT = 0.98
+#: A slower puck rests [m/s].
+_RESTS = 1e-6
+#: Largest offset of a contact, as a share of the sum of the radii.
+_GRAZING = 0.95
+#: Uncertain numbers of a shot: the puck's state (6), the craft's place and velocity (2, 2),
+#: restitution and grip of the contact and of the rails (2, 2).
+_DIMENSIONS = 14
+#: Iterations of the fixed point of `_plastic`, which converges twofold in each.
+_ITERATIONS = 50
 #: Standard deviations of restitution and grip of contacts with the craft, which are not identified.
 _RESTITUTION, _GRIP = 0.03, 0.1
 
@@ -59,9 +70,9 @@ class Flights:
     Attributes
     ----------
     scores : array of bool
-        Whether one goes into the other's goal, posts untouched.
+        Whether the puck scores without touching a post.
     bounces : array of int
-        Off side rails until then.
+        Number of side rails met until then.
     passes : array
         Probability of getting past the opponent.
     """
@@ -86,7 +97,7 @@ def struck(
     grip: Float[np.ndarray, "*n"] | None = None,
 ) -> Float[np.ndarray, "*n 3"]:
     """Return velocity and spin of the puck after contacts; by the law of the table, or another."""
-    puck, law = pitch.play.puck, pitch.play.puck.craft
+    puck, law = pitch.equipment.puck, pitch.equipment.puck.craft
     if restitution is not None or grip is not None:
         law = law.model_copy(update={"restitution": restitution, "grip": grip})
     vx, vy, spin = np.moveaxis(contacts.puck.copy(), -1, 0)
@@ -111,7 +122,7 @@ def struck(
 
 
 def flown(
-    play: AirHockey,
+    equipment: AirHockey,
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
     opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
@@ -123,7 +134,7 @@ def flown(
 
     Parameters
     ----------
-    play : AirHockey
+    equipment : AirHockey
         Table and puck.
     place, motion : array
         Where they start [m], and velocity and spin [m/s, rad/s].
@@ -137,7 +148,7 @@ def flown(
     Flights
         Which score.
     """
-    puck, table = play.puck, play.table
+    puck, table = equipment.puck, equipment.table
     rail = puck.rail
     if restitution is not None or grip is not None:
         rail = rail.model_copy(update={"restitution": restitution, "grip": grip})
@@ -154,7 +165,7 @@ def flown(
             to_rail = np.where(np.isfinite(to_rail), np.maximum(to_rail, 0.0), np.inf)
             arrives = to_line <= to_rail
             sigma = np.where(arrives, to_line, to_rail)
-            going &= drag * sigma < 0.98
+            going &= drag * sigma < _ROLLS_OUT
             sigma = np.where(going, sigma, 0.0)
             if opponent is not None:
                 past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m)
@@ -188,7 +199,7 @@ def _passes(
     x, y, vx, vy = start
     place, size = opponent
     dx, dy = place[..., 0] - x, place[..., 1] - y
-    square = np.maximum(vx * vx + vy * vy, 1e-12)
+    square = np.maximum(vx * vx + vy * vy, _RESTS**2)
     moving = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
     apart = np.hypot(dx - vx * moving, dy - vy * moving)
     reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
@@ -206,7 +217,7 @@ def _quantiles(count: int, dimensions: int) -> Float[np.ndarray, "n d"]:
 def _plastic(dimensions: int) -> float:
     """Return the root of x^(d+1) = x + 1, whose powers spread best (Roberts 2018)."""
     x = 2.0
-    for _ in range(50):
+    for _ in range(_ITERATIONS):
         x = (1 + x) ** (1 / (dimensions + 1))
     return x
 
@@ -215,7 +226,7 @@ def _plastic(dimensions: int) -> float:
 class ArrivalError:
     """How well the craft keeps a rendezvous: standard deviations."""
 
-    #: Across the way, of its middle [m].
+    #: Of its middle, along each axis [m].
     place: float = 0.0015
     #: Of its velocity [m/s].
     speed: float = 0.04
@@ -252,7 +263,7 @@ def chances(
     count : int
         Trials of each contact.
     """
-    drawn = _quantiles(count, 14)
+    drawn = _quantiles(count, _DIMENSIONS)
     # A covariance from differences may lack a rank.
     root = _root(covariance)
     puck = np.einsum("nij,cj->nci", root, drawn[:, :6])
@@ -260,8 +271,8 @@ def chances(
     # The normal turns with what is across it of the difference of places.
     across = unit(contacts.normal + math.pi / 2)
     offset = np.einsum("nci,ni->nc", puck[..., :2] - craft, across)
-    turned = np.arcsin(np.clip(offset / pitch.contact_distance, -0.95, 0.95))
-    law, rail = pitch.play.puck.craft, pitch.play.puck.rail
+    turned = np.arcsin(np.clip(offset / pitch.contact_distance, -_GRAZING, _GRAZING))
+    law, rail = pitch.equipment.puck.craft, pitch.equipment.puck.rail
     spread = model.spread
     shape = turned.shape
 
@@ -281,7 +292,7 @@ def chances(
         varied(law.grip, _GRIP, 11),
     )
     flights = flown(
-        pitch.play,
+        pitch.equipment,
         tried.place,
         after,
         opponent,

@@ -33,6 +33,22 @@ from airpuck.twin.twin import Twin
 
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].
 _LENGTH, _WIDTH = 1.948, 1.038
+# Starts and zones of the Challenge, in metres of its table.
+#: Where shots at the goal start: lowest and highest x, highest |y|.
+_SHOT_FROM, _SHOT_TO, _SHOT_ASIDE = 0.29, 0.65, 0.4
+#: Their lowest and highest speed [m/s], largest angle [rad] and spin [rad/s].
+_SHOT_SPEEDS, _SHOT_ANGLE, _SHOT_SPIN = (1.0, 3.0), 0.5, 10.0
+#: Where pucks to hit start: lowest and highest x; their highest speed [m/s] and spin [rad/s], and
+#: by how much their direction may point away from the craft [rad].
+_HIT_FROM, _HIT_TO, _HIT_SPEED, _HIT_SPIN, _HIT_AWAY = -0.7, -0.2, 0.5, 2.0, 0.1
+#: Lowest and highest x of the zone that a puck can be shot from, and lowest x beside the goal.
+_ZONE_FROM, _ZONE_TO, _BESIDE_GOAL = -0.8, -0.2, -0.94
+#: Clearance of a start from rails, and from the craft [m].
+_FROM_RAIL, _FROM_CRAFT = 0.002, 0.01
+#: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
+_BEYOND = 1e-8
+#: Seeds lie below this.
+_SEEDS = 2**31
 #: Time limit of an episode [s].
 _LONGEST = 10.0
 #: A puck slower than this is under control [m/s].
@@ -112,16 +128,16 @@ def skills(
     """
     make = None if tactic is None else tactic_maker(tactic)
     settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
-    table = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), make)
-    reach, _ = settings.table.reach(table.pitch.craft_radius)
-    if _beside_rail(table) <= 0 or -table.pitch.home[0] > reach:
+    stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), make)
+    reach, _ = settings.table.reach(stage.pitch.craft_radius)
+    if _beside_rail(stage) <= 0 or -stage.pitch.home[0] > reach:
         size = f"{settings.table.length_m:g} × {settings.table.width_m:g} m"
         raise _no_room(f"for the craft beside the puck in its half; it is {size}")
     found = {}
     for name in names:
         ends = []
         for k in range(episodes):
-            ends.append(episode(table, name, [seed, k]))
+            ends.append(episode(stage, name, [seed, k]))
             if progress is not None:
                 progress(name, k + 1, sum(success for success, _ in ends))
         successes, stopped = (sum(part) for part in zip(*ends, strict=True))
@@ -158,8 +174,8 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     rng = np.random.default_rng(seed)
     puck = _STARTS[name](stage, rng)
     tactic = (stage.tactic or _TACTICS[name])()
-    player = Player(stage.model, stage.settings, tactic, seed=int(rng.integers(2**31)))
-    twin = stage.twin(puck, int(rng.integers(2**31)))
+    player = Player(stage.model, stage.settings, tactic, seed=int(rng.integers(_SEEDS)))
+    twin = stage.twin(puck, int(rng.integers(_SEEDS)))
     assert twin.play is not None
     body = twin.play.puck
     assert body is not None
@@ -181,13 +197,13 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     return _scores(stage.settings, body), slow
 
 
-def _scores(play: AirHockey, body: PuckOnTable) -> bool:
+def _scores(equipment: AirHockey, body: PuckOnTable) -> bool:
     """Return whether the untouched puck scores before it comes back."""
     if body.goal:
         return body.goal > 0
-    alone = PuckOnTable(play, body.state, logs=False)
+    alone = PuckOnTable(equipment, body.state, logs=False)
     while not alone.goal and alone.state.vx > 0 and alone.time < _LONGEST:
-        alone.run(min(alone.next_meeting + 1e-8, _LONGEST))
+        alone.run(min(alone.next_meeting + _BEYOND, _LONGEST))
     return alone.goal > 0
 
 
@@ -198,7 +214,7 @@ def _scaled(stage: Stage) -> tuple[float, float]:
 
 
 def _beside_rail(stage: Stage) -> float:
-    """Return how near a puck can be to the middle that leaves no room for the craft behind it."""
+    """Return the distance from the axis beyond which the craft has no room behind a puck."""
     table, puck = stage.settings.table, stage.settings.puck
     return table.width_m / 2 - puck.radius_m - 2 * stage.pitch.craft_radius
 
@@ -206,16 +222,17 @@ def _beside_rail(stage: Stage) -> float:
 def _in_zone(stage: Stage, state: PuckState) -> bool:
     """Return whether a puck is where it can be shot from."""
     along, _ = _scaled(stage)
-    return -0.8 * along < state.x <= -0.2 * along and abs(state.y) < _beside_rail(stage)
+    return _ZONE_FROM * along < state.x <= _ZONE_TO * along and abs(state.y) < _beside_rail(stage)
 
 
 def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a shot that would be in the own goal, directly or over rails."""
     along, across = _scaled(stage)
     for _ in range(_DRAWS):
-        x, y = rng.uniform([0.29 * along, -0.4 * across], [0.65 * along, 0.4 * across])
-        speed, angle = rng.uniform(1.0, 3.0), rng.uniform(-0.5, 0.5)
-        spin = rng.uniform(-10.0, 10.0)
+        aside = _SHOT_ASIDE * across
+        x, y = rng.uniform([_SHOT_FROM * along, -aside], [_SHOT_TO * along, aside])
+        speed, angle = rng.uniform(*_SHOT_SPEEDS), rng.uniform(-_SHOT_ANGLE, _SHOT_ANGLE)
+        spin = rng.uniform(-_SHOT_SPIN, _SHOT_SPIN)
         start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
         alone = PuckOnTable(stage.settings, start, logs=False)
         alone.run(_LONGEST)
@@ -227,11 +244,11 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
 def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a resting or slow puck in the own half."""
     along, _ = _scaled(stage)
-    width = _beside_rail(stage)
+    width, turned = _beside_rail(stage), math.pi / 2 + _HIT_AWAY
     for _ in range(_DRAWS):
-        x, y = rng.uniform([-0.7 * along, -width], [-0.2 * along, width])
-        speed = rng.uniform(0.0, 0.5)
-        angle, spin = rng.uniform(-math.pi / 2 - 0.1, math.pi / 2 + 0.1), rng.uniform(-2.0, 2.0)
+        x, y = rng.uniform([_HIT_FROM * along, -width], [_HIT_TO * along, width])
+        speed = rng.uniform(0.0, _HIT_SPEED)
+        angle, spin = rng.uniform(-turned, turned), rng.uniform(-_HIT_SPIN, _HIT_SPIN)
         start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
         if _free(stage, start):
             return start
@@ -242,9 +259,9 @@ def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
     """Return a resting puck near a rail, where it cannot be shot."""
     along, _ = _scaled(stage)
     table, puck = stage.settings.table, stage.settings.puck
-    outer, inner = table.width_m / 2 - puck.radius_m - 0.002, _beside_rail(stage)
-    side = np.array([[-0.8 * along, -0.2 * along], [inner, outer]])
-    bottom = np.array([[-0.94 * along, -0.8 * along], [table.goal_width_m / 2, outer]])
+    outer, inner = table.width_m / 2 - puck.radius_m - _FROM_RAIL, _beside_rail(stage)
+    side = np.array([[_ZONE_FROM * along, _ZONE_TO * along], [inner, outer]])
+    bottom = np.array([[_BESIDE_GOAL * along, _ZONE_FROM * along], [table.goal_width_m / 2, outer]])
     # There is no bottom beside a goal as wide as the table.
     areas = [float(np.prod(np.maximum(area[:, 1] - area[:, 0], 0.0))) for area in (side, bottom)]
     for _ in range(_DRAWS):
@@ -264,7 +281,7 @@ def _no_room(what: str) -> InputError:
 def _free(stage: Stage, start: PuckState) -> bool:
     """Return whether a puck does not overlap the craft at home."""
     x, y = stage.pitch.home
-    return math.hypot(start.x - x, start.y - y) > stage.pitch.contact_distance + 0.01
+    return math.hypot(start.x - x, start.y - y) > stage.pitch.contact_distance + _FROM_CRAFT
 
 
 _STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] = {

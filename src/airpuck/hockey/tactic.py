@@ -27,7 +27,7 @@ class Pitch:
 
     Attributes
     ----------
-    play : AirHockey
+    equipment : AirHockey
         Table and puck.
     craft_radius, craft_mass, craft_inertia : float
         The own disc [m, kg, kg m²].
@@ -40,10 +40,10 @@ class Pitch:
     delay : float
         From a decision until the propellers begin to act on it [s].
     acceleration : float
-        That the craft has on short ways [m/s²].
+        Mean acceleration of the craft over a short distance [m/s²].
     """
 
-    play: AirHockey
+    equipment: AirHockey
     craft_radius: float
     craft_mass: float
     craft_inertia: float
@@ -56,17 +56,17 @@ class Pitch:
     @cached_property
     def contact_distance(self) -> float:
         """Distance of the middles of craft and puck when they touch [m]."""
-        return self.craft_radius + self.play.puck.radius_m
+        return self.craft_radius + self.equipment.puck.radius_m
 
     @property
     def goal_line(self) -> float:
         """Where the other's goal is along x [m]; the own one is at the negative of that."""
-        return self.play.table.length_m / 2
+        return self.equipment.table.length_m / 2
 
     @cached_property
     def recoil(self) -> float:
         """What the craft's speed changes by at a contact, as a share of the closing speed."""
-        puck = self.play.puck
+        puck = self.equipment.puck
         return (1 + puck.craft.restitution) * puck.mass_kg / (puck.mass_kg + self.craft_mass)
 
     def inside(self, places: Float[np.ndarray, "*n 2"]) -> Any:
@@ -141,9 +141,9 @@ class Intention:
 
 @runtime_checkable
 class Tactic(Protocol):
-    """Decides what the craft does; it may remember what it likes.
+    """Decides what the craft does; it may keep a memory.
 
-    A new game begins with a new object.
+    Every game begins with a new object.
     """
 
     def decide(self, view: View) -> Intention:

@@ -26,8 +26,8 @@ _SAID = {
 class Score:
     """Keeps the score of a flight that plays, and reports changes; a `Spectator`."""
 
-    def __init__(self, play: AirHockey) -> None:
-        self.keeper = Scorekeeper(play)
+    def __init__(self, equipment: AirHockey) -> None:
+        self.keeper = Scorekeeper(equipment)
         #: Rulings of the latest period.
         self.rulings: list[Ruling] = []
         self._sight: str | None = None

@@ -28,9 +28,9 @@ _LOOK = 0.5
 _NOWHERE = np.full(3, math.nan)
 
 
-def live_hello(model: Model, play: AirHockey) -> dict[str, Any]:
+def live_hello(model: Model, equipment: AirHockey) -> dict[str, Any]:
     """Return the first message to a page of a game on the graph, which no page pauses or starts."""
-    return hello_of(model, play) | {"live": True, "levels": [], "names": NAMES}
+    return hello_of(model, equipment) | {"live": True, "levels": [], "names": NAMES}
 
 
 class LivePage:

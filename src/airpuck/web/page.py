@@ -192,11 +192,11 @@ def table_of(model: Model, table: Table) -> dict[str, Any]:
     }
 
 
-def hello_of(model: Model, play: AirHockey) -> dict[str, Any]:
+def hello_of(model: Model, equipment: AirHockey) -> dict[str, Any]:
     """Return what a page must know before it can show anything."""
-    mallet, rules = play.mallet, Rules()
-    return table_of(model, play.table) | {
-        "hockey": hockey_shape(play),
+    mallet, rules = equipment.mallet, Rules()
+    return table_of(model, equipment.table) | {
+        "hockey": hockey_shape(equipment),
         "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
         "period": PERIOD,
         "names": ["airpuck", "you"],

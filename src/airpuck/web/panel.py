@@ -98,9 +98,9 @@ def health_gauges(health: Health) -> list[tuple[str, list[Gauge]]]:
     words = f"{1e3 * x:.1f} mm", f"{1e3 * y:.1f} mm", f"{yaw:.3f} rad"
     lengths = (x, y, yaw) / np.array(_FULL_ERROR)
     errors = list(map(Gauge, ("x", "y", "yaw"), words, lengths.tolist()))
-    *thrusts, (late, sd) = np.column_stack([found.value, found.deviation]).tolist()
+    *thrusts, (delay, sd) = np.column_stack([found.value, found.deviation]).tolist()
     words = [f"{100 * share:.0f} ± {100 * deviation:.0f} %" for share, deviation in thrusts]
-    words.append(f"{1e3 * late:+.1f} ± {1e3 * sd:.1f} ms")
+    words.append(f"{1e3 * delay:+.1f} ± {1e3 * sd:.1f} ms")
     causes = [
         Gauge(name, text, share) if known else Gauge(name, "unknown: too little excitation")
         for name, text, share, known in zip(

@@ -222,11 +222,11 @@ class _Server:
     async def _read(self, page: _Page) -> None:
         """Obey a page until it leaves, exceeds its rate limit, or sends an invalid message."""
         async for message in page.websocket:
-            asked = read_message(message) if page.may_send() else None
-            if asked is None:
+            parsed = read_message(message) if page.may_send() else None
+            if parsed is None:
                 await page.websocket.close(1008, "invalid message, or rate limit exceeded")
                 return
-            self._obey(page, asked)
+            self._obey(page, parsed)
 
     def _seat(self, page: _Page) -> None:
         """Give a page the seat if the seat is free."""
@@ -243,20 +243,20 @@ class _Server:
             self._order(b'{"do": "leave"}')
         self._count_thinkers()
 
-    def _obey(self, page: _Page, asked: Wish | Order) -> None:
+    def _obey(self, page: _Page, parsed: Wish | Order) -> None:
         """Do what a page asks for, if it may."""
-        if isinstance(asked, Wish):
+        if isinstance(parsed, Wish):
             if self._shared or page is self._player:
-                self._wish = WISH + packed_wish(asked)
+                self._wish = WISH + packed_wish(parsed)
                 self._tell_game()
-        elif asked.do == "think":
-            page.thinks = asked.on
+        elif parsed.do == "think":
+            page.thinks = parsed.on
             self._count_thinkers()
-        elif asked.do == "sit":
+        elif parsed.do == "sit":
             if page is not self._player:
                 self._seat(page)
         elif page is self._player and len(self._orders) < _ORDERS:
-            self._order(json.dumps(asked._asdict()).encode())
+            self._order(json.dumps(parsed._asdict()).encode())
 
     def _count_thinkers(self) -> None:
         """Ask the game to publish thoughts while any page shows them."""

@@ -161,10 +161,10 @@ class Session:
                 self._took.add(clock.now - began)
             self._tell(events)
             due += PERIOD
-            late = clock.now - due
+            behind = clock.now - due
             if self._moves:
-                self._behind.add(max(late, 0.0))
-            if late > _SLEPT:
+                self._behind.add(max(behind, 0.0))
+            if behind > _SLEPT:
                 due = clock.now
             # The server of the page, and a browser, must get on even if this one is late.
             clock.sleep_until(max(due, clock.now + _BREATH))
@@ -205,12 +205,14 @@ class Session:
         for _ in range(_WARM_UP):
             self._game.step()
 
-    def _make_player(self, model: Model, play: Any, side: int, seed: int, other: float) -> Player:
-        """Make who steers the craft, and remember what it would play."""
+    def _make_player(
+        self, model: Model, equipment: Any, side: int, seed: int, other: float
+    ) -> Player:
+        """Make the pilot of the craft, and remember its tactic."""
         level = LEVELS[self._level]
         self._player = Player(
             model,
-            play,
+            equipment,
             self._make_tactic(),
             level=level,
             side=side,
