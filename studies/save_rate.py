@@ -22,12 +22,12 @@ from scipy.stats import binomtest
 import airpuck
 from airpuck.compute.process import keep_compiled_programs
 from airpuck.flight.loop import control
+from airpuck.hockey.minimal_time import MinimalTimes, read_minimal_times
 from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.prediction import PuckBelief, predict_path
 from airpuck.hockey.skills import Stage
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import PuckState
-from airpuck.planning.minimal_time import MinimalTimes, read_minimal_times
 from airpuck.report.style import drawn, new_figure, styled
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings

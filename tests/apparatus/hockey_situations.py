@@ -7,6 +7,7 @@ import numpy as np
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.interception import Outlook
+from airpuck.hockey.minimal_time import read_minimal_times
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckBelief, PuckModel
 from airpuck.hockey.searching import Searcher, Turns
@@ -14,7 +15,6 @@ from airpuck.hockey.tactic import Intention, View
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck.planning.minimal_time import read_minimal_times
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 PITCH, TIMES, PUCK = pitch_of(MODEL, PLAY), read_minimal_times(), PuckModel(PLAY)

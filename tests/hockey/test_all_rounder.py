@@ -7,8 +7,8 @@ import pytest
 
 from airpuck.control.reference import SetPoint
 from airpuck.hockey.all_rounder import AllRounder, Strategy
+from airpuck.hockey.minimal_time import MinimalTimes
 from airpuck.hockey.tactic import Intention
-from airpuck.planning.minimal_time import MinimalTimes
 
 from ..apparatus.hockey_situations import PITCH, PLAY, TIMES, decided, later, view_of
 

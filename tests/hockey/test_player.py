@@ -14,11 +14,11 @@ from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control
 from airpuck.hockey.frame import Frame
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
+from airpuck.hockey.minimal_time import read_minimal_times
 from airpuck.hockey.player import Player, pitch_of
 from airpuck.hockey.tactic import Intention
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import PuckState
-from airpuck.planning.minimal_time import read_minimal_times
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin

@@ -27,6 +27,7 @@ from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.hockey.contestant import PLAYERS
+from airpuck.hockey.minimal_time import Arrival, shortest_time
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -36,7 +37,6 @@ from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
-from airpuck.planning.minimal_time import Arrival, shortest_time
 from airpuck.preprocessing.pipeline import load_trajectory, preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.fleet import fly_fleet

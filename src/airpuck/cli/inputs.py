@@ -107,7 +107,7 @@ def read_belief(name: str) -> Model:
 def read_player(name: str, quiet: bool) -> Model:
     """Read a model for a player; plan its shortest times first, where they are not known."""
     from airpuck.cli.output import say, show_time_left
-    from airpuck.planning.minimal_time import minimal_times_of
+    from airpuck.hockey.minimal_time import minimal_times_of
 
     model = read_belief(name)
     with ExitStack() as stack:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from airpuck.boundary import numbers
+from airpuck.hockey.minimal_time import MinimalTimes
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
-from airpuck.planning.minimal_time import MinimalTimes
 
 #: Number of commands of which the thrust is computed.
 _COMMANDS = 500

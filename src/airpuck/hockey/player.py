@@ -23,11 +23,11 @@ from airpuck.data.measurement import Measurement
 from airpuck.hockey.all_rounder import AllRounder
 from airpuck.hockey.frame import Frame
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
+from airpuck.hockey.minimal_time import MinimalTimes, minimal_times_of
 from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
-from airpuck.planning.minimal_time import MinimalTimes, minimal_times_of
 
 #: How the puck is seen. ``frozen``: the same pose repeated for a puck that was moving; ``lost``: no
 #: pose for a while.

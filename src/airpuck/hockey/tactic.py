@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from airpuck.control.reference import Reference
 from airpuck.craft.table import AirHockey
+from airpuck.hockey.minimal_time import MinimalTimes
 from airpuck.hockey.prediction import PuckBelief, PuckModel
-from airpuck.planning.minimal_time import MinimalTimes
 
 #: What a craft can be about to do.
 Kind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]

@@ -11,14 +11,14 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
-from airpuck.hockey.player import Player
-from airpuck.planning.minimal_time import (
+from airpuck.hockey.minimal_time import (
     MinimalTimes,
     craft_of,
     minimal_times_of,
     read_minimal_times,
     shortest_time,
 )
+from airpuck.hockey.player import Player
 
 
 def table():
