@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.faults.effect_match import match_effects, rotation, turned
+from airpuck.faults.layout_check import match_effects, rotation, turned
 from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import acceleration_map
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import plain
 from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.experiment_design.forecast import (
@@ -91,13 +92,13 @@ class Design:
         q = self.quantities
 
         def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
-            return dict(zip(q.labels, map(_finite, errors.tolist()), strict=True))
+            return dict(zip(q.labels, plain(errors), strict=True))
 
         def figures(candidate: CandidateFlight) -> dict[str, Any]:
             return {
                 **asdict(candidate.plan),
                 "clearance_m": candidate.clearance,
-                "score": _finite(candidate.score),
+                "score": plain(candidate.score),
                 "refused": candidate.refused,
                 "relative_error": by_label(candidate.relative),
                 "relative_error_alone": by_label(candidate.relative_alone),
@@ -113,11 +114,6 @@ class Design:
             "proposal": figures(self.proposal),
             "candidates": [figures(candidate) for candidate in self.candidates],
         }
-
-
-def _finite(value: float) -> float | None:
-    """Return a number in a form that JSON has."""
-    return value if math.isfinite(value) else None
 
 
 def design(

@@ -77,8 +77,8 @@ def normal_equations(
     effects, the centre of mass if it acts beside Π, τ and its increase at standstill, and the
     transport delay.
 
-    The function is long because its inner functions share a dozen traced arrays, which would
-    otherwise be arguments of each.
+    Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
+    of each.
     """
     coefficients, linear, center, lag_values = dynamics
     tau, lags = lag_values[0], lag_values.shape[0]

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.craft.table import AirHockey, Contact, Puck
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.identification.puck_flights import (
@@ -57,7 +58,7 @@ class Bounce:
 
 
 @dataclass(frozen=True, eq=False)
-class PuckFit:
+class PuckFit(Result):
     """An identified puck.
 
     Attributes
@@ -73,6 +74,10 @@ class PuckFit:
     notes : tuple of str
         Numbers that were not identified, and anomalies.
     """
+
+    JSON = (
+        "kept_along_rail=play.puck.kept_along_rail flights flights_s=seconds bounces noise_m notes"
+    )
 
     play: AirHockey
     flights: int
@@ -90,18 +95,11 @@ class PuckFit:
             The puck's numbers with standard errors (None: assumed), and their basis.
         """
         puck, errors = self.play.puck, self.play.puck.standard_error
-        return {
-            "puck": {
-                name: {"value": value_of(puck, name), "standard_error": errors.get(name)}
-                for name in (*errors, *puck.assumed)
-            },
-            "kept_along_rail": puck.kept_along_rail,
-            "flights": self.flights,
-            "flights_s": self.seconds,
-            "bounces": dict(self.bounces),
-            "noise_m": self.noise_m,
-            "notes": list(self.notes),
+        numbers = {
+            name: {"value": value_of(puck, name), "standard_error": errors.get(name)}
+            for name in (*errors, *puck.assumed)
         }
+        return {"puck": numbers} | super().to_json()
 
 
 def value_of(puck: Puck, name: str) -> float:

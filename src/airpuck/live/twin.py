@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.results import Result
 from airpuck.compute.process import prioritize
 from airpuck.hockey.game import Side, serve
 from airpuck.hockey.hand import HUMANS, GuidedHand, ScriptedHand
@@ -144,8 +145,13 @@ def serve_twin(
         return table.to_json()
 
 
-class _Table:
+class _Table(Result):
     """A twin and its streams."""
+
+    JSON = (
+        "poses=_poses commands=_commands.good refused=_commands.bad stops=_stops "
+        "duration_s=_process.clock.now"
+    )
 
     def __init__(
         self, twin: Twin, process: Process, puck: PuckState | None, human: str | None, seed: int
@@ -193,16 +199,6 @@ class _Table:
                 "motors run" if self._running else "motors stopped: no commands",
                 {"poses": self._poses, "motor speeds": speeds},
             )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
-        return {
-            "poses": self._poses,
-            "commands": self._commands.good,
-            "refused": self._commands.bad,
-            "stops": self._stops,
-            "duration_s": self._process.clock.now,
-        }
 
     def _serve(self) -> None:
         """Return a puck in a goal to its initial position."""
