@@ -8,13 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.hockey.interception import (
-    Outlook,
-    PlannedContact,
-    effort,
-    slack,
-    stays_inside,
-)
+from airpuck.hockey.interception import Outlook, PlannedContact, effort, slack, stays_inside
 from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.searching import Searcher
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit

@@ -199,10 +199,7 @@ class Game:
             model.vehicle.radius_m if c.player is not None else settings.mallet.radius_m
             for c in (left, right)
         ]
-        self.sides = (
-            self._side(-1, left, model, radii[1]),
-            self._side(1, right, model, radii[0]),
-        )
+        self.sides = (self._side(-1, left, model, radii[1]), self._side(1, right, model, radii[0]))
         self._cameras: SensorSet | None = None
         if all(side.twin is None for side in self.sides):
             kinds: dict[Kind, int] = _CAMERA_STREAMS

@@ -103,16 +103,8 @@ def struck(
     vx, vy, spin = np.moveaxis(contacts.puck.copy(), -1, 0)
     body = Disc(0.0, 0.0, vx, vy, spin, puck.radius_m, puck.mass_kg, puck.inertia)
     craft_x, craft_y = np.moveaxis(contacts.craft.copy(), -1, 0)
-    craft = Disc(
-        0.0,
-        0.0,
-        craft_x,
-        craft_y,
-        np.zeros_like(vx),
-        pitch.craft_radius,
-        pitch.craft_mass,
-        pitch.craft_inertia,
-    )
+    sizes = pitch.craft_radius, pitch.craft_mass, pitch.craft_inertia
+    craft = Disc(0.0, 0.0, craft_x, craft_y, np.zeros_like(vx), *sizes)
     nx, ny = np.cos(contacts.normal), np.sin(contacts.normal)
     # A puck that already moves away does not bounce.
     closing = (vx - craft_x) * nx + (vy - craft_y) * ny < 0
@@ -286,10 +278,7 @@ def chances(
         craft=contacts.craft[:, None] + drawn[:, 8:10] * error.speed,
     )
     after = struck(
-        pitch,
-        tried,
-        varied(law.restitution, _RESTITUTION, 10),
-        varied(law.grip, _GRIP, 11),
+        pitch, tried, varied(law.restitution, _RESTITUTION, 10), varied(law.grip, _GRIP, 11)
     )
     flights = flown(
         pitch.equipment,

@@ -9,18 +9,10 @@ from airpuck.flight.clock import Clock
 from airpuck.hockey.game import Game
 from airpuck.hockey.player import Player
 from airpuck.model.model_file import Model
-from airpuck.web.page import (
-    ArenaSettings,
-    Pages,
-    hello_of,
-    invite,
-    news_of,
-    served,
-    state_of,
-)
+from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 
-#: The page shows the winner for this long [s].
-_END = 3.0
+#: Time between looks for the first page, and for which the page shows the winner [s].
+_LOOK, _END = 0.02, 3.0
 
 
 def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any = print) -> None:
@@ -56,7 +48,7 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
 def _show(game: Game, pages: Pages) -> None:
     """Play a game to its end, and show it."""
     while not pages.hear()[0] and not pages.lost:  # the first page sits down
-        time.sleep(0.02)
+        time.sleep(_LOOK)
     thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
     clock, began = Clock(), game.time
     while game.phase != "over":

@@ -40,8 +40,10 @@ _PAGES = 32
 _RATE, _BURST = 500.0, 500.0
 #: Events that wait for a slow page; older ones are dropped.
 _EVENTS = 64
-#: Send buffer of the system [bytes]: states in a larger one would only be late.
-_SENT = 16_384
+#: Send buffers of the system and of a connection [bytes]: states in larger ones would be outdated.
+_SENT, _BUFFERED = 16_384, 2048
+#: Close code of a page that breaks the rules (RFC 6455, 7.4.1).
+_POLICY_VIOLATION = 1008
 #: Orders that may wait for the game while it starts a new one.
 _ORDERS = 32
 #: Timeout of a page that reads nothing or answers no ping, such as a phone that fell asleep [s].
@@ -75,7 +77,7 @@ class _Page:
         self.thinks = False
         #: The newest message of each name of which older ones are worthless.
         self._newest: dict[str, str | bytes] = {}
-        self._events: deque[str] = deque(maxlen=_EVENTS)
+        self._events: deque[str | bytes] = deque(maxlen=_EVENTS)
         self._waits = asyncio.Event()
         self._limit = TokenBucket(_RATE, _BURST)
 
@@ -84,7 +86,7 @@ class _Page:
         self._newest[name] = message
         self._waits.set()
 
-    def tell(self, news: str) -> None:
+    def tell(self, news: str | bytes) -> None:
         """Send an event."""
         self._events.append(news)
         self._waits.set()
@@ -112,17 +114,12 @@ class _Server:
     """All pages, and which of them plays."""
 
     def __init__(
-        self,
-        pipe: Connection,
-        host: str,
-        page: PageName,
-        hello: dict[str, Any],
-        patience: float,
+        self, pipe: Connection, host: str, page: PageName, hello: dict[str, Any], patience: float
     ) -> None:
         self._pipe, self._host, self._patience = pipe, host, patience
         self._shared = page == _SHARED
         #: First messages to a page: by name, the newest of those that stay valid.
-        self._remembered = {"hello": json.dumps({"is": "hello", **hello})}
+        self._remembered: dict[str, str | bytes] = {"hello": json.dumps({"is": "hello", **hello})}
         self._pages: list[_Page] = []
         self._player: _Page | None = None
         self._thinks = False
@@ -159,7 +156,7 @@ class _Server:
             process_request=self._answer,
             compression=None,
             max_size=4 * LONGEST,
-            write_limit=2048,
+            write_limit=_BUFFERED,
             open_timeout=self._patience,
             ping_interval=self._patience / 2,
             ping_timeout=self._patience,
@@ -224,7 +221,9 @@ class _Server:
         async for message in page.websocket:
             parsed = read_message(message) if page.may_send() else None
             if parsed is None:
-                await page.websocket.close(1008, "invalid message, or rate limit exceeded")
+                await page.websocket.close(
+                    _POLICY_VIOLATION, "invalid message, or rate limit exceeded"
+                )
                 return
             self._obey(page, parsed)
 
@@ -294,21 +293,14 @@ class _Server:
     def _hear_game(self, message: bytes) -> None:
         """Pass a message of the game on to the pages."""
         kind, content = message[:1], message[1:]
-        if kind == STATE:
+        text = content if kind == STATE else content.decode()
+        if kind == EVENT:
             for page in self._pages:
-                page.show("state", content)
+                page.tell(text)
             return
-        text = content.decode()
-        if kind == THOUGHT:
-            for page in self._pages:
-                if page.thinks:
-                    page.show("thought", text)
-            return
+        name = {STATE: "state", THOUGHT: "thought"}.get(kind) or json.loads(text)["is"]
         if kind == SCENE:
-            name = json.loads(text)["is"]
             self._remembered[name] = text
-            for page in self._pages:
-                page.show(name, text)
-            return
         for page in self._pages:
-            page.tell(text)
+            if page.thinks or kind != THOUGHT:
+                page.show(name, text)
