@@ -64,9 +64,8 @@ class EffectErrors:
     #: model's; and the standard errors of that, relative to the larger of the two.
     push: Float[np.ndarray, " 6"]
     push_error: Float[np.ndarray, " 6"]
-    #: The same at `LOW_SPEED`.
+    #: Errors of the accelerations with motors at `LOW_SPEED`, likewise.
     low: Float[np.ndarray, " 6"]
-    low_error: Float[np.ndarray, " 6"]
     #: How much later than modelled commands take effect, lag and delay together [s].
     later: float
     later_error: float
@@ -166,7 +165,7 @@ def _in_words_of_control(
         modelled + added,
         errors,
         *pushes(vehicle.command_max),
-        *pushes(LOW_SPEED * vehicle.command_max),
+        pushes(LOW_SPEED * vehicle.command_max)[0],
         float(late @ estimate),
         float(np.sqrt(late @ covariance @ late)),
         np.zeros(3),

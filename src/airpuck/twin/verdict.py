@@ -28,8 +28,9 @@ from airpuck.twin.rehearsal import failures
 #: time [s]: with both, all controllers of studies/verdicts.py settle.
 ACCELERATION_LIMIT = 0.3
 RESPONSE_LIMIT = 0.015
-#: Largest error of an acceleration with motors at `LOW_SPEED`, relative to the modelled one.
-LOW_LIMIT = 0.5
+#: Largest error of the accelerations with motors at `LOW_SPEED`, of the model's: between 30 % (M2
+#: with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
+LOW_LIMIT = 0.35
 #: Standard error of the timing that a recording shows, above which it tells too little [s].
 _JUDGED_RESPONSE = 0.006
 #: Least of each motor's largest commands, relative to the largest there is: thrusts beyond are an
@@ -304,14 +305,11 @@ def _wrong(relative: Float[np.ndarray, " 6"], response: float, effects: EffectEr
             f"The modelled largest acceleration is wrong: {', '.join(off)}. A richer model may "
             "help (`--model auto`), or a check of mass, inertia and motors in the vehicle file."
         )
-    low = np.sign(effects.low) * _beyond_chance(effects.low, effects.low_error)
-    worst = int(np.argmax(np.abs(low)))
-    if abs(low[worst]) > LOW_LIMIT:
-        size = "larger" if low[worst] > 0 else "smaller"
+    if abs(low := float(np.median(effects.low))) > LOW_LIMIT:
         found.append(
-            f"With motors at {percent(LOW_SPEED)} of full speed, the modelled acceleration "
-            f"{_way(worst)} is {percent(abs(float(low[worst])))} {size} than the real one: the "
-            "thrust curves have the wrong shape. Use a richer model (`--model auto`)."
+            f"With motors at {percent(LOW_SPEED)} of full speed, the modelled accelerations are "
+            f"{percent(abs(low))} too {'large' if low > 0 else 'small'}: the thrust curves have "
+            "the wrong shape. Use a richer model (`--model auto`)."
         )
     if response > RESPONSE_LIMIT:
         when = "later" if effects.later > 0 else "earlier"
