@@ -5,6 +5,7 @@ import importlib
 import re
 import subprocess
 import sys
+from collections import Counter
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -176,6 +177,22 @@ def test_the_physics_computes_and_nothing_else():
 def test_no_module_is_two_concepts():
     long = {p.name: n for p in MODULES if (n := len(p.read_text().splitlines())) > 500}
     assert not long
+
+
+def test_a_class_name_means_one_thing():
+    names = Counter(
+        node.name for path in MODULES for node in tree(path).body if isinstance(node, ast.ClassDef)
+    )
+    assert not [name for name, count in names.items() if count > 1]
+
+
+def test_the_models_modules_do_not_import_each_other_in_a_circle():
+    left = {
+        f"airpuck.model.{path.stem}": imports(path) for path in (ROOT / "model").glob("[!_]*.py")
+    }
+    while free := [name for name, used in left.items() if not used & left.keys() - {name}]:
+        left = {name: used for name, used in left.items() if name not in free}
+    assert not left
 
 
 @pytest.mark.parametrize("module", ["airpuck", "airpuck.cli", "airpuck.model.model_file"])
