@@ -96,10 +96,10 @@ def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, t
     blind = replace(late.uncertainty, covariance=unknown, standard_errors=unknown[0])
     replace(late, uncertainty=blind).save(tmp_path / "blind.toml")
     models = flown / "early.toml", tmp_path / "blind.toml"
-    assert refused(airpuck("compare", *models), "know the error")
+    assert refused(airpuck("compare", *models), "known errors")
     process = airpuck("compare", *models, flown / "bag", "--json", tmp_path / "c.json")
     assert process.returncode == 0, process.stderr
-    assert "drift is unknown: there is no quantity" in process.stdout
+    assert "drift is unknown: no learned quantity" in process.stdout
     figures = json.loads((tmp_path / "c.json").read_text())
     assert figures["drift"]["changes"] == figures["drift"]["verdicts"] == []
     assert len(figures["evaluations"]) == 2
@@ -107,6 +107,6 @@ def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, t
 
 def test_what_cannot_be_compared_is_refused(flown):
     assert refused(airpuck("compare", flown / "early.toml"), "RECORDING")
-    assert refused(airpuck("compare", "paper:M3", "paper:M4"), "know the error")
+    assert refused(airpuck("compare", "paper:M3", "paper:M4"), "known errors")
     wrong = airpuck("compare", "paper:M3", flown / "bag", "--protocol", "causal")
     assert refused(wrong, "looks ahead", "actuation")

@@ -51,7 +51,7 @@ def test_fly_refuses_in_one_line(arguments, problem):
         (("--hold", "0.001"), "hold: must be at least the controller's period"),
         (("--amplitude", "2"), "--amplitude: must be from 0 to 1"),
         (("--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
-        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model has its vehicle in it"),
+        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model includes its vehicle"),
         (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_recorder_does_not_write_over_anything(tmp_path):
     "flown", [("--level", "0.3"), ("--rounds", "1"), ("--domain", "3"), ("--interface", "lo")]
 )
 def test_a_recorded_check_takes_no_options_of_a_flown_one(flown, tmp_path):
-    with pytest.raises(InputError, match=f"{flown[0]}: is for a test that is flown"):
+    with pytest.raises(InputError, match=f"{flown[0]}: applies to a flown test"):
         run("preflight", "--recording", str(tmp_path), *flown)
 
 

@@ -174,7 +174,7 @@ class Identification(Item):
     model: RungName = "M3"
     #: Samples from one window to the next; by default 7/240 s.
     stride: Count | None = None
-    #: Whether badly predicted windows get less weight.
+    #: Whether poorly predicted windows get less weight.
     robust: bool = False
 
     def loss(self, data: Trajectory) -> Loss:
@@ -184,7 +184,7 @@ class Identification(Item):
 
 
 class Tracking(TwinItem):
-    """One flight of the twin to the paper's set points, in closed loop."""
+    """One flight of the twin through the paper's set points, in closed loop."""
 
     SOURCES: ClassVar = {"model": of_file, "truth": of_file}
 
@@ -430,7 +430,7 @@ def named(prefix: str, values: Any) -> Row:
 
 
 def flight_figures(flown: Tracked) -> Row:
-    """Summarise a flight to set points."""
+    """Summarise a flight through set points."""
     results = flown.results
     settled = [r.settling_time for r in results if r.settling_time is not None]
     steady = np.abs([r.steady_state_error or (np.nan,) * 3 for r in results])

@@ -1,4 +1,4 @@
-"""The application: errors and signals to exit statuses, and what all commands share."""
+"""The application: exit statuses for errors and signals, and shared options."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from airpuck.compute.process import (
     stoppable,
 )
 
-#: Of a process that a signal ends, less the signal's number.
+#: Exit status of a process ended by a signal, minus the signal's number.
 _SIGNALLED = 128
-#: What the system refuses a user; any other error of it is a failure of ours.
+#: Errors of the system that a user can fix; all others are bugs in this package.
 _SYSTEM_REFUSES = {
     getattr(errno, name)
     for name in ("EACCES", "EDQUOT", "EFBIG", "EIO", "EMFILE", "ENAMETOOLONG", "ENOSPC", "EROFS")
@@ -35,7 +35,7 @@ _SYSTEM_REFUSES = {
 
 
 class _PlainFlags:
-    """Leaves out of the help that a flag is a truth value: it takes none."""
+    """Hides the type of a flag in the help: a flag takes no value."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters."""
@@ -47,10 +47,10 @@ class _PlainFlags:
 
 
 class Command(_PlainFlags, TyperCommand):
-    """A command, whose names of files are checked before it starts."""
+    """A command that checks file names before it starts."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, and refuse names that cannot be meant."""
+        """Parse, and reject file names that must be mistakes."""
         refuse_empty(args)
         rest = super().parse_args(ctx, args)
         if not ctx.resilient_parsing:
@@ -59,10 +59,10 @@ class Command(_PlainFlags, TyperCommand):
 
 
 def repeated(**counts: int) -> type[Command]:
-    """Return a kind of command whose named options take several numbers and may be repeated.
+    """Return a command class whose named options take several numbers and may be repeated.
 
-    Typer knows options of several numbers, and options that are repeated, but not both in one. The
-    command gets texts with the numbers in them.
+    Typer supports options of several numbers, and repeated options, but not both in one. The
+    command receives strings with the numbers.
     """
 
     class Repeated(Command):
@@ -80,13 +80,13 @@ def repeated(**counts: int) -> type[Command]:
 
 
 class _Group(_PlainFlags, TyperGroup):
-    """All commands; what a signal ends says so in one line."""
+    """All commands; a signal ends them with one line."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
         try:
             return super().invoke(ctx)
-        except Stopped as stopped:  # Typer would say nothing
+        except Stopped as stopped:  # Typer would print nothing
             words = f"; {stopped.words}" if stopped.words else ""
             raise typer.Exit(_say(f"interrupted{words}", _SIGNALLED + stopped.number)) from None
 
@@ -115,7 +115,7 @@ app = _App(
 
 
 def main() -> None:
-    """Run the command line; what a user or the system refuses ends with one line and status 2."""
+    """Run the command line; user and system errors end with one line and status 2."""
     keep_compiled_programs()
     single_threaded_algebra()
     try:
@@ -129,7 +129,7 @@ def main() -> None:
     except OSError as error:
         _close_output()
         if error.errno == errno.EPIPE:
-            code = 1  # who reads our output has read enough
+            code = 1  # the reader of our output has closed it
         elif error.errno in _SYSTEM_REFUSES:
             code = _say(f"{error.filename or 'output'}: cannot be used ({error.strerror})")
         else:
@@ -146,7 +146,7 @@ def _say(message: str, status: int = 2) -> int:
 
 
 def _close_output() -> None:
-    """Write no more to standard output: what is left in the buffer would fail again at the end."""
+    """Discard standard output: flushing the rest of the buffer would fail again at exit."""
     with contextlib.suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

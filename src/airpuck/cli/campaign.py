@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from airpuck.campaigns.campaign import Campaign
 
-#: Failures that are printed; all are in results.csv.
+#: Number of failures printed; all are in results.csv.
 _SHOWN = 10
 
 
@@ -35,15 +35,17 @@ def campaign(
     ] = None,
     workers: Annotated[
         int | None,
-        options.number("N", "Processes to start; as many as processors.", numbers.WORKERS),
+        options.number("N", "Processes to start; by default one per processor.", numbers.WORKERS),
     ] = None,
-    retry: Annotated[bool, Option("--retry", help="Run again what failed.")] = False,
+    retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Run many independent flights or fits; what is done already is not done again."""
+    """Run many independent flights or fits, skipping those already done."""
     if scheduler is not None and workers is not None:
-        raise InputError("a running cluster has its own; give one of the two", field="--workers")
+        raise InputError(
+            "a running cluster has its own processes; give one of the two", field="--workers"
+        )
     with show_counts("", "{} of {} items done, {} failed", quiet) as progress:
         found = airpuck.campaign(
             spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
@@ -56,7 +58,7 @@ def campaign(
 
 
 def _summary(found: Campaign) -> Iterator[str | Table]:
-    """Yield the statistics of every figure, setting by setting, and what failed."""
+    """Yield the statistics of every figure, setting by setting, and the failures."""
     headings = ("mean", "sd", "min", "q05", "q50", "q95", "max")
     for setting in found.settings:
         values = [f"{k} = {json.dumps(v, default=str)}" for k, v in setting["setting"].items()]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from airpuck.control.authority import Authority
     from airpuck.model.model_file import Model
 
-#: What a drawing's name may end with.
+#: File suffixes of a drawing.
 _FORMATS = (".svg", ".png", ".pdf")
 
 
@@ -33,7 +33,7 @@ def vehicle(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Show a vehicle file: its propellers, and which motions they can make."""
+    """Show a vehicle file: its propellers, and the motions they can produce."""
     from airpuck.boundary.outputs import replacing
     from airpuck.control.authority import control_authority
     from airpuck.model.model_file import nominal_model
@@ -59,7 +59,7 @@ def vehicle(
 
 
 def _propeller_table(model: Model) -> Table:
-    """Lay out where each propeller is and what it does at full command."""
+    """Lay out position and effect of each propeller at full command."""
     craft, effects = model.vehicle, model.propeller_effects
     rows = []
     for number, (propeller, effect, curve) in enumerate(
@@ -76,7 +76,7 @@ def _propeller_table(model: Model) -> Table:
 
 
 def _motion_table(found: Authority) -> Table:
-    """Lay out how strong each motion is."""
+    """Lay out the strength of each motion."""
     units = {name: "rad/s²" if name.startswith("turn") else "m/s²" for name in found.alone}
     rows = [
         [name, *(f"{value:.2f}" if value else "none" for value in (found.alone[name], most)), unit]

@@ -29,9 +29,7 @@ _SHOWN = 8
 
 @app.command(rich_help_panel="Control and flight")
 def design(
-    model: Annotated[
-        str, Option(metavar="MODEL", help="What is believed of the craft.")
-    ] = "paper:M3",
+    model: Annotated[str, Option(metavar="MODEL", help="Model of the craft.")] = "paper:M3",
     after: Annotated[
         list[Path] | None,
         Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
@@ -44,7 +42,7 @@ def design(
         Option(help="worst: the largest relative error; mean: their geometric mean."),
     ] = "worst",
     margin: Annotated[
-        float, options.number("M", "Least distance to the rails.", numbers.MARGIN)
+        float, options.number("M", "Smallest distance to the rails.", numbers.MARGIN)
     ] = 0.08,
     output: Annotated[
         Path | None, options.output("FILE", "Plan to write, for excite --plan.")
@@ -65,7 +63,7 @@ def design(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Propose the excitation that shrinks the worst-determined parameters most."""
+    """Propose the excitation that best reduces the largest parameter errors."""
     from airpuck.experiment_design.trials import check_design
 
     craft = airpuck.read_model(model)
@@ -116,7 +114,7 @@ def _fitted(craft: Model, recordings: list[Path], mapping: Path | None, quiet: b
 
 
 def summary(found: Design) -> list[str]:
-    """Describe what a proposal shrinks, and what the forecast rests on."""
+    """Describe which errors a proposal reduces, and the basis of the forecast."""
     import numpy as np
 
     labels, counts = found.quantities.labels, np.isfinite(found.quantities.scales)
@@ -187,5 +185,5 @@ def error_table(found: Design, checked: CheckedFlights | None) -> Table:
             ratio = float(checked.ratio[k])
             row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
         rows.append(row)
-    title = "Standard errors, in shares of what each matters against"
+    title = "Standard errors, relative to each quantity's scale"
     return table(headings, rows, title=title, left=("", "100 % are"))

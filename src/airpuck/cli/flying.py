@@ -30,7 +30,7 @@ def replay(
     ],
     model: Annotated[str, options.CONTROLLERS_MODEL],
     fit_gains: Annotated[
-        bool, Option("--fit-gains", help="Fit the regulator's gains to the log first.")
+        bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
     ] = False,
     regulator: options.RegulatorName = None,
     tuning: options.TuningFile = None,
@@ -39,7 +39,7 @@ def replay(
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
-    """Feed a recorded flight to the controller; compare its commands with those sent."""
+    """Feed a recorded flight to the controller; compare its commands with the recorded ones."""
     craft = inputs.read_belief(model)
     settings = inputs.read_controls(tuning, regulator, craft)
     result = airpuck.replay(
@@ -98,26 +98,24 @@ def excite(
 def track(
     models: Annotated[
         list[str] | None,
-        Option(
-            "--model", metavar="MODEL", help="What the controller believes; repeat for several."
-        ),
+        Option("--model", metavar="MODEL", help="Model for the controller; repeat for several."),
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        Option("--flight", metavar="FLIGHT", help="Real flight of each model, to imitate."),
+        Option("--flight", metavar="FLIGHT", help="Real flight of each model, to reproduce."),
     ] = None,
     truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
     setpoints: options.SetPointsFile = None,
     dwell: Annotated[
         float | None,
-        options.number("S", "Time at each set point; imitates no flight.", numbers.DWELL),
+        options.number("S", "Time at each set point; reproduces no flight.", numbers.DWELL),
     ] = None,
     pilot: options.PilotClass = None,
     controller: Annotated[
         Literal["paper", "full"] | None,
         Option(
             help="paper: as flown; full: compensates the delay, rejects disturbances; by default "
-            "paper, and full where another law than lqr flies."
+            "paper, or full for laws other than lqr."
         ),
     ] = None,
     regulators: Annotated[
@@ -132,7 +130,8 @@ def track(
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
         Option(
-            help="kalman, or actuation: finds out what each motor does; by default the tuning's."
+            help="kalman, or actuation, which also estimates each motor's effectiveness; by "
+            "default the tuning's."
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -141,9 +140,9 @@ def track(
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly set points on the twin: by default the paper's, beside the real flights.
+    """Fly set points on the twin: by default the paper's, compared with the real flights.
 
-    With --regulator lqr --regulator mpc both laws fly the same, and the page compares them.
+    With --regulator lqr --regulator mpc both laws fly the same task, and the page compares them.
     """
     from airpuck.control.reference import read_setpoints
     from airpuck.flight.pilot import pilot_maker
@@ -154,7 +153,7 @@ def track(
         controls = controls.with_estimator(estimator)
     if pilot is not None:
         ours = {"regulators": regulators, "controller": controller, "estimator": estimator}
-        inputs.refuse_others(track, "--pilot, which flies yours", ours)
+        inputs.refuse_others(track, "--pilot, which flies your own", ours)
     laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
     beyond_paper = set(laws) != {"lqr"} and pilot is None
     names = models or ["paper:M0", "paper:M4"][beyond_paper:]
@@ -193,7 +192,7 @@ def track(
         page = tracking_report(tracked, plant.name, output, origin(), set_points=of)
     for flight in tracked:
         warn(flight.warnings)
-    # The keys of the last model stand at the top, too: for one model nothing need be looked up.
+    # The top level holds the last model's keys, too: with one model there is nothing to look up.
     flown = [flight.to_json() for flight in tracked]
     report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), page)
 
@@ -239,7 +238,7 @@ def animate(
 
 
 def _replay_lines(replay: Replay) -> Iterator[str]:
-    """Yield how much recorded and computed commands agree."""
+    """Yield how well recorded and computed commands agree."""
     figures = replay.to_json()
     for motor in figures["motors"]:
         yield (
@@ -259,12 +258,12 @@ def _excitation_line(excited: Excited) -> str:
     contacts, met = excited.contacts, "none"
     if contacts:
         times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
-        met = f"{len(contacts)}, at {times} s (rails are in no model)"
+        met = f"{len(contacts)}, at {times} s (no model includes rails)"
     return f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {met}"
 
 
 def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
-    """Yield what became of the set points."""
+    """Yield how each set point was reached."""
     from airpuck.flight.track import TOLERANCE
 
     x, _, yaw = TOLERANCE

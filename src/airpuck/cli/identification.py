@@ -68,12 +68,12 @@ def preprocess(
     mapping: options.MappingFile = None,
     delay: Annotated[
         float | None,
-        options.number("S", "Transport delay; by default it is found.", numbers.DELAY),
+        options.number("S", "Transport delay; by default it is estimated.", numbers.DELAY),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Turn a recording into a trajectory: states, commands, delay, what not to use."""
+    """Turn a recording into a trajectory: states, commands, delay, excluded spans."""
     from airpuck.data.trajectory import left_out_json, left_out_words
 
     if output.suffix != ".npz":
@@ -116,7 +116,7 @@ def identify(
         Option(
             autocompletion=_rung_names,
             help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "that predicts held-out parts of the recordings as well as any.",
+            "model that predicts held-out parts of the recordings as well as the best one.",
         ),
     ] = "M3",
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
@@ -125,7 +125,7 @@ def identify(
     ] = None,
     validation: Annotated[
         Path | None,
-        Option(metavar="RECORDING", help="Another recording, to judge the model on."),
+        Option(metavar="RECORDING", help="Another recording, for validating the model."),
     ] = None,
     vehicle: options.VehicleFile = None,
     mapping: options.MappingFile = None,
@@ -147,7 +147,7 @@ def identify(
     bootstrap: Annotated[
         int | None,
         Setting(
-            "Fit to N resamplings, too, for their intervals",
+            "Also fit to N resamplings, for bootstrap intervals",
             numbers.REPLICATES,
             "N",
             heading="Uncertainty",
@@ -269,7 +269,7 @@ def _fitted(
     settings: dict[str, Any],
     quiet: bool,
 ) -> tuple[Fit, Selection | None]:
-    """Identify a rung; of several, the rung that predicts held-out data best."""
+    """Identify one rung; of several, the rung that predicts held-out data best."""
     if len(rungs) > 1:
         found = airpuck.select_model(trajectories, rungs, progress=say(quiet), **settings)
         return found.fit, found
@@ -280,7 +280,7 @@ def _fitted(
 
 
 def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
-    """Yield how well every rung predicted what was held out, and which was taken."""
+    """Yield how well every rung predicted held-out data, and which was chosen."""
     from airpuck.identification.selection import (
         SELECTION_HEADINGS,
         selection_rows,
@@ -300,7 +300,7 @@ def _write_report(
     selection: Selection | None,
     folder: Path,
 ) -> None:
-    """Write a page on a fit, how it predicts another recording, and what it was chosen from."""
+    """Write a page on a fit, its predictions of another recording, and its selection."""
     from airpuck.report.evaluation_report import JudgedModels
     from airpuck.report.fit_report import fit_report, selection_section
 
@@ -310,7 +310,7 @@ def _write_report(
 
 
 def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
-    """Yield how a fit ended, the main quantities with errors, and what is not determined."""
+    """Yield how a fit ended, the main quantities with errors, and what is undetermined."""
     from airpuck.identification.fit_result import knowledge_words, outcome_words
 
     yield from outcome_words(fit)
@@ -369,5 +369,5 @@ def _resampled(model: Model, quantity: MainQuantity) -> str:
 
 
 def _digits(error: float) -> int:
-    """Return the decimals that show two significant digits of an error."""
+    """Return the number of decimals that shows two significant digits of an error."""
     return max(0, 1 - math.floor(math.log10(error))) if error > 0 else 3

@@ -1,4 +1,4 @@
-"""From what was typed to what the verbs take."""
+"""Conversion of command-line values to arguments of the verbs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_craft(path: Path | None) -> Vehicle | None:
 
 
 def refuse_others(command: Callable[..., Any], option: str, values: Mapping[str, Any]) -> None:
-    """Raise InputError for given options that another option excludes."""
+    """Raise InputError for options that another given option excludes."""
     for name, parameter in signature(command, eval_str=True).parameters.items():
         if name in values and values[name] != parameter.default:
             spelt = parameter.annotation.__metadata__[-1].param_decls
@@ -64,7 +64,7 @@ def load(
     delay: float | None = None,
     quiet: bool = True,
 ) -> Trajectory:
-    """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
+    """Load and preprocess a recording, or the part named by --span, and print warnings."""
     names = mapping_in(mapping)
     trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names, delay=delay)
     warn(trajectory.warnings, quiet)
@@ -86,7 +86,7 @@ def load_for(
 
 @contextmanager
 def about(file: str | Path, field: str | None = None) -> Iterator[None]:
-    """Name the file, and the field as the file calls it, in what is refused."""
+    """Add the file, and the field as the file calls it, to an InputError."""
     try:
         yield
     except InputError as error:
@@ -105,7 +105,7 @@ def read_belief(name: str) -> Model:
 
 
 def read_player(name: str, quiet: bool) -> Model:
-    """Read a model for a player; plan its shortest times first, where they are not known."""
+    """Read a model for a player; first plan its shortest times if they are unknown."""
     from airpuck.cli.output import say, show_time_left
     from airpuck.hockey.minimal_time import minimal_times_of
 
@@ -113,7 +113,7 @@ def read_player(name: str, quiet: bool) -> Model:
     with ExitStack() as stack:
 
         @cache
-        def progress() -> Callable[[float, float], None]:  # shown only where there is any
+        def progress() -> Callable[[float, float], None]:  # shown only if there is any work
             words = "planning this craft's shortest times, once"
             return stack.enter_context(show_time_left(words, quiet))
 
@@ -130,11 +130,11 @@ def read_player(name: str, quiet: bool) -> Model:
 def read_given(
     model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
 ) -> Model | None:
-    """Read a model, if one is given; refuse a vehicle beside it."""
+    """Read a model if one is given; raise InputError if a vehicle is given, too."""
     if model is None:
         return None
     if vehicle is not None:
-        raise InputError("a model has its vehicle in it; give one of the two", field="--vehicle")
+        raise InputError("a model includes its vehicle; give one of the two", field="--vehicle")
     return read(model)
 
 
@@ -151,7 +151,7 @@ def model_or_nominal(
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
     """Read a tuning file, by default the packaged one, and check that it gives a regulator.
 
-    `kind` is the law to take, whatever the tuning says; it must suit the models.
+    `kind` overrides the tuning's law; it must suit the models.
     """
     from airpuck.control.lqr import regulator
     from airpuck.control.tuning import default_tuning
@@ -195,7 +195,7 @@ def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tupl
 
 
 def published_flights(models: Sequence[str]) -> list[Path | None]:
-    """Find the paper's flights with these models in $AIRPUCK_DATA; warn where that has none."""
+    """Find the paper's flights with these models in $AIRPUCK_DATA; warn about missing ones."""
     from airpuck.recording.dataset import VARIABLE
 
     folder = os.environ.get(VARIABLE)

@@ -48,12 +48,12 @@ def twin(
     settings: options.TwinFile = None,
     pose: Annotated[
         tuple[float, float, float],
-        options.number("X Y YAW", r"Where the craft starts \[m, m, rad].", numbers.COORDINATE),
+        options.number("X Y YAW", r"Initial pose of the craft \[m, m, rad].", numbers.COORDINATE),
     ] = (0.0, 0.0, 0.0),
     puck: Annotated[
         tuple[float, float, float, float] | None,
         options.number(
-            "X Y VX VY", r"A puck: where it starts, and how fast \[m, m/s].", numbers.COORDINATE
+            "X Y VX VY", r"A puck: its initial position and velocity \[m, m/s].", numbers.COORDINATE
         ),
     ] = None,
     human: Annotated[
@@ -93,7 +93,7 @@ def fly(
     model: Annotated[str, options.CONTROLLERS_MODEL],
     setpoints: Annotated[
         list[str] | None,
-        Option(SETPOINT, metavar="X Y YAW", help="Where to go; repeat for several, in order."),
+        Option(SETPOINT, metavar="X Y YAW", help="A set point; repeat for several, in order."),
     ] = None,
     dwell: Annotated[float, options.number("S", "Time at each --setpoint.", numbers.DWELL)] = 3.0,
     setpoints_file: options.SetPointsFile = None,
@@ -134,7 +134,7 @@ def fly_topic(
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly a craft on the graph to where the graph's reference topic says."""
+    """Fly a craft on the graph to the pose on the graph's reference topic."""
     from airpuck.live.fly import FollowedSetPoint
 
     craft = inputs.read_belief(model)
@@ -155,7 +155,7 @@ def fly_plan(
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly a time-optimal plan on the graph, once the craft is where the plan begins."""
+    """Fly a time-optimal plan on the graph, once the craft is at its start."""
     from airpuck.planning.tracking import Departing, plan_tracker
 
     craft = inputs.read_belief(model)
@@ -174,7 +174,7 @@ def fly_excitation(
     live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[
         str | None,
-        Option(metavar="MODEL", help="What the craft is believed to be; by default nominal."),
+        Option(metavar="MODEL", help="Model of the craft; by default nominal."),
     ] = None,
     vehicle: options.VehicleFile = None,
     tuning: options.TuningFile = None,
@@ -197,7 +197,7 @@ def fly_excitation(
         margin=experiment.margin_m,
         seed=seed,
     )
-    make()  # refuses signals that the craft cannot make before the graph is joined
+    make()  # rejects signals that the craft cannot produce before the graph is joined
     live = replace(on_topics(live, mapping), duration=experiment.duration_s)
     _flown(make, craft, controls, geofence, live, json_file)
 
@@ -210,7 +210,7 @@ def _steered(
     controls: Tuning,
     geofence: tuple[float, float] | None,
 ) -> Callable[[], Pilot]:
-    """Return what makes our controller, or a user's pilot in its place."""
+    """Return a factory for our controller, or for a user's pilot."""
     from airpuck.flight.pilot import pilot_maker
 
     if pilot is None:
@@ -218,7 +218,7 @@ def _steered(
         return lambda: airpuck.TrackingController(craft, reference, controls, table=rails)
     if regulator is not None:
         raise InputError(
-            "chooses a law of our controller; --pilot flies yours", field="--regulator"
+            "chooses a law of our controller; --pilot flies your own", field="--regulator"
         )
     return partial(pilot_maker(pilot), craft, reference)
 
@@ -231,7 +231,7 @@ def _flown(
     live: LiveSettings,
     json_file: Path | None,
 ) -> None:
-    """Fly a pilot on the graph, and report."""
+    """Fly a pilot on the graph, and report the results."""
     from airpuck.compute.process import low_latency
     from airpuck.live.fly import fly_live
     from airpuck.live.safety import SafetyLimits
@@ -266,7 +266,7 @@ def preflight(
     vehicle: options.VehicleFile = None,
     recording: Annotated[
         Path | None,
-        Option(metavar="RECORDING", help="Judge a recorded test instead of flying one."),
+        Option(metavar="RECORDING", help="Evaluate a recorded test instead of flying one."),
     ] = None,
     level: Annotated[
         float, options.number("U", "Command of the motor under test.", numbers.AMPLITUDE)
@@ -286,7 +286,9 @@ def preflight(
     if recording is not None:
         for name, (given, usual) in flown.items():
             if given != usual:
-                raise InputError("is for a test that is flown, not recorded", field=f"--{name}")
+                raise InputError(
+                    "applies to a flown test, not to a recorded one", field=f"--{name}"
+                )
         found = judge_recording(craft, inputs.read_flight(recording, mapping))
     else:
         plan = PulsePlan(level=level, rounds=rounds)
@@ -320,7 +322,7 @@ def view(
     live: LiveSettings,
     port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8080,
     host: Annotated[
-        str, Option(metavar="ADDRESS", help="Who may see it; by default this machine alone.")
+        str, Option(metavar="ADDRESS", help="Address to serve on; by default this machine only.")
     ] = "127.0.0.1",
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
@@ -347,7 +349,7 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
 
     found = read_plan(path, craft)
     if found.states[0, 3:6].any():
-        raise InputError("begins in motion; on the table it begins at rest", file=path)
+        raise InputError("begins in motion; flights on the table begin at rest", file=path)
     reach = abs(found.samples[1][:, :2]).max(axis=0)
     if (reach > fence).any():
         x, y = fence
@@ -358,7 +360,7 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
 def report_flight(
     figures: dict[str, Any], json_file: Path | None, quiet: bool, *lines: str
 ) -> None:
-    """Report how a flight on the graph went; after other lines."""
+    """Report the results of a flight on the graph, after other lines."""
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     report(
@@ -373,7 +375,7 @@ def report_flight(
 
 
 def _rails(geofence: tuple[float, float] | None, craft: Model) -> Table:
-    """Return the table that a predictive law stays on: within the geofence, if one is given."""
+    """Return the table that a predictive law stays on, limited by the geofence if given."""
     from airpuck.craft.table import Table
 
     if geofence is None:
@@ -388,6 +390,6 @@ def _fence(given: tuple[float, float] | None, craft: Model) -> tuple[float, floa
 
     if given is None:
         x, y = Table().reach(craft.vehicle.radius_m)
-        # Noise of a craft that leans on a rail is inside.
+        # Allow for the noise of a craft that leans on a rail.
         return x + 0.01, y + 0.01
     return given

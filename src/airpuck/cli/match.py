@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from airpuck.model.model_file import Model
     from airpuck.twin.settings import TwinSettings
 
-#: Events that spectators are told.
+#: Events shown to spectators.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
-#: Columns and rows of the picture; time between two [s].
+#: Columns and rows of the picture; time between two pictures [s].
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
 _PLAYER = "airpuck, human, keeper or striker, each with :LEVEL, or a tactic, FILE.py:NAME."
@@ -39,21 +39,23 @@ _PLAYER = "airpuck, human, keeper or striker, each with :LEVEL, or a tactic, FIL
 def match(
     left: Annotated[str, Option("--left", metavar="PLAYER", help=_PLAYER)] = "airpuck",
     right: Annotated[str, Option("--right", metavar="PLAYER", help="The same.")] = "human",
-    games: Annotated[int, options.number("N", "How many games.", numbers.GAMES)] = 1,
+    games: Annotated[int, options.number("N", "Number of games.", numbers.GAMES)] = 1,
     seed: options.Seed = 0,
     goals: Annotated[int, options.number("N", "Goals needed to win.", numbers.GOALS)] = 7,
     limit: Annotated[
         float, options.number("S", "Time limit of a game.", numbers.FLIGHT_DURATION)
     ] = 300.0,
-    model: Annotated[str, Option(metavar="MODEL", help="What a craft is.")] = "paper:M3",
+    model: Annotated[str, Option(metavar="MODEL", help="Model of the craft.")] = "paper:M3",
     twin: options.TwinFile = None,
     workers: Annotated[
         int | None,
-        options.number("N", "Processes to start; as many as processors.", numbers.WORKERS),
+        options.number("N", "Processes to start; by default one per processor.", numbers.WORKERS),
     ] = None,
     output: Annotated[
         Path | None,
-        options.output("DIR", "Keep the games, as bags; what is there is not played again."),
+        options.output(
+            "DIR", "Folder for the games, as bags; existing games are not played again."
+        ),
     ] = None,
     watch: Annotated[bool, Option("--watch", help="Show one game in real time.")] = False,
     page: Annotated[
@@ -112,7 +114,7 @@ def _game(
     seed: int,
     quiet: bool,
 ) -> tuple[Game, Model]:
-    """Return the game of two players by their names, and what a craft is."""
+    """Return a game between two named players with a craft model."""
     from airpuck.compute.process import low_latency
     from airpuck.hockey.contestant import contestant
     from airpuck.hockey.game import Game
@@ -133,7 +135,7 @@ def _show_page(game: Game, craft: Model, port: int | None, quiet: bool) -> None:
 
 
 def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:
-    """Yield a table of the results, and what else happened."""
+    """Yield a table of the results, and further statistics."""
     figures = found.to_json()
     rows = []
     for side, name in (("left", found.left), ("right", found.right)):

@@ -1,4 +1,4 @@
-"""Names of files that were typed: what can be read, and what can be written, known beforehand."""
+"""Names of files on the command line: inputs and outputs, checked beforehand."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import Output, check_output
 
-#: In the context of a command: what it writes, and by which option.
+#: Key in a command's context: its outputs, and the option of each.
 _OUTPUTS = "airpuck.outputs"
-#: Letters that are shown of a name that is too long.
+#: Number of characters shown of a name that is too long.
 _SHOWN = 40
 
 

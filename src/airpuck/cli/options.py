@@ -18,7 +18,7 @@ from airpuck.cli.views import FromFile
 from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.control.laws import LAWS
 
-#: What is written, by what stands for it in the help.
+#: Description of an output, by its placeholder in the help.
 _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 
@@ -34,7 +34,7 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
 
 
 def number(metavar: str, help: str, limits: Range, *names: str) -> Any:
-    """Return an option for a number, or several, within limits that the help names."""
+    """Return an option for one or several numbers, within limits that the help names."""
 
     def check(context: Any, parameter: TyperOption, value: Any) -> Any:
         for one in value if isinstance(value, (tuple, list)) else (value,):
@@ -72,7 +72,7 @@ Span = Annotated[
 ]
 TuningFile = Annotated[
     Path | None,
-    Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged."),
+    Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged one."),
 ]
 PageFolder = Annotated[Path | None, output("DIR", "Write a page of figures, too.")]
 NewBag = Annotated[Path, output("BAG", "Folder to record to; new.")]
@@ -83,22 +83,26 @@ RecordingPath = Annotated[
         help="A bag folder, .mcap, folder of CSV files, data.pt, or preprocessed .npz.",
     ),
 ]
-CONTROLLERS_MODEL = Option(
-    "--model", metavar="MODEL", help="What the controller believes the craft to be."
-)
-BELIEVED_MODEL = Option("--model", metavar="MODEL", help="What the craft is believed to be.")
+CONTROLLERS_MODEL = Option("--model", metavar="MODEL", help="Model for the controller.")
+BELIEVED_MODEL = Option("--model", metavar="MODEL", help="Model of the craft.")
 ModelName = Annotated[
     str, Argument(metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4.")
 ]
 TwinFile = Annotated[
     Path | None,
     Option(
-        "--twin", metavar="FILE", help="Table, sensors, radio, faults; by default the packaged."
+        "--twin",
+        metavar="FILE",
+        help="Table, sensors, radio, faults; by default the packaged ones.",
     ),
 ]
 TableFile = Annotated[
     Path | None,
-    Option("--table", metavar="FILE", help="Table file: sizes, goals, puck; by default the usual."),
+    Option(
+        "--table",
+        metavar="FILE",
+        help="Table file: dimensions, goals, puck; by default the usual ones.",
+    ),
 ]
 SetPointsFile = Annotated[
     Path | None,
@@ -115,7 +119,7 @@ PilotClass = Annotated[
     Option(
         "--pilot",
         metavar="FILE.py:NAME",
-        help="A controller of your own: a class that is made from (model, reference).",
+        help="Your own controller: a class with the arguments (model, reference).",
     ),
 ]
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME"
@@ -123,15 +127,17 @@ RegulatorName = Annotated[
     str | None,
     Option("--regulator", metavar="LAW", help=f"{LAWS_THERE_ARE}; by default the tuning's."),
 ]
-Seed = Annotated[int, number("N", "Seed of everything random.", numbers.SEED)]
+Seed = Annotated[int, number("N", "Seed of all random numbers.", numbers.SEED)]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
     Option(
         "--protocol",
-        help="paper; paper-long: encoders may look further back; causal: nothing measured later.",
+        help="paper; paper-long: encoders may look further back; causal: no later measurements.",
     ),
 ]
-Horizon = Annotated[float, number("S", "After how long errors are reported.", numbers.HORIZON)]
+Horizon = Annotated[
+    float, number("S", "Prediction horizon at which errors are reported.", numbers.HORIZON)
+]
 EncoderName = Annotated[
-    str, Setting("paper; actuation: estimates the effectiveness of each motor, too.")
+    str, Setting("paper; actuation: also estimates the effectiveness of each motor.")
 ]

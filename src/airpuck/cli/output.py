@@ -1,4 +1,4 @@
-"""What commands print and write."""
+"""Printing and writing of results."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from airpuck.identification.method import Iteration
     from airpuck.report.page import Origin
 
-#: Of the dates that `datetime` knows, the end of 9999 [s].
+#: Latest date that `datetime` supports, the end of 9999 [s].
 _LATEST = 253402300799
 
 
 def origin() -> Origin:
-    """Return the command line that runs, and the date, for the foot of a page.
+    """Return the running command line and the date, for the foot of a page.
 
-    The date is $SOURCE_DATE_EPOCH where that is a date, so that pages can be reproduced
+    The date is $SOURCE_DATE_EPOCH if that is a valid date, so that pages can be reproduced
     (reproducible-builds.org). Home folders are replaced by ~, since they are private.
     """
     from airpuck.report.page import Origin
@@ -44,7 +44,7 @@ def origin() -> Origin:
     moment = float(seconds) if seconds.isdecimal() else math.inf
     moment = moment if moment <= _LATEST else time.time()
     date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    # Path.home() raises where there is no home. A user without an account has the root.
+    # Path.home() raises if there is no home. A user without an account has the root folder.
     home = os.path.expanduser("~").rstrip("/")  # noqa: PTH111
     inside = re.compile(f"(?<![^=]){re.escape(home)}(?=/|$)") if home[:1] == "/" else None
     words = [inside.sub("~", word) if inside else word for word in sys.argv[1:]]
@@ -52,12 +52,12 @@ def origin() -> Origin:
 
 
 def say(quiet: bool) -> Any:
-    """Return a function that prints what is being done."""
+    """Return a function that prints progress messages."""
     return (lambda _: None) if quiet else partial(show, error=True)
 
 
 def show(text: str | Path, *, error: bool = False) -> None:
-    """Print a line; what it quotes from files and names cannot command the terminal."""
+    """Print a line; quoted names and file contents cannot control the terminal."""
     print(escaped(str(text)), file=sys.stderr if error else sys.stdout, flush=True)
 
 
@@ -69,7 +69,7 @@ def warn(warnings: Any, quiet: bool = False) -> None:
 
 
 def console(error: bool = False) -> Console:
-    """Return where tables are printed; where that is no terminal, rows may be longer.
+    """Return where tables are printed; outside a terminal, rows may be longer.
 
     Names such as [red] and :smile: are printed literally.
     """
@@ -81,9 +81,9 @@ def console(error: bool = False) -> Console:
 
 
 def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:
-    """Write figures where --json says, and print the rest unless it would be in the way.
+    """Write figures to the --json file, and print the rest unless it would interfere.
 
-    What is shown are lines, paths and tables; None is left out.
+    Items to print are lines, paths and tables; None is skipped.
     """
     write_json(json_file, figures)
     if quiet or is_stdout(json_file):
@@ -102,7 +102,7 @@ def table(
     title: str | None = None,
     left: Sequence[str] | None = None,
 ) -> Table:
-    """Lay out a table, with the columns of these headings (by default the first) to the left."""
+    """Lay out a table; `left` columns (by default the first) are left-aligned."""
     from rich.table import Table
 
     made = Table(title=title and escaped(title), title_justify="left")
@@ -120,7 +120,7 @@ def is_stdout(json_file: Path | None) -> bool:
 
 
 def write_json(json_file: Path | None, figures: Any) -> None:
-    """Write figures where --json says; null stands for a number that is not finite."""
+    """Write figures to the --json file; null stands for a number that is not finite."""
     if json_file is None:
         return
     text = json.dumps(plain(figures), indent=2, allow_nan=False) + "\n"
@@ -135,7 +135,7 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
 @contextmanager
 def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., None]]:
-    """Show how many are done, of how many, and failed: on a terminal as a bar, else in words."""
+    """Show the numbers of finished and failed items: as a bar on a terminal, else in words."""
     if quiet or not sys.stderr.isatty():
         yield partial(print_tenths, "" if quiet else words)
         return
@@ -152,7 +152,7 @@ def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., No
 
 @contextmanager
 def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], None]]:
-    """Show how long some work will take: on a terminal as a bar, else in words."""
+    """Show how long some work will take: as a bar on a terminal, else in words."""
     began, said = time.monotonic(), 0
 
     def in_words(done: float, total: float) -> None:
@@ -175,7 +175,7 @@ def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], 
 
 
 def print_tenths(words: str, done: int, total: int, *more: int) -> None:
-    """Fill words with counts, and print them, if another tenth is done."""
+    """Fill words with counts, and print them after each tenth."""
     if words and 10 * done // total > 10 * (done - 1) // total:
         show(words.format(done, total, *more), error=True)
 
@@ -204,7 +204,7 @@ def _line(iteration: Iteration) -> str:
 def error_table(
     names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
 ) -> Table:
-    """Lay out the errors of several models, and those of a craft that coasts."""
+    """Lay out the errors of several models, and of a craft that coasts."""
     from airpuck.evaluation.evaluate import coasting
 
     first = evaluations[0]

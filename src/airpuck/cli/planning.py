@@ -31,27 +31,27 @@ def plan(
     limits: Limits,
     start: Annotated[
         tuple[float, float, float],
-        options.number("X Y YAW", "Where the craft is.", numbers.COORDINATE, "--from"),
+        options.number("X Y YAW", "Initial pose of the craft.", numbers.COORDINATE, "--from"),
     ],
     goal: Annotated[
         tuple[float, float, float],
-        options.number("X Y YAW", "Where it is to be.", numbers.COORDINATE, "--to"),
+        options.number("X Y YAW", "Goal pose.", numbers.COORDINATE, "--to"),
     ],
     model: Annotated[str, options.BELIEVED_MODEL] = "paper:M3",
     velocity: Annotated[
         tuple[float, float, float],
-        options.number("VX VY W", "How fast it is.", numbers.COORDINATE, "--velocity"),
+        options.number("VX VY W", "Initial velocity.", numbers.COORDINATE, "--velocity"),
     ] = (0.0, 0.0, 0.0),
     end_velocity: Annotated[
         tuple[float, float, float],
-        options.number("VX VY W", "How fast it is to be.", numbers.COORDINATE, "--end-velocity"),
+        options.number("VX VY W", "Final velocity.", numbers.COORDINATE, "--end-velocity"),
     ] = (0.0, 0.0, 0.0),
     free: Annotated[
         Literal["yaw", "velocity", "both"] | None,
-        Option(help="What is left open at the end; by default nothing."),
+        Option(help="Final quantities that are free; by default none."),
     ] = None,
     turn: Annotated[
-        Literal["shorter", "exact"], Option(help="Whether whole turns of the yaw count.")
+        Literal["shorter", "exact"], Option(help="Count whole turns of the yaw.")
     ] = "shorter",
     via: Annotated[
         list[str] | None,
@@ -59,7 +59,7 @@ def plan(
     ] = None,
     keep_out: Annotated[
         list[str] | None,
-        Option("--keep-out", metavar="X Y R", help="A disc not to touch; repeat for several."),
+        Option("--keep-out", metavar="X Y R", help="A disc to avoid; repeat for several."),
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
@@ -74,7 +74,7 @@ def plan(
     ] = None,
     json_file: options.Json = None,
 ) -> None:
-    """Plan the fastest flight from one state to another, and say what no control can undercut."""
+    """Plan the fastest flight from one state to another, with a lower bound on its time."""
     from airpuck.craft.table import Table as Rails
 
     rails = Rails() if size is None else Rails(length_m=size[0], width_m=size[1])
@@ -104,21 +104,26 @@ def plan(
 def race(
     plan: Annotated[
         Path | None,
-        Option("--plan", metavar="FILE", help="A plan of airpuck plan, in place of a course."),
+        Option("--plan", metavar="FILE", help="A plan by `airpuck plan`, instead of a course."),
     ] = None,
     course: Annotated[
         Literal["straight", "slalom", "eight"] | None,
-        Option(help="What to plan and fly; by default straight."),
+        Option(help="The course to plan and fly; by default straight."),
     ] = None,
     model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
     truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M3",
     regulator: options.RegulatorName = None,
     reserve: Annotated[
         float | None,
-        options.number("R", "Share of thrust kept for feedback, by default 0.1.", numbers.RESERVE),
+        options.number(
+            "R", "Fraction of thrust reserved for feedback, by default 0.1.", numbers.RESERVE
+        ),
     ] = None,
     seeds: Annotated[
-        int, options.number("N", "Flights, each with its noise and radio.", numbers.CHECK_FLIGHTS)
+        int,
+        options.number(
+            "N", "Number of flights, each with its own noise and radio.", numbers.CHECK_FLIGHTS
+        ),
     ] = 10,
     twin: options.TwinFile = None,
     tuning: options.TuningFile = None,
@@ -132,7 +137,7 @@ def race(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Fly a plan on the twin; without points and discs, also to its goal as a set point."""
+    """Fly a plan on the twin; without points and discs, also fly to its goal as a set point."""
     from airpuck.planning.plan import read_plan
     from airpuck.twin import race as racing
     from airpuck.twin.settings import default_twin_settings
@@ -166,7 +171,7 @@ def race(
 
 
 def _race_table(found: Race) -> Table:
-    """Lay out how long plan and flights took."""
+    """Lay out planned and flown times."""
     rows = [
         ("no control takes less than", _known(found.plan.lower_bound), ""),
         ("planned", f"{found.plan.duration:.3f}", ""),
@@ -190,7 +195,7 @@ def _goal(
     free: Literal["yaw", "velocity", "both"] | None,
     turn: Literal["shorter", "exact"],
 ) -> Goal:
-    """Return the goal; refuse a velocity that is both given and free."""
+    """Return the goal; raise InputError for a velocity that is both given and free."""
     if free in ("velocity", "both") and any(velocity):
         raise InputError("is given and left free; choose one", field="--end-velocity")
     x, y, yaw = pose
@@ -203,15 +208,15 @@ def _known(bound: float | None) -> str:
 
 
 def _sentence(found: Plan) -> str:
-    """Say how fast it is, and how fast it cannot be."""
+    """Describe the flight's time, and its lower bound."""
     bound, limits = found.lower_bound, "these limits of spin and speed"
     if bound is None:
         return (
             f"{found.duration:.3f} s; the time has no lower bound, because an effect of the model "
-            "does not state its own"
+            "states no bounds"
         )
     if bound == 0:
-        return f"{found.duration:.3f} s; how much faster a craft could be is not known"
+        return f"{found.duration:.3f} s; no lower bound was found"
     return (
         f"{found.duration:.3f} s; no craft with these motors, within {limits}, "
         f"can do it in less than {bound:.3f} s"
@@ -219,7 +224,7 @@ def _sentence(found: Plan) -> str:
 
 
 def _starts_table(found: Plan) -> Table:
-    """Lay out what the search began with."""
+    """Lay out the starts of the search."""
     rows = [
         (start.name, "–" if start.time_s is None else f"{start.time_s:.4f}", start.status)
         for start in found.starts

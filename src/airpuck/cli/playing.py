@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from airpuck.web.page import ArenaSettings
 
 _Tactic = Annotated[
-    str | None, Option("--tactic", metavar="FILE.py:NAME", help="The craft's tactic; yours.")
+    str | None, Option("--tactic", metavar="FILE.py:NAME", help="Your own tactic for the craft.")
 ]
 
 
@@ -30,7 +30,7 @@ def play(
     graph: LiveSettings,
     level: Annotated[
         Literal["easy", "medium", "hard"],
-        Option(help="Of the craft: thrust, reaction, aim; the page can change it."),
+        Option(help="Level of the craft: thrust, reaction, aim; the page can change it."),
     ] = "medium",
     port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8088,
     no_browser: Annotated[
@@ -43,7 +43,7 @@ def play(
     live: Annotated[
         bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
     ] = False,
-    no_page: Annotated[bool, Option("--no-page", help="With --live: serve no page.")] = False,
+    no_page: Annotated[bool, Option("--no-page", help="With --live: do not serve a page.")] = False,
     mapping: options.MappingFile = None,
     json_file: options.Json = None,
 ) -> None:
@@ -94,7 +94,7 @@ def _play_live(
     page: ArenaSettings | None,
     json_file: Path | None,
 ) -> None:
-    """Fly the player behind the guard, on the left half of the table; perhaps with a page."""
+    """Fly the player behind the guard, on the left half of the table, optionally with a page."""
     from airpuck.compute.process import low_latency
     from airpuck.craft.table import AirHockey
     from airpuck.hockey.all_rounder import AllRounder
@@ -138,7 +138,7 @@ def _play_live(
 @app.command(rich_help_panel="Air hockey")
 def skills(
     episodes: Annotated[
-        int, options.number("N", "Episodes of each skill.", numbers.EPISODES)
+        int, options.number("N", "Number of episodes per skill.", numbers.EPISODES)
     ] = 100,
     only: Annotated[
         Literal["defend", "hit", "prepare"] | None, Option(help="One skill; by default all.")

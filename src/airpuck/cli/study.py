@@ -14,7 +14,7 @@ from airpuck.cli.output import origin, report, say, show
 
 PANEL = "The paper's study"
 
-#: Called --out at first; scripts may still use that.
+#: The former name --out still works for scripts.
 Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 

@@ -1,4 +1,4 @@
-"""Commands that judge models and recordings: what a model is and what it leaves unexplained."""
+"""Commands that evaluate models and recordings."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from airpuck.evaluation.presentation import Presentation
     from airpuck.model.model_file import Model
 
-#: Most faults that a table lists.
+#: Largest number of faults in a table.
 _MOST_SPANS = 30
-#: What a model's name ends with, which no recording's does.
+#: Suffixes of model files, which no recording has.
 _MODEL_FILES = (".toml", ".json")
 
 
@@ -101,7 +101,7 @@ def check(
         *result.remarks,
     )
     if not result.agrees:
-        reason = ", ".join(result.wrong) if result.conclusive else "nothing can be said"
+        reason = ", ".join(result.wrong) if result.conclusive else "no verdict is possible"
         problem = f"does not agree with the vehicle {craft.name!r}: {reason}"
         raise InputError(problem, file=recording)
 
@@ -112,7 +112,8 @@ def faults(
     model: Annotated[
         str | None,
         Option(
-            metavar="MODEL", help="Of the healthy craft; by default M3, fitted to the recording."
+            metavar="MODEL",
+            help="Model of the healthy craft; by default M3, fitted to the recording.",
         ),
     ] = None,
     output: options.PageFolder = None,
@@ -159,7 +160,7 @@ def faults(
 
 @app.command(rich_help_panel=PANEL)
 def present(model: options.ModelName, json_file: options.Json = None) -> None:
-    """Present a model: structure, parameters with errors, what follows, how it was learned."""
+    """Present a model: structure, parameters with errors, derived quantities, fit details."""
     from airpuck.twin.verdict import verdict
 
     read = airpuck.read_model(model)
@@ -174,7 +175,7 @@ def compare(
         list[str],
         Argument(
             metavar="MODEL... RECORDING",
-            help="Models, then the recording; two models alone: what drifted.",
+            help="Models, then the recording; two models alone: their differences.",
         ),
     ],
     output: options.PageFolder = None,
@@ -186,7 +187,7 @@ def compare(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Compare models on one recording; of two learned models, say what drifted."""
+    """Compare models on one recording; of two learned models, report what drifted."""
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
@@ -198,7 +199,7 @@ def compare(
     if not names or (alone and len(names) != 2):
         raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
     if alone and output is not None:
-        raise InputError("needs a RECORDING that models are judged on", field="-o")
+        raise InputError("needs a RECORDING to evaluate the models on", field="-o")
     read, called = [airpuck.read_model(name) for name in names], _short_names(names)
     figures, shown = dict[str, Any](), list[Any]()
     if (drift := _drift_of(read, alone)) is not None:
@@ -239,7 +240,7 @@ def compare(
 
 
 def _drift_of(models: Sequence[Model], alone: bool) -> Drift | None:
-    """Return what drifted between two models; None where that is neither asked nor known."""
+    """Return the drift between two models; None if it was neither requested nor known."""
     if len(models) != 2 or not (alone or all(m.known is not None for m in models)):
         return None
     try:
@@ -251,7 +252,7 @@ def _drift_of(models: Sequence[Model], alone: bool) -> Drift | None:
 
 
 def _short_names(names: Sequence[str]) -> list[str]:
-    """Return what models are called in tables and figures: files without folder and suffix."""
+    """Return names of models for tables and figures: file names without folder and suffix."""
     called = [Path(name).stem if name.endswith(_MODEL_FILES) else name for name in names]
     return called if len(set(called)) == len(called) else list(names)
 
@@ -267,7 +268,7 @@ def resid(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Test the one-step innovations of a model: whiteness, and what commands still explain."""
+    """Test the one-step innovations of a model: whiteness, and remaining effects of commands."""
     from airpuck.data.trajectory import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
@@ -297,12 +298,12 @@ def resid(
 
 
 def _confidence(span: Span) -> str:
-    """Return how sure the cause of a span is."""
+    """Return the confidence in the cause of a span."""
     return "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
 
 
 def _presented(presentation: Presentation) -> Iterator[str | Table]:
-    """Yield what is shown of a model."""
+    """Yield the presentation of a model."""
     yield from presentation.structure
     headings = ("", "unit", "value", "95 % interval")
     parameters = map(value_texts, presentation.parameters)
@@ -343,7 +344,7 @@ def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
 
 
 def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
-    """Return lines on what changed from one model to the other."""
+    """Return lines on the changes from one model to the other."""
     sentences = [*found.verdicts, *(f"note: {note}" for note in found.notes)]
     header = f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:"
     return [header, *(f"  {sentence}" for sentence in sentences)]

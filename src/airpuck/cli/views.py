@@ -20,7 +20,7 @@ from airpuck.boundary.settings import Declared, Setting, Settings, declared, set
 
 @dataclass(frozen=True)
 class FromFile:
-    """Marks a settings object that a file may give; options beside it change single fields."""
+    """Marks a settings object that a file may give; options next to it change single fields."""
 
     #: The option that names the file.
     option: str
@@ -37,7 +37,7 @@ class Without:
 
 
 def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command as Typer takes it.
+    """Return a command in the form that Typer expects.
 
     A parameter whose type is a settings class becomes an option for each of its fields, under the
     heading of the class. A parameter whose type carries a `Setting` becomes that option.
@@ -58,13 +58,13 @@ def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True)
 class _View:
-    """A parameter of a command, and the parameters that Typer sees in its place."""
+    """A parameter of a command, and the parameters that replace it for Typer."""
 
     name: str
     parameters: tuple[Parameter, ...]
-    #: Makes the value of the first from the values of the others.
+    #: Computes the value of the former from the values of the latter.
     value: Callable[[dict[str, Any]], Any]
-    #: How fields are spelt as options.
+    #: Option names of the fields.
     spelling: dict[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -114,7 +114,7 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
             setting.check(value, parameter.opts[0])
         return value
 
-    # Typer puts words in brackets: only for a default that is too long to show.
+    # Typer puts strings in brackets: only for a default that is too long to show.
     short = f"{default:.3g}" if isinstance(default, float) else ""
     words = setting.help
     if setting.within is not None:
@@ -130,7 +130,7 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
 
 
 def _field(one: Declared, heading: str, *, given: bool) -> Parameter:
-    """Return the option of a field; with its default, or with none where a file may give it."""
+    """Return the option of a field; without its default if a file may give the value."""
     setting, kind = one.setting, _typed(one.annotation.__origin__)
     if not given:
         setting = replace(setting, help=f"{setting.help}; by default {one.default:g}")
@@ -149,7 +149,7 @@ def _keyword(parameter: Parameter) -> Parameter:
 
 
 def _typed(kind: Any) -> Any:
-    """Return what can be typed on a command line: of several types the first, and perhaps none."""
+    """Return the type to parse on the command line: the first of a union, or optional."""
     if get_origin(kind) not in (Union, UnionType):
         return kind
     first, *others = get_args(kind)
@@ -157,7 +157,7 @@ def _typed(kind: Any) -> Any:
 
 
 def _spelling(setting: Setting, name: str) -> str:
-    """Return an option's spelling, with its short form behind a slash."""
+    """Return an option's name, with its short form behind a slash."""
     return setting.option or f"--{name.replace('_', '-')}"
 
 

@@ -1,4 +1,4 @@
-"""Model x trajectory -> errors.
+"""Evaluation: prediction errors and verdicts of a model on a trajectory.
 
 Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `innovations.innovations`,
 `main_quantities.physical_thrust`.

@@ -1,4 +1,4 @@
-"""What changed between two models of one craft: each quantity against its standard errors."""
+"""Changes between two models of one craft: each quantity relative to its standard errors."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from airpuck.physics.thrust import FLAT, lowest_slope
 
 #: Chance of any false alarm among all quantities.
 LEVEL = 0.05
-#: Correlation from which a quantity takes up what one at its bound cannot: there its error is too
-#: small by the factor √(1 − ρ²), at this one by 13 %.
+#: Correlation above which a quantity absorbs what another cannot because it is at its bound: its
+#: error there is too small by the factor √(1 − ρ²), 13 % at this correlation.
 _TAKES_UP = 0.5
 
 
@@ -32,25 +32,25 @@ class Change(Result):
     label: str
     words: str
     unit: str
-    #: In the earlier and the later model.
+    #: Values in the earlier and the later model.
     before: float
     after: float
-    #: Of the difference.
+    #: Standard error of the difference.
     standard_error: float
-    #: Difference over standard error.
+    #: Difference divided by its standard error.
     z: float
     #: Two-sided, by Student's t with Welch and Satterthwaite's degrees of freedom, adjusted for the
     #: number of quantities (Holm).
     p_value: float
-    #: Whether a percentage says something.
+    #: Whether a percentage is meaningful.
     relative: bool
-    #: Whether a bound or a flat thrust curve holds it in one of the models. Then its error there is
-    #: that along the constraint, too small for a comparison.
+    #: Whether a bound or a flat thrust curve fixes it in one of the models. Its error there applies
+    #: along the constraint, and is too small for a comparison.
     held: bool = False
 
     @property
     def differs(self) -> bool:
-        """Whether the difference is more than the standard errors explain."""
+        """Whether the difference exceeds what the standard errors explain."""
         return self.p_value < LEVEL
 
     @property
@@ -76,9 +76,9 @@ class Drift(Result):
     Attributes
     ----------
     changes : tuple of Change
-        What both models learned and know the error of.
+        Quantities that both models learned with a known error.
     notes : tuple of str
-        What to know before believing it.
+        Caveats.
     """
 
     JSON = "verdicts notes changes"
@@ -88,7 +88,7 @@ class Drift(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences: what moved, the surest first, or that nothing did; none without changes."""
+        """Sentences on what moved, the most significant first; empty without changes."""
         if not self.changes:
             return []
         moved = sorted((c for c in self.changes if c.moved), key=lambda c: -abs(c.z))
@@ -96,7 +96,9 @@ class Drift(Result):
             return [change.verdict for change in moved]
         judged = [change for change in self.changes if not change.held]
         if not judged:
-            return ["nothing can be judged: constraints hold all quantities that both learned"]
+            return [
+                "nothing can be judged: constraints fix all quantities that both models learned"
+            ]
         widest = max(judged, key=lambda change: abs(change.z))
         return [
             f"nothing moved: of {len(judged)} quantities {widest.words} changed most, "
@@ -120,7 +122,7 @@ def drift(earlier: Model, later: Model) -> Drift:
     Raises
     ------
     InputError
-        If they are of different crafts, or have no quantity in common whose errors are known.
+        If the craft differ, or no common quantity has known errors.
     """
     from scipy.stats import t
 
@@ -140,7 +142,7 @@ def drift(earlier: Model, later: Model) -> Drift:
         found.append((quantity, before, after, joint, z))
     if not found:
         raise InputError(
-            "there is no quantity that both learned and know the error of; identify both with "
+            "no learned quantity has known errors in both models; identify both with "
             "airpuck identify",
             field="MODEL",
         )
@@ -155,7 +157,7 @@ def drift(earlier: Model, later: Model) -> Drift:
 
 
 def _holds(model: Model, other: Model, quantity: MainQuantity) -> bool:
-    """Return whether a constraint of `model` holds a quantity, or a parameter correlated with it.
+    """Return whether a constraint of `model` fixes a quantity, or a parameter correlated with it.
 
     The correlation comes from the other model, where the same parameter is not at its bound.
     """
@@ -168,7 +170,7 @@ def _holds(model: Model, other: Model, quantity: MainQuantity) -> bool:
 
 
 def _at_bounds(model: Model) -> set[str]:
-    """Return the labels of what was learned and is at a bound."""
+    """Return the labels of learned parameters that are at a bound."""
     vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
     held = model.free & ((vector <= lower) | (vector >= upper))
     return set(compress(model.parameters.labels(model.vehicle.propeller_names), held))
@@ -186,7 +188,7 @@ def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:
     errors = model.standard_error(both)
     if not (np.isfinite(errors).all() and (errors > 0).all()):
         return 0.0
-    # Of the sum of two with unit variance it is 2 + 2ρ.
+    # The variance of the sum of two unit-variance variables is 2 + 2ρ.
     return float(model.standard_error(lambda m: (both(m) / errors).sum())) ** 2 / 2 - 1
 
 
@@ -210,7 +212,7 @@ def _degrees(errors: np.ndarray, *models: Model) -> float:
 
 
 def _notes(earlier: Model, later: Model) -> list[str]:
-    """Name what the standard errors do not account for."""
+    """Describe what the standard errors do not account for."""
     notes = []
     if set(earlier.data.values()) & set(later.data.values()):
         notes.append("both models learned from some of the same files: errors are not independent")

@@ -1,10 +1,10 @@
-"""How far what each motor does, and when, is from a model: by regression of poses.
+"""Errors of a model's motor effects and timing, by regression of poses.
 
-Standard errors of a fit say how much chance moves it. They say nothing of what the model cannot
-describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So what
-its accelerations, integrated along the measured motion, leave of the poses is regressed on what
-each motor would do in any direction, on the bend of its thrust curve, on later commands and on
-slower motors. The result is the systematic error of the model (docs/method.md).
+Standard errors of a fit show only the effect of chance. They do not include what the model cannot
+describe: an inertia that it does not learn, a lag that it lacks, motors in another order. So the
+poses, minus the model's accelerations integrated along the measured motion, are regressed on
+several possible errors: each motor in any direction, the bend of its thrust curve, later commands
+and slower motors. The result is the systematic error of the model (docs/method.md).
 """
 
 from __future__ import annotations
@@ -24,49 +24,49 @@ from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.thrust import thrust
 
-#: Time before and after the present of a window [s]. Jitter of the radio biases accelerations from
-#: windows of 0.2 s by 3 %, from those of 0.4 s by 1 %.
+#: Time before and after the present of a window [s]. Jitter of the radio biases accelerations by 3
+#: % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
 _PAST_S, _AHEAD_S = 40 / 240, 0.4
 #: Step of the finite differences in transport delay and lag [s].
 _STEP_S = 1e-3
-#: Units of the regression, which has a weak prior: share of a motor's effect [1], timing [s], share
-#: of full thrust by which a curve bends [1], other accelerations [m/s², rad/s²] and those per speed
-#: [1/s].
+#: Units of the regression, which has a weak prior: fraction of a motor's effect [1], timing [s],
+#: fraction of full thrust by which a curve bends [1], other accelerations [m/s², rad/s²] and those
+#: per speed [1/s].
 _EFFECT_UNIT, _TIME_UNIT, _BEND_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.2, 0.1
 #: Length of the blocks of time behind the standard errors [s], and the fewest blocks.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
-#: A motor whose modelled full thrust is below this share of the median gets the median curve: what
-#: the model takes for dead may run.
+#: A motor whose modelled full thrust is below this fraction of the median gets the median curve: a
+#: motor that the model takes for dead may run.
 _WEAK = 0.3
 #: Columns per motor: forward, left, yaw; and the bend of its curve.
 _PER_MOTOR = 3
-#: Speed at which a model's low thrusts are judged: craft that keep a place need no more [1].
+#: Speed at which a model's low thrusts are judged: a craft that holds a position needs no more [1].
 LOW_SPEED = 0.2
-#: What a channel of one window tells beyond its first pose and velocity: two numbers, about.
+#: Information in a channel of one window beyond its initial pose and velocity: about two numbers.
 _TOLD = 2
 #: Differences, which leave nothing of slow errors; they raise the variance of white noise by this.
 _DIFFERENCES = 3
 _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
-#: Ways to accelerate: row of Π, sign.
+#: Directions of acceleration: row of Π, sign.
 WAYS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))
 
 
 @dataclass(frozen=True, eq=False)
 class EffectErrors:
-    """Systematic errors of a model that a recording shows."""
+    """Systematic errors of a model that a recording reveals."""
 
-    #: Acceleration by each motor at full speed, forward, left [m/s²] and yaw [rad/s²]: by the
-    #: model, as found, and the standard errors of that.
+    #: Acceleration by each motor at full speed, forward, left [m/s²] and yaw [rad/s²]: modelled,
+    #: estimated, and the standard errors of the estimate.
     modelled: Float[np.ndarray, "3 n"]
     found: Float[np.ndarray, "3 n"]
     standard_error: Float[np.ndarray, "3 n"]
-    #: Largest accelerations each way (`WAYS`): those of the model less those found, relative to the
-    #: model's; and the standard errors of that, relative to the larger of the two.
+    #: Largest accelerations in each direction (`WAYS`): modelled minus estimated, relative to the
+    #: modelled; and the standard errors, relative to the larger of the two.
     push: Float[np.ndarray, " 6"]
     push_error: Float[np.ndarray, " 6"]
     #: Errors of the accelerations with motors at `LOW_SPEED`, likewise.
     low: Float[np.ndarray, " 6"]
-    #: How much later than modelled commands take effect, lag and delay together [s].
+    #: Delay of the commands' effect beyond the model's, lag and delay together [s].
     later: float
     later_error: float
     #: Standard deviation of the white noise in measured poses [m, m, rad].
@@ -74,7 +74,7 @@ class EffectErrors:
 
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
-    """Estimate the systematic errors of a model; None where the recording is too short for it."""
+    """Estimate the systematic errors of a model; None if the recording is too short."""
     before = trajectory.steps(_PAST_S, least=2)
     ahead = trajectory.steps(_AHEAD_S)
     count = len(trajectory.window_starts(before + ahead, ahead))
@@ -126,7 +126,7 @@ def _in_words_of_control(
     estimate: Float[np.ndarray, " m"],
     covariance: Float[np.ndarray, "m m"],
 ) -> EffectErrors:
-    """Turn coefficients of the regression into accelerations and times."""
+    """Convert coefficients of the regression to accelerations and times."""
     n, vehicle = len(curves), model.vehicle
     matrix = np.asarray(model.dynamics.configuration)
     full = _thrusts(curves, 1.0)
@@ -134,7 +134,7 @@ def _in_words_of_control(
     late[_PER_MOTOR * n : _PER_MOTOR * n + 2] = 1.0
 
     def accelerations(speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return those of each motor: as modelled, added, and added per coefficient."""
+        """Return the acceleration of each motor: as modelled, added, and added per coefficient."""
         per = np.zeros((3, n, len(estimate)))
         for k in range(n):
             per[range(3), k, range(_PER_MOTOR * k, _PER_MOTOR * (k + 1))] = _thrusts(curves, speed)[
@@ -178,7 +178,7 @@ def _thrusts(curves: Float[np.ndarray, "n degree"], speed: float) -> Float[np.nd
 
 
 def _curves(model: Model) -> Float[np.ndarray, "n degree"]:
-    """Return the thrust curves whose scale is estimated: the model's, where it has some thrust."""
+    """Return the thrust curves whose scale is estimated: the model's, unless it has no thrust."""
     curves = np.array(model.parameters.thrust, dtype=float)
     full = _thrusts(curves, 1.0)
     weak = full < _WEAK * np.median(full)
@@ -189,9 +189,9 @@ def _curves(model: Model) -> Float[np.ndarray, "n degree"]:
 def _regression(
     model: Model, curves: Float[np.ndarray, "n degree"], windows: Windows, moved: float
 ) -> tuple[Float[np.ndarray, "M 3 m"], Float[np.ndarray, "M 3"]]:
-    """Return what each error would add to the poses, and what is missing in them.
+    """Return each error's effect on the poses, and the residual of the poses.
 
-    What an error of the first pose and velocity would add is taken out of both.
+    The effects of errors in the initial pose and velocity are projected out of both.
     """
     delay, usual = model.transport_delay, model.vehicle.nominal.transport_delay_s
     if not model.delay_learned and not all(t.delay_known for t in windows.trajectories):
@@ -204,7 +204,7 @@ def _regression(
     slow = replace(model.dynamics, motor_time_constant=lag)
     speed = _motor_speeds(model, model.dynamics, held)
     late = _motor_speeds(model, model.dynamics, windows.delayed(delay + _STEP_S, usual))
-    # Along the measured motion, not a predicted one: so poses are linear in every error.
+    # Along the measured motion instead of a predicted one, poses are linear in every error.
     driven, later, slower = (
         _twice_integrated(_driven(dynamics, measured, phi)[..., None], durations)[..., 0]
         for dynamics, phi in (
@@ -249,11 +249,11 @@ def _accelerations(
     speed: Float[np.ndarray, "n T W"],
     measured: Float[np.ndarray, "T W 6"],
 ) -> Float[np.ndarray, "T W 3 m"]:
-    """Return the accelerations that each error would add, per unit, in the world.
+    """Return the acceleration that each error would add, per unit, in the world.
 
-    For each motor its thrust forward, left and turning; then for each motor the bend of its curve,
-    which adds nothing at standstill and at full speed; constant accelerations; drag of motion and
-    of spin.
+    The columns are: for each motor its thrust forward, left and turning; for each motor the bend of
+    its curve, which is zero at standstill and at full speed; constant accelerations; drag of
+    translation and rotation.
     """
     force = np.moveaxis(thrust(curves, speed), 0, 2)
     cos, sin = np.cos(measured[..., 2]), np.sin(measured[..., 2])
@@ -284,7 +284,7 @@ def _twice_integrated(
 def _without_start(
     values: Float[np.ndarray, "T W 3 m"], time: Float[np.ndarray, "T W"]
 ) -> Float[np.ndarray, "W T 3 m"]:
-    """Take out of each window what is constant or grows with time; windows in their order."""
+    """Remove constants and linear trends from each window; windows in their order."""
     trend = np.stack([np.ones_like(time), time], axis=-1).swapaxes(0, 1)
     basis = np.linalg.qr(trend)[0]
     windows = np.swapaxes(values, 0, 1)

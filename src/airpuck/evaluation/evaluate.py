@@ -1,4 +1,4 @@
-"""How well a model predicts a trajectory: the paper's protocol (sec:results).
+"""Prediction errors of a model on a trajectory: the paper's protocol (sec:results).
 
 Its result at 0.2 s is table:prediction_error.
 """
@@ -27,11 +27,11 @@ from airpuck.physics.rigid_body import Dynamics, rollout
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
-#: Starts in the time predicted, where every start counts: twelve in 0.2 s, every fourth sample at
-#: 240 Hz. Neighbours nearly repeat each other; root mean squares differ by less than 1 %
-#: from a count of all starts, intervals by less than their own error.
+#: Number of starts per prediction horizon if every start counts: twelve in 0.2 s, every fourth
+#: sample at 240 Hz. Neighbours nearly repeat each other: root mean squares differ by less than 1 %
+#: from a count of all starts, and intervals by less than their own error.
 _STARTS_PER_HORIZON = 12
-#: Windows predicted at once, which bounds the memory.
+#: Number of windows predicted at once, which bounds the memory.
 _BATCH = 1024
 
 
@@ -42,31 +42,30 @@ def by_channel(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Which predictions are made and when they are judged."""
+    """Which predictions are made and when they are evaluated."""
 
-    #: Every number names its protocol.
+    #: Every reported number names its protocol.
     name: str = "paper"
-    #: What the encoder looks at and what is predicted [s]; windows do not overlap. By default E =
-    #: 20 and T = 50 samples at 240 Hz.
+    #: Duration of the encoder's past and of the prediction [s]; windows do not overlap. By default
+    #: E = 20 and T = 50 samples at 240 Hz.
     encoder_time: float = 20 / 240
     prediction_time: float = 50 / 240
-    #: When errors are reported [s]; the nearest step counts.
+    #: Prediction horizon at which errors are reported [s]; the nearest step counts.
     horizon: float = 0.2
-    #: Longest time up to the present that an encoder may look at, where it is usable [s]; by
-    #: default the window's.
+    #: Longest past that an encoder may use if it is usable [s]; by default the window's.
     longest_past: float | None = None
-    #: Whether an encoder must not use anything that was measured after the present.
+    #: Whether an encoder must use only measurements up to the present.
     causal: bool = False
 
     def after(self, horizon: float) -> Protocol:
-        """Return the same protocol with errors reported after another time [s].
+        """Return the protocol with errors reported at another horizon [s].
 
-        Predictions become longer where they must.
+        Predictions become longer if necessary.
         """
         return replace(self, horizon=horizon, prediction_time=max(horizon, self.prediction_time))
 
 
-#: The windows, and so the predictions, are the same in all of them.
+#: The windows, and therefore the predictions, are the same for all horizons.
 PROTOCOLS = {
     "paper": Protocol(),
     "paper-long": Protocol("paper-long", longest_past=40 / 240),
@@ -92,7 +91,7 @@ class EveryStart(Result):
     errors : array, shape (3, W)
         Predicted minus measured x, y [m], γ [rad].
     start : array, shape (W,)
-        When each prediction starts [s].
+        Start time of each prediction [s].
     """
 
     JSON = "windows=start.size rmse:x_m,y_m,yaw_rad"
@@ -107,7 +106,7 @@ class EveryStart(Result):
 
     @cached_property
     def interval(self) -> Float[np.ndarray, "2 3"]:
-        """95 % interval of `rmse` by block bootstrap; NaN where the recording is too short."""
+        """95 % interval of `rmse` by block bootstrap; NaN if the recording is too short."""
         return rmse_interval(self.errors, self.start)
 
     def to_json(self) -> dict[str, Any]:
@@ -119,7 +118,7 @@ class EveryStart(Result):
 
 
 def known_intervals(interval: Float[np.ndarray, "2 3"]) -> dict[str, list[float] | None]:
-    """Return the ends of each channel's interval for JSON; None where it is not known."""
+    """Return the ends of each channel's interval for JSON; None if unknown."""
     ends = [bounds.tolist() if np.isfinite(bounds).all() else None for bounds in interval.T]
     return dict(zip(CHANNELS, ends, strict=True))
 
@@ -133,21 +132,21 @@ class Evaluation(Result):
     model : str
         Name of the model.
     protocol : Protocol
-        How it was evaluated.
+        The protocol of the evaluation.
     encoder : str
-        Where predictions started from.
+        Encoder that gives the initial state of predictions.
     errors : array, shape (T, 3, W)
         Predicted minus measured x, y [m], γ [rad], for every step and window.
     start : array, shape (W,)
-        When each prediction starts [s].
+        Start time of each prediction [s].
     sample_period : float
         Time of one step [s].
     left_out : int
-        Windows fewer than the length of the trajectory would hold, because of excluded spans.
+        Number of windows lost to excluded spans.
     every_start : EveryStart
-        The errors at the horizon, from windows that overlap.
+        The errors at the horizon, from overlapping windows.
     horizon_step : int
-        Number of the step at which errors are reported, counted from 1.
+        Index of the step at which errors are reported, counted from 1.
     """
 
     JSON = (
@@ -219,20 +218,21 @@ def evaluate(
 ) -> Evaluation:
     """Measure how well a model predicts a trajectory.
 
-    The trajectory is cut into windows that do not overlap; on each, the encoder looks at the first
-    E samples and the model predicts the next T. Errors at the horizon are also taken from every
-    start, in windows that overlap, and come with intervals.
+    The trajectory is cut into windows that do not overlap. In each, the encoder uses the first E
+    samples and the model predicts the next T. Errors at the horizon are also computed from every
+    start, in overlapping windows, with intervals.
 
     Parameters
     ----------
     model : Model
         The model.
     trajectory : Trajectory
-        Data that it was not learned from.
+        Data that the model was not learned from.
     protocol : Protocol or {"paper", "paper-long", "causal"}, default "paper"
-        By default the paper's: E = 20 and T = 50 samples at 240 Hz, judged after 0.2 s.
+        By default the paper's: E = 20 and T = 50 samples at 240 Hz, evaluated after 0.2 s.
     encoder : Encoder or {"paper", "actuation"}, default "paper"
-        Where predictions start from. The paper's has the indexing that the model was learned with.
+        Encoder for initial states. The paper's encoder has the indexing that the model was learned
+        with.
 
     Returns
     -------
@@ -298,7 +298,7 @@ def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
 
 
 def _samples(trajectory: Trajectory, protocol: Protocol) -> tuple[int, int]:
-    """Return how many samples a window has before and after its present."""
+    """Return the number of samples in a window before and after its present."""
     return trajectory.steps(protocol.encoder_time, least=2), trajectory.steps(
         protocol.prediction_time
     )
@@ -315,7 +315,7 @@ def _predicted(
 
 
 def _past(trajectory: Trajectory, windows: Windows, protocol: Protocol) -> Int[np.ndarray, " W"]:
-    """Return how many usable samples up to its present each window has, within the protocol."""
+    """Return the number of usable past samples of each window, within the protocol."""
     firsts = np.array([first for first, _ in trajectory.segments])
     present = windows.present
     begun = firsts[np.searchsorted(firsts, present, side="right") - 1]
@@ -337,11 +337,11 @@ def compare(
     models : sequence of Model
         The models.
     trajectory : Trajectory
-        Data that none of them was learned from.
+        Data that none of the models was learned from.
     protocol : Protocol or {"paper", "paper-long", "causal"}, default "paper"
-        As for `evaluate`.
+        See `evaluate`.
     encoder : {"paper", "actuation"}, default "paper"
-        As for `evaluate`.
+        See `evaluate`.
 
     Returns
     -------
@@ -352,14 +352,14 @@ def compare(
 
 
 def delay_for(model: Model, trajectory: Trajectory) -> float:
-    """Return how long after its time in a trajectory a command acts, as a model wants it."""
+    """Return how long after its time in a trajectory a command acts, according to a model."""
     if not model.delay_learned:
         return trajectory.delay
     return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
 def hold_for(model: Model, windows: Windows) -> Windows:
-    """Hold the commands of windows as a model wants them."""
+    """Hold the commands of windows with a model's delay."""
     if not model.delay_learned:
         return windows
     return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
@@ -371,18 +371,18 @@ def prediction_errors(
     encoder: Encoder,
     past: Int[np.ndarray, " W"] | None = None,
 ) -> Float[np.ndarray, "T 3 W"]:
-    """Predict every window and compare with what was measured.
+    """Predict every window and compare with the measurements.
 
     Parameters
     ----------
     dynamics : Dynamics
         Coefficients of the model.
     windows : Windows
-        What to predict.
+        Windows to predict.
     encoder : Encoder
         Encoder that gives the initial state of predictions.
     past : array of int, shape (W,), optional
-        Samples up to the present that the encoder may look at; by default the window's.
+        Number of past samples that the encoder may use; by default the window's.
 
     Returns
     -------

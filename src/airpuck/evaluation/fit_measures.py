@@ -1,4 +1,4 @@
-"""How well a model fits a recording, in the measures of system identification.
+"""Fit of a model to a recording, in the measures of system identification.
 
 Fit percentages of predictions and simulations (NRMSE), and information criteria from the Gaussian
 likelihood of the one-step innovations (Ljung 1999, ch. 16.4).
@@ -38,11 +38,11 @@ class FitMeasures(Result):
     whole: Float[np.ndarray, " 3"]
     #: Length of the restarted simulations [s].
     restart: float
-    #: Of the innovations.
+    #: Log-likelihood of the innovations.
     log_likelihood: float
-    #: Innovations of three channels each.
+    #: Number of innovations, each with three channels.
     samples: int
-    #: Number of fitted parameters: the model's, as far as the data determine them, and the noise's.
+    #: Number of fitted parameters: the model's determined ones, and the noise's.
     parameters: int
 
     @property
@@ -72,7 +72,7 @@ def fit_percent(
 
 
 def fit_text(values: Float[np.ndarray, " C"]) -> list[str]:
-    """Write fit percentages; how far below the mean a useless simulation is says nothing."""
+    """Write fit percentages; values far below zero carry no further information."""
     return [f"{value:.1f}" if value >= 0 else "below 0" for value in values]
 
 

@@ -1,14 +1,14 @@
-"""One-step innovations: measured poses minus what a model predicts from those before.
+"""One-step innovations: measured poses minus a model's predictions from earlier poses.
 
 The predictor is the extended Kalman filter of `airpuck.estimate.axis_filter`, with the physics of
 `airpuck.physics.rigid_body`: x, y and γ have states (p, v, d) with p' = v, v' = a + d + w₁ and d' =
 w₂. The noise densities maximise the likelihood of the innovations, a prediction error method (Ljung
 1999, ch. 7). With the true model the innovations are white.
 
-Along a given motion the filter's three axes are linear and do not know of each other, and their
-gains depend only on two ratios of variances, λ₁ = q₁h³/r and λ₂ = q₂h⁵/r with the variance r of the
-pose, the squared densities q of w₁ and w₂ and the sample period h; r itself follows in closed form
-(concentrated likelihood). So the search is in two dimensions, for all axes and many candidates at
+Along a given motion the filter's three axes are linear and independent, and their gains depend on
+only two ratios of variances, λ₁ = q₁h³/r and λ₂ = q₂h⁵/r, with the variance r of the pose, the
+squared densities q of w₁ and w₂ and the sample period h. r itself follows in closed form
+(concentrated likelihood). So the search is two-dimensional, for all axes and many candidates at
 once.
 """
 
@@ -30,20 +30,20 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import register_pytrees, rollout
 
-#: Ranges of log₁₀ λ₁ and λ₂; at the lower end a noise is none.
+#: Ranges of log₁₀ λ₁ and λ₂; the lower end means no noise.
 _LOWEST, _HIGHEST = np.array([-14.0, -22.0]), np.array([3.0, 3.0])
-#: Candidates of each ratio in the first look, and when to stop [decades].
+#: Number of candidates for each ratio in the first pass, and resolution at which to stop [decades].
 _GRID, _FINEST = 9, 0.02
-#: A better likelihood is better by at least this much.
+#: Smallest improvement of the likelihood that counts.
 _GAIN = 1e-3
 #: Standard deviation of the speed at the first pose of a stretch, in pose noise per sample period:
 #: practically unknown.
 _UNSURE = 1e3
-#: Fewest innovations that a likelihood is made from.
+#: Fewest innovations for a likelihood.
 _FEWEST = 50
-#: What the search for the noise begins with.
+#: Initial values of the search for the noise.
 _FIRST_GUESS = Noise((5e-5, 5e-5, 6e-4), (0.1, 0.1, 2.0), (0.2, 0.2, 6.0))
-#: How long poses are used before a prediction starts, so that the speed is determined [s].
+#: Time of used poses before a prediction starts, so that the speed is determined [s].
 _SETTLE_S = 0.25
 
 
@@ -56,10 +56,10 @@ def most_likely_noise(
     typical: float,
     near: Noise | None = None,
 ) -> tuple[Noise, tuple[int, int, int]]:
-    """Find the noise with the largest likelihood, and how many of its numbers are not zero.
+    """Find the noise with the largest likelihood, and the number of its nonzero parameters.
 
-    `added` is what the model adds to position and velocity of each axis from one sample to the
-    next; `typical` is the sample period [s]; `near` is where to search, if that is known.
+    `added` is the model's contribution to position and velocity of each axis from one sample to the
+    next; `typical` is the sample period [s]; `near` is an initial guess, if known.
     """
     given = pose, added, period, restart, used.astype(float)
     point, step = _begin(near, typical, given)
@@ -73,8 +73,8 @@ def most_likely_noise(
         point = np.where(better[:, None], candidates[best, axis], point)
         least = np.where(better, cost[best, axis], least)
         step = np.where(better[:, None], step, step / 2)
-    # A noise that does not pay for itself is none: Akaike's criterion, among those left away. As
-    # many candidates as in the search, for one program.
+    # A noise must improve Akaike's criterion, otherwise it is zero. The number of candidates equals
+    # the search's, to share one program.
     candidates = np.repeat(point[None], len(around), axis=0)
     candidates[1::2, :, 0], candidates[2:, :, 1] = _LOWEST[0], _LOWEST[1]
     cost, variance = _costs(candidates, typical, given)
@@ -90,7 +90,7 @@ def most_likely_noise(
 def _begin(
     near: Noise | None, typical: float, given: tuple[np.ndarray, ...]
 ) -> tuple[Float[np.ndarray, "3 2"], Float[np.ndarray, "3 2"]]:
-    """Return where the search begins, and its first step."""
+    """Return the centre and the first step of the search."""
     if near is not None:
         densities = np.square([near.acceleration, near.disturbance]).T
         ratios = densities * typical ** np.array([3, 5]) / np.square(near.pose)[:, None]
@@ -104,14 +104,14 @@ def _begin(
 
 
 def _ratios(point: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Return λ from its logarithm; the lowest is none."""
+    """Return λ from its logarithm; the lowest value means zero."""
     return np.where(point > _LOWEST, 10.0**point, 0.0)
 
 
 def _costs(
     candidates: Float[np.ndarray, "C 3 2"], typical: float, given: tuple[np.ndarray, ...]
 ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
-    """Return minus the concentrated log-likelihood, up to a constant, and r."""
+    """Return the negative concentrated log-likelihood, up to a constant, and r."""
     ratios = _ratios(candidates).reshape(-1, 2) / typical ** np.array([3, 5])
     none, one = np.zeros(len(ratios)), np.ones(len(ratios))
     start = initial_covariance(np, one, ratios[:, 1], typical)
@@ -163,28 +163,28 @@ class Innovations:
     time: Float[np.ndarray, " N"]
     #: Measured minus predicted x, y [m], γ [rad].
     values: Float[np.ndarray, "N 3"]
-    #: Standard deviations that the filter gives them.
+    #: Standard deviations according to the filter.
     deviation: Float[np.ndarray, "N 3"]
     #: False in excluded spans, and at the first two samples of every stretch, which only determine
-    #: where the craft is and how fast it moves.
+    #: position and speed of the craft.
     used: Bool[np.ndarray, " N"]
     #: Samples at which the filter restarts.
     restart: Bool[np.ndarray, " N"]
-    #: What the model adds to position and velocity of each axis, from the sample before.
+    #: The model's contribution to position and velocity of each axis since the previous sample.
     added: Float[np.ndarray, "N 3 2"]
     #: Estimates after each pose: axes x, y, γ; components p, v, d.
     mean: Float[np.ndarray, "N 3 3"]
-    #: Of the estimates, for each axis.
+    #: Covariances of the estimates, for each axis.
     covariance: Float[np.ndarray, "N 3 3 3"]
     #: φ at each sample.
     motor_speed: Float[np.ndarray, "N n"]
     noise: Noise
-    #: How many numbers of each axis's noise were found in these data; zeros do not count.
+    #: Number of nonzero noise parameters estimated from these data, for each axis.
     noise_parameters: tuple[int, int, int]
 
     @property
     def standardised(self) -> Float[np.ndarray, "N 3"]:
-        """Innovations by their standard deviations; zero where they are not used."""
+        """Innovations divided by their standard deviations; zero where they are not used."""
         return np.where(self.used[:, None], self.values / self.deviation, 0.0)
 
     @property
@@ -210,7 +210,7 @@ class Innovations:
 
 
 def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None) -> Innovations:
-    """Predict every pose from those before it and the commands.
+    """Predict every pose from earlier poses and the commands.
 
     Parameters
     ----------
@@ -219,12 +219,12 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     trajectory : Trajectory
         Measured poses, and commands that act after the trajectory's delay.
     noise : Noise, optional
-        By default the noise of largest likelihood.
+        By default the noise with the largest likelihood.
 
     Returns
     -------
     Innovations
-        Of every sample.
+        Innovations at every sample.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     if noise is None:
         noise = _FIRST_GUESS
         for near in (False, True):
-            # Accelerations depend on the noise only through the estimated yaw: twice will do.
+            # Accelerations depend on the noise only through the estimated yaw: two passes suffice.
             added = _run_filter(model, trajectory, noise, restart, begin)[2]
             period = np.diff(time, prepend=time[0])
             given = pose, added, period, restart, used, trajectory.sample_period
@@ -276,7 +276,7 @@ def motor_speeds_at(
 def free_run(
     model: Model, trajectory: Trajectory, filtered: Innovations, starts: Int[np.ndarray, " M"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Simulate from the filter's estimates at the starts, without any pose after them."""
+    """Simulate from the filter's estimates at the starts, without any later poses."""
     restart = np.zeros(len(trajectory), dtype=bool)
     restart[starts] = True
     begin = filtered.mean.copy()
@@ -297,7 +297,7 @@ def _run_filter(
     begin: Float[np.ndarray, "N 3 3"],
     covariance: Float[np.ndarray, "3 3 3"] | None = None,
 ) -> tuple[np.ndarray, ...]:
-    """Return innovations, variances, what the model adds, estimates and motor speeds."""
+    """Return innovations, variances, the model's contributions, estimates and motor speeds."""
     time, acts = trajectory.time, trajectory.command_time + delay_for(model, trajectory)
     squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
     if covariance is None:
@@ -343,7 +343,7 @@ def cut_at_commands(
     event_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
 ) -> tuple[Float[np.ndarray, "N S"], Float[np.ndarray, "N S n"]]:
-    """Cut the time before each sample into pieces with one command each.
+    """Cut the time before each sample into intervals with one command each.
 
     Their number S is a power of two, so that few programs serve many recordings.
     """
@@ -360,7 +360,7 @@ def cut_at_commands(
     at_begin = np.clip(np.searchsorted(event_time, begins, side="right") - 1, 0, None)
     chosen = np.repeat(at_begin[:, None], size, axis=1)
     chosen[interval, np.minimum(place + 1, size - 1)] = which
-    # Pieces after the last event of an interval keep its command.
+    # Intervals after the last event keep its command.
     chosen = np.maximum.accumulate(chosen, axis=1)
     return durations, command[chosen]
 
@@ -372,8 +372,8 @@ def speed_before(
     time_constant: float,
     idle_lag: float | None,
 ) -> Float[np.ndarray, " n"]:
-    """Let motors follow all commands before a time."""
-    # The first command is taken to have been in force before.
+    """Let motors follow all commands before a given time."""
+    # The first command is assumed to have been in force before.
     past = max(int(np.searchsorted(event_time, time, side="right")), 1)
     begins = np.minimum(event_time[:past], time)
     ends = np.append(event_time[1:past], time)

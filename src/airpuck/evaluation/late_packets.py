@@ -1,11 +1,11 @@
-"""Innovations where packets come late: the radio's jitter belongs to the null hypothesis.
+"""Innovations with late packets: the radio's jitter is part of the null hypothesis.
 
-A packet that changes the acceleration by Δa and comes late by δ leaves the motors, for as long as
-they lag, short of Δa δ/τ. So each axis has a fourth state m, the acceleration that late packets
-withhold or add, m' = -m/τ, kicked by each packet with the variance σ² Δa²/τ². With it innovations
-are white under jitter and feedback, too: what a packet will change is known when it is sent. Along
-a motion already found the axes are linear, and so is what an error of the model does to the
-innovations.
+A packet that changes the acceleration by Δa and comes late by δ leaves the motors short of Δa δ/τ,
+for as long as they lag. So each axis has a fourth state m, the acceleration that late packets
+withhold or add, m' = -m/τ, excited by each packet with the variance σ² Δa²/τ². With it, innovations
+are white even under jitter and feedback, because a packet's effect is known when it is sent. Along
+a motion that is already estimated, the axes are linear, and so is the effect of a model error on
+the innovations.
 """
 
 from __future__ import annotations
@@ -27,43 +27,44 @@ from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
-#: How far around its usual time a packet acts: standard deviation of a usual radio [s].
+#: Spread of a packet's effect around its usual time: standard deviation of a typical radio [s].
 _SCATTER = 0.007
 #: Shortest lag of the motors [s].
 _LEAST_LAG = 1e-3
 #: Ranges of log₁₀ of the noises in units of the pose's variance: accelerations and disturbances
-#: [(per sample period)³ and ⁵], delays in units of `_SCATTER`² over the pose's. The lower is none.
+#: [(per sample period)³ and ⁵], delays in units of `_SCATTER`² over the pose's. The lower end means
+#: zero.
 _LOWEST, _HIGHEST = np.array([-14.0, -22.0, -8.0]), np.array([3.0, 3.0, 4.0])
 #: First and last steps of the search [decades].
 _COARSEST, _FINEST = 1.0, 0.1
-#: A better likelihood is better by at least this much.
+#: Smallest improvement of the likelihood that counts.
 _GAIN = 1e-3
-#: Step of delay and lag that says what these do [s].
+#: Step of the finite differences in delay and lag [s].
 _STEP = 0.002
 
 
 @dataclass(frozen=True, eq=False)
 class LatePackets:
-    """Innovations that allow for late packets, and what errors of the model would do to them."""
+    """Innovations that allow for late packets, and the effects of model errors on them."""
 
     #: In standard deviations: x, y, γ; zero where they are not used.
     values: Float[np.ndarray, "N 3"]
-    #: The same of a filter without a disturbance that wanders: that would follow what the model
-    #: lacks, where it changes slowly, and hide it.
+    #: The same for a filter without a wandering disturbance, which would follow slow model errors
+    #: and hide them.
     steady: Float[np.ndarray, "N 3"]
-    #: What the latter would be, to first order, if all that is wrong were: a delay longer by one
-    #: second; a lag longer and a delay shorter by one second; each motor twice as strong.
+    #: First-order effects of errors on the latter: a delay longer by one second; a lag longer and a
+    #: delay shorter by one second; each motor twice as strong.
     directions: Float[np.ndarray, "N 3 m"]
-    #: The same for other accelerations that the model may lack, of 1 m/s² or rad/s².
+    #: The same for other missing accelerations of 1 m/s² or rad/s².
     others: Float[np.ndarray, "N 3 s"]
-    #: Standard deviation of the delay of single packets, as each axis sees it [s].
+    #: Standard deviation of the delay of single packets, estimated from each axis [s].
     jitter: Float[np.ndarray, " 3"]
 
 
 def late_packets(
     model: Model, trajectory: Trajectory, found: Innovations, others: Float[np.ndarray, "N 3 s"]
 ) -> LatePackets:
-    """Filter a trajectory again, along the motion already found; see `LatePackets` for `others`."""
+    """Filter a trajectory again, along the estimated motion; see `LatePackets` for `others`."""
     time, period = trajectory.time, trajectory.sample_period
     kicks = _kicks(model, trajectory)
     steps = np.diff(time, prepend=time[0])
@@ -93,7 +94,7 @@ def late_packets(
 
 
 def _kicks(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "N 3"]:
-    """Return Σ Δa²/τ² of the packets that act before each sample, spread by how they scatter."""
+    """Return Σ Δa²/τ² of the packets that act before each sample, spread by their jitter."""
     time, dynamics = trajectory.time, model.dynamics
     acts = trajectory.command_time + delay_for(model, trajectory)
     force = thrust(dynamics.thrust, trajectory.command.T)
@@ -113,7 +114,7 @@ def _kicks(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "N 3"]:
 def _directions(
     model: Model, trajectory: Trajectory, found: Innovations
 ) -> Float[np.ndarray, "N 3 m 2"]:
-    """Return what a delay, a lag and the motors add to position and velocity over each step."""
+    """Return the effects of delay, lag and motors on position and velocity over each step."""
     now = _accelerations(model, trajectory, found.motor_speed)
     delay, lag = delay_for(model, trajectory), float(model.dynamics.motor_time_constant)
     idle = model.dynamics.idle_lag
@@ -130,7 +131,7 @@ def _directions(
 def _over_steps(
     rates: Float[np.ndarray, "N 3 m"], steps: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N 3 m 2"]:
-    """Integrate accelerations over each step: what they add to position and velocity."""
+    """Integrate accelerations over each step: their effect on position and velocity."""
     before, h = np.concatenate([rates[:1], rates[:-1]]), steps[:, None, None]
     return np.stack([h**2 / 6 * (2 * before + rates), h / 2 * (before + rates)], axis=-1)
 
@@ -138,7 +139,7 @@ def _over_steps(
 def _accelerations(
     model: Model, trajectory: Trajectory, speed: Float[np.ndarray, "N n"]
 ) -> Float[np.ndarray, "N 3 n"]:
-    """Return what each motor gives along the measured motion."""
+    """Return each motor's acceleration along the measured motion."""
     given = trajectory.state[..., None], speed[..., None]
     return accelerations_by_motor(model.dynamics, *given)[0][..., 0]
 
@@ -148,8 +149,8 @@ def _most_likely(
 ) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
     """Find the noises with the largest likelihood, and the pose's variance.
 
-    The search is like `most_likely_noise`, from the noises without jitter. Noises that do not
-    improve the likelihood enough are zero, as are disturbances unless they may wander.
+    The search resembles `most_likely_noise`, and starts from the noises without jitter. Noises that
+    do not improve the likelihood enough are zero, as are disturbances unless they may wander.
     """
     count, axis = given[-1].sum(), np.arange(3)
     pose = np.square(found.noise.pose)
@@ -165,7 +166,7 @@ def _most_likely(
     point = np.zeros((3, 3))
     point[:, :2] = np.log10(densities / units[:, :2] + 1e-300)
     point, least = np.clip(point, _LOWEST + _COARSEST, _HIGHEST), np.full(3, np.inf)
-    # Each noise alone, and accelerations against delays, which can replace each other.
+    # Vary each noise alone, then accelerations against delays, which can replace each other.
     alone = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]])[:, None]
     step = np.full((3, 3), _COARSEST)
@@ -177,7 +178,7 @@ def _most_likely(
         point = np.where(better[:, None], candidates[best, axis], point)
         least = np.where(better, cost[best, axis], least)
         step = np.where(better[:, None], step, step / 2)
-    # Every noise or none of it; Akaike's criterion chooses. As many candidates as in the search.
+    # Keep or drop every noise; Akaike's criterion decides. As many candidates as in the search.
     without = np.unpackbits(np.arange(8, dtype=np.uint8)[:, None], axis=1)[:, -3:].astype(bool)
     some = np.where(np.resize(without, (len(around), 3))[:, None], _LOWEST, point)
     cost, variance, ratios = costs(some)
@@ -207,7 +208,7 @@ def _compiled() -> Any:
         pose, added, kicks, h, restart, used = now
         (count, signals, _), (acceleration, disturbance, lateness) = mean.shape, ratios.T
         pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
-        # The first signal is the measured pose; of the others only what they add is seen.
+        # The first signal is the measured pose; for the others only their contribution matters.
         pose = jnp.pad(pose[:, None], ((0, 0), (0, signals - 1)))
         left = jnp.exp(-h / lag)
         gone = lag * (1 - left)

@@ -1,4 +1,4 @@
-"""What a person asks of a model first, named once for tables, terminal and comparisons.
+"""The quantities that people ask for first, named once for tables, terminal and comparisons.
 
 If the configuration matrix Π is learned directly, s times a propeller's thrust curve and 1/s times
 its column of Π give the same motion. Only their products are comparable: the linear and angular
@@ -21,16 +21,17 @@ from airpuck.model.parameters import thrust_scale as parameters_scale
 from airpuck.model.quantities import QUANTITIES, Quantity
 from airpuck.physics.thrust import thrust
 
-#: Shown by what they do: thrusts at a speed, not coefficients; products, not the matrix.
+#: Quantities shown by their effects: thrusts at a speed, not coefficients; products, not the
+#: matrix.
 _BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
-#: Without a meaning where the configuration matrix is learned directly.
+#: Meaningless if the configuration matrix is learned directly.
 UNUSED_WHERE_DIRECT = frozenset(q.name for q in QUANTITIES if q.in_matrix)
-#: Quantities that are positive by nature, so that a change in percent says something.
+#: Quantities that are always positive, so that a relative change is meaningful.
 _POSITIVE = frozenset(q.name for q in QUANTITIES if q.positive)
 
 
 def thrust_scale(model: Model) -> Float[np.ndarray, " n"]:
-    """Return the factor that brings each thrust curve to newtons."""
+    """Return the factor that converts each thrust curve to newtons."""
     return parameters_scale(np, model.parameters, model.vehicle)
 
 
@@ -53,7 +54,7 @@ def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
 def largest_accelerations(
     model: Model, speed: float = 1.0
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return what each propeller alone does to the craft, linear [m/s²] and angular [rad/s²]."""
+    """Return each propeller's effect on the craft, linear [m/s²] and angular [rad/s²]."""
     coefficients = np.asarray(model.parameters.thrust)
     force = thrust(coefficients, np.full(len(coefficients), speed))
     matrix = np.asarray(model.dynamics.configuration)
@@ -64,27 +65,27 @@ def largest_accelerations(
 class MainQuantity:
     """A number that follows from a model's parameters."""
 
-    #: For a table, and for a sentence.
+    #: Name for a table, and for a sentence.
     label: str
     words: str
     #: For people.
     unit: str
     #: The quantity of `Parameters` that it belongs to.
     parameter: str
-    #: Which entry of that it is; None where it is made from several.
+    #: Its index in that quantity; None if it is computed from several.
     entry: int | None
     #: Format that suits it.
     form: str
     #: ``model -> number`` in `unit`.
     value: Callable[[Model], Any]
-    #: From SI to `unit`.
+    #: Factor from SI to `unit`.
     factor: float = 1.0
-    #: The propeller whose thrust it is, counted from 0.
+    #: Index of the propeller whose thrust it is.
     motor: int | None = None
 
     @property
     def positive(self) -> bool:
-        """Whether it is positive by nature."""
+        """Whether it is always positive."""
         return self.parameter in _POSITIVE
 
     def used(self, model: Model) -> bool:
@@ -101,7 +102,7 @@ class MainQuantity:
 
 
 def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[MainQuantity]:
-    """List what a person asks of a model first."""
+    """List the quantities that people ask for first."""
     listed = []
     for quantity in model.parameters.quantities:
         if quantity.name not in _BY_EFFECT:

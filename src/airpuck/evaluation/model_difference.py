@@ -1,4 +1,4 @@
-"""Whether two models predict one recording differently, or it only looks so."""
+"""Tests of whether two models' predictions of one recording differ significantly."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class ModelDifference(Result):
     second: str
     #: Ratio of the RMSE of x, y, γ: the second model's to the first's.
     ratio: Float[np.ndarray, " 3"]
-    #: 95 % intervals of the ratios, pointwise; NaN where the recording is too short.
+    #: 95 % intervals of the ratios, pointwise; NaN if the recording is too short.
     interval: Float[np.ndarray, "2 3"]
-    #: That both are equal, adjusted for the number of pairs and channels (Holm); NaN likewise.
+    #: P-values of equality, adjusted for the number of pairs and channels (Holm); NaN likewise.
     p_value: Float[np.ndarray, " 3"]
 
     @property
@@ -79,9 +79,9 @@ def model_differences(
     Parameters
     ----------
     names : sequence of str
-        What the models are called.
+        Names of the models.
     evaluations : sequence of Evaluation
-        Of the same recording, by the same protocol and encoder, as from `compare`.
+        Evaluations on the same recording, with the same protocol and encoder, as from `compare`.
 
     Returns
     -------

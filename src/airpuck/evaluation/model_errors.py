@@ -1,9 +1,8 @@
-"""Which error of a model would explain its innovations: a motor, mass, delay, lag; how large.
+"""Attribution of a model's innovations to errors: of a motor, mass, delay or lag.
 
-One regression of the innovations on what each error would do to them. An error is reported only if
-it is significantly larger than a negligible one. It is tested only if the commands would have
-revealed a relevant error. Standard errors come from blocks of time, since the effect of a late
-packet lasts.
+The innovations are regressed on the effects of all errors together. An error is reported only if it
+is significantly larger than a negligible one. It is tested only if the commands would have revealed
+a relevant error. Standard errors come from blocks of time, since the effect of a late packet lasts.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from airpuck.boundary.results import Result, plain
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.evaluation.statistical_tests import BAND, LEVEL, block_regression, holm
 
-#: Negligible errors, and errors that a test must be able to detect: shares, and seconds.
+#: Negligible errors, and errors that a test must be able to detect: relative, and in seconds.
 _SHARE, _SHARE_SHOWN = 0.05, 0.2
 _DELAY, _DELAY_SHOWN = 0.005, 0.01
 #: Errors that are times.
@@ -30,37 +29,37 @@ _BLOCK_S = 0.5
 
 @dataclass(frozen=True)
 class ModelError(Result):
-    """One error that a model may have."""
+    """One possible error of a model."""
 
     JSON = "name tested passed p_value"
 
-    #: A motor, ``mass``, ``delay`` (with the lag, which delays on average as much) or ``lag``.
+    #: A motor's name, ``mass``, ``lag``, or ``delay``, which includes the mean delay of the lag.
     name: str
-    #: By how much more a motor gives than modelled, or the craft moves than it turns [1]; by how
-    #: much later commands act, or slower motors follow [s].
+    #: Relative excess strength of a motor, or excess of translation over rotation [1]; extra delay
+    #: of commands, or of slower motors [s].
     value: float
     standard_error: float
-    #: Errors below this do not count [1, s].
+    #: Smallest error that counts [1, s].
     least: float
-    #: Whether the commands would have shown an error that matters.
+    #: Whether the commands would have revealed a relevant error.
     tested: bool
-    #: That the error is smaller than `least`, adjusted for all that were tested (Holm).
+    #: P-value for an error smaller than `least`, adjusted for all tests (Holm).
     p_value: float
 
     @property
     def passed(self) -> bool:
-        """Whether no error is shown at the 1 % level."""
+        """Whether no error is significant at the 1 % level."""
         return not self.tested or self.p_value >= LEVEL
 
     @property
     def size(self) -> str:
-        """The value in words, without its sign."""
+        """The absolute value in words."""
         unit, factor = (" ms", 1e3) if self.name in _TIMES else (" %", 100.0)
         return f"{factor * abs(self.value):.1f}{unit} ± {factor * self.standard_error:.1f}{unit}"
 
     @property
     def verdict(self) -> str:
-        """One sentence on an error that is shown."""
+        """One sentence on a significant error."""
         less = self.value < 0
         if self.name == "delay":
             when, what = ("earlier", "large") if less else ("later", "small")
@@ -96,7 +95,7 @@ def model_errors(
 ) -> list[ModelError]:
     """Estimate the errors of all motors, the mass and the delay together, and test them.
 
-    A delay that was found in the recording is known to `delay_known` only [s].
+    A delay estimated from the recording has the standard error `delay_known` [s].
     """
     from scipy.stats import t
 
@@ -107,7 +106,7 @@ def model_errors(
     least = np.where(timing, _DELAY, _SHARE)
     shown = np.where(timing, _DELAY_SHOWN, _SHARE_SHOWN)
     least[0], shown[0] = least[0] + delay_known, shown[0] + delay_known
-    # In units of negligible errors, so that all columns have similar sizes.
+    # In units of negligible errors, so that all columns have similar scales.
     given = regressors * least, late.steady[used], period, _BLOCK_S
     values, covariance, blocks = block_regression(*given)
     deviations = np.sqrt(np.diag(covariance))
@@ -123,7 +122,7 @@ def model_errors(
 
 
 def verdicts(errors: Sequence[ModelError]) -> list[str]:
-    """Return sentences on the errors found, those not tested, and those ruled out."""
+    """Return sentences on errors that were found, not tested, or ruled out."""
     shown = sorted((e for e in errors if not e.passed), key=lambda e: e.p_value)
     motors = [e for e in errors if e.name not in (*_TIMES, "mass")]
     failed = [e for e in motors if not e.passed]

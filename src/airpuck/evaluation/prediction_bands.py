@@ -1,11 +1,11 @@
-"""Where the craft should be, and how sure a model is of it: predictions with 95 % bands.
+"""Predictions with 95 % bands, from the uncertainty of a model.
 
-Every Runge-Kutta step of a prediction also advances, by the chain rule, the state's sensitivity to
-the parameters, S' = F S + G, and the covariance of what the model does not explain, C' = A C Aᵀ + Q
-(Ljung 1999, ch. 4 and 7; an extended Kalman filter without measurements). In A yaw moves the
-directions of the thrusts, so that uncertainty of yaw spreads to x and y. A learned transport delay
-is a parameter, too: it moves the moments at which commands change, so that one piece of a step
-grows by as much as the next one shrinks.
+Every Runge-Kutta step of a prediction also advances two quantities (Ljung 1999, ch. 4 and 7; an
+extended Kalman filter without measurements). The first is the state's sensitivity to the
+parameters, by the chain rule, S' = F S + G. The second is the covariance of unmodelled effects, C'
+= A C Aᵀ + Q. Through A, yaw changes the directions of the thrusts, so uncertainty of yaw spreads to
+x and y. A learned transport delay is a parameter, too: it moves the times at which commands change,
+so one part of a step grows by as much as the next one shrinks.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ from airpuck.physics.rigid_body import CenterOfMassFrame, rollout
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
 BAND = 1.959963984540054
-#: What is shown of a recording: the paper's horizon, and a simulation [s].
+#: Horizons shown for a recording: the paper's, and a simulation [s].
 HORIZONS = (0.2, RESTART)
-#: Samples before a start over which motor speeds are followed, for what they owe to the lag.
+#: Number of samples before a start over which motor speeds are tracked for their dependence on the
+#: lag.
 _LEAD = 40
-#: Windows that a program predicts at least; a few more cost nothing, another program seconds.
+#: Smallest number of windows in a program; a few more cost nothing, another program seconds.
 _FEWEST = 64
 
 
@@ -51,19 +52,19 @@ class PredictionBands(Result):
     model : str
         Name of the rung.
     start : array, shape (W,)
-        When each prediction starts [s].
+        Start time of each prediction [s].
     time : array, shape (T, W)
         Times predicted [s].
     predicted, measured : array, shape (T, 3, W)
         x, y [m], γ [rad].
     by_parameters : array, shape (T, 3, W), or None
-        Half the band from the uncertainty of the parameters: quantile of Student's t times the
-        standard error. None where the model has no uncertainty; nan where the prediction depends on
-        what the data did not determine.
+        Half the band due to the uncertainty of the parameters: quantile of Student's t times the
+        standard error. None if the model has no uncertainty; nan where the prediction depends on
+        undetermined parameters.
     total : array, shape (T, 3, W)
-        Half the band that measured poses should keep to: that, and 1.96 standard deviations of what
-        the model does not explain, of the state at the start, and of the measured pose, as root of
-        the sum of squares.
+        Half the band that should contain measured poses: the root of the sum of squares of the
+        former and of 1.96 standard deviations of unmodelled effects, the initial state and the
+        measured pose.
     """
 
     JSON = (
@@ -81,7 +82,7 @@ class PredictionBands(Result):
 
     @property
     def horizon(self) -> float:
-        """Longest time predicted, mean of the windows [s]."""
+        """Longest prediction time, averaged over the windows [s]."""
         return float(np.mean(self.time[-1] - self.start))
 
     @property
@@ -91,9 +92,9 @@ class PredictionBands(Result):
 
     @property
     def coverage(self) -> Float[np.ndarray, " 3"]:
-        """Share of the windows whose pose at the horizon is within its total band [%].
+        """Percentage of the windows whose pose at the horizon is within its total band.
 
-        Of those whose band is known.
+        Among those with a known band.
         """
         known = np.isfinite(self.total[-1]).sum(axis=1)
         share = np.full(3, np.nan)
@@ -121,9 +122,9 @@ def prediction_bands(
     """Predict windows of a trajectory with 95 % bands.
 
     Predictions start from the estimates of the filter behind the one-step innovations, which uses
-    every pose up to the start. After it, only the commands are used. Errors are propagated
-    linearly: where the band of yaw is wider than about a radian, the bands of x and y are right
-    in their order of magnitude only.
+    every pose up to the start; after that, only the commands are used. Errors are propagated
+    linearly: if the band of yaw is wider than about a radian, the bands of x and y are only orders
+    of magnitude.
 
     Parameters
     ----------
@@ -132,13 +133,12 @@ def prediction_bands(
     trajectory : Trajectory
         Measured poses, and commands.
     horizon : float, default 0.2
-        How far to predict [s].
+        Prediction horizon [s].
     starts : array of int, shape (W,), optional
-        Samples to start from; by default one after the other without overlap, wherever poses are
-        usable for a quarter of a second before, and all poses to be predicted are usable.
+        Samples to start from. By default they follow each other without overlap, wherever poses are
+        usable for a quarter of a second before and throughout the prediction.
     known : Innovations, optional
-        Innovations of the same model, if known; for example with the noise of another
-        recording.
+        Innovations of the same model, if known; for example with the noise of another recording.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def prediction_bands(
 def bands_of_all_horizons(
     model: Model, trajectory: Trajectory, filtered: Innovations
 ) -> tuple[PredictionBands, ...]:
-    """Predict over each of `HORIZONS` for which the recording has a stretch that is long enough."""
+    """Predict over each of `HORIZONS` for which the recording has a long enough stretch."""
     steps = [max(1, round(horizon / trajectory.sample_period)) for horizon in HORIZONS]
     return tuple(
         prediction_bands(model, trajectory, horizon=horizon, known=filtered)
@@ -236,8 +236,8 @@ def predict_with_errors(
 def _growth(commands: Float[np.ndarray, "N S n"]) -> Float[np.ndarray, "N S"]:
     """Return the derivatives of the lengths of pieces with respect to the transport delay.
 
-    A piece ends at a command, which moves with the delay, or at a sample, which does not. Where the
-    command stays the same it does not matter which.
+    An interval ends at a command, which moves with the delay, or at a sample, which does not. If
+    the command stays the same, the choice does not matter.
     """
     changes = (commands[:, 1:] != commands[:, :-1]).any(axis=2)
     return np.diff(changes.astype(float), axis=1, prepend=0.0, append=0.0)
@@ -266,7 +266,7 @@ def _one_prediction(
 ) -> Any:
     """Return the function that predicts one window.
 
-    `vector` is the estimate's, `chosen` are the entries of θ to differentiate by.
+    `vector` holds the estimate; `chosen` are the entries of θ to differentiate by.
     """
     import jax
     import jax.numpy as jnp
@@ -324,5 +324,5 @@ def _one_prediction(
 
 
 def _joined(xp: Any, covariance: Any) -> Any:
-    """Join the axes' covariances of (p, v, d) to one of all p, all v, all d, shape (9, 9)."""
+    """Combine the axes' covariances of (p, v, d) into one of all p, all v, all d, shape (9, 9)."""
     return xp.einsum("aij,ab->iajb", covariance, xp.eye(3)).reshape(9, 9)

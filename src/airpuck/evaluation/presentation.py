@@ -16,7 +16,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import thrust
 
-#: Ways to accelerate: row of Π, sign.
+#: Directions of acceleration: row of Π, sign.
 WAYS = (
     ("forward", 0, 1, "m/s²"),
     ("backward", 0, -1, "m/s²"),
@@ -33,15 +33,15 @@ class Value(Result):
 
     JSON = "label unit value learned standard_error=error interval_95=interval"
 
-    #: What it is.
+    #: Name of the quantity.
     label: str
     unit: str
-    #: In `unit`; the error is nan where there is none.
+    #: Value in `unit`; the error is nan if there is none.
     value: float
     standard_error: float
-    #: Half the 95 % interval is so many standard errors.
+    #: Half the 95 % interval, in standard errors.
     quantile: float
-    #: Whether it was learned, or follows from what was.
+    #: Whether it was learned, or follows from learned parameters.
     learned: bool
 
     @property
@@ -51,12 +51,12 @@ class Value(Result):
 
     @property
     def error(self) -> float | None:
-        """The standard error; None where there is none."""
+        """The standard error; None if there is none."""
         return self.standard_error if self.known else None
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Ends of the 95 % interval; None where there is no standard error."""
+        """Ends of the 95 % interval; None without a standard error."""
         if not self.known:
             return None
         reach = self.quantile * self.standard_error
@@ -74,11 +74,11 @@ class Presentation(Result):
     structure : tuple of str
         Its equations, and which terms are free.
     parameters, derived : tuple of Value
-        Main quantities; what follows from them.
+        Main quantities, and quantities derived from them.
     conditions : tuple of (str, str)
-        How and from what it was learned.
+        Method and data of the fit.
     notes : tuple of str
-        What the data did not determine, and other warnings.
+        Undetermined parameters, and other warnings.
     """
 
     JSON = "model=name structure parameters derived notes"
@@ -143,7 +143,7 @@ def value_of(model: Model, quantity: MainQuantity) -> Value:
 def _value(
     model: Model, label: str, unit: str, quantity: Callable[[Model], Any], *, learned: bool
 ) -> Value:
-    """Evaluate anything made from the parameters."""
+    """Evaluate anything computed from the parameters."""
     error = float(model.standard_error(quantity)) if learned else np.nan
     quantile = model.known.quantile if model.known else np.nan
     return Value(label, unit, float(quantity(model)), error, quantile, learned)
@@ -164,7 +164,7 @@ def delay_words(model: Model) -> str:
 
 
 def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
-    """Compute how hard a craft at rest can be pushed each way, all motors together."""
+    """Compute the largest acceleration of a craft at rest in each direction, with all motors."""
     vehicle, matrix = model.vehicle, np.asarray(model.dynamics.configuration)
     coefficients = np.asarray(model.parameters.thrust)
     ends = np.array([[vehicle.command_min], [vehicle.command_max]]) * np.ones(len(coefficients))
@@ -174,7 +174,7 @@ def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
 
 
 def _derived(model: Model) -> list[Value]:
-    """Return what follows from the parameters."""
+    """Return quantities derived from the parameters."""
     values = []
     for k, (way, _, _, unit) in enumerate(WAYS):
 
@@ -217,7 +217,7 @@ def _structure(model: Model) -> list[str]:
 
 
 def _conditions(model: Model) -> list[tuple[str, str]]:
-    """List how and from what a model was learned."""
+    """List method and data of a fit."""
     rows = [("source", model.source)] if model.source else []
     rows.append(("transport delay", delay_words(model)))
     rows += [(key.replace("_", " "), _text(value)) for key, value in model.fit.items()]
@@ -238,7 +238,7 @@ def _text(value: Any) -> str:
 
 
 def _notes(model: Model) -> list[str]:
-    """List what to know before using a model."""
+    """List caveats of a model."""
     if model.uncertainty is None:
         return ["no standard errors: the model was not identified here, or by an older version"]
     if model.known is None:

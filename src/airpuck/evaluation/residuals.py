@@ -1,15 +1,16 @@
 """Residual tests on one-step innovations (Ljung 1999, ch. 16.6).
 
-Two questions. Are the innovations white, or do past ones say something about the next? Do the
+The tests ask two questions. Are the innovations white, or do past ones predict the next? Do the
 motor commands still explain them, so that the model has not used all of their information? Both
-tests are made in the frame of the body, where a motor pushes one way whatever the yaw. A third asks
-which error of the model that would be. Late packets and feedback are part of the null hypothesis.
+tests are made in the body frame, where a motor pushes in one direction whatever the yaw. A third
+test asks which error of the model would explain the innovations. Late packets and feedback are part
+of the null hypothesis.
 
 The commands of a pair exclude each other and are held over many samples. So the correlations with
 one motor contain some of the other motors' correlations, and some of its own at other lags. The
 bands account for the latter (Ljung 1999, equation 16.69). To separate the motors, a Wald test uses
 one regression on the past commands of all motors. Its covariance is robust against innovations that
-are larger where commands change (HC3: White 1980, MacKinnon and White 1985).
+are larger when commands change (HC3: White 1980, MacKinnon and White 1985).
 """
 
 from __future__ import annotations
@@ -40,19 +41,19 @@ from airpuck.evaluation.statistical_tests import (
 from airpuck.evaluation.structure import Structure, cut, find_structure, missing_accelerations
 from airpuck.model.model_file import Model
 
-#: Share of the largest eigenvalue of a regression below which a direction is not in the data.
+#: Fraction of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10
-#: Channels of the innovations in the frame of the body.
+#: Channels of the innovations in the body frame.
 BODY_CHANNELS = ("forward", "left", "yaw")
 #: Largest lag [samples].
 LAGS = 25
-#: Share of the strongest push below which there is none.
+#: Fraction of the strongest push below which there is none.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class CrossCorrelation(Result):
-    """What one motor's command still says about one channel."""
+    """How much one motor's command still explains of one channel."""
 
     JSON = (
         "channel passed statistic p_value share band degrees_of_freedom=degrees "
@@ -62,25 +63,25 @@ class CrossCorrelation(Result):
     #: Which.
     channel: str
     motor: str
-    #: Of the innovation at t with the command in force at t − k, for lags k = −M … M.
+    #: Correlation of the innovation at t with the command in force at t − k, for lags k = −M … M.
     correlation: Float[np.ndarray, " K"]
-    #: 99 % lie within ±band, pointwise, where the command explains nothing; from the
-    #: autocorrelations of both.
+    #: 99 % lie within ±band, pointwise, if the command explains nothing; from the autocorrelations
+    #: of both.
     band: float
-    #: Wald's, that the coefficients of the command at lags 1 … M in a regression on all motors'
-    #: commands are zero.
+    #: Wald statistic for zero coefficients of the command at lags 1 … M, in a regression on all
+    #: motors' commands.
     statistic: float
-    #: Of the χ² that it follows then.
+    #: Degrees of freedom of its χ² distribution.
     degrees: int
-    #: Probability of so large a statistic if the motor explains no more than `LEAST_SHARE` of the
-    #: variance, adjusted for the number of motors (Holm).
+    #: P-value if the motor explains no more than `LEAST_SHARE` of the variance, adjusted for the
+    #: number of motors (Holm).
     p_value: float
-    #: Share of the variance that it explains, estimated.
+    #: Estimated fraction of the variance that it explains.
     share: float
-    #: Summed coefficients of the first third of the lags, in standard errors, positive where the
-    #: motor does more than modelled: how the innovations answer to a step of the command.
+    #: Sum of the coefficients over the first third of the lags, in standard errors. Positive if the
+    #: motor's effect exceeds the model's: the response of the innovations to a step of the command.
     early: float
-    #: False where the commands do not tell this motor from the others.
+    #: False if the commands do not separate this motor from the others.
     tested: bool
 
     @property
@@ -97,7 +98,7 @@ class CrossCorrelation(Result):
 
     @property
     def verdict(self) -> str:
-        """One sentence; of what is not rejected, too."""
+        """One sentence, also if nothing is rejected."""
         explained = share_text(self.share)
         if self.passed:
             return f"{self.motor} explains nothing more of {self.channel}: {explained}"
@@ -118,7 +119,7 @@ def cross_correlations(
     lags: int,
     told: Collection[str] | None = None,
 ) -> list[CrossCorrelation]:
-    """Test one channel against all motors; only those `told` apart by the commands, if given."""
+    """Test one channel against all motors, or only those that commands separate (`told`)."""
     moved: list[int] = np.flatnonzero(np.ptp(command[used], axis=0) > 0).tolist()
     if not moved:
         return []
@@ -174,7 +175,7 @@ def _correlate(
 
     own, theirs = products(row, row), products(command, command)
     scale = np.sqrt(own[lags] * theirs[lags])
-    # The triangle keeps the sum of estimated products from going below zero.
+    # The triangular window keeps the sum of estimated products non-negative.
     triangle = 1 - np.abs(np.arange(-lags, lags + 1)) / (lags + 1)
     inflation = float(np.sum(triangle * own / own[lags] * theirs / theirs[lags]))
     count = int(np.count_nonzero(row))
@@ -216,13 +217,13 @@ class ResidualTests(Result):
     correlations : tuple of CrossCorrelation
         For each channel, each motor that moved.
     errors : tuple of ModelError
-        Of each motor, the mass and the delay.
+        Errors of each motor, the mass and the delay.
     structure : tuple of Structure
-        What residuals depend on, for each regressor and channel.
+        Dependence of residuals on each regressor, for each channel.
     innovations : Innovations
-        Of the filter that does not know of late packets.
+        Innovations of the filter without late packets.
     late : LatePackets
-        Innovations of the filter that allows for late packets: what was tested.
+        Innovations of the filter that allows for late packets, which the tests use.
     """
 
     JSON = (
@@ -249,7 +250,7 @@ class ResidualTests(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences: whiteness of each channel, motors that still explain something, and why."""
+        """Sentences: whiteness of each channel, motors that explain part of it, and why."""
         said = [test.verdict for test in self.whiteness]
         for channel in BODY_CHANNELS:
             tests = [t for t in self.correlations if t.channel == channel and t.tested]
@@ -274,7 +275,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     model : Model
         The model.
     trajectory : Trajectory
-        Data, better other than those that it was learned from.
+        Data, preferably not those that the model was learned from.
     lags : int, default 25
         Largest lag M [samples].
 
@@ -300,7 +301,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     others = missing_accelerations(bins, trajectory.state[:, 2])
     late = late_packets(model, trajectory, found, others)
     motors, used = trajectory.propellers, found.used
-    # A delay that the model did not learn is the recording's, found in whole samples.
+    # A delay that the model did not learn comes from the recording, in whole samples.
     period = trajectory.sample_period
     known = 0.0 if model.delay_learned else period
     errors = model_errors(motors, late, used, period, known)
@@ -334,9 +335,9 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
 
 
 def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
-    """Return how each motor pushes `BODY_CHANNELS` [1/kg].
+    """Return each motor's push on `BODY_CHANNELS` [1/kg].
 
-    What the cosine of a right angle leaves by rounding is no push.
+    Rounding in the cosine of a right angle is not a push.
     """
     effects = model.propeller_effects
     return np.where(np.abs(effects) > _ROUNDING * np.abs(effects).max(), effects, 0.0)
@@ -345,7 +346,7 @@ def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
 def to_body(
     values: Float[np.ndarray, "N 3"], yaw: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Turn x, y, γ into the frame of the body."""
+    """Rotate x, y, γ into the body frame."""
     x, y, spin = values.T
     cos, sin = np.cos(yaw), np.sin(yaw)
     return np.stack([cos * x + sin * y, cos * y - sin * x, spin], axis=1)

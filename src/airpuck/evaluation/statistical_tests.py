@@ -1,7 +1,7 @@
-"""Whiteness by the test of Ljung and Box (1978), and several tests at once by Holm (1979).
+"""Whiteness by the test of Ljung and Box (1978), and multiple tests by Holm (1979).
 
 With enough samples any model is wrong. So effects are tested against the smallest relevant effect,
-a share of the variance, and not against zero (Murphy and Myors 1999).
+a fraction of the variance, instead of zero (Murphy and Myors 1999).
 
 Intervals of root mean square errors come from a moving-block bootstrap over time (Künsch 1989).
 Predictions that start close together share samples and disturbances, so their errors are not
@@ -21,16 +21,16 @@ from airpuck.boundary.results import Result
 
 #: Level of the residual tests.
 LEVEL = 0.01
-#: Share of a channel's variance below which what is left does not count.
+#: Fraction of a channel's variance below which a residual effect does not count.
 LEAST_SHARE = 0.01
 #: 99.5 % quantile of the normal distribution: half of a 99 % band, in standard deviations.
 BAND = 2.5758293035489004
-#: Length of a block [s]. The rule of Politis and White (2004) asks for 0.6 to 1.6 s on the squared
-#: errors of seven real flights; faults and other disturbances last up to some seconds.
+#: Length of a block [s]. The rule of Politis and White (2004) gives 0.6 to 1.6 s for the squared
+#: errors of seven real flights; faults and other disturbances last up to a few seconds.
 BLOCK_S = 3.0
-#: Fewer blocks say nothing about their spread.
+#: Fewest blocks from which their spread can be estimated.
 FEWEST_BLOCKS = 4
-#: Draws; their spread is then known within 2 %.
+#: Number of draws; the spread is then known within 2 %.
 _DRAWS = 1000
 
 
@@ -48,12 +48,13 @@ class Whiteness(Result):
     band: float
     #: Q = N(N + 2) Σ r(k)²/(N − k) of Ljung and Box.
     statistic: float
-    #: Of the χ² that Q follows for white innovations: M less the ratios of noises that were fitted
-    #: to these data.
+    #: Degrees of freedom of the χ² that Q follows for white innovations: M minus the number of
+    #: noise ratios fitted to these data.
     degrees: int
-    #: Probability of so large a Q if the past says no more than `LEAST_SHARE` of the variance.
+    #: P-value if past innovations explain no more than `LEAST_SHARE` of the variance.
     p_value: float
-    #: Share of the variance that the past says, estimated: Q less what chance adds, over N.
+    #: Estimated fraction of the variance that past innovations explain: Q minus its expectation
+    #: under chance, over N.
     share: float
 
     @property
@@ -96,8 +97,8 @@ def ljung_box(
 def beyond_least(statistic: float, degrees: int, count: int) -> tuple[float, float]:
     """Test a χ² of `count` samples against the smallest effect that counts.
 
-    Returns the probability of so large a statistic under that effect (noncentral χ²), and the share
-    of the variance that the statistic stands for.
+    Returns the probability of such a large statistic under that effect (noncentral χ²), and the
+    corresponding fraction of the variance.
     """
     from scipy.stats import ncx2
 
@@ -114,7 +115,7 @@ def block_regression(
     """Regress three channels together; the covariance is from leaving out one block at a time.
 
     This jackknife allows for errors that are correlated within a block, and for few blocks. Returns
-    coefficients, their covariance, and the number of blocks. What the data do not show gets a
+    coefficients, their covariance, and the number of blocks. Undetermined coefficients get a
     standard error of a hundred units.
     """
     flat = columns.reshape(-1, columns.shape[2])
@@ -141,14 +142,14 @@ def block_regression(
 def with_pauses(
     values: Float[np.ndarray, "N C"], used: Bool[np.ndarray, " N"], lags: int
 ) -> Float[np.ndarray, "L C"]:
-    """Put zeros between stretches, so that no product of two samples reaches across."""
+    """Put zeros between stretches, so that no product of two samples spans a gap."""
     values = np.where(used[:, None], values, 0.0)
     begins = np.flatnonzero(used & ~np.concatenate([[True], used[:-1]]))
     return np.insert(values, np.repeat(begins, lags), 0.0, axis=0)
 
 
 def share_text(share: float) -> str:
-    """Write a share of the variance beside the one that counts."""
+    """Write a fraction of the variance next to the threshold."""
     return f"{100 * share:.1f} % of the variance (threshold {100 * LEAST_SHARE:g} %)"
 
 
@@ -189,15 +190,15 @@ def log_mean_square_errors(
     Parameters
     ----------
     squares : array, shape (C, W)
-        Squared errors of W predictions, in C channels; of several models below each other.
+        Squared errors of W predictions, in C channels; several models are stacked.
     start : array, shape (W,)
-        When each prediction starts, rising [s]. Pauses do not matter: blocks are counted in
+        Increasing start times of the predictions [s]. Pauses do not matter: blocks are counted in
         predictions.
 
     Returns
     -------
     tuple of array, shape (C, C), and float
-        NaN and 0 where there are fewer than four blocks.
+        NaN and 0 if there are fewer than four blocks.
     """
     count = blocks(start)
     if count < FEWEST_BLOCKS:
@@ -234,8 +235,8 @@ def rmse_ratio(
     Returns
     -------
     tuple of array, shape (C,), array, shape (2, C), and array, shape (C,)
-        Ratio of the second RMSE to the first, its 95 % interval, and the p-value of equality;
-        NaN where the predictions are too few.
+        Ratio of the second RMSE to the first, its 95 % interval, and the p-value of equality; NaN
+        if the predictions are too few.
     """
     from scipy.stats import t
 

@@ -1,12 +1,13 @@
-"""Whether residuals depend on something: speed, spin, motor speed, position on the table, time.
+"""Tests of whether residuals depend on speed, yaw rate, motor speed, position or time.
 
-For each regressor its range is cut into bins. Which acceleration, constant within a bin, is missing
-in the model follows from the innovations by regression: the mean of the residuals in that bin, in
-m/s² and rad/s², as efficiently as innovations allow. That all bins need the same is tested by Wald
-with a covariance from blocks of time.
+For each regressor, its range is divided into bins. The model's missing acceleration, constant
+within a bin, follows from the innovations by regression. It is the mean of the residuals in that
+bin, in m/s² and rad/s², as efficiently as innovations allow. A Wald test with a covariance from
+blocks of time checks that all bins are alike.
 
-What the air or the motors leave out acts along the body, as does what changes with time (batteries
-and motors). What the table leaves out, a tilt or a dent, acts along the world.
+Unmodelled effects of air or motors act along the body, as do effects that change with time
+(batteries and motors). Unmodelled effects of the table, a tilt or a dent, act along the world's
+axes.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from airpuck.evaluation.statistical_tests import LEVEL, block_regression, holm
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
 
-#: Bins of as many samples each.
+#: Number of bins, with equally many samples each.
 BINS = 6
-#: Share of what the motors do, root mean squares, below which a dependence does not count.
+#: Fraction of the motors' effect, as root mean squares, below which a dependence does not count.
 LEAST_SHARE = 0.02
 #: Length of a block [s], and the fewest blocks: in short flights they are shorter.
 _BLOCK_S, _FEWEST_BLOCKS = 1.0, 15
-#: What residuals may depend on, with its unit and the frame in which it would act.
+#: Regressors, each with its unit and the frame in which its effect would act.
 REGRESSORS = (
     ("forward speed", "m/s", "body"),
     ("left speed", "m/s", "body"),
@@ -53,39 +54,39 @@ class Structure(Result):
 
     regressor: str
     regressor_unit: str
-    #: Where the residual points: forward, left, yaw; or x, y, yaw.
+    #: Direction of the residual: forward, left, yaw; or x, y, yaw.
     channel: str
-    #: Borders of the bins, and their middles (medians).
+    #: Boundaries of the bins, and their medians.
     edges: Float[np.ndarray, " B1"]
     middle: Float[np.ndarray, " B"]
-    #: Acceleration that the model lacks [m/s² or rad/s²], and half its 99 % band, pointwise.
+    #: Missing acceleration of the model [m/s² or rad/s²], and half its 99 % band, pointwise.
     mean: Float[np.ndarray, " B"]
     half_band: Float[np.ndarray, " B"]
-    #: Root mean square of the means about their mean, less what chance adds.
+    #: Root mean square of the means about their mean, minus the effect of chance.
     size: float
-    #: The same against what the motors do in this channel.
+    #: The same relative to the motors' effect in this channel.
     share: float
-    #: That all means are alike; adjusted for all regressors and channels (Holm).
+    #: P-value for equal means, adjusted for all regressors and channels (Holm).
     p_value: float
 
     @property
     def unit(self) -> str:
-        """Of the means."""
+        """Unit of the means."""
         return "rad/s²" if self.channel == "yaw" else "m/s²"
 
     @property
     def shown(self) -> bool:
-        """Whether the means differ beyond chance, at the 1 % level."""
+        """Whether the means differ significantly, at the 1 % level."""
         return self.p_value < LEVEL
 
     @property
     def passed(self) -> bool:
-        """Whether nothing is shown, or too little to count."""
+        """Whether the dependence is insignificant, or too small to count."""
         return not self.shown or self.share < LEAST_SHARE
 
     @property
     def verdict(self) -> str:
-        """One sentence on a dependence that is shown."""
+        """One sentence on a significant dependence."""
         low, high = int(self.mean.argmin()), int(self.mean.argmax())
         ends = " to ".join(
             f"{self.mean[k]:.2g} {self.unit} near {self.middle[k]:.2g} {self.regressor_unit}"
@@ -106,22 +107,22 @@ class Structure(Result):
 
 @dataclass(frozen=True, eq=False)
 class Bins:
-    """How one regressor is cut."""
+    """Division of one regressor into bins."""
 
     name: str
     unit: str
     frame: str
     edges: Float[np.ndarray, " B1"]
     middle: Float[np.ndarray, " B"]
-    #: Which bin each sample is in.
+    #: Bin of each sample.
     member: Bool[np.ndarray, "N B"]
 
 
 def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
-    """Cut the range of each regressor into bins of as many used samples each.
+    """Divide the range of each regressor into bins with equally many used samples.
 
-    Regressors are what was known one sample before, as the innovations' filter estimates it: noise
-    of the pose that is judged would otherwise be in both, and look like structure in a slow flight.
+    Regressors are the values one sample earlier, as estimated by the innovations' filter. Otherwise
+    noise of the pose under test would be in both, and look like structure in a slow flight.
     """
     before = np.concatenate([found.mean[:1], found.mean[:-1]])
     (x, y, yaw), (vx, vy, spin) = before[:, :, 0].T, before[:, :, 1].T
@@ -144,7 +145,7 @@ def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
 def missing_accelerations(
     bins: Sequence[Bins], yaw: Float[np.ndarray, " N"]
 ) -> Float[np.ndarray, "N 3 S"]:
-    """Return 1 m/s² or rad/s² along each channel in each bin, in the world: what may be missing."""
+    """Return 1 m/s² or rad/s² along each channel in each bin, in the world: possible errors."""
     cos, sin, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     axes = {
         "body": np.array([[cos, sin, zero], [-sin, cos, zero], [zero, zero, one]]),
@@ -167,7 +168,7 @@ def find_structure(
 ) -> list[Structure]:
     """Test every regressor and channel; `late.others` answers to `missing_accelerations`.
 
-    A delay longer by `late_by` [s] than the model's is taken out before.
+    A delay longer by `late_by` [s] than the model's is compensated first.
     """
     left = late.steady - late.directions[..., 0] * late_by
     modelled = _rms_of_model(model, trajectory, found)
@@ -202,7 +203,7 @@ def _tested(
         own, spread = mean[part], covariance[part, part]
         apart = contrast @ own
         statistic = float(apart @ np.linalg.pinv(contrast @ spread @ contrast.T) @ apart)
-        # Hotelling's T², since a covariance from some blocks is not known exactly.
+        # Hotelling's T², since a covariance from few blocks is uncertain.
         degrees, rest = count - 1, max(blocks - count + 1, 1)
         p_value = float(f.sf(statistic * rest / degrees / (blocks - 1), degrees, rest))
         center = np.eye(count) - weight

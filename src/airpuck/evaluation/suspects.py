@@ -1,4 +1,4 @@
-"""What seems wrong with a recording: its clocks, the order of the motors, the unit of lengths."""
+"""Suspicious recordings: clocks, order of the motors, unit of lengths."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.delay import visible_delay
 
-#: Longest transport delay that is plausible without further knowledge, and how far a delay may lie
-#: above that of the vehicle file [s]: overcompensated by 35 ms, most controllers oscillate.
+#: Longest transport delay that is plausible without further knowledge, and the largest excess over
+#: the vehicle file's delay [s]: overcompensated by 35 ms, most controllers oscillate.
 _LONGEST_DELAY, _DELAY_ABOVE = 0.045, 0.025
 #: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
-#: Cosine between a motor's effect as modelled and as found below which it is another motor's.
+#: Cosine between a motor's modelled and estimated effect below which it is another motor's.
 _SAME_MOTOR = 0.5
 #: Standard error of a motor's effect, relative to its size, above which its direction is unknown.
 _DIRECTION_LIMIT = 0.2
-#: Size of a motor's effect, relative to that of most, below which it does nothing to speak of.
+#: Effect of a motor, relative to the typical one, below which the motor counts as dead.
 _SEEN = 0.3
 
 
 def clock_suspect(model: Model, trajectory: Trajectory) -> list[str]:
-    """Tell if commands act implausibly late or early: the clocks of the recording disagree."""
+    """Report commands that act implausibly late or early: the clocks of the recording disagree."""
     seen = visible_delay(trajectory, model.dynamics)
     if seen is None:
         return []
     learned = model.transport_delay if model.delay_learned else seen
     longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
-    # What the recording shows is a whole number of samples.
+    # The recording determines the delay in whole samples.
     if learned <= 0 or seen < -trajectory.sample_period:
         return [
             "The motion seems to begin before, or as soon as, the commands that cause it. The "
@@ -47,7 +47,7 @@ def clock_suspect(model: Model, trajectory: Trajectory) -> list[str]:
 
 
 def order_suspect(model: Model, effects: EffectErrors | None) -> list[str]:
-    """Tell if motors act like others, or the other way round."""
+    """Report motors that act like others, or in the opposite direction."""
     if effects is None:
         return []
     rows = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
@@ -75,13 +75,13 @@ def order_suspect(model: Model, effects: EffectErrors | None) -> list[str]:
 
 
 def unit_suspect(model: Model) -> list[str]:
-    """Tell if the learned inertia is impossible: lengths are in a wrong unit."""
+    """Report an impossible learned inertia: lengths are in a wrong unit."""
     vehicle = model.vehicle
     learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
     ratio = float(model.parameters.inertia) / (vehicle.mass_kg * vehicle.radius_m**2)
     if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
         return []
-    what = "larger than that of a ring" if ratio > 1 else "smaller than that of any craft"
+    what = "larger than a ring's" if ratio > 1 else "smaller than any craft's"
     return [
         f"The moment of inertia is {what} of the craft's mass and radius ({ratio:.2g} m R²): check "
         "the unit of the positions, and radius and propeller positions in the vehicle file."

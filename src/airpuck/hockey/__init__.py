@@ -1,4 +1,4 @@
-"""Air hockey: where the puck is and where it will be, a craft that plays, games.
+"""Air hockey: puck estimation and prediction, a craft that plays, games.
 
 Entry points: `puck_filter.PuckFilter`, `prediction.predict_puck`,
 `prediction.predict_crossing`, `player.Player`, `level.Level`, `tactic.Tactic`, `game.Game`,

@@ -48,7 +48,7 @@ class AllRounder:
         self._blind, self._turns = Blind(), Turns()
 
     def decide(self, view: View) -> Intention:
-        """Return what to do now; see `Tactic.decide`."""
+        """Return the intention; see `Tactic.decide`."""
         if view.puck is None:
             return self._blind.propose(view)
         outlook = Outlook(view)

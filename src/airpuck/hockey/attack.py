@@ -56,18 +56,18 @@ class _Candidates:
 
 
 class Shoot(Searcher):
-    """Shoots, directly or over banks, where the probability of scoring is high enough.
+    """Shoots, directly or over banks, if the probability of scoring is high enough.
 
     Parameters
     ----------
     least : float, default 0.05
-        Probability of scoring from which on it shoots.
+        Smallest probability of scoring for a shot.
     error : ArrivalError, optional
-        How well the craft keeps a rendezvous.
+        The craft's errors at a rendezvous.
     speeds : array, shape (L,), optional
         Speeds of the craft that are tried [m/s].
     clears : bool, default False
-        Whether its shots only get the puck away.
+        Whether its shots only clear the puck.
     """
 
     def __init__(

@@ -33,10 +33,10 @@ class Contestant:
     name : str
         Name of the contestant.
     player : callable, optional
-        Of a craft: makes its player from model, table, side (-1, 1), seed and the radius of the
+        For a craft: makes its player from model, table, side (-1, 1), seed and the radius of the
         opponent's disc [m].
     hand : callable, optional
-        Of a hand: makes it from table and seed.
+        For a hand: makes it from table and seed.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Contestant:
 
 
 def contestant(name: str) -> Contestant:
-    """Return the contestant with a name.
+    """Return the named contestant.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def contestant(name: str) -> Contestant:
     Returns
     -------
     Contestant
-        For a `Game`.
+        The contestant, for a `Game`.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def contestant(name: str) -> Contestant:
 
 
 def tactic_maker(name: str) -> Callable[[], Tactic]:
-    """Return what makes a user's tactic, named FILE.py:NAME."""
+    """Return a factory for a user's tactic, named FILE.py:NAME."""
     code = UserCode(name, "tactic")
 
     def make() -> Tactic:
@@ -91,13 +91,13 @@ def tactic_maker(name: str) -> Callable[[], Tactic]:
 
 
 class _UserTactic:
-    """A tactic of a user's class, behind the boundary; a `Tactic`."""
+    """A tactic from a user's class, with its results checked; a `Tactic`."""
 
     def __init__(self, own: Tactic, code: UserCode) -> None:
         self._own, self._code = own, code
 
     def decide(self, view: View) -> Intention:
-        """Return what to do now; see `Tactic.decide`."""
+        """Return the intention; see `Tactic.decide`."""
         called = f"decide() at {view.time:.2f} s"
         intention = self._code.run(called, self._own.decide, view)
         if not isinstance(intention, Intention):
@@ -112,7 +112,7 @@ class _UserTactic:
 
 
 def _what_is_wrong(intention: Intention, time: float) -> str:
-    """Return the first problem of an intention, or an empty text."""
+    """Return the first problem with an intention, or an empty text."""
     if intention.kind not in get_args(Kind):
         return f"gave as kind something else than {', '.join(get_args(Kind))}"
     numbers = {
@@ -134,7 +134,7 @@ def _what_is_wrong(intention: Intention, time: float) -> str:
 
 
 def _finite(given: Any) -> np.ndarray | None:
-    """Return finite numbers as an array; None if they are others."""
+    """Return finite numbers as an array; None if some are not finite numbers."""
     try:
         found = np.array(given, dtype=float)
     except (TypeError, ValueError):
@@ -143,7 +143,7 @@ def _finite(given: Any) -> np.ndarray | None:
 
 
 def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:
-    """Return a craft whose player has a tactic and a level."""
+    """Return a craft whose player has a given tactic and level."""
 
     def player(model: Model, equipment: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
         return Player(
@@ -154,7 +154,7 @@ def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Cont
 
 
 def _by_level(levels: Mapping[str, Any], level: str, name: str) -> Any:
-    """Return the entry of a level."""
+    """Return the entry for a level."""
     if level not in levels:
         raise InputError(f"unknown level; use {', '.join(levels)}", field=name)
     return levels[level]

@@ -34,17 +34,18 @@ _STREAM = 20
 _CAMERA_STREAMS: dict[Kind, int] = {"pose": 1, "puck": 4, "mallet": 5}
 #: Time between commands [s].
 PERIOD = 0.01
-#: Where discs stand at first, from their own line; where the puck is served, from the middle [m].
+#: Initial distance of discs from their own goal line; distance of a served puck from the centre
+#: line [m].
 _BEGIN, _SERVE = 0.25, 0.30
 #: Largest distance of a served puck from the table's long axis [m].
 _ASIDE = 0.15
-#: Time for which a puck is predicted to find out whether it would have scored [s].
+#: Prediction horizon for deciding whether a touched puck would have scored [s].
 _FOLLOWED = 3.0
 #: Contacts of a craft with a rail are distinct if they are further apart [s] or faster [m/s].
 _AGAIN, _SLIDES = 0.1, 0.05
 #: Time between reports of progress [s].
 _TOLD = 1.0
-#: A disc that touches the puck again within this is still in the same contact [s].
+#: A disc that touches the puck again within this time is still in the same contact [s].
 _SAME = 0.2
 
 
@@ -70,7 +71,7 @@ KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
 
 class GameEvent(NamedTuple):
-    """What happened in a game."""
+    """An event in a game."""
 
     #: When [s].
     time: float
@@ -82,20 +83,20 @@ class GameEvent(NamedTuple):
 
 
 class Side:
-    """A side of a game: its disc, and who moves it.
+    """A side of a game: its disc, and the contestant that moves it.
 
     Attributes
     ----------
     sign : int
-        Of the x of its half: -1 is left.
+        Sign of the x of its half: -1 is left.
     kind : str
         ``craft`` or ``hand``.
     player : Pilot or None
-        Who steers a craft.
+        Pilot of a craft.
     hand : Hand or None
-        Who moves a mallet.
+        Hand that moves a mallet.
     action : Action or None
-        The latest of a craft's player.
+        The latest intention of a craft's player.
     """
 
     def __init__(self, sign: int, name: str, body: Craft | HandMallet) -> None:
@@ -126,7 +127,7 @@ class Side:
         return x, y, yaw, vx, vy
 
     def act(self, time: float, puck: PuckState | None, opponent: tuple[float, float]) -> None:
-        """See, and send a command or move the mallet."""
+        """Observe, and send a command or move the mallet."""
         if self.hand is None:
             self.action = next(self._actions)
             return
@@ -152,7 +153,7 @@ class Game:
     model : Model, optional
         The craft; by default the published M3.
     seed : int, default 0
-        Of everything random: the same seed gives the same game.
+        Seed of all random numbers: the same seed gives the same game.
     logs : bool, default True
         Whether to keep everything for `recording`.
 
@@ -165,7 +166,7 @@ class Game:
     referee : Referee
         Score and phase.
     events : list of GameEvent
-        Everything that happened, if it is kept.
+        All events, if they are kept.
 
     Raises
     ------
@@ -209,7 +210,8 @@ class Game:
             ]
             self._cameras = SensorSet(sensors, self._pose)
             self.world.observers.append(self._cameras)
-        #: Who touched the puck last, and whether it would have been a goal against them anyway.
+        #: The side that last touched the puck, and whether it would have been a goal against it
+        #: anyway.
         self._touched: tuple[int, bool] = (0, False)
         #: When [s].
         self._last_touch = -math.inf
@@ -227,16 +229,16 @@ class Game:
 
     @property
     def puck(self) -> PuckState | None:
-        """Where the puck is; None while it is in a goal."""
+        """State of the puck; None while it is in a goal."""
         return None if self._puck.goal else self._puck.state
 
     def step(self) -> list[GameEvent]:
-        """Let a control period pass; return what happened.
+        """Advance by a control period; return the events.
 
         Returns
         -------
         list of GameEvent
-            In their order.
+            Events in order.
         """
         left, right = self.sides
         puck, places = self.puck, (left.state[:2], right.state[:2])
@@ -256,7 +258,7 @@ class Game:
         Parameters
         ----------
         progress : callable, optional
-            Called every second of the game with the share of it that is over, at least.
+            Called every second of the game with a lower bound on the fraction completed.
         """
         rules, told = self.referee.rules, 0.0
         while self.phase != "over":
@@ -271,9 +273,9 @@ class Game:
         Returns
         -------
         Recording
-            As `Twin.recording`, of the left craft, or else the right one; ``mallet`` is the other's
-            disc. Also ``opponent_command``, where that is a craft, and ``game``. Between two hands
-            ``pose`` is the left one's mallet.
+            As in `Twin.recording`, for the left craft, or else the right one; ``mallet`` is the
+            other's disc. Also ``opponent_command`` if the opponent is a craft, and ``game``.
+            Between two hands, ``pose`` is the left one's mallet.
         """
         flown = [side.twin.recording() for side in self.sides if side.twin is not None]
         if flown:
@@ -299,8 +301,8 @@ class Game:
         Returns
         -------
         dict
-            Goals, own goals, fouls, contacts with a rail and their hardest, and crossings of the
-            centre line by side; how long it lasted, and how often the puck was stuck.
+            Goals, own goals, fouls, contacts with a rail, the hardest contact, and crossings of the
+            centre line, by side; duration, and how often the puck was stuck.
         """
         found: dict[str, float] = {}
         for side, goals in zip(self.sides, self.score, strict=True):
@@ -345,11 +347,11 @@ class Game:
         return self.sides[kind == "mallet"].body.pose()
 
     def _contacts(self) -> Iterator[GameEvent]:
-        """Yield what the puck and the craft touched in the last period."""
+        """Yield contacts of the puck and the craft in the last period."""
         for time, met, impulse, before, disc in self._puck.touches:
             if disc is not None:
                 side, (last, anyway) = self.sides[disc].sign, self._touched
-                # A later second touch of a side that stopped a shot counts as a touch of its own.
+                # A second touch by a side that stopped a shot counts separately.
                 if last != side or (anyway and time > self._last_touch + _SAME):
                     self._touched = side, self._would_score(before, -side)
                 self._last_touch = time
@@ -376,7 +378,7 @@ class Game:
         return alone.goal == -side
 
     def _judged(self) -> Iterator[GameEvent]:
-        """Yield what the referee says, and do it."""
+        """Yield the referee's rulings, and apply them."""
         state = self._puck.state
         speed = math.hypot(state.vx, state.vy)
         for kind, side in self.referee.judge(self.time, state.x, speed, self._puck.goal):
@@ -387,13 +389,13 @@ class Game:
                 self._serve(side)
 
     def _serve(self, side: int) -> None:
-        """Put the puck into a half, where no disc is."""
+        """Put the puck into a half, away from all discs."""
         serve(self.world, side, self._random)
         self._touched = (0, False)
 
 
 def serve(world: World, side: int, random: np.random.Generator) -> None:
-    """Put the puck into a half of a world, at rest, where no disc is."""
+    """Put the puck into a half of a world, at rest, away from all discs."""
     assert world.puck is not None
     x, y, radius = side * _SERVE, float(random.uniform(-_ASIDE, _ASIDE)), world.puck.radius
     for disc in (body.disc() for body in world.bodies):

@@ -1,4 +1,4 @@
-"""Keeping the goal: where the puck will come, and between puck and goal while it does not."""
+"""Keeping the goal: blocking an approaching puck, and waiting between puck and goal."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Defend(Catch):
     Parameters
     ----------
     reserve : float, default 0.05
-        By how much the craft must be able to be early to slow it down [s].
+        Time to spare that the craft needs to slow the puck down [s].
     """
 
     every = 1
@@ -66,7 +66,7 @@ def block(view: View, outlook: Outlook) -> Intention:
     motions = outlook.motions[1:count, :2]
     speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), _RESTS)
     places = pitch.clipped(pucks + pitch.contact_distance * motions / speed[:, None])
-    # Room to be thrown back: not nearer to the rail than home.
+    # Leave room for the recoil: stay as far from the rail as home.
     places[:, 0] = np.maximum(places[:, 0], pitch.home[0])
     apart = np.linalg.norm(places - pucks, axis=1)
     spare = slack(view, times, places, np.zeros_like(places))
@@ -79,7 +79,7 @@ def block(view: View, outlook: Outlook) -> Intention:
     value -= _PASSED * (passed | (apart < pitch.contact_distance - _OVERLAP))
     best = int(np.argmax(value))
     place, time = places[best], float(times[best])
-    # Forwards by half of the recoil, so that it goes back as fast as it came.
+    # Move forwards at half the recoil speed, so that the craft ends up moving back as fast.
     forwards = -pitch.recoil / 2 * motions[best]
     state = (*place, view.craft[2], *forwards, 0.0)
     reference = Rendezvous(time, state, precision=_BLOCK, then=standing(place))
@@ -90,7 +90,7 @@ class Wait:
     """Waits at home, between puck and goal; goes round a puck that lies in between."""
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
-        """Return where to wait."""
+        """Return the waiting position."""
         pitch, puck = view.pitch, outlook.places[0]
         x, y = pitch.home
         before = x + pitch.goal_line
@@ -125,7 +125,7 @@ class Blind:
         self._line = float(np.clip(y, -half, half))
 
     def propose(self, view: View) -> Intention:
-        """Return where to stand without a puck."""
+        """Return the position to take without a puck."""
         x, y = view.pitch.home
         if view.time - self._since < _BLIND:
             return Intention("defend", SetPoint(x, self._line, 0.0))

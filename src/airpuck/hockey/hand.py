@@ -16,14 +16,14 @@ from airpuck.hockey.frame import Frame
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 
-# Numbers without a source are guesses.
-#: Time that a scripted hand predicts the puck ahead, and the step of the prediction [s].
+# Numbers without a source are guesses. How far ahead a scripted hand predicts the puck, and the
+# step of the prediction [s].
 _AHEAD, _STEP = 0.8, 0.04
 #: Distance from the own goal line at which a human waits, and at which a keeper stands [m].
 _HOME, _IN_GOAL = 0.25, 0.10
 #: A faster puck is stopped, a slower one is struck [m/s].
 _TOO_FAST = 1.2
-#: A puck in the other half comes if it is faster than this [m/s].
+#: A puck in the other half counts as approaching if it is faster than this [m/s].
 _COMES = 0.3
 #: A stroke begins this far behind the puck, and aims this far beyond it [m].
 _BACK, _THROUGH = 0.10, 0.15
@@ -31,7 +31,7 @@ _BACK, _THROUGH = 0.10, 0.15
 _READY, _STROKE = 0.002, 0.3
 #: Average speed on the path to the start of a stroke, as a share of the full speed.
 _GETS_THERE = 0.6
-#: Time between decisions, and time for which the error of sight stays the same [s].
+#: Time between decisions, and time for which the error of sight is held [s].
 _LOOK, _ERRS = 0.03, 1.0
 #: Clearance of a shot to the post, and from the rail to the aim of a bank shot [m].
 _POST, _BANK = 0.02, 0.02
@@ -43,7 +43,7 @@ _ROUND, _LEG = 0.01, 0.15
 _FOLLOWS = 0.5
 #: Shorter distances have no direction [m].
 _NO_DISTANCE = 1e-9
-#: Directions of a stroke when rails forbid all that lead to the goal [rad].
+#: Directions of a stroke if rails forbid all that lead to the goal [rad].
 _AWAY = (0.6, -0.6, 1.2, -1.2, 1.5, -1.5)
 #: x, y [m].
 Place = tuple[float, float]
@@ -55,23 +55,23 @@ class Hand(Protocol):
     def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
         """Return the target of the mallet.
 
-        Everything is in the hand's own frame: its goal is at negative x.
+        All arguments are in the hand's own frame: its goal is at negative x.
 
         Parameters
         ----------
         time : float
             Now [s].
         own : tuple of float
-            Where the mallet is [m].
+            Position of the mallet [m].
         puck : PuckState or None
-            The puck; None while it is in a goal.
+            State of the puck; None while it is in a goal.
         opponent : tuple of float
-            Where the other's disc is [m].
+            Position of the opponent's disc [m].
 
         Returns
         -------
         x, y : float
-            Where the mallet should go, as fast as it can [m].
+            Position that the mallet should reach as fast as possible [m].
         """
         ...
 
@@ -85,7 +85,7 @@ class Dexterity:
     reaction_s : float
         Delay with which puck and opponent are seen.
     noise_m : float
-        Standard deviation of the puck's position as seen.
+        Standard deviation of the seen position of the puck.
     aim_rad : float
         Standard deviation of the direction of strokes.
     speed_m_s : float
@@ -98,8 +98,8 @@ class Dexterity:
     speed_m_s: float
 
 
-#: By level. Reaction times to a visual stimulus: 0.18 to 0.25 s in adults (Kosinski, "A literature
-#: review on reaction time", 2008); ``hard`` anticipates. All other numbers are guesses.
+#: Limits by level. Reaction times to a visual stimulus are 0.18 to 0.25 s in adults (Kosinski, "A
+#: literature review on reaction time", 2008); ``hard`` anticipates. All other numbers are guesses.
 HUMANS = {
     "easy": Dexterity(0.30, 0.025, 0.30, 1.5),
     "medium": Dexterity(0.22, 0.012, 0.15, 2.5),
@@ -134,10 +134,10 @@ class HumanHand(ABC):
     dexterity : Dexterity
         Its limits.
     seed : int, default 0
-        Of its errors.
+        Seed of its errors.
     """
 
-    #: Distance from the own goal line at which it waits [m].
+    #: Distance from its own goal line at which it waits [m].
     waits_m = _HOME
 
     def __init__(self, equipment: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
@@ -147,7 +147,7 @@ class HumanHand(ABC):
         self._home = -self._line + self.waits_m
         self._reach = equipment.table.reach(equipment.mallet.radius_m)
         self._together = equipment.mallet.radius_m + equipment.puck.radius_m
-        # Full speed is only reached towards a place that is this far.
+        # Full speed is only reached towards a target at least this far away.
         self._leash = dexterity.speed_m_s**2 / (2 * equipment.mallet.acceleration_m_s2)
         self._seen: deque[tuple[float, PuckState | None, Place]] = deque()
         self._looks, self._wanted = 0.0, (self._home, 0.0)
@@ -155,7 +155,7 @@ class HumanHand(ABC):
         self._opponent = (0.0, 0.0)
         self._errs, self._error = 0.0, (0.0, 0.0)
         self._aim_anew()
-        #: While a stroke lasts: until when, and along which direction.
+        #: During a stroke: end time and direction.
         self._stroke: tuple[float, float, float] | None = None
 
     def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
@@ -180,7 +180,7 @@ class HumanHand(ABC):
         return own[0] + share * dx, own[1] + share * dy
 
     def _foreseen(self, seen: PuckState | None) -> list[PuckState]:
-        """Return the states that the hand predicts for the puck, from now on."""
+        """Return the predicted states of the puck, from now on."""
         if seen is None:
             return []
         x, y = self._error
@@ -196,13 +196,13 @@ class HumanHand(ABC):
         """Return where the mallet should go for the puck that it foresees."""
 
     def aims(self) -> tuple[float, ...]:
-        """Return the y of the targets of a stroke on the other's line, best first [m]."""
-        # The mirror image of the goal's middle in either rail: a bank shot.
+        """Return the y of the targets of a stroke on the opponent's line, best first [m]."""
+        # The mirror image of the goal's centre in either rail: a bank shot.
         width = self._equipment.table.width_m
         return 0.0, width - _BANK, -width + _BANK
 
     def _aim_anew(self) -> None:
-        """Draw another error of aim."""
+        """Draw a new aiming error."""
         self._aim = float(self._random.normal(0.0, self._dexterity.aim_rad))
 
     def _through(self, time: float, own: Place) -> Place | None:
@@ -252,7 +252,7 @@ class HumanHand(ABC):
             self._stroke = time + _STROKE, nx, ny
             return puck.x + _THROUGH * nx, puck.y + _THROUGH * ny
         if along < self._together and aside < self._together + _ROUND:
-            # Round the puck, not through it.
+            # Move round the puck, not through it.
             side = math.copysign(1.0, own[1] - puck.y)
             free = puck.y + side * 2 * self._together
             if abs(free) > self._reach[1]:
@@ -274,7 +274,7 @@ class HumanHand(ABC):
 
 
 class ScriptedHand(HumanHand):
-    """A scripted human: stops fast pucks, strikes slow ones at the goal, waits before its own."""
+    """A scripted human: stops fast pucks, strikes slow ones, waits in front of its own goal."""
 
     def decided(self, time: float, own: Place) -> Place:
         """Strike, stop the puck, or wait; see `HumanHand.decided`."""
@@ -294,15 +294,15 @@ class Keeper(HumanHand):
     waits_m = _IN_GOAL
 
     def decided(self, time: float, own: Place) -> Place:
-        """Cover the place where the puck will pass; see `HumanHand.decided`."""
+        """Cover the position where the puck will pass; see `HumanHand.decided`."""
         return self._guarded((self._home, own[1]))
 
 
 class Striker(Keeper):
-    """A keeper who strikes slow pucks at the open corner."""
+    """A keeper that strikes slow pucks at the open corner."""
 
     def decided(self, time: float, own: Place) -> Place:
-        """Strike a slow puck in the own half, else keep the goal; see `HumanHand.decided`."""
+        """Strike a slow puck in its own half, otherwise keep the goal; see `HumanHand.decided`."""
         puck = self._goes_by[0]
         if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= _TOO_FAST:
             return self._struck(time, own)

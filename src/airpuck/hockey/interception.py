@@ -65,16 +65,16 @@ class Outlook:
         self.view, self.belief = view, view.puck
         count = round(HORIZON / STEP)
         start = max(view.time, view.puck.time)
-        #: Times [s], and states of the puck then.
+        #: Times [s], and states of the puck at these times.
         self.times = start + STEP * np.arange(count + 1)
         self.states = predict_path(view.pitch.equipment, view.puck, self.times)
         self.places, self.motions = self.states[:, :2], self.states[:, 3:]
-        #: Speed now [m/s]; a row of the motions is vx, vy, spin.
+        #: Current speed [m/s]; a row of the motions is vx, vy, angular velocity.
         self.speed = float(np.hypot(*self.motions[0, :2]))
 
     @cached_property
     def threat(self) -> float | None:
-        """When the puck will be at the own goal [s]; None: it will not."""
+        """Time at which the puck will be at its own goal [s]; None: it will not."""
         pitch = self.view.pitch
         half = pitch.equipment.table.goal_width_m / 2
         at = (self.places[:, 0] < -pitch.goal_line + pitch.equipment.puck.radius_m + _AT_LINE) & (
@@ -105,7 +105,7 @@ def slack(
 ) -> Any:
     """Return the time to spare if the craft is to reach places, with velocities, at times [s].
 
-    Seen from a frame that moves with the final velocity, it comes to rest there: the shortest time
+    In a frame that moves with the final velocity, the craft comes to rest there: the shortest time
     to rest from the relative state equals the shortest time to the rendezvous.
     """
     delay = view.pitch.delay
@@ -145,7 +145,7 @@ class PlannedContact:
 
     #: When [s].
     time: float
-    #: Direction from the craft's middle to the puck's [rad].
+    #: Direction from the craft's centre to the puck's [rad].
     normal: float
     #: Speed of the craft along the normal; negative: it recedes [m/s].
     speed: float
@@ -160,7 +160,7 @@ class PlannedContact:
         return self.speed * unit(self.normal)
 
     def place(self, view: View, puck: Float[np.ndarray, " 6"]) -> Float[np.ndarray, " 2"]:
-        """Return where the craft's middle is when it touches a puck."""
+        """Return the craft's centre when it touches a puck."""
         return puck[:2] - view.pitch.contact_distance * unit(self.normal)
 
     def is_committed(self, view: View) -> bool:
@@ -176,7 +176,7 @@ class PlannedContact:
         return bool(able and stays_inside(view, place, self.velocity))
 
     def reference(self, view: View, puck: Float[np.ndarray, " 6"]) -> Reference:
-        """Return what leads the craft there, and then home."""
+        """Return a reference that leads the craft there, and then home."""
         normal = unit(self.normal)
         # The discs approach with the difference of their speeds.
         closing = self.speed - float(puck[3:5] @ normal)
@@ -247,7 +247,7 @@ def effort(
 
 
 def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPoint:
-    """Return the next waypoint to a goal, round a puck that lies in between."""
+    """Return the next waypoint to a goal, round a puck in between."""
     here, puck = view.craft[:2], outlook.places[0]
     radius = view.pitch.contact_distance
     path = goal - here
@@ -258,7 +258,7 @@ def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPo
         across = puck - here - ahead * along
         beside = float(np.hypot(*across))
         if 0 < ahead < length + radius + _BLOCKED and beside < radius + _BLOCKED:
-            # To the side on which it passes already, or where there is more room.
+            # On the side that it already passes, or where there is more room.
             out = -across / beside if beside > _STRAIGHT else np.array([-along[1], along[0]])
             if not view.pitch.inside(puck + out * (radius + _BLOCKED + AVOIDED)):
                 out = -out

@@ -1,4 +1,4 @@
-"""Levels of play: handicaps of thrust, reaction and aim."""
+"""Levels of play: handicaps in thrust, reaction and aim."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Level:
     Attributes
     ----------
     thrust : float
-        Share of the craft's thrust that is used.
+        Fraction of the craft's thrust that is used.
     reaction_s : float
         Delay with which puck and opponent are seen.
     shot_noise_rad : float
-        Standard deviation of the direction in which shots are struck.
+        Standard deviation of the direction of shots.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def weakened(model: Model, share: float) -> Model:
 
 
 def slower(times: MinimalTimes, share: float) -> MinimalTimes:
-    """Return the shortest times of a craft that accelerates with a share of the thrust.
+    """Return the shortest times of a craft that accelerates with a fraction of the thrust.
 
     With the acceleration a, the distance d from the speed v takes
     T(d, v, a) = T(d, v / √s, a / s) / √s.

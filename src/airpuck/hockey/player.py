@@ -33,11 +33,11 @@ from airpuck.model.model_file import Model
 #: pose for a while.
 Sight = Literal["seen", "hidden", "frozen", "lost"]
 
-#: Age of the last pose from which on the puck counts as hidden, and as lost [s].
+#: Age of the last pose above which the puck counts as hidden, and as lost [s].
 _HIDDEN, _LOST = 0.15, 1.0
-#: A pose repeated this often, of a puck faster than this [m/s], is not a measurement.
+#: A pose repeated this often, for a puck faster than this [m/s], is not a measurement.
 _FROZEN, _MOVING = 6, 0.1
-#: Poses further beyond a rail are not of the puck [m].
+#: Poses further beyond a rail cannot be the puck's [m].
 _BEYOND = 0.1
 #: A disc outside the table, which restricts nothing: x, y, radius [m].
 _NOWHERE = np.array([[50.0, 50.0, 0.1]])
@@ -63,28 +63,28 @@ class Player(Pilot):
     equipment : AirHockey
         Table and puck.
     tactic : Tactic, optional
-        Decides what to do; by default the package's own.
+        Makes decisions; by default the package's own tactic.
     level : Level, optional
         A handicap; by default none.
     side : {-1, 1}, default -1
         Sign of the x of its half.
     tuning : Tuning, optional
-        Of the controller, whose predictive law is used; by default the packaged one.
+        Tuning of the controller, whose predictive law is used; by default the packaged one.
     seed : int, default 0
-        Of the noise of its shots.
+        Seed of the noise of its shots.
     opponent_radius : float, optional
         Radius of the opponent's disc [m]; by default the radius of the human's mallet.
 
     Attributes
     ----------
     reference : Reference
-        What the craft tracks, in the world's frame.
+        Reference of the craft, in the world's frame.
     intention : Intention or None
-        The latest, in the world's frame.
+        The latest intention, in the world's frame.
     sight : str
-        How the puck is seen: ``seen``, ``hidden``, ``frozen``, ``lost``.
+        Visibility of the puck: ``seen``, ``hidden``, ``frozen``, ``lost``.
     took : tuple of float
-        How long decision and control took in the last step [s].
+        Computing time of decision and control in the last step [s].
 
     Raises
     ------
@@ -130,7 +130,7 @@ class Player(Pilot):
         #: Poses that wait for the reaction time to pass: stamp and pose.
         self._puck_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
         self._opponent_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
-        #: The opponent as of its last pose: stamp, x, y, vx, vy.
+        #: The opponent at its last pose: stamp, x, y, vx, vy.
         self._opponent: tuple[float, Float[np.ndarray, " 4"]] | None = None
         self._same, self._before_same = 0, 0.0
         self._last_puck: Float[np.ndarray, " 3"] | None = None
@@ -170,12 +170,12 @@ class Player(Pilot):
         Returns
         -------
         Step
-            A command, whatever happened; see `TrackingController.step`.
+            A command in every case; see `TrackingController.step`.
 
         Raises
         ------
         InputError
-            If the tactic returns something else than an `Intention`.
+            If the tactic does not return an `Intention`.
         """
         began = clock.perf_counter()
         if math.isfinite(time):
@@ -190,7 +190,7 @@ class Player(Pilot):
 
     @property
     def predicted(self) -> Float[np.ndarray, "N 2"] | None:
-        """Where the puck is expected to go, in the world's frame; None where it is not seen."""
+        """Predicted path of the puck, in the world's frame; None if it is not seen."""
         belief = self.filter.belief
         if belief is None or self.sight != "seen":
             return None
@@ -242,7 +242,7 @@ class Player(Pilot):
         self._opponent = stamp, np.concatenate([place, velocity])
 
     def _decide(self, time: float) -> None:
-        """Ask the tactic, and turn its intention to the world."""
+        """Ask the tactic, and convert its intention to the world's frame."""
         if self._craft is None:
             return
         intention = self.tactic.decide(self._view(time, *self._craft))
@@ -257,16 +257,16 @@ class Player(Pilot):
         self._law.keep_out = _NOWHERE if avoid is None else np.array([avoid])
 
     def _view(self, time: float, stamp: float, craft: Float[np.ndarray, " 6"]) -> View:
-        """Return what the tactic sees."""
+        """Return the tactic's view of the game."""
         own = self.frame.states(craft)
-        # The estimate is for when the last command acted, which is near.
+        # The estimate is for when the last command acted, which is recent enough.
         own[:3] += own[3:] * (time - stamp)
         opponent = self._opponent and self._opponent[1]
         puck = self.filter.belief if self.sight == "seen" else None
         return View(time, own, puck, self.filter.model, opponent, self.pitch, self._times)
 
     def _with_noise(self, intention: Intention) -> Intention:
-        """Turn the contact of a shot about the puck: by the same angle until it is over."""
+        """Turn the contact of a shot about the puck, by the same angle until the shot is over."""
         shoots = intention.kind in ("strike", "bank", "clear")
         if not shoots or not self.level.shot_noise_rad:
             self._noise = math.nan
@@ -288,7 +288,7 @@ class Player(Pilot):
 
     def _in_world(self, intention: Intention) -> Intention:
         """Return an intention in the world's frame."""
-        # A user's tactic may give lists and arrays for all of these.
+        # A user's tactic may return lists or arrays for all of these.
         frame, (meet, path, avoid) = self.frame, (intention.meet, intention.path, intention.avoid)
         return replace(
             intention,
@@ -305,13 +305,13 @@ def pitch_of(
     times: MinimalTimes | None = None,
     opponent_radius: float | None = None,
 ) -> Pitch:
-    """Return what does not change during a game."""
+    """Return the constants of a game."""
     times = times or minimal_times_of(model)
     # There and back at full thrust: d = a T² / 4.
     acceleration = 4 * _SHORT / float(times((_SHORT, 0.0), (0.0, 0.0))) ** 2
     vehicle = model.vehicle
     x, y = equipment.table.reach(vehicle.radius_m + _MARGIN)
-    # A craft that is too large for the table stays in the middle of its half.
+    # A craft that is too large for the table stays in the centre of its half.
     front = -vehicle.radius_m - _MARGIN
     fence = np.array([[min(-x, front - _NO_ROOM), -max(y, _NO_ROOM)], [front, max(y, _NO_ROOM)]])
     home = -equipment.table.length_m / 2 + vehicle.radius_m + _HOME
@@ -340,7 +340,7 @@ def _predictive(tuning: Tuning) -> Tuning:
 def _queue(
     poses: deque[tuple[float, Float[np.ndarray, " 3"]]], time: float, pose: Float[np.ndarray, " 3"]
 ) -> None:
-    """Keep a pose for when it may be seen."""
+    """Store a pose until it becomes visible."""
     pose = np.array(pose, dtype=float)
     if pose.shape == (3,) and math.isfinite(time) and np.isfinite(pose).all():
         poses.append((time, pose))

@@ -25,9 +25,9 @@ _BESIDE, _TURNED = np.array([0.0, -0.25, 0.25, -0.55, 0.55]), 0.4
 _LEAVES = 0.05
 #: Speeds below which a puck is under control, and below which it may be pushed [m/s].
 _SLOW, _PUSHED = 0.06, 0.2
-#: A puck at a better place (`good_place`) is not moved.
+#: A puck in a better position (`good_place`) is not moved.
 _GOOD = 0.25
-#: Room around a puck that makes a place fully good [m].
+#: Room around a puck that makes a position fully good [m].
 _ENOUGH = 0.12
 #: Value of a catch in seconds to spare: from here on more time to spare is worth nothing [s]; lost
 #: per second of waiting, lost per radian beside the puck's motion, won by a fully good place.
@@ -44,14 +44,14 @@ _EVERY_CATCH, _EVERY_PUSH = 2, 3
 
 
 class Catch(Searcher):
-    """Slows a puck down: the craft recedes at the contact, so that nearly nothing is given back.
+    """Slows a puck down: the craft recedes at the contact, so that the puck hardly rebounds.
 
     Parameters
     ----------
     reserve : float, default 0
-        By how much the craft must be able to be early [s].
+        Time to spare that the craft needs [s].
     slowest : float, optional
-        A slower puck is left alone; the default leaves pucks that nearly rest [m/s].
+        A slower puck is left alone; the default leaves pucks that are nearly at rest [m/s].
     """
 
     every = _EVERY_CATCH
@@ -102,7 +102,7 @@ class Catch(Searcher):
 
 
 def _receding(view: View, speed: Any, aslant: Any) -> Any:
-    """Return the craft's speed along the normal after which the puck leaves it slowly."""
+    """Return the normal speed of the craft that lets the puck leave slowly."""
     pitch, puck = view.pitch, view.pitch.equipment.puck
     gives = pitch.craft_mass / (pitch.craft_mass + puck.mass_kg) * (1 + puck.craft.restitution)
     along = speed * np.cos(aslant)

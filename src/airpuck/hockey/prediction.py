@@ -1,4 +1,4 @@
-"""Where a puck will be, over several bounces, and how well that is known."""
+"""Predictions of a puck over several bounces, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ _DRAWN = np.arange(0.0, 1.2, 0.02)
 
 @dataclass(frozen=True, eq=False)
 class PuckBelief:
-    """What is known of a puck."""
+    """Belief about a puck: mean and covariance."""
 
     #: When [s].
     time: float
     #: x, y [m], yaw [rad] and their rates.
     mean: Float[np.ndarray, " 6"]
-    #: Of the mean.
+    #: Covariance of the mean.
     covariance: Float[np.ndarray, "6 6"]
 
 
 @dataclass(frozen=True, eq=False)
 class PuckPrediction:
-    """Where a puck will be.
+    """Prediction of a puck.
 
     Attributes
     ----------
     time : array, shape (T,)
         When [s].
     mean : array, shape (T, 6)
-        x, y [m], yaw [rad] and their rates; from the goal on, in the goal.
+        x, y [m], yaw [rad] and their rates; after a goal, the state in the goal.
     covariance : array, shape (T, 6, 6)
-        Of the mean.
+        Covariances of the mean.
     touches : tuple of Touch
-        Bounces of the mean until the last time.
+        Number of bounces of the mean until the last time.
     goal : int
-        In which goal it ends, by the sign of x; 0: in none.
+        The goal in which it ends, by the sign of x; 0: none.
     """
 
     time: Float[np.ndarray, " T"]
@@ -62,7 +62,7 @@ class PuckPrediction:
 
 
 class PuckModel:
-    """A table with a puck, and the same with each uncertain number a standard deviation off.
+    """A table with a puck, and variants with each uncertain number shifted by a standard deviation.
 
     Parameters
     ----------
@@ -72,17 +72,17 @@ class PuckModel:
 
     def __init__(self, equipment: AirHockey) -> None:
         self.equipment = equipment
-        #: How uncertain each number is.
+        #: Standard deviation of each number.
         self.spread = {
             name: equipment.puck.standard_error.get(name, assumed)
             for name, assumed in _ASSUMED.items()
         }
-        #: How uncertain the drag is [1/s].
+        #: Standard deviation of the drag [1/s].
         self.drag_error = self.spread["drag_1_s"]
 
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
-        """The table with each number too high, and too low."""
+        """Tables with each number too high, and too low."""
         puck = self.equipment.puck
         return [
             (
@@ -108,7 +108,7 @@ def predict_puck(
 ) -> PuckPrediction:
     """Predict an untouched puck.
 
-    Mean and covariance go through the bounces by differences of one standard deviation to both
+    Mean and covariance pass through the bounces by differences of one standard deviation to both
     sides (Nørgaard, Poulsen and Ravn, *Automatica* 36, 2000): along each axis of the belief, and in
     each uncertain number of the puck.
 
@@ -117,9 +117,9 @@ def predict_puck(
     model : PuckModel or AirHockey
         The table; a `PuckModel` is prepared once.
     belief : PuckBelief
-        What is known now.
+        The present belief.
     times : sequence of float
-        When to predict [s], rising, none before the belief.
+        Prediction times [s], increasing, none before the belief.
 
     Returns
     -------
@@ -186,16 +186,16 @@ def _coasting(
 
 @dataclass(frozen=True, eq=False)
 class PuckCrossing:
-    """Where a puck will cross a line across the table.
+    """Prediction of where a puck crosses a line across the table.
 
     Attributes
     ----------
     time : float
-        When its middle is there [s].
+        Time at which its centre is there [s].
     state : PuckState
-        Where, and how it moves.
+        State at that time.
     covariance : array, shape (2, 2)
-        Of time and y.
+        Covariance of time and y.
     """
 
     time: float
@@ -213,11 +213,11 @@ def predict_crossing(
     model : PuckModel or AirHockey
         The table; a `PuckModel` is prepared once.
     belief : PuckBelief
-        What is known now.
+        The present belief.
     x : float
-        Where the line is [m].
+        Position of the line [m].
     horizon : float, default 2
-        How far to look ahead [s].
+        Prediction horizon [s].
 
     Returns
     -------
@@ -233,7 +233,7 @@ def predict_crossing(
     columns = []
     for above, below in _both_sides(model, belief):
         found = [_crossing(*above, x, end), _crossing(*below, x, end)]
-        # A side that does not cross in time is taken to be the mirror image of the other.
+        # A variant that does not cross in time is assumed to mirror its counterpart.
         ends = [np.array([time, state.y]) - centre for time, state in filter(None, found)]
         if found[1] is not None:
             ends[-1] = -ends[-1]
@@ -271,7 +271,7 @@ def _crossing(
 
 
 def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np.ndarray, "T 6 6"]:
-    """Return what white accelerations add to the covariance."""
+    """Return the contribution of white accelerations to the covariance."""
     noise = np.zeros((len(duration), 6, 6))
     squares = np.square([density, density, SPIN_DENSITY])
     for axis, square in enumerate(squares.tolist()):

@@ -1,4 +1,4 @@
-"""A Kalman filter of the puck, which knows the rails and notices hits."""
+"""A Kalman filter for the puck that includes the rails and detects hits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from airpuck.hockey.prediction import (
 )
 from airpuck.physics.puck import PuckState, sigma_of, time_of, walls_of
 
-#: A measurement whose squared, normalised innovation is above this is no noise: once in 1e7 frames.
+#: A measurement whose squared, normalised innovation exceeds this is not noise: once in 1e7 frames.
 GATE = 35.0
 #: Standard deviations of velocity and spin after a hit [m/s, rad/s].
 _UNKNOWN = np.array([10.0, 10.0, 50.0])
@@ -36,22 +36,22 @@ _LOST = 0.5
 _LONGEST = 60.0
 #: A smaller change of velocity has no direction [m/s].
 _NO_CHANGE = 1e-6
-#: Frames whose times differ by less are the same one [s].
+#: Frames closer in time than this are the same frame [s].
 _SAME = 1e-6
 
 
 class PuckEvent(NamedTuple):
-    """What the filter noticed."""
+    """An event detected by the filter."""
 
-    #: When it happened [s].
+    #: Time of the event [s].
     time: float
-    #: A bounce off the table, a hit, or the first sight.
+    #: A bounce off the table, a hit, or the first sighting.
     kind: Literal["rail", "post", "hit", "seen"]
 
 
 @dataclass(frozen=True)
 class PuckNoise:
-    """Noise of the measured poses, standard deviations."""
+    """Standard deviations of the measured poses."""
 
     position_m: float = 5e-5
     yaw_rad: float = 7e-4
@@ -69,16 +69,16 @@ class PuckFilter:
     equipment : AirHockey
         Table and puck.
     noise : PuckNoise, optional
-        Of the poses.
+        Noise of the poses.
 
     Attributes
     ----------
     belief : PuckBelief or None
-        As of the last pose; None before the first.
+        Belief at the last pose; None before the first.
     events : list of PuckEvent
         Events since the start.
     outliers : int
-        Poses that were not used.
+        Number of unused poses.
     """
 
     def __init__(self, equipment: AirHockey, noise: PuckNoise | None = None) -> None:
@@ -89,16 +89,16 @@ class PuckFilter:
         self.outliers = 0
         self._variance = np.square([noise.position_m, noise.position_m, noise.yaw_rad])
         self._walls = walls_of(equipment)
-        # Before a pose that did not fit.
+        # Belief before a pose that did not fit.
         self._before: PuckBelief | None = None
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the puck.
+        """Receive a pose of the puck.
 
         Parameters
         ----------
         time : float
-            Its stamp [s]; a pose that is not newer than the last is ignored.
+            Time stamp of the pose [s]; a pose that is not newer than the last is ignored.
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
@@ -126,7 +126,7 @@ class PuckFilter:
         Parameters
         ----------
         times : list of float
-            When [s], rising; none before the last pose.
+            Prediction times [s], increasing; none before the last pose.
 
         Returns
         -------
@@ -136,7 +136,7 @@ class PuckFilter:
         Raises
         ------
         InputError
-            If no pose has come, or a time is before the last.
+            If no pose has come, or a time is before the last pose.
         """
         if self.belief is None:
             raise InputError("no pose of the puck has come yet")
@@ -151,9 +151,9 @@ class PuckFilter:
         Parameters
         ----------
         x : float
-            Where the line is [m].
+            Position of the line [m].
         horizon : float, default 2
-            How far to look ahead [s].
+            Prediction horizon [s].
 
         Returns
         -------
@@ -213,7 +213,7 @@ class PuckFilter:
     def _innovation(
         self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]
     ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-        """Return by how much a pose differs from the belief, and the covariance of that."""
+        """Return the difference between a pose and the belief, and its covariance."""
         innovation = pose - belief.mean[:3]
         innovation[2] = math.remainder(innovation[2], 2 * math.pi)
         return innovation, belief.covariance[:3, :3] + np.diag(self._variance)

@@ -12,7 +12,7 @@ from airpuck.craft.table import AirHockey
 
 #: In play, waiting for the puck after a goal, or over.
 Phase = Literal["play", "goal", "over"]
-#: A puck that is slower than this rests [m/s].
+#: A puck slower than this counts as at rest [m/s].
 _RESTS = 0.05
 
 
@@ -41,7 +41,7 @@ class Rules(Section):
 
 
 class Ruling(NamedTuple):
-    """What the referee says."""
+    """A decision of the referee."""
 
     #: A goal, a foul, a puck that is stuck, a serve, the end.
     kind: Literal["goal", "foul", "stuck", "serve", "over"]
@@ -89,14 +89,14 @@ class Referee:
         time : float
             Now [s].
         x, speed : float
-            Of the puck [m, m/s].
+            Position and velocity of the puck [m, m/s].
         goal : int
-            In which goal it is, by the sign of x; 0: in none.
+            The goal it is in, by the sign of x; 0: none.
 
         Returns
         -------
         list of Ruling
-            In their order; empty as a rule.
+            Rulings in order; usually empty.
         """
         if self.phase == "over":
             return []
@@ -122,7 +122,7 @@ class Referee:
         time : float
             When [s].
         side : int
-            On whose side.
+            The side that it is on.
         """
         self._serve(time, side)
 
@@ -138,7 +138,7 @@ class Referee:
         return Ruling("serve", side)
 
     def _broken(self, time: float, x: float, speed: float) -> Ruling | None:
-        """Return a foul, or that the puck is stuck."""
+        """Return a foul, or a ruling that the puck is stuck."""
         side = (x > 0) - (x < 0)
         if side != self._side:
             self._side, self._side_since = side, time

@@ -1,4 +1,4 @@
-"""The score of a game that is only seen: goals, from where the puck was and that it is gone."""
+"""Scorekeeping from poses alone: goals are inferred from where the puck was last seen."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ _LOST = 1.0
 class _Leaving(NamedTuple):
     """A puck that is about to be in a goal."""
 
-    #: By the sign of x.
+    #: The goal, by the sign of x.
     goal: int
-    #: When and where it was seen last, and how fast [s, m, m/s].
+    #: When and where it was last seen, and its velocity [s, m, m/s].
     time: float
     x: float
     y: float
@@ -51,10 +51,11 @@ class _Leaving(NamedTuple):
 class Scorekeeper:
     """Applies the rules to a puck of which only poses are known.
 
-    A goal is a puck that was about to be in, with nothing in between that could stop it, and is
-    then not seen for 0.2 s by cameras that see other things, or is elsewhere sooner than a puck can
-    get there: put back into play. Then nothing counts until it is seen in play. Poses that freeze,
-    jump, are not finite or off the table are ignored; blind cameras prove nothing.
+    A goal is scored if a puck was about to enter with nothing to stop it, and one of two things
+    follows. Either it is not seen for 0.2 s by cameras that see other objects, or it reappears
+    where it could not have moved by itself: someone put it back into play. After a goal nothing
+    counts until the puck is seen in play. Poses that freeze, jump, are not finite or off the table
+    are ignored; blind cameras prove nothing.
 
     Parameters
     ----------
@@ -68,11 +69,11 @@ class Scorekeeper:
     games : int
         Number of the present game, from 1: after the end, the next puck in play begins another.
     calls : Counter
-        How often something was called, by kind and side, in all games.
+        Number of rulings by kind and side, in all games.
     """
 
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
-        # Who puts the puck back decides when.
+        # Whoever puts the puck back decides when.
         unhurried = {"pause_s": math.inf, "limit_s": math.inf}
         self._equipment = equipment
         self._rules = (rules or Rules()).model_copy(update=unhurried)
@@ -85,10 +86,10 @@ class Scorekeeper:
         self._away = True
         self._known = 0
         self._leaving: _Leaving | None = None
-        #: In which goal it was that is seen elsewhere now; 0: in none.
+        #: The goal it was in before it reappeared elsewhere; 0: none.
         self._returned = 0
         self._newest: Float[np.ndarray, " 3"] | None = None
-        #: When a jump was seen, and to where [s, m].
+        #: Time and position of a jump [s, m].
         self._landed = (-math.inf, 0.0, 0.0)
         #: The last frame of the cameras [s].
         self._frame = -math.inf
@@ -99,7 +100,7 @@ class Scorekeeper:
         return self._referee.score
 
     def frame(self, time: float) -> None:
-        """Take note that the cameras see something.
+        """Record that the cameras see something.
 
         Parameters
         ----------
@@ -112,12 +113,12 @@ class Scorekeeper:
             self._frame = time
 
     def puck(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Take note of a pose of the puck.
+        """Receive a pose of the puck.
 
         Parameters
         ----------
         time : float
-            Its stamp [s].
+            Time stamp of the pose [s].
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
@@ -149,7 +150,7 @@ class Scorekeeper:
         Returns
         -------
         list of Ruling
-            Goals, fouls, a puck that is stuck, the end of a game; empty as a rule.
+            Goals, fouls, a stuck puck, the end of a game; usually empty.
         """
         belief = self._filter.belief
         if belief is None:
@@ -176,7 +177,7 @@ class Scorekeeper:
 
     @property
     def _rail(self) -> float:
-        """How far from the middle a puck can get that is not in the mouth of a goal [m]."""
+        """Largest distance from the centre of a puck that is not in the mouth of a goal [m]."""
         return self._line - self._equipment.puck.radius_m
 
     def _resume(self, time: float, side: int) -> None:
@@ -188,7 +189,7 @@ class Scorekeeper:
         self._away = False
 
     def _is_measured(self, pose: Float[np.ndarray, " 3"]) -> bool:
-        """Return whether a pose may be one of a puck on the table or in the mouth of a goal."""
+        """Return whether a pose is possible for a puck on the table or in the mouth of a goal."""
         if not np.isfinite(pose).all():
             return False
         table, radius = self._equipment.table, self._equipment.puck.radius_m
@@ -202,7 +203,7 @@ class Scorekeeper:
         return not (same and belief is not None and np.hypot(*belief.mean[3:5]) > _MOVING)
 
     def _about_to_be_in(self) -> _Leaving | None:
-        """Return that the puck is about to be in a goal, if nothing can stop it any more."""
+        """Return whether the puck is about to enter a goal and nothing can stop it any more."""
         belief = self._filter.belief
         if belief is None or self._away:
             return None

@@ -1,6 +1,6 @@
-"""Shots: what a contact does to the puck, where it flies, and how probably it scores.
+"""Shots: the effect of a contact on the puck, its path, and its probability of scoring.
 
-Everything takes arrays over shots, in the player's own frame: the goal is at x = +length / 2.
+All functions take arrays over shots, in the player's own frame: the goal is at x = +length / 2.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ _RESTITUTION, _GRIP = 0.03, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Touches of the puck by the craft; arrays of one shape.
+    """Contacts of the craft with the puck; arrays of one shape.
 
     Attributes
     ----------
     place : array, shape (..., 2)
-        Of the puck's middle [m].
+        Position of the puck's centre [m].
     puck : array, shape (..., 3)
-        Its velocity and spin before [m/s, rad/s].
+        Its velocity and angular velocity before [m/s, rad/s].
     normal : array, shape (...)
-        Direction from the craft's middle to the puck's [rad].
+        Direction from the craft's centre to the puck's [rad].
     craft : array, shape (..., 2)
         Velocity of the craft [m/s].
     """
@@ -65,7 +65,7 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Where pucks go; arrays over shots.
+    """Results of shots; arrays over shots.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ def struck(
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
 ) -> Float[np.ndarray, "*n 3"]:
-    """Return velocity and spin of the puck after contacts; by the law of the table, or another."""
+    """Return velocity and yaw rate of the puck after contacts, by the table's law or another."""
     puck, law = pitch.equipment.puck, pitch.equipment.puck.craft
     if restitution is not None or grip is not None:
         law = law.model_copy(update={"restitution": restitution, "grip": grip})
@@ -122,18 +122,18 @@ def flown(
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
 ) -> Flights:
-    """Fly pucks over side rails to the line of the other's goal.
+    """Follow pucks over side rails to the opponent's goal line.
 
     Parameters
     ----------
     equipment : AirHockey
         Table and puck.
     place, motion : array
-        Where they start [m], and velocity and spin [m/s, rad/s].
+        Initial position [m], and velocity and angular velocity [m/s, rad/s].
     opponent : tuple, optional
-        Where the other's disc is when they start, and its radius [m].
+        Initial position of the opponent's disc, and its radius [m].
     restitution, grip : array, optional
-        Of the rails, shot by shot; by default the table's.
+        Restitution and grip of the rails, shot by shot; by default the table's.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def flown(
             left = 1 - drag * sigma
             lasted = -np.log(left) / drag if drag else sigma
             x, y = x + vx * sigma, y + vy * sigma
-            # A post is not touched if it is a radius from the path.
+            # A post is not touched if it is a radius away from the path.
             room = table.goal_width_m / 2 - puck.radius_m * np.hypot(vx, vy) / np.abs(vx)
             scores |= going & arrives & (np.abs(y) < room)
             going &= ~arrives
@@ -216,11 +216,11 @@ def _plastic(dimensions: int) -> float:
 
 @dataclass(frozen=True)
 class ArrivalError:
-    """How well the craft keeps a rendezvous: standard deviations."""
+    """Standard deviations of the craft's errors at a rendezvous."""
 
     #: Of its middle, along each axis [m].
     place: float = 0.0015
-    #: Of its velocity [m/s].
+    #: Velocity.
     speed: float = 0.04
 
 
@@ -235,32 +235,32 @@ def chances(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the probability that contacts score, and the mean number of bounces.
 
-    Each contact is tried with evenly spread errors of the puck's place and motion, of the craft's,
-    of the law of contact and the law of the rails.
+    Each contact is evaluated with evenly spread errors of the puck's state, the craft's state, the
+    law of contact and the law of the rails.
 
     Parameters
     ----------
     pitch : Pitch
         Sizes.
     model : PuckModel
-        Table and puck, and how well the rails are known.
+        Table and puck, and the uncertainty of the rails.
     contacts : Contacts
-        One after the other, shape (n,).
+        The contacts, shape (n,).
     covariance : array, shape (n, 6, 6)
-        Of the puck at the contacts: x, y, yaw and their rates.
+        Covariance of the puck at the contacts: x, y, yaw and their rates.
     error : ArrivalError
-        Of the craft.
+        Errors of the craft.
     opponent : tuple, optional
         See `flown`.
     count : int
-        Trials of each contact.
+        Number of trials per contact.
     """
     drawn = _quantiles(count, _DIMENSIONS)
-    # A covariance from differences may lack a rank.
+    # A covariance computed from differences may be rank deficient.
     root = _root(covariance)
     puck = np.einsum("nij,cj->nci", root, drawn[:, :6])
     craft = drawn[:, 6:8] * error.place
-    # The normal turns with what is across it of the difference of places.
+    # The normal turns with the transverse part of the position difference.
     across = unit(contacts.normal + math.pi / 2)
     offset = np.einsum("nci,ni->nc", puck[..., :2] - craft, across)
     turned = np.arcsin(np.clip(offset / pitch.contact_distance, -_GRAZING, _GRAZING))
@@ -292,6 +292,6 @@ def chances(
 
 
 def _root(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n 6 6"]:
-    """Return matrices whose squares are covariances."""
+    """Return matrices whose squares are the covariances."""
     variance, axes = np.linalg.eigh(covariance)
     return axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]

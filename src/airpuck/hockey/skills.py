@@ -1,6 +1,6 @@
-"""Skills: episodes in the manner of the Robot Air Hockey Challenge, on this table.
+"""Skills: episodes modelled on the Robot Air Hockey Challenge, on this table.
 
-Distributions of the starts, ends and criteria: docs/hockey.md, "Skills".
+docs/hockey.md, "Skills", describes initial distributions, ends and criteria.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _SEEDS = 2**31
 _LONGEST = 10.0
 #: A puck slower than this is under control [m/s].
 _STOPPED = 0.1
-#: A puck further in the other half that moves away is out of the craft's reach [m].
+#: A puck further into the other half that moves away is out of the craft's reach [m].
 _GONE = 0.05
 #: Largest number of draws to find a start.
 _DRAWS = 2000
@@ -64,14 +64,14 @@ SKILLS: tuple[SkillName, ...] = ("defend", "hit", "prepare")
 
 @dataclass(frozen=True)
 class Skill(Result):
-    """Episodes of one kind, and how many of them succeeded.
+    """Episodes of one skill, and their success rate.
 
     Attributes
     ----------
     successes, episodes : int
         How many.
     stopped : int
-        Those that ended with a puck under control on the own half.
+        Number that ended with a puck under control on the craft's own half.
     """
 
     JSON = "successes episodes stopped interval_95"
@@ -105,13 +105,13 @@ def skills(
     settings : TwinSettings, optional
         Table, puck, radio, noise; by default the packaged ones.
     episodes : int, default 100
-        Of each skill.
+        Number of episodes per skill.
     seed : int, default 0
-        Of everything random; episode k of two runs with one seed is the same.
+        Seed of all random numbers; episode k is the same in two runs with one seed.
     names : tuple of str, optional
-        Which skills; by default all.
+        Skills to measure; by default all.
     tactic : str, optional
-        The craft's tactic in all of them, FILE.py:NAME; by default the package's own strategies.
+        The craft's tactic for all skills, FILE.py:NAME; by default the package's own strategies.
     progress : callable, optional
         Called with name, episodes done and successes after each episode.
 
@@ -123,8 +123,8 @@ def skills(
     Raises
     ------
     InputError
-        If the table has no room for the craft beside the puck, or for such starts, or the tactic
-        cannot be made.
+        If the table has no room for the craft beside the puck, or for the initial positions, or the
+        tactic cannot be made.
     """
     make = None if tactic is None else tactic_maker(tactic)
     settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
@@ -147,7 +147,7 @@ def skills(
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """What all episodes share."""
+    """Shared data of all episodes."""
 
     model: Model
     settings: TwinSettings
@@ -157,7 +157,7 @@ class Stage:
     tactic: Callable[[], Tactic] | None = None
 
     def twin(self, puck: PuckState, seed: int) -> Twin:
-        """Return a twin with a craft at home and a puck."""
+        """Return a twin with a puck and the craft at its home position."""
         return Twin(
             self.model,
             self.settings,
@@ -208,7 +208,7 @@ def _scores(equipment: AirHockey, body: PuckOnTable) -> bool:
 
 
 def _scaled(stage: Stage) -> tuple[float, float]:
-    """Return by how much this table is longer and wider than the Challenge's."""
+    """Return how much longer and wider this table is than the Challenge's."""
     table = stage.settings.table
     return table.length_m / _LENGTH, table.width_m / _WIDTH
 
@@ -220,13 +220,13 @@ def _beside_rail(stage: Stage) -> float:
 
 
 def _in_zone(stage: Stage, state: PuckState) -> bool:
-    """Return whether a puck is where it can be shot from."""
+    """Return whether a puck can be shot from its position."""
     along, _ = _scaled(stage)
     return _ZONE_FROM * along < state.x <= _ZONE_TO * along and abs(state.y) < _beside_rail(stage)
 
 
 def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a shot that would be in the own goal, directly or over rails."""
+    """Return a shot that would enter the craft's goal, directly or over rails."""
     along, across = _scaled(stage)
     for _ in range(_DRAWS):
         aside = _SHOT_ASIDE * across
@@ -242,7 +242,7 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
 
 
 def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a resting or slow puck in the own half."""
+    """Return a resting or slow puck in the craft's half."""
     along, _ = _scaled(stage)
     width, turned = _beside_rail(stage), math.pi / 2 + _HIT_AWAY
     for _ in range(_DRAWS):
@@ -256,13 +256,13 @@ def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
 
 
 def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a resting puck near a rail, where it cannot be shot."""
+    """Return a puck at rest near a rail, where it cannot be shot."""
     along, _ = _scaled(stage)
     table, puck = stage.settings.table, stage.settings.puck
     outer, inner = table.width_m / 2 - puck.radius_m - _FROM_RAIL, _beside_rail(stage)
     side = np.array([[_ZONE_FROM * along, _ZONE_TO * along], [inner, outer]])
     bottom = np.array([[_BESIDE_GOAL * along, _ZONE_FROM * along], [table.goal_width_m / 2, outer]])
-    # There is no bottom beside a goal as wide as the table.
+    # There is no end rail beside a goal as wide as the table.
     areas = [float(np.prod(np.maximum(area[:, 1] - area[:, 0], 0.0))) for area in (side, bottom)]
     for _ in range(_DRAWS):
         area = side if rng.random() < areas[0] / sum(areas) else bottom
@@ -274,7 +274,7 @@ def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
 
 
 def _no_room(what: str) -> InputError:
-    """Return what is wrong with a table."""
+    """Return the InputError for a table without room."""
     return InputError(f"has no room {what}", field="table")
 
 

@@ -296,7 +296,7 @@ class _HeldOut:
 
     @property
     def start(self) -> Float[np.ndarray, " W"]:
-        """When each prediction starts [s]."""
+        """Start time of each prediction [s]."""
         return self.windows.time[self.windows.present]
 
     def errors_of(

@@ -1,6 +1,6 @@
 """Whether a model can be trusted for control, in words.
 
-The four outcomes, their limits and why they are where they are: docs/method.md.
+docs/method.md explains the four outcomes and their limits.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspe
 from airpuck.model.model_file import Model
 from airpuck.twin.rehearsal import failures
 
-#: Largest relative standard error of an acceleration that control may ask for, and of the response
-#: time [s]: with both, all controllers of studies/verdicts.py settle.
+#: Largest relative standard error of an acceleration that control may request, and of the response
+#: time [s]: within both, all controllers of studies/verdicts.py settle.
 ACCELERATION_LIMIT = 0.3
 RESPONSE_LIMIT = 0.015
 #: Largest error of the accelerations with motors at `LOW_SPEED`, of the model's: between 30 % (M2
 #: with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
 LOW_LIMIT = 0.35
-#: Standard error of the timing that a recording shows, above which it tells too little [s].
+#: Standard error of a recording's timing above which it is not informative enough [s].
 _JUDGED_RESPONSE = 0.006
-#: Least of each motor's largest commands, relative to the largest there is: thrusts beyond are an
-#: extrapolation of the curve.
+#: Lowest acceptable maximum of each motor's commands, relative to the largest: thrusts beyond are
+#: an extrapolation of the curve.
 _REACHED = 0.6
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
-#: Correlation of motor lag and transport delay below which data know their sum only.
+#: Correlation of motor lag and transport delay below which the data determine only their sum.
 _NO_SPLIT = -0.9
-#: An error of this size counts as a whole: an angle of a radian turns a thrust away altogether.
+#: An error of this size counts as 100 %: an angle of a radian turns a thrust away completely.
 _WHOLE_ANGLE = 1.0
 
 Outcome = Literal[
@@ -56,16 +56,16 @@ class Verdict(Result):
     ----------
     outcome : str
         ``trusted``: a controller designed from the model settles on the craft. ``not_trusted``: it
-        need not, since the model is wrong. ``not_enough_excitation``: the recording moves the craft
+        may not, since the model is wrong. ``not_enough_excitation``: the recording moves the craft
         too little to tell. ``suspect_recording``: its clocks, motor order or units look wrong.
         ``not_judged``: there is no recording to judge by.
     sentences : tuple of str
-        In words: the outcome, then why and what to do, then what else is known.
+        In words: the outcome, then the reason and remedy, then further findings.
     relative_errors : dict
-        Standard errors of what was learned, by label, relative to its natural size; infinite where
-        the data do not determine it.
+        Standard errors of the learned parameters, by label, relative to their natural size;
+        infinite if undetermined.
     missed : array, shape (3,), or None
-        Errors of x, y and yaw relative to those of a craft that coasts.
+        Errors of x, y and yaw relative to a craft that coasts.
     acceleration_errors : array, shape (6,), or None
         Relative standard errors of the largest accelerations, systematic errors included.
     response_error : float or None
@@ -91,13 +91,13 @@ class Verdict(Result):
 
 
 def missed_motion(evaluation: Evaluation, trajectory: Trajectory) -> Float[np.ndarray, " 3"]:
-    """Return errors of x, y and yaw relative to those of a craft that coasts; typical window."""
+    """Return errors of x, y and yaw relative to a craft that coasts, for a typical window."""
     return evaluation.median_abs / np.maximum(coasting(evaluation, trajectory).median_abs, 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What is known of a model's errors."""
+    """Known errors of a model."""
 
     model: Model
     trajectory: Trajectory | None
@@ -105,7 +105,7 @@ class _Evidence:
 
     @cached_property
     def effects(self) -> EffectErrors | None:
-        """Systematic errors that the recording shows."""
+        """Systematic errors that the recording reveals."""
         return None if self.trajectory is None else effect_errors(self.model, self.trajectory)
 
     @cached_property
@@ -121,7 +121,7 @@ class _Evidence:
 
     @cached_property
     def total(self) -> tuple[Float[np.ndarray, " 6"], float]:
-        """Standard errors with what is systematically wrong."""
+        """Standard errors including systematic errors."""
         (chance, response), effects = self.by_chance, self.effects
         if effects is None:
             return chance, response
@@ -131,7 +131,7 @@ class _Evidence:
 
     @cached_property
     def missed(self) -> Float[np.ndarray, " 3"] | None:
-        """Errors relative to those of a craft that coasts."""
+        """Errors relative to a craft that coasts."""
         if self.evaluation is None or self.trajectory is None:
             return None
         return missed_motion(self.evaluation, self.trajectory)
@@ -149,7 +149,7 @@ def verdict(
     model : Model
         Any model.
     trajectory : Trajectory, optional
-        A recording to judge it on: better one that it was not learned from.
+        A recording to judge it on, preferably one that it was not learned from.
     evaluation : Evaluation, optional
         How well it predicts that recording, if it was not learned from it.
 
@@ -184,7 +184,7 @@ def verdict(
 
 
 def _headline(model: Model, outcome: Outcome, own: bool) -> str:
-    """Say the outcome in a sentence."""
+    """Describe the outcome in a sentence."""
     name = model.name
     return {
         "trusted": f"{name} can be trusted for control"
@@ -200,7 +200,7 @@ def _headline(model: Model, outcome: Outcome, own: bool) -> str:
 
 
 def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
-    """Return the outcome, and the sentences that give the reason."""
+    """Return the outcome, and sentences with the reason."""
     model = evidence.model
     if wrong := _structural(model):
         return "not_trusted", wrong
@@ -223,7 +223,7 @@ def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
 
 
 def _structural(model: Model) -> list[str]:
-    """Tell what a model lacks, or its fit."""
+    """Describe what the model or its fit lacks."""
     found = []
     if model.fit.get("converged") is False:
         found.append("The fit did not converge: run it again, with more data or from nearby.")
@@ -233,17 +233,17 @@ def _structural(model: Model) -> list[str]:
 
 
 def _learned_lag(model: Model) -> bool:
-    """Return whether a model learns its motor lag, which may then be at its bound."""
+    """Return whether a model's motor lag is learned."""
     return bool(model.free[model.parameters.mask(frozenset({"motor_time_constant"}))].any())
 
 
 def _beyond_chance(value: Any, error: Any) -> Any:
-    """Return the size of an error that is not explained by the chance in its estimate."""
+    """Return the part of an error that chance does not explain."""
     return np.sqrt(np.maximum(np.square(value) - np.square(error), 0.0))
 
 
 def _quiet(evidence: _Evidence) -> list[str]:
-    """Tell if a recording excites the craft too little to judge a model by it."""
+    """Report if a recording excites the craft too little to judge a model by it."""
     fly = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
     effects, trajectory = evidence.effects, evidence.trajectory
     if effects is None or trajectory is None:
@@ -276,7 +276,7 @@ def _quiet(evidence: _Evidence) -> list[str]:
 
 
 def _uncertain(relative: Float[np.ndarray, " 6"], response: float) -> list[str]:
-    """Tell which accelerations, and whether the response time, are not known well enough."""
+    """Report accelerations, and a response time, that are too uncertain."""
     found = []
     if relative.max() > ACCELERATION_LIMIT:
         found.append(
@@ -293,7 +293,7 @@ def _uncertain(relative: Float[np.ndarray, " 6"], response: float) -> list[str]:
 
 
 def _wrong(relative: Float[np.ndarray, " 6"], response: float, effects: EffectErrors) -> list[str]:
-    """Tell which accelerations, and whether the response time, are systematically wrong."""
+    """Report accelerations, and a response time, that are systematically wrong."""
     found = []
     if relative.max() > ACCELERATION_LIMIT:
         off = [
@@ -321,12 +321,12 @@ def _wrong(relative: Float[np.ndarray, " 6"], response: float, effects: EffectEr
 
 
 def _way(number: int) -> str:
-    """Name a way to accelerate."""
+    """Name a direction of acceleration."""
     return WAYS[number][0]
 
 
 def _ways(relative: Float[np.ndarray, " 6"]) -> str:
-    """Say in which ways an acceleration is uncertain."""
+    """Describe in which directions an acceleration is uncertain."""
     return ", ".join(
         f"{way} is uncertain by {percent(float(r))}" if np.isfinite(r) else f"{way} is unknown"
         for (way, *_), r in zip(WAYS, relative, strict=True)
@@ -335,7 +335,7 @@ def _ways(relative: Float[np.ndarray, " 6"]) -> str:
 
 
 def _compared(evidence: _Evidence) -> list[str]:
-    """Compare predictions with those of a craft that coasts."""
+    """Compare predictions with a craft that coasts."""
     missed = evidence.missed
     if missed is None:
         return []
@@ -349,7 +349,7 @@ def _compared(evidence: _Evidence) -> list[str]:
 
 
 def _known(evidence: _Evidence) -> list[str]:
-    """Tell what the trust rests on."""
+    """Describe the basis of the trust."""
     relative, error = evidence.total
     response = _with_error(1e3 * _response_time(evidence.model), 1e3 * error)
     return [
@@ -361,7 +361,7 @@ def _known(evidence: _Evidence) -> list[str]:
 
 
 def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
-    """Name what is unknown, and the remedy."""
+    """Name the unknown quantities, and the remedy."""
     named = []
     for quantity in _learned(model):
         if errors.get(quantity.label, 0.0) > UNKNOWN_LIMIT:
@@ -376,7 +376,7 @@ def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
 
 
 def _timing(model: Model) -> list[str]:
-    """Say that the sum of lag and delay is known, and the split is not, where that is so."""
+    """Report if only the sum of lag and delay is known, and not the split."""
     masks = [
         model.parameters.mask(frozenset({name}))
         for name in ("motor_time_constant", "transport_delay")
@@ -415,7 +415,7 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
 
 
 def _learned(model: Model) -> list[MainQuantity]:
-    """Return what a model learned and whose size says how large an error is."""
+    """Return learned quantities whose size shows how large an error is."""
     return [
         quantity
         for quantity in main_quantities(model)
@@ -426,7 +426,7 @@ def _learned(model: Model) -> list[MainQuantity]:
 def _relative_errors(model: Model) -> dict[str, float]:
     """Return standard errors relative to the natural size of each quantity.
 
-    Those held by a constraint have none; those that the data do not determine are infinite.
+    Quantities fixed by a constraint have none; undetermined ones are infinite.
     """
     found = {}
     for quantity in _learned(model):
@@ -437,10 +437,10 @@ def _relative_errors(model: Model) -> dict[str, float]:
 
 
 def _size(model: Model, quantity: MainQuantity) -> float:
-    """Return what an error of a quantity is relative to, in its unit; 0 where nothing is.
+    """Return the reference value for an error of a quantity, in its unit; 0 if there is none.
 
-    That is its value, where it is positive by nature. An angle counts by the radian, the centre of
-    mass by the lever arm of the propellers.
+    This is the quantity's value if it is always positive. For an angle it is a radian, for the
+    centre of mass the lever arm of the propellers.
     """
     if quantity.parameter == "angle_offset":
         return quantity.factor * _WHOLE_ANGLE
@@ -450,7 +450,7 @@ def _size(model: Model, quantity: MainQuantity) -> float:
 
 
 def _response_time(model: Model) -> Any:
-    """Return how long after a command a motor has followed it: lag and delay together [s]."""
+    """Return the response time of the motors to a command: lag and delay together [s]."""
     return model.parameters.motor_time_constant + model.transport_delay
 
 

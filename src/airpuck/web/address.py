@@ -1,4 +1,4 @@
-"""Where a page is served: on this machine alone, or on a network interface that is named."""
+"""The address of a page: on this machine alone, or on a named network interface."""
 
 from __future__ import annotations
 

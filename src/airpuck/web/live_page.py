@@ -1,4 +1,4 @@
-"""The page of a game on the ROS 2 graph: it shows what the graph says, and may move the mallet."""
+"""The page of a game on the ROS 2 graph: it shows the graph's data, and may move the mallet."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from airpuck.web.page import Pages, hello_of
 
 #: A body is shown for this long after its last pose [s].
 _SEEN = 0.15
-#: How often to look whether the graph takes a place for the mallet [s].
+#: Period for checking whether the graph accepts a target for the mallet [s].
 _LOOK = 0.5
-#: Of what has no place.
+#: Pose of a body without a known position.
 _NOWHERE = np.full(3, math.nan)
 
 
 def live_hello(model: Model, equipment: AirHockey) -> dict[str, Any]:
-    """Return the first message to a page of a game on the graph, which no page pauses or starts."""
+    """Return the first message to a page of a game on the graph, which cannot pause games."""
     return hello_of(model, equipment) | {"live": True, "levels": [], "names": NAMES}
 
 
 class LivePage:
-    """Shows a player's flight to the pages, and sends where they want the mallet; a `Spectator`.
+    """Shows a player's flight on the pages, and sends their targets for the mallet; a `Spectator`.
 
     A page plays only if the process that publishes the poses of the mallet also subscribes to the
     mallet's target, as a twin with its human at the page does. Otherwise the human is at the table,
-    and pages only show. A flight neither waits for its pages nor ends with them.
+    and pages only show the game. A flight neither waits for its pages nor ends with them.
     """
 
     def __init__(self, pages: Pages, score: Score, level: str) -> None:
@@ -48,7 +48,7 @@ class LivePage:
         self._seated = self._plays = False
         #: Target of the mallet.
         self._wanted: tuple[float, float] | None = None
-        #: The newest pose of each body, and the one before: stamp [s], pose.
+        #: The newest pose of each body, and the previous one: stamp [s], pose.
         self._poses: dict[Kind, list[tuple[float, Float[np.ndarray, " 3"]]]] = {}
         self._shown = -math.inf
         pages.say_status("starting", (0, 0), level)
@@ -60,7 +60,7 @@ class LivePage:
         self._targets = Outbox(process, "mallet_target")
 
     def measured(self, measurement: Measurement) -> None:
-        """Take note of a pose; see `Spectator`."""
+        """Receive a pose; see `Spectator`."""
         if np.isfinite(measurement.values).all():
             one = measurement.stamp, measurement.values
             self._poses[measurement.kind] = [*self._poses.get(measurement.kind, [])[-1:], one]
@@ -82,7 +82,7 @@ class LivePage:
         return {}
 
     def _hear(self, pages: Pages) -> None:
-        """Take what the pages ask for."""
+        """Process the pages' requests."""
         orders, wish = pages.hear()
         for order in orders:
             if order["do"] in ("sit", "leave"):
@@ -100,7 +100,7 @@ class LivePage:
         return bool(senders & graph.subscribers(topics.mallet_target))
 
     def _tell(self, pages: Pages, action: Action) -> None:
-        """Show where everything is, and say what was called."""
+        """Show all positions and announce rulings."""
         newest = max((poses[-1][0] for poses in self._poses.values()), default=-math.inf)
         if newest > self._shown:
             self._shown = newest
@@ -112,7 +112,7 @@ class LivePage:
         pages.think(self._player, action.time)
 
     def _state(self, time: float, action: Action) -> bytes:
-        """Return the message of where everything was at a time; what is not seen is nowhere."""
+        """Return the message with all positions at a time; unseen bodies have no position."""
         seen = {kind: poses for kind, poses in self._poses.items() if time - poses[-1][0] < _SEEN}
         place = {kind: poses[-1][1] for kind, poses in seen.items()}
         moving = np.zeros(2)

@@ -16,7 +16,7 @@ _LOOK, _END = 0.02, 3.0
 
 
 def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any = print) -> None:
-    """Play a game in real time, from when the first page is there; pages only show it.
+    """Play a game in real time, once the first page is connected; pages only show it.
 
     Parameters
     ----------
@@ -25,9 +25,9 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
     model : Model
         The craft.
     arena : ArenaSettings
-        Where it is shown.
+        Where to serve the page.
     tell : callable, default print
-        Takes the line that says where the page is.
+        Receives the line with the page's address.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any =
 
 def _show(game: Game, pages: Pages) -> None:
     """Play a game to its end, and show it."""
-    while not pages.hear()[0] and not pages.lost:  # the first page sits down
+    while not pages.hear()[0] and not pages.lost:  # the first page takes the seat
         time.sleep(_LOOK)
     thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
     clock, began = Clock(), game.time

@@ -1,7 +1,7 @@
 """Messages between pages and their server.
 
-Where everything is goes as packed numbers, a hundred times a second; all else is JSON. What comes
-from a page is checked here: it may be anything.
+Positions are sent as packed numbers, a hundred times a second; all else is JSON. Messages from a
+page are checked here: they may contain anything.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import struct
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
-#: What a page may ask for, beside where the mallet shall be.
+#: Requests of a page other than a target for the mallet.
 Deed = Literal["go", "pause", "restart", "level", "sit", "think"]
 DEEDS = get_args(Deed)
-#: The longest message of a page that may be meant [bytes].
+#: Longest valid message from a page [bytes].
 LONGEST = 64
 
 _WISH = struct.Struct("<Ifff")
@@ -23,7 +23,7 @@ _STATE = struct.Struct("<dIB3x")
 
 
 class Wish(NamedTuple):
-    """Where a page wants the mallet of a game, or the set point of a craft."""
+    """A page's target for the mallet of a game, or for the set point of a craft."""
 
     #: Sequence number of this message, per page.
     number: int
@@ -34,17 +34,17 @@ class Wish(NamedTuple):
 
 
 class Order(NamedTuple):
-    """Something else that a page asks for."""
+    """Another request of a page."""
 
     do: Deed
-    #: A level, where one is chosen.
+    #: The chosen level, if any.
     level: str = ""
-    #: Whether to show thoughts.
+    #: Whether to show the player's plans.
     on: bool = False
 
 
 def read_message(message: str | bytes) -> Wish | Order | None:
-    """Return what a page asks for; None for what no page of ours sends."""
+    """Return a page's request; None for messages that our pages never send."""
     if len(message) > LONGEST:
         return None
     return _read_wish(message) if isinstance(message, bytes) else _read_order(message)
@@ -66,16 +66,16 @@ def packed_state(
 ) -> bytes:
     """Return the message of a state.
 
-    Puck: x, y, yaw; mallet: x, y and their rates, or a craft in its place: x, y, yaw, 0; craft, on
-    the left: x, y, yaw. `commands` belong to the craft from left to right. `heard` is the
-    number of the newest wish that the game has taken.
+    Puck: x, y, yaw; mallet: x, y and their rates, or for a craft in its place: x, y, yaw, 0; craft,
+    on the left: x, y, yaw. `commands` belong to the craft from left to right. `heard` is the
+    sequence number of the newest wish that the game has processed.
     """
     numbers = [*puck[:3], *mallet[:4], *craft[:3], *commands]
     return _STATE.pack(time, heard, hidden) + struct.pack(f"<{len(numbers)}f", *numbers)
 
 
 def _read_wish(data: bytes) -> Wish | None:
-    """Return a wish, if it is one."""
+    """Return a wish, if the message is one."""
     if len(data) != _WISH.size:
         return None
     wish = Wish(*_WISH.unpack(data))
@@ -83,7 +83,7 @@ def _read_wish(data: bytes) -> Wish | None:
 
 
 def _read_order(text: str) -> Order | None:
-    """Return an order, if it is one."""
+    """Return an order, if the message is one."""
     try:
         order: Any = json.loads(text)
     except (ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Pages as the process behind them sees them: where they are served, what goes to and fro."""
+"""Pages from the game's side: where they are served, and messages in both directions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from airpuck.web.address import LOOPBACK, address_of, listen
 from airpuck.web.messages import Wish, packed_state, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageName, serve
 
-#: Steps from one thought that is shown to the next.
+#: Number of steps between plans that are shown.
 _THOUGHTS_EVERY = 3
 
 
@@ -71,22 +71,22 @@ class ArenaSettings:
 class Pages:
     """The pages of a game: messages to them, and their wishes.
 
-    Where `waits` is false, messages that do not fit into the pipe are dropped: the caller is a
-    control loop. When the page server ends, `lost` is set, and all else has no effect.
+    If `waits` is false, messages that do not fit into the pipe are dropped, because the caller is a
+    control loop. When the page server ends, `lost` is set, and all other calls have no effect.
     """
 
     def __init__(self, pipe: Connection, *, waits: bool = True, url: str = "") -> None:
         self._pipe, self._waits, self.url = pipe, waits, url
-        #: By name: what was sent last.
+        #: Last message sent, by name.
         self._sent: dict[str, bytes] = {}
         self._thoughts = 0
-        #: Whether any page shows thoughts.
+        #: Whether any page shows plans.
         self.thinks = False
         #: Whether the page server has ended.
         self.lost = False
 
     def hear(self) -> tuple[list[dict[str, Any]], Wish | None]:
-        """Return what the pages ask for: orders, and the newest wish, if any."""
+        """Return the pages' requests: orders, and the newest wish, if any."""
         orders, wish = [], None
         while (message := self._receive()) is not None:
             if message[:1] == WISH:
@@ -100,7 +100,7 @@ class Pages:
         return orders, wish if isinstance(wish, Wish) else None
 
     def show(self, state: bytes) -> None:
-        """Show where everything is."""
+        """Show all positions."""
         self._send(STATE + state)
 
     def say(self, event: dict[str, Any]) -> None:
@@ -112,13 +112,13 @@ class Pages:
         self.update("status", {"phase": phase, "score": list(score), "level": level})
 
     def update(self, name: str, scene: dict[str, Any]) -> None:
-        """Send something that lasts if it has changed; only the newest of a name counts."""
+        """Send a lasting message if it has changed; only the newest of a name counts."""
         message = json.dumps({"is": name, **scene}).encode()
         if self._sent.get(name) != message and self._send(SCENE + message):
             self._sent[name] = message
 
     def think(self, player: Player, time: float) -> None:
-        """Send every third thought of the craft if any page shows thoughts."""
+        """Send every third plan of the craft if any page shows plans."""
         self._thoughts = (self._thoughts + 1) % _THOUGHTS_EVERY
         if self.thinks and not self._thoughts:
             self._send(THOUGHT + json.dumps(thought_of(player, time)).encode())
@@ -154,7 +154,7 @@ def served(
 ) -> Iterator[Pages]:
     """Serve pages from another process; `hello` is the first message to a page.
 
-    `without` says how to do without pages, in case websockets is not installed.
+    `without` explains how to run without pages if websockets is not installed.
     """
     if find_spec("websockets") is None:
         raise InputError(f"the page needs websockets: pip install websockets{without}")
@@ -182,7 +182,7 @@ def invite(pages: Pages, arena: ArenaSettings, tell: Any, what: str = "Play") ->
 
 
 def table_of(model: Model, table: Table) -> dict[str, Any]:
-    """Return what a page must know to draw a craft on its table."""
+    """Return the data that a page needs to draw a craft on its table."""
     x, y = table.length_m / 2, table.width_m / 2
     return {
         "table": [table.length_m, table.width_m],
@@ -193,7 +193,7 @@ def table_of(model: Model, table: Table) -> dict[str, Any]:
 
 
 def hello_of(model: Model, equipment: AirHockey) -> dict[str, Any]:
-    """Return what a page must know before it can show anything."""
+    """Return the data that a page needs before it can show anything."""
     mallet, rules = equipment.mallet, Rules()
     return table_of(model, equipment.table) | {
         "hockey": hockey_shape(equipment),
@@ -208,7 +208,7 @@ def hello_of(model: Model, equipment: AirHockey) -> dict[str, Any]:
 
 
 def state_of(game: Game, heard: int = 0) -> bytes:
-    """Return the message of where everything is in a game; see `packed_state`."""
+    """Return the message with all positions in a game; see `packed_state`."""
     left, right = game.sides
     commands: list[float] = []
     for side in game.sides:
@@ -237,7 +237,7 @@ def news_of(event: GameEvent) -> dict[str, Any] | None:
 
 
 def thought_of(player: Player, time: float) -> dict[str, Any]:
-    """Return what the craft expects and wants, for the page."""
+    """Return the craft's expectations and intention, for the page."""
     intention, predicted = player.intention, player.predicted
     thought: dict[str, Any] = {"is": "thought", "words": "", "meet": None, "path": None}
     thought["predicted"] = None if predicted is None else predicted.round(4).tolist()

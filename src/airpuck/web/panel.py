@@ -15,7 +15,7 @@ from airpuck.live.fly import NAME as FLY
 from airpuck.live.plan import NAME as PLAN
 from airpuck.live.watch import Observer
 
-#: Newest events that are shown.
+#: Number of events shown, the newest first.
 _SHOWN = 12
 #: A controller whose last heartbeat is older counts as gone [s].
 _GONE = 2.5
@@ -30,11 +30,11 @@ _FULL_ERROR = (0.016, 0.016, 0.5)
 
 
 class Gauge(NamedTuple):
-    """A line with a name, a value in words, and a bar."""
+    """A line with a name, a value as text, and a bar."""
 
     name: str
     value: str
-    #: Length of the bar: 1 is a full one, more is drawn as too much, None is no bar.
+    #: Length of the bar: 1 is full, more is shown as excess, None means no bar.
     share: float | None = None
 
 
@@ -63,7 +63,7 @@ def panel(observer: Observer) -> dict[str, Any]:
 
 
 def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
-    """Return gauges of a controller's heartbeat: how it keeps its time."""
+    """Return gauges of a controller's heartbeat: its timing."""
     gauges = []
     for key, (name, limit) in _TIMES.items():
         try:
@@ -78,7 +78,7 @@ def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
 
 
 def plan_gauges(came: float, status: str, figures: Mapping[str, str], now: float) -> list[Gauge]:
-    """Return what a predictive law said last of its plan: how it ended, and its active limits."""
+    """Return a predictive law's last report on its plan: outcome and active limits."""
     if now - came >= _GONE:
         return []
     return [Gauge("plan", status), Gauge("limits ahead", figures.get("limits") or "none")]
@@ -90,7 +90,7 @@ def judged(health: Health) -> bool:
 
 
 def health_gauges(health: Health) -> list[tuple[str, list[Gauge]]]:
-    """Return errors by channel, and what propellers and delay contribute, under their headings."""
+    """Return errors by channel, and the contributions of propellers and delay, under headings."""
     found = health.found
     if not judged(health):
         return [(str(health), [])]

@@ -1,8 +1,8 @@
-"""Who may use a page that moves a craft: only the page itself, under a name that is our own.
+"""Access control for a page that moves a craft: only the page itself, under one of our names.
 
 Any site in a browser may open a WebSocket to this machine, and a site whose name resolves to
-loopback seems to be of the same origin. The first is known by its Origin, the second by
-its Host.
+loopback seems to have the same origin. The Origin header reveals the first, the Host header the
+second.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import re
 import socket
 from collections.abc import Sequence
 
-#: What serves on all interfaces.
+#: Hosts that mean all interfaces.
 _ANY = ("", "0.0.0.0", "::")
 #: A Host header: an IPv6 address in brackets, or a name or IPv4 address; then a port.
 _HOST = re.compile(r"(?:\[(?P<six>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9]{1,5})?")
 
 
 def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | None:
-    """Return why a request with these headers is refused, or None.
+    """Return why a request with these headers is rejected, or None.
 
     A client other than a browser sends no origin. It may connect: it could also send on the graph.
     """

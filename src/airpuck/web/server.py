@@ -1,4 +1,4 @@
-"""The page server: a process of its own, so that no browser can hold up the physics.
+"""The page server: a separate process, so that no browser can delay the physics.
 
 The first page that connects takes the seat, and its mallet plays. All others are spectators until
 the seat is free.
@@ -23,10 +23,11 @@ from airpuck.flight.clock import TokenBucket
 from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
 from airpuck.web.same_origin import refusal
 
-#: The pages: a game, whose first page takes the seat, and the live view, which anybody may use.
+#: The pages: a game, whose first page takes the seat, and the live view, which everyone may use.
 PageName = Literal["play", "view"]
 _SHARED = "view"
-#: Types of files by extension. Each page has three of its own, and takes three of all pages.
+#: Types of files by extension. Each page has three files of its own, and shares three with all
+#: pages.
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 _ALL_PAGES = ("page.css", "page.js", "table_canvas.js")
 #: The page loads nothing from other sites, and no other site may embed it.
@@ -34,22 +35,22 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src data:; connect-src 'self'; "
     "frame-ancestors 'none'"
 )
-#: Pages at a time; a whole class may watch.
+#: Maximum number of pages; a whole class may watch.
 _PAGES = 32
 #: Rate limit of each page's messages [1/s], and its burst; a mouse reports at most 125 Hz to 1 kHz.
 _RATE, _BURST = 500.0, 500.0
-#: Events that wait for a slow page; older ones are dropped.
+#: Number of events that wait for a slow page; older ones are dropped.
 _EVENTS = 64
 #: Send buffers of the system and of a connection [bytes]: states in larger ones would be outdated.
 _SENT, _BUFFERED = 16_384, 2048
 #: Close code of a page that breaks the rules (RFC 6455, 7.4.1).
 _POLICY_VIOLATION = 1008
-#: Orders that may wait for the game while it starts a new one.
+#: Number of orders that may wait for the game while it starts a new one.
 _ORDERS = 32
-#: Timeout of a page that reads nothing or answers no ping, such as a phone that fell asleep [s].
+#: Timeout of a page that reads nothing or answers no ping, such as a sleeping phone [s].
 PATIENCE = 4.0
-#: Kinds of messages from the game and to the game: the first byte of each.
-#: A `SCENE` is JSON of which only the newest of each name counts; pages that come later get it too.
+#: Kinds of messages from the game and to the game: the first byte of each. A `SCENE` is JSON of
+#: which only the newest of each name counts; pages that connect later also receive it.
 STATE, EVENT, SCENE, THOUGHT, WISH, ORDER = b"S", b"E", b"C", b"T", b"W", b"O"
 
 _log = logging.getLogger("airpuck.web")
@@ -70,19 +71,19 @@ def serve(
 
 
 class _Page:
-    """A connected page: messages that wait for it, and its rate limit."""
+    """A connected page: pending messages, and its rate limit."""
 
     def __init__(self, websocket: Any, patience: float) -> None:
         self.websocket, self._patience = websocket, patience
         self.thinks = False
-        #: The newest message of each name of which older ones are worthless.
+        #: The newest message of each name; older ones are worthless.
         self._newest: dict[str, str | bytes] = {}
         self._events: deque[str | bytes] = deque(maxlen=_EVENTS)
         self._waits = asyncio.Event()
         self._limit = TokenBucket(_RATE, _BURST)
 
     def show(self, name: str, message: str | bytes) -> None:
-        """Send a message that replaces an older one of its name that has not left yet."""
+        """Send a message that replaces an unsent older one of its name."""
         self._newest[name] = message
         self._waits.set()
 
@@ -92,7 +93,7 @@ class _Page:
         self._waits.set()
 
     async def send(self) -> None:
-        """Send what waits, as fast as the page reads; raise TimeoutError if it does not read."""
+        """Send pending messages as fast as the page reads; raise TimeoutError if it stalls."""
         while True:
             await self._waits.wait()
             self._waits.clear()
@@ -111,19 +112,19 @@ class _Page:
 
 
 class _Server:
-    """All pages, and which of them plays."""
+    """All pages, and the one that plays."""
 
     def __init__(
         self, pipe: Connection, host: str, page: PageName, hello: dict[str, Any], patience: float
     ) -> None:
         self._pipe, self._host, self._patience = pipe, host, patience
         self._shared = page == _SHARED
-        #: First messages to a page: by name, the newest of those that stay valid.
+        #: First messages to a page: the newest lasting message of each name.
         self._remembered: dict[str, str | bytes] = {"hello": json.dumps({"is": "hello", **hello})}
         self._pages: list[_Page] = []
         self._player: _Page | None = None
         self._thinks = False
-        #: Orders that wait for the game, which takes none while it starts a new one.
+        #: Orders that wait for the game, which accepts none while it starts a new one.
         self._orders: deque[bytes] = deque()
         self._wish: bytes | None = None
         self._tells = False
@@ -190,7 +191,7 @@ class _Server:
         return response
 
     async def _attend(self, websocket: Any) -> None:
-        """Attend to a page until it leaves, stops reading, or sends what no page of ours would."""
+        """Serve a page until it leaves, stops reading, or sends an invalid message."""
         from websockets.exceptions import ConnectionClosed
 
         own = websocket.transport.get_extra_info("socket")
@@ -217,7 +218,7 @@ class _Server:
             self._leave(page)
 
     async def _read(self, page: _Page) -> None:
-        """Obey a page until it leaves, exceeds its rate limit, or sends an invalid message."""
+        """Process a page's messages until it leaves, exceeds its rate limit, or sends garbage."""
         async for message in page.websocket:
             parsed = read_message(message) if page.may_send() else None
             if parsed is None:
@@ -243,7 +244,7 @@ class _Server:
         self._count_thinkers()
 
     def _obey(self, page: _Page, parsed: Wish | Order) -> None:
-        """Do what a page asks for, if it may."""
+        """Carry out a page's request, if permitted."""
         if isinstance(parsed, Wish):
             if self._shared or page is self._player:
                 self._wish = WISH + packed_wish(parsed)
@@ -258,7 +259,7 @@ class _Server:
             self._order(json.dumps(parsed._asdict()).encode())
 
     def _count_thinkers(self) -> None:
-        """Ask the game to publish thoughts while any page shows them."""
+        """Ask the game to publish plans while any page shows them."""
         thinks = any(page.thinks for page in self._pages)
         if thinks != self._thinks:
             self._thinks = thinks
@@ -291,7 +292,7 @@ class _Server:
             asyncio.get_running_loop().remove_writer(self._pipe.fileno())
 
     def _hear_game(self, message: bytes) -> None:
-        """Pass a message of the game on to the pages."""
+        """Forward a message from the game to the pages."""
         kind, content = message[:1], message[1:]
         text = content if kind == STATE else content.decode()
         if kind == EVENT:

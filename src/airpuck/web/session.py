@@ -27,15 +27,15 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 
 #: Rate limit of new games [1/s], and its burst: starting one stops the physics for 0.2 s. Orders
-#: that come meanwhile count as one.
+#: that arrive meanwhile count as one.
 _GAMES_RATE, _GAMES_BURST = 1.0, 3.0
 #: Time limit of a game at the page: practically none [s].
 _NO_LIMIT = 1e6
-#: Steps before a game, for what is slow the first time.
+#: Number of warm-up steps before a game.
 _WARM_UP = 20
-#: Steps in which the craft flies home after the player has left; then the game pauses.
+#: Number of steps in which the craft flies home after the player has left; then the game pauses.
 _HOMEWARD = 300
-#: Where the puck lies meanwhile: the player begins [m].
+#: Position of the puck meanwhile: the player begins [m].
 _LAID = 0.3
 #: Time left to other processes in each period, at least [s].
 _BREATH = 5e-4
@@ -53,34 +53,34 @@ def play_in_browser(
     seed: int = 0,
     tell: Any = print,
 ) -> dict[str, Any]:
-    """Let a person play against the craft, in a page that this serves.
+    """Let a person play against the craft, on a page served here.
 
     Parameters
     ----------
     model : Model
-        The craft; its player believes the same model.
+        The craft; its player uses the same model.
     arena : ArenaSettings, optional
-        Where, and for how long.
+        Where to serve, and for how long.
     level : str, default "medium"
-        How well the craft plays; the page can change it.
+        Level of the craft; the page can change it.
     tactic : str, optional
         The craft's tactic, FILE.py:NAME; by default the package's own.
     settings : TwinSettings, optional
         Table, puck, radio, noise; by default the packaged ones.
     seed : int, default 0
-        Of everything random.
+        Seed of all random numbers.
     tell : callable, default print
-        Takes the line that says where the page is.
+        Receives the line with the page's address.
 
     Returns
     -------
     dict
-        Figures for ``--json``.
+        Results for ``--json``.
 
     Raises
     ------
     InputError
-        If websockets is not installed, there is no such level, or the address is not free.
+        If websockets is not installed, the level is unknown, or the address is not free.
     """
     if level not in LEVELS:
         raise InputError(f"give {', '.join(LEVELS)}, not {level!r}", field="--level")
@@ -97,7 +97,7 @@ class GoHome:
     """Fly home and wait for a player; a `Tactic`."""
 
     def decide(self, view: View) -> Intention:
-        """Return what to do now; see `Tactic`."""
+        """Return the intention; see `Tactic`."""
         return Intention("home", SetPoint(*view.pitch.home, 0.0))
 
 
@@ -123,12 +123,12 @@ class Session:
         self._renewal: bool | None = None
         self._renewals = TokenBucket(_GAMES_RATE, _GAMES_BURST)
         self._clock = Clock()
-        #: How far the physics is behind real time, and how long a step takes [s].
+        #: Delay of the physics behind real time, and duration of a step [s].
         self._behind, self._took = Histogram(), Histogram()
         self._begin()
 
     def run(self, duration: float | None = None) -> dict[str, Any]:
-        """Play until the time is over; return the figures for ``--json``."""
+        """Play until the time is over; return the results for ``--json``."""
         with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
             self._run(math.inf if duration is None else duration)
         return {
@@ -153,7 +153,7 @@ class Session:
             self._hear()
             if self._renewal is not None and self._renewals.take(time.monotonic()):
                 self._renew(runs=self._renewal)
-                due = clock.now  # starting a game takes some 0.2 s
+                due = clock.now  # starting a game takes about 0.2 s
             events: Sequence[GameEvent] = ()
             if self._moves:
                 began = clock.now
@@ -166,7 +166,7 @@ class Session:
                 self._behind.add(max(behind, 0.0))
             if behind > _SLEPT:
                 due = clock.now
-            # The server of the page, and a browser, must get on even if this one is late.
+            # The page server, and a browser, need time even if this process is late.
             clock.sleep_until(max(due, clock.now + _BREATH))
 
     @property
@@ -188,7 +188,7 @@ class Session:
         return self.phase == "play" or self._until_home > 0
 
     def _begin(self) -> None:
-        """Begin a new game; it waits for the player's word."""
+        """Prepare a new game; it waits for the player to start it."""
         self._runs = self._begun = False
         self._renewal = None
         self._hand = GuidedHand()
@@ -223,7 +223,7 @@ class Session:
         return self._player
 
     def _hear(self) -> None:
-        """Take what the page has sent; of wishes only the last counts."""
+        """Process messages from the page; of wishes only the last counts."""
         orders, wish = self._pages.hear()
         for order in orders:
             self._obey(order)
@@ -232,7 +232,7 @@ class Session:
             self._hand.wanted = wish.x, wish.y
 
     def _obey(self, order: dict[str, Any]) -> None:
-        """Do what the page asks for."""
+        """Carry out the page's request."""
         match order["do"]:
             case "sit":
                 self._seated, self._heard = True, 0
@@ -251,7 +251,7 @@ class Session:
                 self._level, self._renewal = order["level"], False
 
     def _renew(self, *, runs: bool) -> None:
-        """Start a new game; the page shows meanwhile that this takes a moment."""
+        """Start a new game; meanwhile the page shows that this takes a moment."""
         self._tell_status("starting")
         # The page and its server need not wait for the compiler.
         prioritize(first=False)
@@ -260,7 +260,7 @@ class Session:
         prioritize(first=True)
 
     def _leave(self) -> None:
-        """Let the craft go home: the player has left, but may come back."""
+        """Let the craft fly home: the player has left, but may come back."""
         self._seated = self._runs = False
         if self._renewal is not None:
             self._renewal = False

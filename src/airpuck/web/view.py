@@ -44,7 +44,7 @@ def view_live(
     port: int = 8080,
     table: Table | None = None,
 ) -> dict[str, Any]:
-    """Serve a page that shows the craft as it flies, until its time is over, SIGINT or SIGTERM.
+    """Serve a page that shows the craft in flight, until the time is over, SIGINT or SIGTERM.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ def view_live(
     port : int, default 8080
         Port to serve at.
     table : Table, optional
-        By default the authors'.
+        Names of the topics; by default the authors'.
 
     Returns
     -------
     dict
-        Figures for ``--json``.
+        Results for ``--json``.
 
     Raises
     ------
@@ -90,20 +90,20 @@ def view_hello(model: Model, table: Table) -> dict[str, Any]:
 
 
 class _GraphView:
-    """What the pages show, and where they want the craft."""
+    """The data that the pages show, and their set point for the craft."""
 
     def __init__(
         self, pages: Pages, process: Process, model: Model, reach: tuple[float, float]
     ) -> None:
         self._pages, self._process, self._reach = pages, process, reach
-        #: Where the pages want the craft: x, y [m], yaw [rad], at rest.
+        #: Set point from the pages: x, y [m], yaw [rad], at rest.
         self._wanted: Float[np.ndarray, " 6"] | None = None
         self._references = Outbox(process, "reference")
         self._observer = Observer(process, model)
         self._gauges = Every(_GAUGES)
 
     def run(self) -> dict[str, Any]:
-        """Show what happens, until the end; return the figures for ``--json``."""
+        """Show events until the end; return the results for ``--json``."""
         clock, pages = self._process.clock, self._pages
         while self._process.goes_on and not pages.lost:
             clock.sleep_until(clock.now + _STATE)
@@ -127,7 +127,7 @@ class _GraphView:
             commands = newest["command"].tolist() if commanded else []
             pages.show(packed_state(now, 0, True, _NOTHING, _NOWHERE, pose.tolist(), commands))
         fixed = bool(self._process.graph.publishers(topics.reference))
-        # What a page wants is newer than what the controller says of it.
+        # A page's set point is newer than the one that the controller reports.
         wanted = None if fixed else self._wanted
         if wanted is None:
             wanted = newest.get("reference", pose)
@@ -144,7 +144,7 @@ class _GraphView:
             pages.update("panel", panel(observer))
 
     def _plan(self) -> dict[str, Any] | None:
-        """Return the path ahead and what holds it back, while the plan is new."""
+        """Return the path ahead and its active limits, while the plan is new."""
         path = self._observer.plan
         if path is None or self._observer.age("plan") > _PLANNED:
             return None
@@ -154,6 +154,6 @@ class _GraphView:
 
 
 def inside(wish: Wish, reach: tuple[float, float]) -> Float[np.ndarray, " 6"]:
-    """Return the set point that a page wants, moved inside the rails."""
+    """Return the set point from a page, moved inside the rails."""
     place = np.clip([wish.x, wish.y], np.negative(reach), reach)
     return np.array([*place, wish.yaw, 0.0, 0.0, 0.0])
