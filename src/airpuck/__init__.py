@@ -1,10 +1,10 @@
 """Identify, simulate and control propeller-driven hovercraft on an air-hockey table.
 
-The way of the data::
+Data flow::
 
     recording --preprocess--> trajectory --identify--> model --> evaluate, control, twin
 
-Public names are imported where they are used, so that ``import airpuck`` is quick.
+Public names are imported on first use, so that ``import airpuck`` is fast.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = sorted(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
 
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use (PEP 562)."""
-    if name == "plot":  # a module, and so no attribute of its package before it is imported
+    if name == "plot":  # a module is not an attribute of its package before it is imported
         return importlib.import_module("airpuck.report.plot")
     if name in _HOME:
         public = getattr(importlib.import_module(_HOME[name]), name)

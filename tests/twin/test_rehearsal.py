@@ -67,8 +67,8 @@ def test_a_controller_does_not_settle_without_a_motor():
     [
         ([True], []),
         ([False, True], ["noise of this recording", "[estimation] position_m"]),
-        ([False, False, True], ["not on the one that the recording shows", "--model auto"]),
-        ([False, False, False], ["the craft that the model describes", "another motion: back"]),
+        ([False, False, True], ["not on the craft that the recording shows", "--model auto"]),
+        ([False, False, False], ["the modelled craft", "another motion: back"]),
     ],
 )
 def test_what_is_said_names_the_cause(flight, monkeypatch, settled, told):

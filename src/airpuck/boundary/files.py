@@ -141,7 +141,7 @@ def checked(
         )
         kind = next((k for k in _KINDS if k in content and k not in known), None)
         if first["type"] in _UNKNOWN and kind:
-            field, problem = "", f"is {_KINDS[kind]}; another kind of file is wanted"
+            field, problem = "", f"is {_KINDS[kind]}; another kind of file is expected"
         elif first["type"] in _UNKNOWN:
             problem = "is not a known key; check its spelling"
         elif first["type"] == "missing":

@@ -40,7 +40,7 @@ FOLDER_FILES = 5_000
 #: Propellers of a craft: model matrices grow with the square of their number.
 PROPELLERS = 256
 
-#: All members of a .npz or .pt archive, unpacked [bytes]: some hours of flight.
+#: All members of a .npz or .pt archive, unpacked [bytes]: a few hours of flight.
 ARCHIVE_BYTES = 2**30
 #: The directory of an archive, and the amount read from it at once [bytes]. Ours have seven
 #: members.

@@ -280,6 +280,6 @@ def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
         if flight.rmse is not None:
             x, y, yaw = flight.rmse
             yield (
-                f"{flight.label:8s} twin against the real flight, 6 s from the first move on: "
+                f"{flight.label:8s} twin against the real flight, over 6 s from the first move: "
                 f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
             )

@@ -54,7 +54,7 @@ Recordings = Annotated[
 ComFrame = Annotated[
     Literal["body", "world"],
     Setting(
-        "Centre of mass fixed to the body, or as in the paper to the world.",
+        "Whether the centre of mass is fixed to the body, or to the world as in the paper.",
         heading="Structure of the model",
     ),
 ]

@@ -360,7 +360,7 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
 def report_flight(
     figures: dict[str, Any], json_file: Path | None, quiet: bool, *lines: str
 ) -> None:
-    """Report the results of a flight on the graph, after other lines."""
+    """Report the results of a flight on the graph below the given lines."""
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     report(

@@ -37,7 +37,7 @@ class Excitation(Pilot):
     own. Whenever the craft could not stop before the rails, the signals pause until it can.
 
     The controller assumes motors without lag. A controller that modelled the lag would compensate
-    the signals, because it is told the commands actually sent.
+    the signals, because it knows the commands actually sent.
 
     Parameters
     ----------

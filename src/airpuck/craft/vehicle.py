@@ -278,8 +278,8 @@ def check_sizes(
     if not _INERTIA[0] <= inertia / (mass * size**2) <= _INERTIA[1]:
         disc = 0.5 * mass * radius**2
         raise ValueError(
-            f"nominal.inertia_kg_m2 = {inertia:g} is far from that of a disc of this mass and "
-            f"radius, {disc:.2g}{_guess(inertia, _INERTIAS, disc)}"
+            f"nominal.inertia_kg_m2 = {inertia:g} is far from the inertia of a disc of this mass "
+            f"and radius, {disc:.2g}{_guess(inertia, _INERTIAS, disc)}"
         )
 
 

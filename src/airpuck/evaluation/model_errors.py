@@ -69,7 +69,7 @@ class ModelError(Result):
             )
         if self.name == "lag":
             how = "faster" if less else "slower"
-            return f"motors follow {self.size} {how} than modelled, beside any delay"
+            return f"motors follow {self.size} {how} than modelled, in addition to any delay"
         word = "less" if less else "more"
         if self.name == "mass":
             how = "light" if less else "heavy"

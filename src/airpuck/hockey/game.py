@@ -273,9 +273,9 @@ class Game:
         Returns
         -------
         Recording
-            As in `Twin.recording`, for the left craft, or else the right one; ``mallet`` is the
-            other's disc. Also ``opponent_command`` if the opponent is a craft, and ``game``.
-            Between two hands, ``pose`` is the left one's mallet.
+            As in `Twin.recording`, for the left craft, or for the right one if the left side is a
+            hand; ``mallet`` is the other's disc. Also ``opponent_command`` if the opponent is a
+            craft, and ``game``. Between two hands, ``pose`` is the left one's mallet.
         """
         flown = [side.twin.recording() for side in self.sides if side.twin is not None]
         if flown:

@@ -13,18 +13,18 @@ from airpuck.hockey.tactic import Intention, View
 
 #: Precision of a block [m, m, rad, m/s, m/s, rad/s]: yaw is free, velocities are loose.
 _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
-# The following numbers are guesses that won matches.
-#: Value of a block in seconds to spare: from here on more time to spare is worth nothing [s]; lost
-#: per metre from here; lost per metre off the puck's path; lost by a block behind the puck.
+# The following numbers are guesses that won matches. Value of a block in seconds to spare: beyond
+# this, more time to spare is worth nothing [s]; cost per metre of distance; cost per metre off the
+# puck's path; cost of a block behind the puck.
 _SPARE, _AWAY, _OFF_PATH, _PASSED = 0.1, 0.2, 2.0, 5.0
-#: By how much craft and puck would overlap where the fence keeps the craft off [m].
+#: Overlap of craft and puck at a block that the fence allows [m].
 _OVERLAP = 0.004
 #: Distance to a resting puck at which the craft waits [m], beyond the disc to avoid.
 _NEAR = 0.02
 #: A slower puck is not pushed; a faster one, or one this far in the other half, is not avoided
 #: [m/s, m/s, m].
 _SLOW, _FAST, _OTHER_HALF = 0.3, 0.5, 0.1
-#: Shorter vectors have no direction [m, m/s].
+#: Vectors shorter than this have no direction [m, m/s].
 _RESTS = 1e-6
 #: Time for which the craft covers the last predicted line of an unseen puck [s].
 _BLIND = 1.0
@@ -116,7 +116,7 @@ class Blind:
         self._line = 0.0
 
     def seen(self, view: View, outlook: Outlook) -> None:
-        """Remember where the puck will cross the line of home."""
+        """Remember where the puck will cross the line through the home position."""
         self._since = view.time
         x = view.pitch.home[0]
         before = outlook.places[:, 0] < x

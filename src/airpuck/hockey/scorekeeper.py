@@ -73,7 +73,7 @@ class Scorekeeper:
     """
 
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
-        # Whoever puts the puck back decides when.
+        # The person who puts the puck back decides when.
         unhurried = {"pause_s": math.inf, "limit_s": math.inf}
         self._equipment = equipment
         self._rules = (rules or Rules()).model_copy(update=unhurried)

@@ -1,4 +1,4 @@
-"""Strategies that search for a contact and keep the best, and whose turn it is to search."""
+"""Strategies that search for a contact and keep the best one; and the order of their searches."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _INTERRUPTED = 0.05
 
 
 class Searcher(ABC):
-    """A strategy that searches for a contact, and keeps the best as long as it holds."""
+    """A strategy that searches for a contact, and keeps the best one while it remains feasible."""
 
-    #: Decisions from one search to the next.
+    #: Number of decisions between searches.
     every: int
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class Searcher(ABC):
 
     @abstractmethod
     def applies(self, view: View, outlook: Outlook) -> bool:
-        """Return whether the puck is one for this strategy."""
+        """Return whether this strategy applies to the puck."""
 
     @abstractmethod
     def search(self, view: View, outlook: Outlook) -> None:
@@ -49,7 +49,7 @@ class Searcher(ABC):
         return self._approach if self._plan is None else self._plan.intention(view, outlook)
 
     def forget(self) -> None:
-        """Drop what was planned."""
+        """Drop the plan."""
         self._plan = self._approach = None
 
     def updated(self, view: View, outlook: Outlook, plan: PlannedContact) -> PlannedContact | None:
@@ -77,7 +77,7 @@ class Turns:
     """Gives the only search of a decision to one of several searchers.
 
     Two searches would take most of a control period. The searcher whose turn is most overdue gets
-    it, whatever their order, so that none waits for ever.
+    it, whatever their order, so that none waits forever.
     """
 
     def __init__(self) -> None:
@@ -98,6 +98,6 @@ class Turns:
         return chosen
 
     def _urgency(self, searcher: Searcher) -> tuple[float, float, int]:
-        """Return from which decision on it is a searcher's turn, its last turn, its interval."""
+        """Return the decision at which a searcher is due, its last turn and its interval."""
         last = self._last.get(searcher, -math.inf)
         return last + searcher.every, last, searcher.every

@@ -145,7 +145,7 @@ class Exclusion:
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the figures for ``--json`` and the model file."""
+        """Return the fields for ``--json`` and the model file."""
         names = ("recording", "start_s", "stop_s", "cause", "confidence")
         return {
             "share_of_windows": self.share,
@@ -172,8 +172,8 @@ def exclude_faults(
         if left < (1 - MOST) * windows:
             name = Path(trajectory.source).name or "a recording"
             warnings.append(
-                f"{100 * (1 - left / windows):.0f} % of the windows of {name} look faulty; none of "
-                "these is left out, since it is the model that does not fit: check the vehicle "
+                f"{100 * (1 - left / windows):.0f} % of the windows of {name} look faulty; none is "
+                "left out, because the model itself seems wrong: check the vehicle "
                 "file with `airpuck check`"
             )
             healthy, faults, left = trajectory, (), windows

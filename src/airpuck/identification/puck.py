@@ -38,7 +38,7 @@ _SCATTER = 0.005
 _FEWEST = 3
 #: Bounces that deviate by more robust standard deviations than this are excluded.
 _OUTLIER = 4.0
-_TOO_LITTLE = "the puck barely moves; record some seconds of shots and bounces"
+_TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 #: Which bounces determine which number.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
 #: Largest standard errors with which a number counts as identified.

@@ -86,7 +86,7 @@ class Guard:
 
     @property
     def position(self) -> Float[np.ndarray, " 3"] | None:
-        """The last pose, while poses are good."""
+        """The last pose; None unless poses are good."""
         return None if self._last is None or self._good_since is None else self._last[1]
 
     def stop(self, who: str, reason: str) -> None:

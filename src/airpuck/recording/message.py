@@ -71,7 +71,7 @@ def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
         text = "\n".join(line for line in text.splitlines() if not line.startswith(foreign))
         meant = _ANNOTATION.sub("@=", _MEANINGLESS.sub("", text))
         if _COMPUTED.search(meant):
-            raise ValueError(f"the embedded definition of {msgtype} computes with constants")
+            raise ValueError(f"the embedded definition of {msgtype} contains constant expressions")
         _check_size(_FIELDS_PER_EXPRESSION * len(_EXPRESSION.findall(meant)), msgtype)
     try:
         types = get_types_from_idl(text) if idl else get_types_from_msg(text, msgtype)

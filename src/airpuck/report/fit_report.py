@@ -280,7 +280,7 @@ def fit_report(
     if not fits:
         raise InputError("there is no fit to report on")
     if truth is not None:
-        # The truth has no encoder; with that of the fits, losses compare.
+        # The truth has no encoder; with the fits' encoder, losses are comparable.
         truth = replace(truth, indexing=fits[0].model.indexing)
     study = FitStudy(
         training=training,

@@ -250,7 +250,7 @@ def _cut_at(bands: PredictionBands, windows: list[int], channel: int) -> float |
 
 @style.styled
 def prediction_bands_figure(ahead: PredictionBands, simulated: PredictionBands) -> Figure:
-    """Draw predictions with their bands over some seconds of a recording.
+    """Draw predictions with their bands over a few seconds of a recording.
 
     Left: measured poses, short predictions and a simulation. Middle: errors and bands of the short
     predictions. Right: errors and bands of the simulation, which has the median error. Bands much

@@ -1,7 +1,7 @@
 """Flights on the twin with the controller that a model's user would design from it.
 
-The craft is what a recording shows: the model with its systematic errors mended. Cameras are as in
-the recording.
+The simulated craft is the model with its systematic errors, as a recording shows them, corrected.
+Cameras are as in the recording.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 
-#: Where the craft goes from rest at the origin, and how near it must stay [m, m, rad].
+#: Goal of the craft, from rest at the origin, and tolerance [m, m, rad].
 GOAL, NEAR = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1)
-#: Least time to get there, and for how long it must stay near [s].
+#: Shortest time allowed to get there, and time to stay within the tolerance [s].
 _ARRIVES, _STAYS = 2.0, 1.0
-#: A craft of little thrust has this many times the shortest time that its accelerations allow, and
-#: at most so long [s].
+#: A craft with little thrust is given this multiple of the shortest time that its accelerations
+#: allow, up to a limit [s].
 _LEISURE, _LONGEST = 3.0, 20.0
-#: Frames per second that a controller needs at most; more cost time only.
+#: Largest useful frame rate for a controller; more frames only cost time.
 _MOST_FRAMES = 240.0
 
 
 def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
     """Return whether the controller designed from a model brings a craft to rest at the goal."""
     tuning = default_tuning()
-    # NumPy, since a program for one flight takes longer to compile than to do without.
+    # NumPy, since compiling a program for one flight takes longer than it saves.
     pilot = TrackingController(model, SetPoint(*GOAL), tuning, table=settings.table, compiled=False)
     plant = build_plant(craft, settings, compiled=False)
     twin = Twin(craft, settings, plant=plant)
@@ -54,7 +54,7 @@ def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
 
 
 def _time_there(model: Model) -> float:
-    """Return when a craft must have arrived [s]."""
+    """Return the deadline for the craft's arrival [s]."""
     pushes = np.maximum(largest_acceleration(model), 1e-9)
     least = max(
         math.sqrt(4 * math.hypot(*GOAL[:2]) / pushes[:4].min()),
@@ -64,7 +64,7 @@ def _time_there(model: Model) -> float:
 
 
 def as_seen(model: Model, effects: EffectErrors) -> Model:
-    """Return the craft that a recording shows: a model with its systematic errors mended."""
+    """Return the craft that a recording shows: a model with its systematic errors corrected."""
     matrix = np.array(model.dynamics.configuration)
     runs = np.linalg.norm(effects.modelled, axis=0) > 0
     thrusts = np.linalg.norm(effects.modelled, axis=0) / np.linalg.norm(matrix, axis=0)
@@ -94,7 +94,7 @@ def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSet
 
 
 def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:
-    """Tell why the controller does not settle, and what to do; nothing where it settles."""
+    """Describe why the controller does not settle, and the remedy; empty if it settles."""
     settings, seen = like(trajectory, effects, model), as_seen(model, effects)
     flown = "In simulation, the packaged controller"
     try:
@@ -110,15 +110,15 @@ def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> lis
             ]
         if settles(model, model, settings):
             return [
-                f"{flown} settles on the craft that the model describes, but not on the one that "
-                "the recording shows: motors and timing differ too much. Try a richer model "
+                f"{flown} settles on the modelled craft, but not on the craft that the recording "
+                "shows: motors and timing differ too much. Try a richer model "
                 "(`--model auto`)."
             ]
     except InputError as error:
         return [f"No controller can be designed from the model: {error.problem}."]
     missing = control_authority(model).sentences or ("its motors are too weak or too unequal",)
     return [
-        f"{flown} does not settle on the craft that the model describes: {'; '.join(missing)}. "
+        f"{flown} does not settle on the modelled craft: {'; '.join(missing)}. "
         "Check the motors, or tune a controller for this craft and fly it in simulation first "
         "(`airpuck twin`)."
     ]

@@ -194,7 +194,7 @@ def _headline(model: Model, outcome: Outcome, own: bool) -> str:
         "not enough excitation.",
         "suspect_recording": f"{name} cannot be trusted for control: something is wrong with the "
         "recording.",
-        "not_judged": f"Whether {name} can be trusted for control is not known: judge it on a "
+        "not_judged": f"Whether {name} can be trusted for control is unknown: evaluate it on a "
         "recording with `airpuck evaluate`.",
     }[outcome]
 
@@ -343,7 +343,7 @@ def _compared(evidence: _Evidence) -> list[str]:
         percent(float(share)) if share <= 1 else "more than 100 %" for share in missed
     )
     return [
-        f"Its errors of x, y and yaw are {shares} of those of constant velocity, a craft that "
+        f"Its errors of x, y and yaw are {shares} of the errors of constant velocity, a craft that "
         "coasts (typical window of this recording)."
     ]
 
@@ -371,7 +371,8 @@ def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
     if not named:
         return []
     return [
-        f"Unknown: {', '.join(named)}. Fly an excitation; `airpuck design` says which finds them."
+        f"Unknown: {', '.join(named)}. Fly an excitation; `airpuck design` proposes one that "
+        "determines them."
     ]
 
 
@@ -403,7 +404,7 @@ def _timing(model: Model) -> list[str]:
 
 
 def _errors_in_words(errors: dict[str, float]) -> list[str]:
-    """Write the relative errors, those of thrusts together."""
+    """Write the relative errors, combining the thrusts."""
     thrusts = [error for label, error in errors.items() if label.startswith("F(")]
     listed = {label: e for label, e in errors.items() if not label.startswith("F(")}
     words = [f"{label} {percent(error)}" for label, error in listed.items()]
@@ -415,7 +416,7 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
 
 
 def _learned(model: Model) -> list[MainQuantity]:
-    """Return learned quantities whose size shows how large an error is."""
+    """Return learned quantities that have a natural size for their errors."""
     return [
         quantity
         for quantity in main_quantities(model)
