@@ -1,5 +1,6 @@
 """Trajectories: holding, slicing, excluded spans, files."""
 
+import itertools
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +12,16 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Span, as_trajectories, vehicle_of
+from airpuck.data.trajectory import (
+    Span,
+    Trajectory,
+    as_trajectories,
+    hold,
+    left_out_json,
+    left_out_words,
+    mean_hold,
+    vehicle_of,
+)
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model
@@ -175,3 +185,85 @@ def test_what_is_no_trajectory_is_told_how_to_become_one(given):
 def test_one_trajectory_or_several_are_a_list(flight):
     assert as_trajectories(flight) == [flight]
     assert as_trajectories((flight, flight)) == [flight, flight]
+
+
+TIMES = st.lists(st.floats(0, 10), min_size=1, max_size=20).map(sorted)
+
+
+@given(TIMES, st.lists(st.floats(-1, 11), min_size=1, max_size=20))
+def test_hold_is_the_last_value_before(events, times):
+    values = np.arange(len(events), dtype=float)[:, None]
+    held = hold(np.array(events), values, np.array(times))[:, 0]
+    for time, value in zip(times, held, strict=True):
+        before = [k for k, event in enumerate(events) if event <= time]
+        assert value == (before[-1] if before else 0)
+
+
+def test_the_mean_by_hand():
+    """A step from 0 to 1 at 0.3 and on to 3 at 0.9: in [0, 1] 0.6·1 + 0.1·3, and then 3."""
+    events, values = np.array([-1.0, 0.3, 0.9]), np.array([[0.0], [1.0], [3.0]])
+    time = np.array([-2.0, -1.5, 0.0, 1.0, 2.0])
+    mean, slope = mean_hold(events, values, time)
+    np.testing.assert_allclose(mean[:, 0], [0, 0, 0.9, 3, 3])
+    # It falls by the whole change of 3 for each second that both events come later.
+    np.testing.assert_allclose(slope[:, 0], [0, 0, -3, 0, 0])
+    later, _ = mean_hold(events + 0.05, values, time)
+    np.testing.assert_allclose(later[:, 0], [0, 0, 0.75, 3, 3])
+
+
+@given(TIMES, TIMES)
+def test_the_mean_is_the_integral(events, times):
+    """Of the held values, summed from one event or time to the next."""
+    time = np.unique(np.round(times, 3))
+    values = np.cos(np.arange(len(events)))[:, None] ** 2
+    mean, _ = mean_hold(np.array(events), values, time)
+    for k, (begin, end) in enumerate(itertools.pairwise(time)):
+        edges = np.array([begin, *(event for event in events if begin < event < end), end])
+        integral = np.diff(edges) @ hold(np.array(events), values, edges[:-1])[:, 0]
+        assert mean[k, 0] == pytest.approx(integral / (end - begin), abs=1e-12)
+    np.testing.assert_array_equal(mean[-1:], hold(np.array(events), values, time[-1:]))
+
+
+def test_the_slope_is_the_derivative():
+    rng = np.random.default_rng(3)
+    events, time = np.sort(rng.uniform(0, 1, 40)), np.sort(rng.uniform(0, 1, 30))
+    values, step = rng.normal(size=(40, 2)), 1e-8
+    forth, back = (mean_hold(events + d, values, time)[0] for d in (step, -step))
+    _, slope = mean_hold(events, values, time)
+    np.testing.assert_allclose((forth - back) / (2 * step), slope, rtol=1e-5, atol=1e-4)
+
+
+N = 1001
+FLIGHT = Trajectory(
+    time=np.arange(N) / 100,
+    state=np.zeros((N, 6)),
+    acceleration=np.zeros((N, 3)),
+    command_time=np.zeros(1),
+    command=np.zeros((1, 1)),
+    propellers=("motor",),
+)
+SPANS = (
+    Span(1.0, 1.1, "gap"),
+    Span(3.0, 3.01, "gap"),
+    *(Span(5.0 + k / 100, 5.01 + k / 100, "jumping pose") for k in range(14)),
+    Span(8.0, 8.2, "motor stalled", 0.9),
+)
+
+
+def test_causes_are_counted_and_the_longest_is_named():
+    # 11 samples of the first gap, 2 of the second, 15 of the jumps, 21 of the stall: 49 of 1001.
+    assert left_out_words(replace(FLIGHT, excluded=SPANS)) == (
+        "left out: 4.9 % (2 gaps, 14 jumps, motor stalled; longest 0.20 s at 8.0 s)"
+    )
+    assert left_out_words(FLIGHT) == "left out: nothing"
+
+
+def test_spans_outside_a_part_do_not_count():
+    part = replace(FLIGHT, excluded=SPANS).slice(0.0, 0.25)
+    assert left_out_words(part) == "left out: 4.4 % (1 gap; longest 0.10 s at 1.0 s)"
+
+
+def test_the_json_has_every_span():
+    figures = left_out_json(replace(FLIGHT, excluded=SPANS))
+    assert len(figures["excluded"]) == len(SPANS)
+    assert figures["usable"] == 1 - 49 / N
