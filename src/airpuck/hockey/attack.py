@@ -42,7 +42,7 @@ _EASY = 0.9
 #: Model of the opponent, guesses: distance of its home from its goal line [m], reaction time [s],
 #: and speed on its return [m/s].
 _OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
-#: An opponent nearer to its home is there [m].
+#: An opponent this near to its home has arrived [m].
 _AT_HOME = 1e-6
 
 
