@@ -30,7 +30,7 @@ def test_slack_is_what_the_shortest_times_leave():
     needed = float(TIMES((0.3, 0.0), (0.0, 0.0), "rest"))
     left = slack(view, np.array([1.0, 1.2]), np.array([[-0.5, 0.0]] * 2), np.zeros((2, 2)))
     assert left[1] - left[0] == pytest.approx(0.2)
-    assert 1.0 - PITCH.delay - 1.3 * needed < left[0] < 1.0 - PITCH.delay - needed
+    assert left[0] == pytest.approx(1.0 - PITCH.delay - 1.1 * needed - 0.03)
     # To arrive with a velocity is to come to rest in a frame that moves with it.
     speed, way, time = 0.9, 0.25, 0.6
     craft = (-0.6, 0, 0, speed, 0, 0)
@@ -41,8 +41,7 @@ def test_slack_is_what_the_shortest_times_leave():
         np.array([[speed, 0.0]]),
     )
     needed = float(TIMES((way, 0.0), (0.0, 0.0), "rest"))
-    assert moving[0] < time - PITCH.delay - needed
-    assert moving[0] > time - PITCH.delay - 1.3 * needed
+    assert moving[0] == pytest.approx(time - PITCH.delay - 1.1 * needed - 0.03, abs=2e-3)
 
 
 def test_slack_is_less_where_the_shortest_times_are_uncertain():
@@ -233,6 +232,6 @@ def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():
         assert 0 < later <= 0.03
         # By then the discs, if they could, would overlap by 6 mm.
         closing = speed - np.array(puck[:2]) @ unit(0.3)
-        assert closing * later == pytest.approx(0.006) or later == 0.03
+        assert later == pytest.approx(min(0.006 / closing, 0.03))
         np.testing.assert_allclose(found.state[3:5], speed * unit(0.3))
         assert (found.then.x, found.then.y) == PITCH.home

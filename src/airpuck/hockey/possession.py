@@ -37,8 +37,8 @@ _BEST = 6
 #: Times until a push, tried in turn [s], its directions [rad], and the craft's speed [m/s].
 _WAITS, _PUSHES, _PUSH = (0.5, 0.9, 1.3), np.arange(20) * (2 * math.pi / 20), 0.3
 #: Times after a push at which the puck's place is valued [s]; weight of their mean beside the best;
-#: lost per second of waiting; least value of a push.
-_AFTER, _MEAN, _PUSH_WAITING, _LEAST = np.array([0.6, 1.0, 1.4, 1.8]), 0.3, 0.2, -0.5
+#: lost per second of waiting.
+_AFTER, _MEAN, _PUSH_WAITING = np.array([0.6, 1.0, 1.4, 1.8]), 0.3, 0.2
 #: Decisions between searches for a catch, and for a push.
 _EVERY_CATCH, _EVERY_PUSH = 2, 3
 
@@ -150,7 +150,7 @@ class Free(Searcher):
         many = (len(normals), 1)
         contacts = Contacts(np.tile(puck[:2], many), np.tile(puck[3:], many), normals, velocity)
         after = struck(view.pitch, contacts)
-        best, found = _LEAST, []
+        best, found = -math.inf, []
         for j in np.flatnonzero(able).tolist():
             belief = PuckBelief(time, np.concatenate([puck[:3], after[j]]), np.zeros((6, 6)))
             end = predict_path(view.pitch.equipment, belief, time + _AFTER)
