@@ -152,7 +152,8 @@ def test_a_player_that_waits_keeps_off_a_resting_puck():
         stands = np.array([intention.reference.x, intention.reference.y])
         apart = np.linalg.norm(stands - [x, y])
         assert apart > PITCH.contact_distance
-        assert apart < PITCH.contact_distance + 0.06 or np.allclose(stands[0], PITCH.home[0])
+        # Near to home it only steps aside.
+        assert apart < PITCH.contact_distance + 0.06 or x == -0.6
         np.testing.assert_allclose(intention.avoid[:2], [x, y])
         assert PITCH.contact_distance < intention.avoid[2] < PITCH.contact_distance + 0.05
     # Of one that is fast, or on the other side, it need not keep off.

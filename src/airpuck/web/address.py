@@ -35,7 +35,7 @@ def address_of(interface: str) -> str:
             field="--interface",
         )
     if sys.platform not in _SIOCGIFADDR:
-        raise InputError("is known on Linux and macOS only", field="--interface")
+        raise InputError("works on Linux and macOS only", field="--interface")
     import fcntl
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
