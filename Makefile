@@ -34,7 +34,7 @@ $(VENV)/.installed-dev: pyproject.toml
 	$(call install,'.[dev]')
 	@touch $(VENV)/.installed
 
-live: $(VENV)/.installed-live  ## set up .venv with what live flights need
+live: $(VENV)/.installed-live  ## set up .venv for live flights
 $(VENV)/.installed-live: pyproject.toml
 	$(call install,'$(LIVE)')
 	@touch $(VENV)/.installed
@@ -45,7 +45,7 @@ $(VENV)/.installed-play: pyproject.toml
 	$(call install,'.[play]')
 	@touch $(VENV)/.installed
 
-demo: install  ## the whole way on a simulated recording, no download
+demo: install  ## the whole workflow on simulated recordings, no download
 	$(BIN)/airpuck demo --out demo
 
 test: dev  ## the quick tests, in minutes: while you work
@@ -57,7 +57,7 @@ test-all: dev  ## all tests but the studies and the browser: before you push
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py
 
-studies: dev  ## the long studies; then ten minutes of the live loop, with nothing beside it
+studies: dev  ## the long studies; then ten minutes of the live loop on an otherwise idle machine
 	$(BIN)/python -m pytest -m study -n $(WORKERS)
 	$(BIN)/python studies/live_loop.py --duration 600
 
@@ -73,5 +73,5 @@ format: dev  ## let ruff rewrite what it can
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-clean:  ## remove everything that make and the tools made
+clean:  ## remove everything that make and the tools created
 	rm -rf $(VENV) demo out dist build .pytest_cache .ruff_cache .hypothesis

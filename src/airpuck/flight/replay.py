@@ -249,7 +249,7 @@ def _fly_through(
 
 
 def _targets(controller: TrackingController, times: Float[np.ndarray, " K"]) -> list[Target]:
-    """Return the references one period after commands sent at these times act."""
+    """Return the targets one period after the commands of these times begin to act."""
     ahead = controller.model.transport_delay + controller.tuning.period_s
     return [controller.reference.at(float(time), ahead) for time in times]
 

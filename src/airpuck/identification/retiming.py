@@ -170,7 +170,7 @@ def error_growth(
     basis: Float[np.ndarray, "P R"],
     rounds: int,
 ) -> Float[np.ndarray, "P P"]:
-    """Return the factor 1 + K + K² + … of errors in data after repeated preparation.
+    """Return 1 + K + K² + …, by which repeated preparation multiplies errors in the data.
 
     If the preparation of the data has an error e, the estimate has an additional error K e, K =
     -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary.

@@ -220,7 +220,7 @@ class Outbox:
         self.sent = -math.inf
 
     def send(self, values: Numbers, moment: float | None = None) -> None:
-        """Send numbers for a time on our clock [s], by default now."""
+        """Send numbers, stamped with a time on our clock [s], by default now."""
         moment = self._clock.now if moment is None else moment
         self._publisher.send(self._codec.encode(self._clock.stamp_ns(moment), values))
         self._last, self.sent = values, self._clock.now
