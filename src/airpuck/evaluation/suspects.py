@@ -10,8 +10,8 @@ from airpuck.model.model_file import Model
 from airpuck.preprocessing.delay import visible_delay
 
 #: Longest transport delay that is plausible without further knowledge, and the largest excess over
-#: the vehicle file's delay [s]: overcompensated by 35 ms, most controllers oscillate.
-_LONGEST_DELAY, _DELAY_ABOVE = 0.045, 0.025
+#: the vehicle file's delay [s]: as large as the error of the response time that control tolerates.
+_LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
 #: Cosine between a motor's modelled and estimated effect below which it is another motor's.

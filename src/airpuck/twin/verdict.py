@@ -125,9 +125,7 @@ class _Evidence:
         (chance, response), effects = self.by_chance, self.effects
         if effects is None:
             return chance, response
-        push = _beyond_chance(effects.push, effects.push_error)
-        later = _beyond_chance(effects.later, effects.later_error)
-        return np.hypot(chance, push), float(np.hypot(response, later))
+        return np.hypot(chance, effects.push), float(np.hypot(response, effects.later))
 
     @cached_property
     def missed(self) -> Float[np.ndarray, " 3"] | None:
@@ -235,11 +233,6 @@ def _structural(model: Model) -> list[str]:
 def _learned_lag(model: Model) -> bool:
     """Return whether a model's motor lag is learned."""
     return bool(model.free[model.parameters.mask(frozenset({"motor_time_constant"}))].any())
-
-
-def _beyond_chance(value: Any, error: Any) -> Any:
-    """Return the part of an error that chance does not explain."""
-    return np.sqrt(np.maximum(np.square(value) - np.square(error), 0.0))
 
 
 def _quiet(evidence: _Evidence) -> list[str]:
