@@ -119,6 +119,14 @@ def test_parts_of_plans_are_not_faster_than_their_bounds():
     assert shares[-1] > 0.93
 
 
+@pytest.mark.slow
+def test_a_craft_that_moves_at_both_ends_has_a_bound_near_its_plan():
+    # Short durations, too, have to be refuted here: nobody can wait.
+    start, goal = (-0.77, 0.11, 1.65, -0.08, 0.57, -3.26), (0.73, -0.35, -0.22, -0.59, -0.06, 2.9)
+    found = airpuck.plan(M3, start, goal, table=Table())
+    assert 0.93 * found.duration < found.lower_bound <= found.duration
+
+
 def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
     none = np.zeros(0)

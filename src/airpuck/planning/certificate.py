@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.data.trajectory import runs
 from airpuck.physics.angle import wrapped
 from airpuck.planning.attainable import gravity, has_bounds, largest_moment
 from airpuck.planning.request import Goal, Request
@@ -25,6 +26,9 @@ _COARSE, _FINE = Fineness(40, 8, 100, 256), Fineness(60, 20, 240, 480)
 _BEYOND = 1.06
 #: Largest numbers of coarse and of fine programs.
 _SEARCHES, _REFINEMENTS = 14, 4
+#: Fractions of the duration at which the control of least energy refutes what is far too short. A
+#: weight made for a long flight refutes few short ones of a craft that moves at both ends.
+_LEADS = (0.4, 0.6, 0.8)
 #: The search ends when the bound improves by less than this fraction.
 _IMPROVED = 5e-4
 #: The last fine program begins this fraction below the bound that the previous one promised.
@@ -86,15 +90,21 @@ def _refuted(request: Request, weight: Weight, duration: float) -> float:
     """Refute durations with compressed weights, first on coarse grids, until no gap is left."""
     found = _Durations(request, weight, duration)
     own, top = duration, 0.0
+    for share in () if found.waits else _LEADS:
+        lead = share * duration
+        found.refute(lead, _BEYOND * lead, _COARSE, _least_energy(request, lead))
     for _ in range(_SEARCHES):
         root = found.refute(own, _BEYOND * own, _COARSE)
         better, top = root > (1 + _IMPROVED) * top, max(top, root)
         gap = found.gap_below(top)
+        if gap == own:  # the given weight does not close the gap
+            found.refute(own, _BEYOND * own, _COARSE, _least_energy(request, own))
+            gap = found.gap_below(top)
         if better:
             own = root
         elif gap is None:
             break
-        elif gap == own:  # this weight does not close the gap, so the bound cannot be higher
+        elif gap == own:  # nor does the other weight, so the bound cannot be higher
             top = (1 - _IMPROVED) * gap
         else:
             own = gap
@@ -137,10 +147,15 @@ class _Durations:
         below = self._edges[1:][~self._refuted & (self._edges[1:] <= top)]
         return None if self.waits or not len(below) else float(below[-1])
 
-    def refute(self, own: float, horizon: float, fineness: Fineness) -> float:
-        """Try a duration's weight; return the nearby duration where it stops refuting [s]."""
+    def refute(
+        self, own: float, horizon: float, fineness: Fineness, weight: Weight | None = None
+    ) -> float:
+        """Try a weight for a duration; return the nearby duration where it stops refuting [s].
+
+        By default the given weight is compressed to the duration.
+        """
         coasts = _COASTS[:1] if self.waits else _COASTS
-        weight = self._weight.compressed(own / self._duration)
+        weight = weight or self._weight.compressed(own / self._duration)
         coasts = coasts * horizon / fineness.steps
         program = YawProgram(self._request, weight, horizon, fineness, coasts)
         needed = _needed(self._request, program, coasts)
@@ -156,9 +171,11 @@ class _Durations:
             most = np.maximum(*(program.most[:, one] for one in pairs))
             missing = (least - most)[:, ::-1].ravel()
             shortest, longest = ((ends[:, None] - coasts[one])[:, ::-1].ravel() for one in pairs)
-            for low, high in zip(shortest[missing > 0], longest[missing > 0], strict=True):
-                first, last = np.searchsorted(self._edges, [low - _SAME, high + _SAME])
-                self._refuted[first : max(last - 1, first)] = True
+            # Neighbouring intervals touch, so runs of them are refuted as a whole.
+            for first, last in runs(missing > 0):
+                ends_of_run = [shortest[first] - _SAME, longest[last - 1] + _SAME]
+                low, high = np.searchsorted(self._edges, ends_of_run)
+                self._refuted[low : max(high - 1, low)] = True
         return _root(longest, missing, own)
 
 
@@ -263,6 +280,22 @@ def _straight(
     stop = duration / 2 if rest else duration
     none = np.zeros(0)
     return Weight(along * stop, -along, none, none.astype(complex))
+
+
+def _least_energy(request: Request, duration: float) -> Weight:
+    """Return the acceleration with the smallest ∫ a² that reaches the goal, ignoring the yaw."""
+    start, goal = request.start, request.goal.state
+    away = complex(*(goal[:2] - start[:2])) - complex(*start[3:5]) * duration
+    if np.isnan(goal[3:5]).any():
+        alpha = 3 * away / duration**2
+        beta = -alpha / duration
+    else:
+        faster = complex(*(goal[3:5] - start[3:5]))
+        alpha = 6 * away / duration**2 - 2 * faster / duration
+        beta = 6 * faster / duration**2 - 12 * away / duration**3
+    size = max(abs(alpha), abs(alpha + beta * duration)) or 1.0
+    none = np.zeros(0)
+    return Weight(alpha / size, beta / size, none, none.astype(complex))
 
 
 def _needed(
