@@ -105,8 +105,9 @@ def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> lis
             return [
                 f"{flown} settles with good cameras, but not with the noise of this recording: "
                 f"{1e3 * noise.position_noise_m:.2g} mm and {1e3 * noise.yaw_noise_rad:.2g} mrad "
-                f"at {noise.rate_hz:.0f} Hz. Improve the cameras, or state their noise in the "
-                "tuning ([estimation] position_m, yaw_rad) and lower the weights of the errors."
+                f"at {noise.rate_hz:.0f} Hz. State this noise in the tuning ([estimation] "
+                "position_m, yaw_rad) and fly it in simulation first (`airpuck twin`), or improve "
+                "the cameras."
             ]
         if settles(model, model, settings):
             return [
