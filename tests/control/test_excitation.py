@@ -315,10 +315,10 @@ def test_an_amplitude_out_of_range_is_refused(amplitude):
 
 
 def test_each_pair_can_have_an_amplitude_of_its_own():
-    commands = at_rest(pilot(amplitude=(0.9, 0.0, 0.4), seed=5), 200)
+    commands = at_rest(pilot(amplitude=(1.0, 0.0, 0.4), seed=5), 200)
     # One number of the generator for each signal, also for the one that is silent.
     signals = np.repeat(
-        np.random.default_rng(5).uniform(-1, 1, (10, 3)) * (0.9, 0, 0.4), 20, axis=0
+        np.random.default_rng(5).uniform(-1, 1, (10, 3)) * (1.0, 0, 0.4), 20, axis=0
     )
     np.testing.assert_allclose(commands[:, 0::2], np.clip(signals, IDLE, 1), atol=1e-6)
     np.testing.assert_allclose(commands[:, 1::2], np.clip(-signals, IDLE, 1), atol=1e-6)

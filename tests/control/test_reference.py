@@ -14,6 +14,7 @@ from airpuck.control.reference import (
     SetPoints,
     TimedPath,
     asked,
+    check_inside,
 )
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
@@ -64,6 +65,7 @@ def test_a_set_point_is_not_anticipated():
         ([0.0], [(0, 0)], "three numbers"),
         ([0.0, 1.0], [(0, 0, 0), (1, 1)], "three numbers"),
         ([0.0], np.zeros(3), "three numbers"),
+        ([0.0], np.zeros((1, 3, 3)), "three numbers"),
         (np.zeros((1, 1)), [(0, 0, 0)], "as many times as poses"),
     ],
 )
@@ -236,6 +238,9 @@ def test_a_rendezvous_is_chased_at_its_velocity_and_then_what_follows():
     meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=SetPoint(0.0, 0.0, 0.3))
     np.testing.assert_allclose(meet.at(0.7, 0.1).state, [0.1, 0.1, 0.2, 2.0, 0.0, -1.0])
     np.testing.assert_allclose(meet.at(1.0, 0.0).state, meet.state)
+    # Ahead counts from now: 0.6 s later it is not there yet, 0.8 s later it has left.
+    np.testing.assert_allclose(meet.at(0.3, 0.6).state[0], 0.5 - 0.1 * 2.0)
+    np.testing.assert_allclose(meet.at(0.3, 0.8).state, [0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(meet.at(0.95, 0.1).state, [0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
     ahead = meet.over(0.7, np.array([0.1, 0.5]))
     assert ahead.arrival is not None and ahead.arrival.remaining == pytest.approx(0.3)
@@ -251,3 +256,11 @@ def test_what_is_asked_for_at_a_rendezvous_is_to_be_there_and_then_what_follows(
     np.testing.assert_array_equal(asked(meet, 1.5), first.state)
     np.testing.assert_array_equal(asked(meet, 2.5), [0.0, 0.0, 0.3, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(asked(SetPoint(1.0, 2.0, 3.0), 0.0), [1, 2, 3, 0, 0, 0])
+
+
+@pytest.mark.parametrize("x, y", [(1.01, 0.0), (-1.01, 0.0), (0.0, 0.51), (0.0, -0.51)])
+def test_set_points_lie_within_a_border_on_all_sides(x, y):
+    check_inside(SetPoint(0.99 * x, 0.97 * y, 0.0), (1.0, 0.5))
+    for reference in (SetPoint(x, y, 0.0), SetPoints([0.0], [(x, y, 0.0)])):
+        with pytest.raises(InputError, match="outside"):
+            check_inside(reference, (1.0, 0.5))

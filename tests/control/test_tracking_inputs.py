@@ -10,6 +10,7 @@ from airpuck.control.allocation import Daqp
 from airpuck.control.law import Step
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
+from airpuck.data.measurement import Measurement
 
 from ..apparatus.closed_loops import FRAME, IDLE, MODEL, NOTHING, controller, hold_still, idles
 
@@ -187,6 +188,31 @@ def flown(told, steps: int = 40) -> tuple[TrackingController, Step]:
         step = ours.step(now + 0.001)
         ours.sent(*told(k, now + 0.001, step.command))
     return ours, step
+
+
+def test_sensors_on_board_reach_the_filter_with_the_noises_of_the_tuning(monkeypatch):
+    ours, heard = controller(), []
+    ours.pose(0.0, NOTHING)
+    for kind in ("imu", "mouse"):
+        monkeypatch.setattr(ours.filter, kind, lambda *given: heard.append(given))
+    ours.measured(Measurement("imu", 0.01, np.array([0.1, 0.2, 9.8, 7.0, 8.0, 0.3])))
+    ours.measured(Measurement("mouse", 0.02, np.array([0.4, 0.5])))
+    ours.measured(Measurement("mouse", 0.2, np.array([0.4, 0.5])))  # long after the last pose
+    (time, planar, spin, noises), mouse = heard
+    noise = ours.tuning.estimation
+    assert (time, spin) == (0.01, 0.3)
+    np.testing.assert_array_equal(planar, [0.1, 0.2])
+    assert noises == (noise.imu_acceleration_m_s2, noise.gyro_rad_s)
+    np.testing.assert_array_equal(mouse[1], [0.4, 0.5])
+    assert (mouse[0], mouse[2]) == (0.02, noise.mouse_m_s)
+
+
+@pytest.mark.parametrize("wrong", [-np.inf, np.inf, np.nan])
+def test_before_the_first_step_a_command_without_a_time_is_ignored(wrong):
+    ours = controller()
+    ours.sent(wrong, np.full(6, 0.5))
+    ours.pose(0.0, NOTHING)
+    np.testing.assert_allclose(ours.filter.predict(1.0).motor_speed, IDLE)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

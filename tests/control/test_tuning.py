@@ -191,6 +191,12 @@ def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
                     "regulator.limits.fence_m",
                     "lowest x and y, then highest",
                 ),
+                (
+                    "regulator.limits",
+                    "fence_m = [-1.0, 0.5, 1.0, -0.5]",
+                    "regulator.limits.fence_m",
+                    "lowest x and y, then highest",
+                ),
                 ("regulator.limits", "fence_m = [1.0]", "regulator.limits.fence_m.1", "missing"),
                 (
                     "regulator.limits",
