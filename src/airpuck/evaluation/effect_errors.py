@@ -135,11 +135,9 @@ def _in_words_of_control(
 
     def accelerations(speed: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the acceleration of each motor: as modelled, added, and added per coefficient."""
-        per = np.zeros((3, n, len(estimate)))
+        per, scaled = np.zeros((3, n, len(estimate))), _thrusts(curves, speed)
         for k in range(n):
-            per[range(3), k, range(_PER_MOTOR * k, _PER_MOTOR * (k + 1))] = _thrusts(curves, speed)[
-                k
-            ]
+            per[range(3), k, range(_PER_MOTOR * k, _PER_MOTOR * (k + 1))] = scaled[k]
             per[:, k, _PER_MOTOR * n + 2 + k] = speed * (1 - speed) * full[k] * matrix[:, k]
         return matrix * _thrusts(np.asarray(model.parameters.thrust), speed), per @ estimate, per
 
