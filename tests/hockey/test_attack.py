@@ -9,12 +9,14 @@ from scipy.interpolate import CubicHermiteSpline
 from airpuck.hockey import attack, searching
 from airpuck.hockey.attack import Shoot
 from airpuck.hockey.interception import Outlook, stays_inside
+from airpuck.hockey.searching import Turns
 from airpuck.hockey.shot import ArrivalError
 
 from ..apparatus.hockey_situations import (
     PITCH,
     SEEN,
     after_contact,
+    asked,
     contact,
     decided,
     mirrored,
@@ -199,3 +201,23 @@ def test_a_shot_that_the_craft_is_late_for_is_given_up_until_just_before_the_con
         thrown = np.array([-0.9, -0.4, 0.0, -0.5, -0.5, 0.0])
         late = replace(view, time=float(now), craft=thrown)
         assert (strategy.propose(late, Outlook(late)) is None) == given_up
+
+
+def test_a_planned_shot_is_replaced_by_one_that_is_better_by_0_08(monkeypatch):
+    view, strategy, turns = view_of((-0.2, 0.1, 0, 0, 0, 0)), Shoot(), Turns()
+    known, found = attack.chances, []
+
+    def best_is(best):
+        def chances(*given):
+            chance, bounces = known(*given)
+            return chance * best / chance.max(), bounces
+
+        return chances
+
+    for k in range(12):
+        # It searches every fourth decision, and evaluates what it has found in the next.
+        monkeypatch.setattr(attack, "chances", best_is(0.5 if k < 4 else 0.55 if k < 8 else 0.65))
+        found.append(asked(strategy, replace(view, time=0.01 * k), turns))
+    assert found[0] is None
+    assert [one.meet for one in found[2:11]] == [found[1].meet] * 9
+    assert [one.chance for one in found[1:]] == pytest.approx([0.5] * 10 + [0.65], abs=0.02)
