@@ -470,7 +470,7 @@ def in_a_child(work: Callable[[], Any], limit: float) -> Any:
 
 
 ARGUMENTS = ["-q", "-s", "-x", "-n", "0", "-p", "no:cacheprovider"]
-ARGUMENTS += ["-m", "not study and not browser and not slow"]
+ARGUMENTS += ["-m", "not study and not browser"]
 
 
 def tested(files: list[str], *plugins: Any) -> int:
