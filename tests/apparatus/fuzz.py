@@ -290,7 +290,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             _reader("airpuck.twin.settings", "read_twin_settings"),
         ),
         "mapping": toml(_MAPPING, "airpuck.recording.mapping", "read_mapping"),
-        "plan": toml(_PLAN, "airpuck.control.excitation_plan", "read_excitation_plan"),
+        "plan": toml(_PLAN, "airpuck.control.settings", "read_excitation_plan"),
         "campaign": toml(_CAMPAIGN, "airpuck.campaigns.spec", "read_spec"),
         "set points": toml(_SETPOINTS, "airpuck.control.reference", "read_setpoints"),
     }

@@ -144,15 +144,15 @@ def test_a_reference_that_misbehaves_is_one_line(tmp_path, capsys, place, where)
         one_line(error, name, capsys)
 
 
-@pytest.mark.parametrize("watch", [(), ("--watch",)])
-def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, watch):
+@pytest.mark.parametrize("verb", ["match", "watch-match"])
+def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, verb):
     name = written(tmp_path, TACTIC, "at", "sys.exit(0)")
-    ended = command_line.airpuck("match", "--left", name, "--limit", "0.1", "--json", "-", *watch)
+    ended = command_line.airpuck(verb, "--left", name, "--limit", "0.1", "--json", "-")
     assert ended.returncode == 2
     assert ended.stdout == ""
     assert "SystemExit: 0" in ended.stderr.splitlines()[-1]
     name = written(tmp_path, TACTIC, "decide", "pass")
-    ended = command_line.airpuck("match", "--left", name, "--limit", "0.1", "--json", "-", *watch)
+    ended = command_line.airpuck(verb, "--left", name, "--limit", "0.1", "--json", "-")
     assert json.loads(ended.stdout)["games"] == 1
     assert "here I am" in ended.stderr
 

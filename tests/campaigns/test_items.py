@@ -25,8 +25,8 @@ from ..apparatus.synthetic_flights import record
 @pytest.mark.parametrize(
     ("fields", "options"),
     [
-        ({"controller": "full"}, {"full_controller": True}),
-        ({"regulator": "mpc"}, {"full_controller": True, "regulators": ["mpc"]}),
+        ({"controller": "full"}, {"controller": "full"}),
+        ({"regulator": "mpc"}, {"controller": "full", "regulators": ["mpc"]}),
     ],
 )
 def test_a_flight_is_the_tracking_studys(fields, options):

@@ -109,11 +109,9 @@ def test_from_the_command_line(tmp_path):
     shown = airpuck("match", *who, "--limit", "5", "-q", cwd=tmp_path)
     assert "human:hard" in shown.stdout
     assert "times real time" in shown.stdout
-    watched = airpuck("match", *who, "--limit", "1", "--watch", cwd=tmp_path)
+    watched = airpuck("watch-match", *who, "--limit", "1", cwd=tmp_path)
     assert "over" in watched.stdout
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "unknown player")
-    for more in (("--games", "2"), ("--workers", "2"), ("-o", "games")):
-        refused(airpuck("match", "--watch", *more, cwd=tmp_path), "does not go with --watch")
 
 
 def test_the_last_seed_of_a_match_has_a_limit():
@@ -163,13 +161,13 @@ def test_a_damaged_bag_is_written_again(tmp_path):
 
 @pytest.mark.slow
 def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
-    def shown(*arguments):
+    def shown(verb, *arguments):
         """What a terminal gets."""
         ours, theirs = pty.openpty()
         command = "from airpuck.cli import main; main()"
         words = ("--left", "human", "--right", "human", *arguments)
         process = subprocess.Popen(
-            [sys.executable, "-c", command, "match", *words],
+            [sys.executable, "-c", command, verb, *words],
             stdin=theirs,
             stdout=theirs,
             stderr=theirs,
@@ -183,5 +181,5 @@ def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
         assert process.wait() == 0, text
         return text.decode()
 
-    assert "LLL" in shown("--limit", "0.3", "--watch")
-    assert "%" in shown("--limit", "5")
+    assert "LLL" in shown("watch-match", "--limit", "0.3")
+    assert "%" in shown("match", "--limit", "5")

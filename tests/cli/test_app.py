@@ -46,9 +46,9 @@ def test_help_lists_the_commands():
 def test_help_texts_keep_their_units(name):
     # Rich takes [s] for markup, and leaves it out, unless it is escaped.
     command = get_command(app).commands[name]  # pyright: ignore
-    shown = " ".join(
-        CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "300"}).stdout.split()
-    )
+    names = {parameter.name for parameter in command.params}
+    words = [name, "--help-all" if "help_all" in names else "--help"]
+    shown = " ".join(CliRunner().invoke(app, words, env={"COLUMNS": "300"}).stdout.split())
     for text in [command.help, *(parameter.help for parameter in command.params)]:
         assert (text or "").replace("\\", "").splitlines()[0] in shown
 
@@ -56,11 +56,13 @@ def test_help_texts_keep_their_units(name):
 def test_commands_are_verbs_of_the_package():
     # airpuck.faults is a package, to check what would remain open, and `vehicle` shows one. Others
     # start a process on the graph; their functions are in airpuck.live.
-    others = {"demo", "faults", "check", "vehicle", "race", "play"} | {
+    others = {"demo", "faults", "check", "vehicle", "race", "play", "play_live", "watch_match"} | {
         "fly",
         "fly_excitation",
         "fly_plan",
+        "fly_setpoints",
         "fly_topic",
+        "preflight_recording",
         "record",
         "twin",
         "view",
@@ -163,7 +165,7 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
 
 @pytest.mark.slow
 def test_adam(bag, tmp_path):
-    adam = ("--method", "adam", "--epochs", "1", "-o", tmp_path / "m.toml")
+    adam = ("--adam", "1", "-o", tmp_path / "m.toml")
     assert json.loads(airpuck("identify", bag, *adam, "--json", "-").stdout)["iterations"] == 1
 
 
@@ -208,7 +210,7 @@ def test_track_says_that_it_flies_without_the_real_flights(tmp_path, folder):
         (["evaluate", "paper:M3", "{bag}", "--span", "0", "0.01"], ["70 samples"]),
         (["evaluate", "paper:M3", "{bag}", "--protocol", "nonsense"], ["--protocol"]),
         (["identify", "{bag}", "--model", "M77"], ["M77"]),
-        (["identify", "{bag}", "--method", "magic"], ["--method"]),
+        (["identify", "{bag}", "--faults", "magic"], ["--faults"]),
         (["identify", "{bag}", "--vehicle", "none.toml"], ["none.toml"]),
         (["identify"], ["RECORDING"]),
         (["compare", "paper:M3"], ["RECORDING"]),

@@ -22,7 +22,8 @@ def outputs():
     """Every option of every command that names what is to be written."""
     for name, command in get_command(app).commands.items():  # pyright: ignore
         for option in command.params:
-            if option.callback is not None and option.metavar in KINDS:
+            read = option.name in command.declared or option.name == "settings_file"
+            if option.callback is not None and option.metavar in KINDS and not read:
                 yield name, option.opts[0], KINDS[option.metavar]
 
 

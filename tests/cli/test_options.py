@@ -94,8 +94,8 @@ def test_the_shell_completes():
     assert completions("airpuck", "iden") == ["identify", "identify-puck"]
     assert completions("airpuck", "identify", "--st") == ["--stride"]
     # What was typed before is not refused meanwhile.
-    typed = ("identify", "x", "-o", "/nowhere/x", "--stride", "0", "--method", "")
-    assert completions("airpuck", *typed) == ["lm", "adam"]
+    typed = ("identify", "x", "-o", "/nowhere/x", "--stride", "0", "--delay", "")
+    assert completions("airpuck", *typed) == ["fit", "fixed"]
     assert "auto" in completions("airpuck", "identify", "x", "--model", "")
     assert completions("airpuck", "identify", "x", "--model", "M5") == ["M5"]
 

@@ -11,8 +11,8 @@ from airpuck.control.excitation import (
     Excitation,
     _weakest_effort,  # plans use its values, which trials of random efforts check
 )
-from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.control.reference import SetPoint
+from airpuck.control.settings import ExcitationPlan, read_excitation_plan
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model
 

@@ -1,4 +1,4 @@
-"""The worked examples: an effect, an encoder, a tactic and a data format of one's own."""
+"""The worked examples: extensions of one's own, each in one short file."""
 
 import importlib.util
 import json
@@ -62,6 +62,16 @@ def test_a_log_of_json_lines_becomes_a_trajectory(tmp_path):
     known = airpuck.preprocess(flown)
     np.testing.assert_allclose(read.state[:, :3], known.state[:, :3], atol=1e-9)
     assert read.delay == pytest.approx(known.delay, abs=1 / 240)
+
+
+def test_a_report_shows_the_range_of_the_commands(tmp_path):
+    flight = fly(M3, 3.0)
+    page = example("own_report/command_range.py").report(flight, tmp_path)
+    assert page == tmp_path / "index.html"
+    median = f"<td>{np.median(flight.input[:, 5]):.2f}</td>"
+    assert "Range of the commands" in page.read_text("utf-8")
+    assert median in page.read_text("utf-8")
+    assert (tmp_path / "figures" / "range.pdf").read_bytes()[:4] == b"%PDF"
 
 
 def test_a_tactic_defends_its_goal(tmp_path):

@@ -12,7 +12,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
 from airpuck.cli.designing import error_table, summary
 from airpuck.cli.output import console
-from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
+from airpuck.control.settings import ExcitationPlan, read_excitation_plan
 from airpuck.experiment_design.design import CandidateFlight, Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
 from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial
@@ -226,7 +226,7 @@ def test_no_two_flights_share_their_seed(monkeypatch):
 )
 def test_numbers_out_of_range_are_refused(field, value):
     with pytest.raises(InputError) as caught:
-        design(MODEL, **{field: value})
+        airpuck.design(MODEL, **{field: value})
     assert caught.value.field == field
 
 

@@ -1,8 +1,8 @@
 """The referee, by sequences made by hand."""
 
 import pytest
-from pydantic import ValidationError
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.rules import Referee, Rules
 
@@ -83,7 +83,7 @@ def test_a_puck_that_is_moved_is_not_stuck():
 
 @pytest.mark.parametrize("goals", [0, -1, 1001])
 def test_somebody_can_win(goals):
-    with pytest.raises(ValidationError, match="goals"):
+    with pytest.raises(InputError, match="goals"):
         Rules(goals=goals)
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from typer.exceptions import TyperException
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import write_toml
 from airpuck.cli import app as application
-from airpuck.cli import live
-from airpuck.control.excitation_plan import ExcitationPlan
+from airpuck.cli.live import Guarded
+from airpuck.control.settings import ExcitationPlan
 from airpuck.craft.table import Table
 from airpuck.model.model_file import published_model
 
@@ -23,11 +22,10 @@ def run(*arguments: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
-        (("--setpoint", "1", "0.3"), "--setpoint: give three numbers"),
-        (("--setpoint", "1", "0.3", "north"), "--setpoint: give three numbers"),
+        (("--setpoint", "1", "0.3", "north"), "--setpoint: must be a valid number, not 'north'"),
         (("--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
         (("--setpoint", "0", "0", "0", "--dwell", "0"), "--dwell: must be from 0.1 to 1000 s"),
-        (("--setpoint", "0", "0", "0", "--setpoints", "p.toml"), "--setpoint: give set points or"),
+        (("--setpoints", "p.toml"), r"--setpoints: no such option; did you mean --setpoint\?"),
         (("--pilot", "a.py:A", "--regulator", "mpc"), "--regulator: chooses a law of our"),
         (("--pilot", "nowhere.py:Mine"), "nowhere.py: --pilot: there is no such file"),
         (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
@@ -51,7 +49,7 @@ def test_fly_refuses_in_one_line(arguments, problem):
         (("--hold", "0.001"), "hold: must be at least the controller's period"),
         (("--amplitude", "2"), "--amplitude: must be from 0 to 1"),
         (("--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
-        ((*MODEL, "--vehicle", "v.toml"), "--vehicle: a model includes its vehicle"),
+        (("--vehicle", "v.toml"), "v.toml: there is no such file"),
         (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
     ],
 )
@@ -62,7 +60,7 @@ def test_fly_excitation_refuses_in_one_line(arguments, problem):
 
 @pytest.mark.parametrize("verb", ["fly", "fly-topic", "fly-plan"])
 def test_a_verb_has_only_its_own_options(verb):
-    with pytest.raises(TyperException, match="No such option: --amplitude"):
+    with pytest.raises(InputError, match="--amplitude: no such option"):
         run(verb, *MODEL, "--amplitude", "0.5")
 
 
@@ -115,8 +113,9 @@ def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tm
 def test_the_predictive_law_stays_within_the_geofence_or_the_rails():
     craft = published_model("M3")
     radius = craft.vehicle.radius_m
-    assert live._rails((0.6, 0.3), craft).reach(radius) == pytest.approx((0.6, 0.3))
-    assert live._rails(None, craft) == Table()
+    fenced = Guarded(geofence=(0.6, 0.3)).rails(craft)
+    assert fenced.reach(radius) == pytest.approx((0.6, 0.3))
+    assert Guarded().rails(craft) == Table()
 
 
 def test_a_recorder_does_not_write_over_anything(tmp_path):
@@ -125,12 +124,19 @@ def test_a_recorder_does_not_write_over_anything(tmp_path):
         run("record", "-o", str(tmp_path))
 
 
-@pytest.mark.parametrize(
-    "flown", [("--level", "0.3"), ("--rounds", "1"), ("--domain", "3"), ("--interface", "lo")]
-)
-def test_a_recorded_check_takes_no_options_of_a_flown_one(flown, tmp_path):
-    with pytest.raises(InputError, match=f"{flown[0]}: applies to a flown test"):
-        run("preflight", "--recording", str(tmp_path), *flown)
+def test_a_model_has_its_vehicle(tmp_path):
+    published_model("M3").vehicle.save(tmp_path / "v.toml")
+    with pytest.raises(InputError, match="--vehicle: a model has its vehicle in it"):
+        run("fly-excitation", *MODEL, "--vehicle", str(tmp_path / "v.toml"))
+
+
+def test_set_points_of_a_file_stay_within_the_geofence(tmp_path):
+    points = tmp_path / "points.toml"
+    write_toml(points, {"setpoints": [{"at_s": 0.0, "x_m": 0.9, "y_m": 0.0, "yaw_rad": 0.0}]})
+    with pytest.raises(InputError, match=r"\(0.9, 0\)"):
+        run("fly-setpoints", str(points), *MODEL, "--geofence", "0.5", "0.5")
+    with pytest.raises(InputError, match=r"nowhere.toml: there is no such file"):
+        run("fly-setpoints", "nowhere.toml", *MODEL)
 
 
 def test_a_recorder_that_finds_the_disk_full_says_so(domain, tmp_path, monkeypatch):

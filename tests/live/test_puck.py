@@ -58,7 +58,7 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
     watch, port = Watch(domain), free_port()
     twin = Process("twin", "--quiet", *start, domain=domain)
     served = ["--no-browser", "--port", port]
-    player = Process("play", "--live", *served, "--quiet", "--json", "-", domain=domain)
+    player = Process("play-live", *served, "--quiet", "--json", "-", domain=domain)
     try:
         said = "flying", "the puck is seen"
         watch.until(lambda: all(one in watch.events("play") for one in said), 120.0)

@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 
 # All courses are on the table; flying each takes minutes.
-from airpuck.twin.race import _COURSES, course_plan, race
+from airpuck.twin.race import COURSES, course_plan, race
 from airpuck.twin.settings import default_twin_settings
 
 M3 = airpuck.read_model("paper:M3")
@@ -17,7 +17,7 @@ M3 = airpuck.read_model("paper:M3")
 
 @pytest.fixture(scope="module")
 def planned():
-    return course_plan("straight", M3, default_twin_settings(), reserve=0.1)
+    return course_plan("straight", M3, default_twin_settings())
 
 
 @pytest.mark.slow
@@ -35,7 +35,7 @@ def test_a_plan_is_flown_in_its_time_and_a_set_point_takes_twice_as_long(planned
 
 def test_courses_are_on_the_table():
     reach = Table().reach(M3.vehicle.radius_m)
-    for start, goal, via in _COURSES.values():
+    for start, goal, via in COURSES.values():
         for point in (start, goal, *via):
             assert abs(point[0]) < reach[0] - 0.02
             assert abs(point[1]) < reach[1] - 0.02

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import struct
 import threading
 
@@ -61,17 +60,3 @@ def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):
     left, right = game.sides
     assert seen[-1][6:8] == pytest.approx(right.state[:2], abs=1e-6)
     assert seen[-1][10:12] == pytest.approx(left.state[:2], abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "problem"),
-    [
-        (("--page",), "--page: is for --watch"),
-        (("--watch", "--port", "9"), "--port: is for --page"),
-    ],
-)
-def test_the_page_is_for_a_game_that_is_watched(arguments, problem):
-    from airpuck.cli.app import app
-
-    with pytest.raises(airpuck.InputError, match=re.escape(problem)):
-        app(["match", *arguments], standalone_mode=False)

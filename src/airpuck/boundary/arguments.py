@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import unknown
+from airpuck.boundary.settings import setting_of, unknown
 
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -42,7 +42,7 @@ def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
 
 
 def checked(function: Function) -> Function:
-    """Decorate a function to reject arguments that do not fit their annotations."""
+    """Decorate a function to reject arguments unlike their annotations, or out of range."""
     signature = inspect.signature(function)
     hints = _hints(function, signature)
 
@@ -52,6 +52,8 @@ def checked(function: Function) -> Function:
         for name, hint in hints.items():
             if name in given and not _fits(given[name], hint):
                 raise InputError(_problem(given[name], hint), field=name)
+            if name in given and (setting := setting_of(hint)):
+                setting.check(given[name], name)
         return function(*args, **kwargs)
 
     return typing.cast(Function, boundary)

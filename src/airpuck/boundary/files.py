@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import warnings
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from functools import cache
 from importlib import resources
 from typing import Annotated, Any, TypeVar
@@ -102,6 +103,14 @@ def _adapter(schema: type) -> Any:
     return pydantic.TypeAdapter(schema)
 
 
+def _keys(schema: type) -> list[set[str]]:
+    """Return the keys of a schema, then those of its tables."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of defaults that JSON does not know
+        found = _adapter(schema).json_schema()
+    return [set(one.get("properties", ())) for one in (found, *found.get("$defs", {}).values())]
+
+
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
     """Replace values of `base` by the content's, table by table; arrays are replaced whole."""
     merged = dict(base)
@@ -132,18 +141,14 @@ def checked(
         problem = problem.replace("Input should be", "must be")
         problem = problem.replace("a valid array", "a list in brackets, [ ]")
         problem = _OF_LENGTH.sub(r"must have \1", problem)
-        known = (
-            {field.name for field in fields(schema)}
-            if is_dataclass(schema)
-            else (
-                schema.model_fields  # pyright: ignore[reportAttributeAccessIssue]
-            )
-        )
-        kind = next((k for k in _KINDS if k in content and k not in known), None)
+        known = _keys(schema)
+        kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
         if first["type"] in _UNKNOWN and kind:
             field, problem = "", f"is {_KINDS[kind]}; another kind of file is expected"
         elif first["type"] in _UNKNOWN:
-            problem = "is not a known key; check its spelling"
+            near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
+            hint = f"did you mean {near[0]}?" if near else "check its spelling"
+            problem = f"is not a known key; {hint}"
         elif first["type"] == "missing":
             problem = "is required but missing"
         raise InputError(problem, file=file, field=field or None) from error

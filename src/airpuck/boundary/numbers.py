@@ -105,8 +105,11 @@ SEED = Range(0, 2**63 - 1, "seeds are kept in 64 bits")
 GAME_SEED = Range(0, 2**62 - 1, "either side has a seed of its own, and these are kept in 64 bits")
 DOMAIN = Range(0, 232, "each DDS domain has its own ports, from 7400 + 250 per domain on")
 PORT = Range(1, 65_535, "TCP has 65535 ports")
+PAGE_PORT = Range(0, 65_535, "TCP has 65535 ports; with 0 there is no page")
 GAMES = Range(1, 100_000, "each takes about a minute of one core")
 GOALS = Range(1, 1000, "someone must be able to win")
+GAME_TIME = Range(0.01, 1e6, "at least one step, at most some days", "s")
+PAUSE = Range(0, 1e10, "pauses are not negative", "s")
 WORKERS = Range(1, 1024, "each is a process of its own")
 
 # Ranges for fits and evaluations.

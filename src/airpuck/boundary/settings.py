@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import builtins
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from airpuck.boundary.errors import InputError
@@ -35,13 +36,20 @@ class Setting:
     option: str | None = None
     #: Heading of its option in the help, if it differs from the settings object's.
     heading: str | None = None
+    #: Whether the help of a command shows it only on request.
+    advanced: bool = False
+    #: Values that the shell offers, where the type does not list them.
+    complete: Callable[[], list[str]] | None = None
+    #: Reads the value from the file that its option names.
+    read: Callable[[Path], Any] | None = None
 
     def check(self, value: Any, field: str) -> None:
         """Raise InputError if a number, or one of several, is out of range."""
-        if self.within is not None:
-            for number in value if isinstance(value, (tuple, list)) else (value,):
-                if number is not None:
-                    self.within.check(number, field)
+        if isinstance(value, (tuple, list)):
+            for entry in value:
+                self.check(entry, field)
+        elif self.within is not None and value is not None:
+            self.within.check(value, field)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Let pydantic check the range."""
@@ -59,8 +67,8 @@ class Declared:
     """A field of a settings object."""
 
     name: str
-    #: With its `Setting`.
-    annotation: Any
+    #: Its type, without the `Setting`.
+    kind: Any
     setting: Setting
     default: Any
 
@@ -78,9 +86,9 @@ class Settings:
         for one in declared(type(self)):
             value = getattr(self, one.name)
             one.setting.check(value, one.name)
-            choices = choices_of(one.annotation)
-            if choices and value is not None:
-                check_choice(value, choices, one.name)
+            choices = choices_of(one.kind)
+            if choices and value is not None and value not in choices:
+                raise InputError(unknown(value, choices), field=one.name)
 
 
 @cache
@@ -103,14 +111,23 @@ def _declared(kind: Any, hints: dict[str, Any]) -> Iterator[Declared]:
         if setting is not None:
             made = field.default_factory
             default = field.default if made is MISSING else made()
-            yield Declared(field.name, hints[field.name], setting, default)
+            yield Declared(field.name, undressed(hints[field.name]), setting, default)
 
 
 def setting_of(annotation: Any) -> Setting | None:
     """Return the `Setting` in a type, if there is one."""
     if get_origin(annotation) is not Annotated:
-        return None
+        optional = get_args(annotation) if type(None) in get_args(annotation) else ()
+        return next(filter(None, map(setting_of, optional)), None)
     return next((m for m in annotation.__metadata__ if isinstance(m, Setting)), None)
+
+
+def undressed(annotation: Any) -> Any:
+    """Return a type without its `Setting`."""
+    if get_origin(annotation) is Annotated:
+        return annotation.__origin__
+    first: Any = next(iter(get_args(annotation)), None)
+    return first.__origin__ | None if get_origin(first) is Annotated else annotation
 
 
 def choices_of(annotation: Any) -> tuple[Any, ...]:
@@ -120,13 +137,6 @@ def choices_of(annotation: Any) -> tuple[Any, ...]:
     if get_origin(annotation) is Literal:
         return get_args(annotation)
     return next(filter(None, map(choices_of, get_args(annotation))), ())
-
-
-def check_choice(value: Any, choices: tuple[Any, ...], field: str) -> None:
-    """Raise InputError if a value is unknown; suggest the nearest choice."""
-    if value in choices:
-        return
-    raise InputError(unknown(value, choices), field=field)
 
 
 def unknown(name: Any, known: Iterable[Any]) -> str:

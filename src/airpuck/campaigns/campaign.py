@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from airpuck import __version__
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing
 from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry, read_spec
 from airpuck.campaigns.workers import ItemResult, dispatch
+from airpuck.control.settings import Workers
 
 _STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
 
@@ -88,7 +88,7 @@ def campaign(
     output: str | os.PathLike[str],
     *,
     scheduler: str | None = None,
-    workers: int | None = None,
+    workers: Workers = None,
     retry: bool = False,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> Campaign:
@@ -119,8 +119,6 @@ def campaign(
     InputError
         If the spec is invalid, Dask is missing, or the scheduler does not answer.
     """
-    if workers is not None:
-        numbers.WORKERS.check(workers, "workers")
     entries, folder = read_spec(spec), Path(output)
     check_output(folder, "folder", field="output")
     compute = partial(dispatch, scheduler=scheduler, workers=workers)

@@ -19,9 +19,9 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
-from airpuck.boundary.numbers import Range
 from airpuck.campaigns.fingerprint import of_file, of_recording, program
 from airpuck.control.laws import check_law
+from airpuck.control.settings import ControllerKind, Duration, Dwell, Hold
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.data.trajectory import Trajectory
@@ -32,7 +32,7 @@ from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.problem import mean_delay
-from airpuck.identification.settings import Loss
+from airpuck.identification.settings import Degree, Loss, Stride
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
@@ -74,24 +74,12 @@ def _known_rung(name: str) -> str:
     return name
 
 
-def _within(limits: Range) -> pydantic.AfterValidator:
-    """Check that a number lies within a range."""
-
-    def check(number: float) -> float:
-        limits.check(number, "")
-        return number
-
-    return pydantic.AfterValidator(check)
-
-
 TwinTable = Annotated[TwinSettings, _laid_over(default_twin_settings)]
 TuningTable = Annotated[Tuning, _laid_over(default_tuning)]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
-Duration = Annotated[float, _within(numbers.FLIGHT_DURATION)]
-Hold = Annotated[float, _within(numbers.HOLD)]
 #: The class in FILE.py:NAME.
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
 #: Function that hashes the file or code behind a name.
@@ -173,8 +161,8 @@ class Identification(Item):
     #: Rung to identify.
     model: RungName = "M3"
     #: Samples from one window to the next; by default 7/240 s.
-    stride: Count | None = None
-    #: Whether poorly predicted windows get less weight.
+    stride: Stride = None
+    #: Whether badly predicted windows get less weight.
     robust: bool = False
 
     def loss(self, data: Trajectory) -> Loss:
@@ -192,10 +180,8 @@ class Tracking(TwinItem):
     #: Model of the controller.
     model: str = "paper:M4"
     #: Time at each set point.
-    dwell_s: Annotated[float, _within(numbers.DWELL)] = DWELL
-    #: "paper": as flown in the paper. "full", the default of all laws but lqr, also compensates the
-    #: delay and rejects disturbances.
-    controller: Literal["paper", "full"] | None = None
+    dwell_s: Dwell = DWELL
+    controller: ControllerKind = None
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
     #: By default the law of the tuning file.
     regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
@@ -208,7 +194,7 @@ class Tracking(TwinItem):
             truth,
             dwell=self.dwell_s,
             seed=self.seed,
-            full_controller=None if self.controller is None else self.controller == "full",
+            controller=self.controller,
             regulators=() if self.regulator is None else (self.regulator,),
             settings=self.twin,
             tuning=self.tuning,
@@ -306,7 +292,7 @@ class Fitting(Identification):
     #: Number of fits to blocks of time drawn with replacement; each starts at the fit to all data.
     resamplings: Annotated[Natural, pydantic.Field(le=numbers.REPLICATES.high)] = 0
     #: Degree of the thrust polynomials.
-    degree: Annotated[int, pydantic.Field(ge=1, le=9)] | None = None
+    degree: Degree = None
     #: Frame in which the offset of the centre of mass is constant.
     frame: Literal["body", "world"] = "body"
 

@@ -20,6 +20,7 @@ from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import ItemResult, compute, dispatch
 from airpuck.compute.process import usable_cores
+from airpuck.control.settings import Workers
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.rules import Rules
@@ -116,7 +117,7 @@ def match(
     settings: TwinSettings | None = None,
     rules: Rules | None = None,
     output: str | os.PathLike[str] | None = None,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> MatchResult:
     """Let two players play each other.
@@ -158,8 +159,6 @@ def match(
     numbers.GAMES.check(games, "games")
     for number in (seed, seed + games - 1):
         check_seed(number, limits=numbers.GAME_SEED)
-    if workers is not None:
-        numbers.WORKERS.check(workers, "workers")
     for name in (left, right):
         contestant(name)
     read_model(model)

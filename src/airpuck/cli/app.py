@@ -7,7 +7,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable
-from itertools import islice
+from dataclasses import replace
 from typing import Annotated, Any
 
 import typer
@@ -15,9 +15,10 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.exceptions import TyperException
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import unknown
 from airpuck.boundary.terminal import escaped
 from airpuck.cli.names import check_inputs, refuse_empty
-from airpuck.cli.views import viewed
+from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import (
     Stopped,
     keep_compiled_programs,
@@ -49,34 +50,51 @@ class _PlainFlags:
 class Command(_PlainFlags, TyperCommand):
     """A command that checks file names before it starts."""
 
+    def __init__(self, *args: Any, params: Any, callback: Any, **options: Any) -> None:
+        #: Options that are views of settings, by parameter.
+        self.declared: dict[str, OptionView] = callback.declared
+        for parameter in params:
+            view = self.declared.get(parameter.name)
+            if view and view.row:  # Typer does not know options of several numbers that repeat
+                parameter.nargs = view.row
+                kind = replace(parameter.type_descriptor, annotation=view.kind)
+                parameter.type_descriptor = kind
+        super().__init__(*args, params=params, callback=callback, **options)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, and reject file names that must be mistakes."""
+        """Parse, and reject names that are invalid."""
         refuse_empty(args)
-        rest = super().parse_args(ctx, args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except TyperException as error:
+            raise _rejected(error) from error
         if not ctx.resilient_parsing:
             check_inputs(ctx)
         return rest
 
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help; advanced options on request only."""
+        for parameter in self.params:
+            view = self.declared.get(parameter.name or "")
+            if view and isinstance(parameter, TyperOption):
+                parameter.hidden = view.setting.advanced and ALL_OPTIONS not in ctx.meta
+        super().format_help(ctx, formatter)
 
-def repeated(**counts: int) -> type[Command]:
-    """Return a command class whose named options take several numbers and may be repeated.
 
-    Typer supports options of several numbers, and repeated options, but not both in one. The
-    command receives strings with the numbers.
-    """
-
-    class Repeated(Command):
-        def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-            """Join the numbers to one argument."""
-            joined, left = [], iter(args)
-            for arg in left:
-                joined.append(arg)
-                count = counts.get(arg.removeprefix("--").replace("-", "_"), 0)
-                if count and arg.startswith("--"):
-                    joined.append(" ".join(islice(left, count)))
-            return super().parse_args(ctx, joined)
-
-    return Repeated
+def _rejected(error: Any) -> Exception:
+    """Return what is wrong with an option or its value, in one sentence, with the nearest name."""
+    if hasattr(error, "possibilities"):
+        near = f"; did you mean {error.possibilities[0]}?" if error.possibilities else ""
+        return InputError(f"no such option{near}", field=error.option_name)
+    if not hasattr(error.__cause__, "errors"):  # not pydantic's
+        return error
+    (first, *_), choices = error.__cause__.errors(), error.param.type_descriptor.choices
+    if choices:
+        problem = unknown(first["input"], choices)
+    else:
+        words = first["msg"].partition(",")[0].replace("Input should be", "must be")
+        problem = f"{words}, not {first['input']!r}"
+    return InputError(problem, field=error.param.opts[0])
 
 
 class _Group(_PlainFlags, TyperGroup):

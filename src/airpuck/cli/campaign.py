@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 import airpuck
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.output import report, show_counts, table, write_json
+from airpuck.cli.output import report, show_time_left, table, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -31,22 +31,17 @@ def campaign(
     spec: Annotated[Path, Argument(metavar="SPEC", help="A spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
     scheduler: Annotated[
-        str | None, Option(metavar="TCP", help="Address of a Dask scheduler, tcp://HOST:PORT.")
+        str | None, Setting("Address of a Dask scheduler, tcp://HOST:PORT.", metavar="TCP")
     ] = None,
-    workers: Annotated[
-        int | None,
-        options.number("N", "Processes to start; by default one per processor.", numbers.WORKERS),
-    ] = None,
-    retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
+    workers: options.Workers = None,
+    retry: Annotated[bool, Option("--retry", help="Run again what failed.")] = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Run many independent flights or fits, skipping those already done."""
     if scheduler is not None and workers is not None:
-        raise InputError(
-            "a running cluster has its own processes; give one of the two", field="--workers"
-        )
-    with show_counts("", "{} of {} items done, {} failed", quiet) as progress:
+        raise InputError("a running cluster has its own; give one of the two", field="--workers")
+    with show_time_left("items", quiet) as progress:
         found = airpuck.campaign(
             spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
         )

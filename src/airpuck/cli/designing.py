@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from typer import Option
+from typing import TYPE_CHECKING, Annotated
 
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.numbers import percent
+from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import load, read_controls, read_twin
+from airpuck.cli.inputs import load, read_controls
 from airpuck.cli.output import report, show_time_left, table, warn
+from airpuck.control.settings import Criterion, ProposedDuration, ProposedMargin
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from airpuck.experiment_design.design import CandidateFlight, Design
     from airpuck.experiment_design.trials import CheckedFlights
     from airpuck.model.model_file import Model
+    from airpuck.recording.mapping import RecordingMapping
 
 #: Candidates to print.
 _SHOWN = 8
@@ -29,36 +30,27 @@ _SHOWN = 8
 
 @app.command(rich_help_panel="Control and flight")
 def design(
-    model: Annotated[str, Option(metavar="MODEL", help="Model of the craft.")] = "paper:M3",
+    model: Annotated[str, Setting("What is believed of the craft.", metavar="MODEL")] = "paper:M3",
     after: Annotated[
         list[Path] | None,
-        Option(metavar="RECORDING", help="Fit to this first; repeat for several."),
+        Setting("Fit to this first; repeat for several.", metavar="RECORDING"),
     ] = None,
-    duration: Annotated[
-        float, options.number("S", "Length of the flight to propose.", numbers.DESIGN_DURATION)
-    ] = 60.0,
-    criterion: Annotated[
-        Literal["worst", "mean"],
-        Option(help="worst: the largest relative error; mean: their geometric mean."),
-    ] = "worst",
-    margin: Annotated[
-        float, options.number("M", "Smallest distance to the rails.", numbers.MARGIN)
-    ] = 0.08,
+    duration: ProposedDuration = 60.0,
+    criterion: Criterion = "worst",
+    margin: ProposedMargin = 0.08,
     output: Annotated[
         Path | None, options.output("FILE", "Plan to write, for excite --plan.")
     ] = None,
     check: Annotated[
         int | None,
-        options.number(
-            "N", "Fly it N times on the twin, identify, and compare.", numbers.CHECK_FLIGHTS
-        ),
+        Setting("Fly it N times on the twin, identify, and compare.", numbers.CHECK_FLIGHTS, "N"),
     ] = None,
     figure: Annotated[
         Path | None, options.output("FILE", "Draw the errors; a PNG.", "--figure")
     ] = None,
-    twin: options.TwinFile = None,
+    twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
-    mapping: options.MappingFile = None,
+    mapping: options.ReadMapping = None,
     seed: options.Seed = 0,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -76,7 +68,7 @@ def design(
             criterion=criterion,
             margin=margin,
             seed=seed,
-            settings=read_twin(twin),
+            settings=twin,
             tuning=read_controls(tuning),
             progress=progress,
         )
@@ -96,7 +88,9 @@ def design(
     report(figures, json_file, *tables, *summary(found), output, figure)
 
 
-def _fitted(craft: Model, recordings: list[Path], mapping: Path | None, quiet: bool) -> Model:
+def _fitted(
+    craft: Model, recordings: list[Path], mapping: RecordingMapping | None, quiet: bool
+) -> Model:
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
     from airpuck.model.rungs import named_rung

@@ -11,9 +11,11 @@ from typer import Argument, Option
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import origin, report, show, warn
+from airpuck.control.settings import ControllerKind, Dwell
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -28,14 +30,14 @@ def replay(
     flight: Annotated[
         Path, Argument(metavar="FLIGHT", help="A recording with poses, commands and references.")
     ],
-    model: Annotated[str, options.CONTROLLERS_MODEL],
+    model: options.ControllersModel,
     fit_gains: Annotated[
         bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
     ] = False,
     regulator: options.RegulatorName = None,
     tuning: options.TuningFile = None,
     span: options.Span = None,
-    mapping: options.MappingFile = None,
+    mapping: options.ReadMapping = None,
     output: options.PageFolder = None,
     json_file: options.Json = None,
 ) -> None:
@@ -43,7 +45,7 @@ def replay(
     craft = inputs.read_belief(model)
     settings = inputs.read_controls(tuning, regulator, craft)
     result = airpuck.replay(
-        inputs.read_flight(flight, mapping),
+        airpuck.read_recording(flight, mapping=mapping),
         craft,
         tuning=settings,
         fit_gains=fit_gains,
@@ -62,12 +64,12 @@ def excite(
     output: options.NewBag,
     experiment: options.Experiment,
     seed: options.Seed = 0,
-    vehicle: options.VehicleFile = None,
+    vehicle: options.ReadVehicle = None,
     model: Annotated[
         str | None,
-        Option(metavar="MODEL", help="Truth of the twin; by default paper:M3, or nominal."),
+        Setting("Truth of the twin; by default paper:M3, or nominal.", metavar="MODEL"),
     ] = None,
-    twin: options.TwinFile = None,
+    twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     csv: Annotated[bool, Option("--csv", help="Record CSV files instead of a bag.")] = False,
     json_file: options.Json = None,
@@ -82,7 +84,7 @@ def excite(
         truth,
         experiment,
         seed,
-        settings=inputs.read_twin(twin),
+        settings=twin,
         tuning=inputs.read_controls(tuning),
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
@@ -102,40 +104,31 @@ def track(
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        Option("--flight", metavar="FLIGHT", help="Real flight of each model, to reproduce."),
+        Setting("Real flight of each model, to imitate.", metavar="FLIGHT", option="--flight"),
     ] = None,
-    truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M4",
-    setpoints: options.SetPointsFile = None,
-    dwell: Annotated[
-        float | None,
-        options.number("S", "Time at each set point; reproduces no flight.", numbers.DWELL),
+    truth: options.Truth = "paper:M4",
+    setpoints: Annotated[
+        Path | None, Setting("Set points and their times, as TOML.", metavar="FILE")
     ] = None,
+    dwell: Dwell | None = None,
     pilot: options.PilotClass = None,
-    controller: Annotated[
-        Literal["paper", "full"] | None,
-        Option(
-            help="paper: as flown; full: compensates the delay, rejects disturbances; by default "
-            "paper, or full for laws other than lqr."
-        ),
-    ] = None,
+    controller: ControllerKind = None,
     regulators: Annotated[
         list[str] | None,
-        Option(
-            "--regulator",
+        Setting(
+            f"{options.LAWS_THERE_ARE}; give several to compare them. By default the tuning's.",
             metavar="LAW",
-            help=f"{options.LAWS_THERE_ARE}; give several to compare them. By default the "
-            "tuning's.",
+            option="--regulator",
         ),
     ] = None,
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
-        Option(
-            help="kalman, or actuation, which also estimates each motor's effectiveness; by "
-            "default the tuning's."
+        Setting(
+            "kalman, or actuation: finds out what each motor does; by default the tuning's.",
         ),
     ] = None,
     seed: options.Seed = 0,
-    twin: options.TwinFile = None,
+    twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     output: options.PageFolder = None,
     json_file: options.Json = None,
@@ -151,36 +144,36 @@ def track(
     controls = inputs.read_controls(tuning)
     if estimator is not None:
         controls = controls.with_estimator(estimator)
-    if pilot is not None:
-        ours = {"regulators": regulators, "controller": controller, "estimator": estimator}
-        inputs.refuse_others(track, "--pilot, which flies your own", ours)
+    if pilot is not None and (regulators or controller or estimator):
+        problem = "flies your controller; leave --regulator, --controller and --estimator out"
+        raise InputError(problem, field="pilot")
+    if flights and (setpoints is not None or dwell is not None):
+        raise InputError(
+            "has its set points and times; leave --setpoints and --dwell out", field="flights"
+        )
     laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
     beyond_paper = set(laws) != {"lqr"} and pilot is None
     names = models or ["paper:M0", "paper:M4"][beyond_paper:]
-    if dwell is not None and flights:
-        raise InputError("a flight has its own times; give one of the two", field="--dwell")
     paths: list[Path | None] = list(flights or ())
-    if setpoints is not None and flights:
-        raise InputError("a flight has its own set points; give one of the two", field="--flight")
     own = setpoints is not None or pilot is not None
     as_flown = controller == "paper" or (controller is None and not beyond_paper)
     if not paths and dwell is None and as_flown and not own:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
-        raise InputError("give one for each --model, in the same order", field="--flight")
+        raise InputError("give one for each --model, in the same order", field="flights")
     beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
     for law in laws if pilot is None else ():
         inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
     tracked = airpuck.tracking_study(
         beliefs,
         plant,
-        flights=[None if path is None else inputs.read_flight(path, None) for path in paths],
+        flights=[None if path is None else airpuck.read_recording(path) for path in paths],
         set_points=None if setpoints is None else read_setpoints(setpoints),
         dwell=dwell or DWELL,
         seed=seed,
-        full_controller=not as_flown,
+        controller="paper" if as_flown else "full",
         regulators=laws,
-        settings=inputs.read_twin(twin),
+        settings=twin,
         tuning=controls,
         make_pilot=None if pilot is None else pilot_maker(pilot),
     )
@@ -204,35 +197,27 @@ def animate(
     ],
     output: Annotated[Path, options.output("FILE", "flight.gif or flight.html")],
     span: options.Span = None,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
-    speed: Annotated[
-        float, options.number("X", "Seconds of flight per second.", numbers.SPEED)
-    ] = 1.0,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
+    speed: Annotated[float, Setting("Seconds of flight per second.", numbers.SPEED, "X")] = 1.0,
     fps: Annotated[
-        float, options.number("N", "Frames of a GIF per second.", numbers.FRAME_RATE)
-    ] = 25.0,
-    table: Annotated[
-        tuple[float, float] | None,
-        options.number("L W", "Length and width of the table.", numbers.TABLE_SIDE),
+        float | None, Setting("Frames of a GIF per second, by default 25.", numbers.FRAME_RATE, "N")
     ] = None,
-    twin: options.TwinFile = None,
+    twin: options.ReadTwin = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.scene import TABLE
 
-    if twin is not None:
-        inputs.refuse_others(animate, "--twin", {"table": table})
-    if output.suffix != ".gif":
-        inputs.refuse_others(animate, "a page, which the browser draws", {"fps": fps})
+    if fps is not None and output.suffix != ".gif":
+        raise InputError("counts the frames of a GIF; the browser draws a page", field="fps")
     written = airpuck.animate(
-        inputs.read_flight(recording, mapping),
+        airpuck.read_recording(recording, mapping=mapping),
         output,
-        vehicle=inputs.read_craft(vehicle),
+        vehicle=vehicle,
         span=span or (0.0, 1.0),
         speed=speed,
-        frames_per_second=fps,
-        table=table or inputs.read_twin(twin) or TABLE,
+        frames_per_second=fps or 25.0,
+        table=twin or TABLE,
     )
     show(written)
 

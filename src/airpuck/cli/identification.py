@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from typer import Argument, Option
+from typer import Argument
 
 import airpuck
 from airpuck.boundary import numbers
@@ -17,15 +17,15 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.inputs import load, mapping_in, read_craft
+from airpuck.cli.inputs import load
 from airpuck.cli.output import (
     error_table,
     is_stdout,
     origin,
-    print_tenths,
     report,
     say,
     show_progress,
+    show_time_left,
     table,
     warn,
 )
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from airpuck.twin.verdict import Verdict
 
 PANEL = "From a recording to a validated model"
-_OPTIMISER = "Optimiser"
 
 Recordings = Annotated[
     list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
@@ -56,6 +55,7 @@ ComFrame = Annotated[
     Setting(
         "Whether the centre of mass is fixed to the body, or to the world as in the paper.",
         heading="Structure of the model",
+        advanced=True,
     ),
 ]
 
@@ -64,11 +64,11 @@ ComFrame = Annotated[
 def preprocess(
     recording: options.RecordingPath,
     output: Annotated[Path, options.output("FILE", "traj.npz")],
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
     delay: Annotated[
         float | None,
-        options.number("S", "Transport delay; by default it is estimated.", numbers.DELAY),
+        Setting("Transport delay; by default it is found.", numbers.DELAY, "S"),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -79,7 +79,7 @@ def preprocess(
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
     silent = quiet or is_stdout(json_file)
-    trajectory = load(recording, read_craft(vehicle), mapping, delay=delay, quiet=silent)
+    trajectory = load(recording, vehicle, mapping, delay=delay, quiet=silent)
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),
@@ -113,10 +113,10 @@ def identify(
     preparation: Preparation,
     model: Annotated[
         str,
-        Option(
-            autocompletion=_rung_names,
-            help="M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "model that predicts held-out parts of the recordings as well as the best one.",
+        Setting(
+            "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
+            "that predicts held-out parts of the recordings as well as any.",
+            complete=_rung_names,
         ),
     ] = "M3",
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
@@ -125,10 +125,10 @@ def identify(
     ] = None,
     validation: Annotated[
         Path | None,
-        Option(metavar="RECORDING", help="Another recording, for validating the model."),
+        Setting("Another recording, to judge the model on.", metavar="RECORDING"),
     ] = None,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
     span: options.Span = None,
     json_file: options.Json = None,
     verbose: options.Verbose = False,
@@ -137,12 +137,15 @@ def identify(
     com_frame: ComFrame = "body",
     stride: Stride = None,
     yaw_weight: YawWeight = 0.1,
-    method: Annotated[
-        Literal["lm", "adam"],
-        Setting("lm (Levenberg-Marquardt) or adam.", heading=_OPTIMISER),
-    ] = "lm",
-    epochs: Annotated[
-        int | None, Setting("Epochs of Adam", numbers.EPOCHS, "N", heading=_OPTIMISER)
+    adam: Annotated[
+        int | None,
+        Setting(
+            "Fit by Adam, as in the paper, for N epochs; by default by Levenberg-Marquardt.",
+            numbers.EPOCHS,
+            "N",
+            heading="Optimiser",
+            advanced=True,
+        ),
     ] = None,
     bootstrap: Annotated[
         int | None,
@@ -151,10 +154,12 @@ def identify(
             numbers.REPLICATES,
             "N",
             heading="Uncertainty",
+            advanced=True,
         ),
     ] = None,
     seed: Annotated[
-        int, Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty")
+        int,
+        Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty", advanced=True),
     ] = 0,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
@@ -166,21 +171,19 @@ def identify(
     rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    optimiser = _optimiser(method, epochs, {"--model": model == "auto", "--bootstrap": bootstrap})
-    if seed and bootstrap is None:
-        raise InputError("is the seed of resamplings; add --bootstrap N", field="--seed")
-    craft = read_craft(vehicle)
-    trajectories = [load(path, craft, mapping, span=span, quiet=quiet) for path in recordings]
-    other = None if validation is None else load(validation, craft, mapping, quiet=quiet)
+    if adam is not None and (bootstrap is not None or model == "auto"):
+        raise InputError("takes neither --bootstrap nor --model auto", field="adam")
+    optimiser = airpuck.LevenbergMarquardt() if adam is None else airpuck.Adam(epochs=adam)
+    trajectories = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
+    other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
-    if stride is not None or method == "adam":
+    if stride is not None or adam is not None:
         loss = replace(loss, spacing=(stride or 0) * trajectories[0].sample_period)
-    settings: Any = {"vehicle": craft, "loss": loss, "preparation": preparation}
+    settings: Any = {"vehicle": vehicle, "loss": loss, "preparation": preparation}
     fit, selection = _fitted(trajectories, rungs, optimiser, settings, quiet)
     if bootstrap is not None:
-        words = "" if quiet else "resampled {} of {}"
-        show = partial(print_tenths, words, total=bootstrap)
-        fit = resample(fit, bootstrap, seed=seed, progress=show)
+        with show_time_left("resamplings", quiet) as tell:
+            fit = resample(fit, bootstrap, seed=seed, progress=partial(tell, total=bootstrap))
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
     if report_folder is not None:
@@ -207,38 +210,23 @@ def _judged(
     return said, [error_table([fit.model.name], [found], other)], figures
 
 
-def _optimiser(method: str, epochs: int | None, of_lm: dict[str, Any]) -> Method:
-    """Return the optimiser; raise InputError for options that need the other one."""
-    if method == "lm":
-        if epochs is not None:
-            raise InputError("counts the epochs of Adam; add --method adam", field="--epochs")
-        return airpuck.LevenbergMarquardt()
-    for option, given in of_lm.items():
-        if given:
-            raise InputError("needs --method lm", field=option)
-    return airpuck.Adam() if epochs is None else airpuck.Adam(epochs=epochs)
-
-
 @app.command("identify-puck", rich_help_panel=PANEL)
 def identify_puck(
     recordings: Recordings,
-    table_file: options.TableFile = None,
+    play: options.ReadTable = None,
     output: Annotated[Path | None, options.output("FILE", "Table file to write.")] = None,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Identify drag and bounces of a puck from recordings."""
-    from airpuck.craft.table import read_table
     from airpuck.identification.puck import identify_puck, value_of
 
-    names = mapping_in(mapping)
-    seen = [airpuck.read_recording(path, mapping=names, needs=("puck",)) for path in recordings]
+    seen = [airpuck.read_recording(path, mapping=mapping, needs=("puck",)) for path in recordings]
     for recording in seen:
         warn(recording.warnings, quiet)
-    play = None if table_file is None else read_table(table_file)
-    fit = identify_puck(seen, play, read_craft(vehicle))
+    fit = identify_puck(seen, play, vehicle)
     if output is not None:
         fit.play.save(output)
     warn(fit.notes, quiet)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import airpuck
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.cli.output import warn
 
@@ -22,51 +20,19 @@ if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.model.model_file import Model
     from airpuck.recording.mapping import RecordingMapping
-    from airpuck.recording.stream import Recording
-    from airpuck.twin.settings import TwinSettings
-
-
-def read_craft(path: Path | None) -> Vehicle | None:
-    """Read the vehicle file, if one is given."""
-    return None if path is None else airpuck.read_vehicle(path)
-
-
-def refuse_others(command: Callable[..., Any], option: str, values: Mapping[str, Any]) -> None:
-    """Raise InputError for options that another given option excludes."""
-    for name, parameter in signature(command, eval_str=True).parameters.items():
-        if name in values and values[name] != parameter.default:
-            spelt = parameter.annotation.__metadata__[-1].param_decls
-            field = spelt[0] if spelt else f"--{name.replace('_', '-')}"
-            raise InputError(f"does not go with {option}", field=field)
-
-
-def read_twin(path: Path | None) -> TwinSettings | None:
-    """Read the settings of the twin, if a file is given."""
-    return None if path is None else airpuck.read_twin_settings(path)
-
-
-def mapping_in(path: Path | None) -> RecordingMapping | None:
-    """Read the mapping of recordings, if a file is given."""
-    return None if path is None else airpuck.read_mapping(path)
-
-
-def read_flight(recording: Path, mapping: Path | None) -> Recording:
-    """Read a raw recording."""
-    return airpuck.read_recording(recording, mapping=mapping_in(mapping))
 
 
 def load(
     recording: Path,
     vehicle: Vehicle | None,
-    mapping: Path | None,
+    mapping: RecordingMapping | None,
     *,
     span: tuple[float, float] | None = None,
     delay: float | None = None,
     quiet: bool = True,
 ) -> Trajectory:
-    """Load and preprocess a recording, or the part named by --span, and print warnings."""
-    names = mapping_in(mapping)
-    trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names, delay=delay)
+    """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
+    trajectory = airpuck.load_trajectory(recording, vehicle, mapping=mapping, delay=delay)
     warn(trajectory.warnings, quiet)
     return trajectory if span is None else trajectory.slice(*span)
 
@@ -74,7 +40,7 @@ def load(
 def load_for(
     model: str,
     recording: Path,
-    mapping: Path | None,
+    mapping: RecordingMapping | None,
     *,
     span: tuple[float, float] | None = None,
     quiet: bool = True,
@@ -128,7 +94,7 @@ def read_player(name: str, quiet: bool) -> Model:
 
 
 def read_given(
-    model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
+    model: str | None, vehicle: Vehicle | None, read: Callable[[str], Model] = read_belief
 ) -> Model | None:
     """Read a model if one is given; raise InputError if a vehicle is given, too."""
     if model is None:
@@ -139,13 +105,13 @@ def read_given(
 
 
 def model_or_nominal(
-    model: str | None, vehicle: Path | None, read: Callable[[str], Model] = read_belief
+    model: str | None, vehicle: Vehicle | None, read: Callable[[str], Model] = read_belief
 ) -> Model:
     """Read a model, or make the nominal one of a vehicle, by default the paper's."""
     from airpuck.model.model_file import nominal_model
 
     given = read_given(model, vehicle, read)
-    return given or nominal_model(read_craft(vehicle) or airpuck.default_vehicle())
+    return given or nominal_model(vehicle or airpuck.default_vehicle())
 
 
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
@@ -176,22 +142,6 @@ def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
     with contextlib.nullcontext() if path is None else about(path):
         for model in models:
             make(model, tuning, LawOptions(compiled=False))
-
-
-def rows(texts: Sequence[str], count: int, option: str, words: str) -> list[tuple[float, ...]]:
-    """Read the numbers of a repeated option, `count` each time."""
-    found = []
-    for text in texts:
-        try:
-            row = tuple(map(float, text.split()))
-        except ValueError:
-            row = ()
-        if len(row) != count:
-            raise InputError(words, field=option)
-        for number in row:
-            numbers.COORDINATE.check(number, option)
-        found.append(row)
-    return found
 
 
 def published_flights(models: Sequence[str]) -> list[Path | None]:

@@ -6,26 +6,24 @@ import itertools
 import math
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from typer import Option
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import airpuck
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import console, is_stdout, report, say, show_time_left, table
+from airpuck.cli.views import Without
+from airpuck.hockey.rules import Rules
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from airpuck.campaigns.match import MatchResult
     from airpuck.hockey.game import Game
-    from airpuck.hockey.rules import Rules
-    from airpuck.model.model_file import Model
-    from airpuck.twin.settings import TwinSettings
 
 #: Events shown to spectators.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
@@ -33,105 +31,88 @@ _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
 _PLAYER = "airpuck, human, keeper or striker, each with :LEVEL, or a tactic, FILE.py:NAME."
+_GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
+
+
+@dataclass(frozen=True)
+class Pairing(Settings):
+    """Who plays whom, with which craft and on which table."""
+
+    HEADING: ClassVar = ""
+
+    left: Annotated[str, Setting(_PLAYER, metavar="PLAYER")] = "airpuck"
+    right: Annotated[str, Setting("The same.", metavar="PLAYER")] = "human"
+    seed: options.Seed = 0
+    model: Annotated[str, Setting("What a craft is.", metavar="MODEL")] = "paper:M3"
+    twin: options.ReadTwin = None
 
 
 @app.command(rich_help_panel="Air hockey")
 def match(
-    left: Annotated[str, Option("--left", metavar="PLAYER", help=_PLAYER)] = "airpuck",
-    right: Annotated[str, Option("--right", metavar="PLAYER", help="The same.")] = "human",
-    games: Annotated[int, options.number("N", "Number of games.", numbers.GAMES)] = 1,
-    seed: options.Seed = 0,
-    goals: Annotated[int, options.number("N", "Goals needed to win.", numbers.GOALS)] = 7,
-    limit: Annotated[
-        float, options.number("S", "Time limit of a game.", numbers.FLIGHT_DURATION)
-    ] = 300.0,
-    model: Annotated[str, Option(metavar="MODEL", help="Model of the craft.")] = "paper:M3",
-    twin: options.TwinFile = None,
-    workers: Annotated[
-        int | None,
-        options.number("N", "Processes to start; by default one per processor.", numbers.WORKERS),
-    ] = None,
+    pairing: Pairing,
+    rules: _GameRules,
+    games: Annotated[int, Setting("How many games.", numbers.GAMES, "N")] = 1,
+    workers: options.Workers = None,
     output: Annotated[
         Path | None,
         options.output(
             "DIR", "Folder for the games, as bags; existing games are not played again."
         ),
     ] = None,
-    watch: Annotated[bool, Option("--watch", help="Show one game in real time.")] = False,
-    page: Annotated[
-        bool, Option("--page", help="With --watch: in the browser, not in the terminal.")
-    ] = False,
-    port: Annotated[
-        int | None, options.number("N", "Port of the page; by default 8088.", numbers.PORT)
-    ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    from airpuck.campaigns.match import MatchResult
-    from airpuck.hockey.rules import Rules
-
-    if page and not watch:
-        raise InputError("is for --watch, which is not given", field="--page")
-    if port is not None and not page:
-        raise InputError("is for --page, which is not given", field="--port")
-    rules, settings = Rules(goals=goals, limit_s=limit), inputs.read_twin(twin)
-    if watch:
-        inputs.refuse_others(
-            match, "--watch", {"games": games, "output": output, "workers": workers}
+    inputs.read_player(pairing.model, quiet)
+    with show_time_left("games", quiet) as progress:
+        found = airpuck.match(
+            pairing.left,
+            pairing.right,
+            games,
+            seed=pairing.seed,
+            model=pairing.model,
+            settings=pairing.twin,
+            rules=rules,
+            output=output,
+            workers=workers,
+            progress=progress,
         )
-        game, craft = _game(left, right, model, settings, rules, seed, quiet)
-        began = time.monotonic()
-        if page:
-            _show_page(game, craft, port, quiet)
-        else:
-            _watch(game, is_stdout(json_file), quiet)
-        found = MatchResult(left, right, (seed,), (game.figures(),), time.monotonic() - began)
-    else:
-        inputs.read_player(model, quiet)
-        with show_time_left("games", quiet) as progress:
-            found = airpuck.match(
-                left,
-                right,
-                games,
-                seed=seed,
-                model=model,
-                settings=settings,
-                rules=rules,
-                output=output,
-                workers=workers,
-                progress=lambda done, of, failed: progress(done, of),
-            )
     report(found.to_json(), json_file, *_lines(found, output))
 
 
-def _game(
-    left: str,
-    right: str,
-    model: str,
-    settings: TwinSettings | None,
-    rules: Rules,
-    seed: int,
-    quiet: bool,
-) -> tuple[Game, Model]:
-    """Return a game between two named players with a craft model."""
+@app.command("watch-match", rich_help_panel="Air hockey")
+def watch_match(
+    pairing: Pairing,
+    rules: _GameRules,
+    port: Annotated[
+        int | None,
+        Setting("Show it in the browser, on a page at this port.", numbers.PORT, "N", "--page"),
+    ] = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Show one game of two players in real time, in the terminal or the browser."""
+    from airpuck.campaigns.match import MatchResult
     from airpuck.compute.process import low_latency
     from airpuck.hockey.contestant import contestant
     from airpuck.hockey.game import Game
 
-    players = contestant(left), contestant(right)
-    craft = inputs.read_player(model, quiet)
+    names = pairing.left, pairing.right
+    players = [contestant(name) for name in names]
+    craft = inputs.read_player(pairing.model, quiet)
     low_latency()
-    return Game(*players, settings=settings, rules=rules, model=craft, seed=seed), craft
+    game = Game(*players, settings=pairing.twin, rules=rules, model=craft, seed=pairing.seed)
+    began = time.monotonic()
+    if port is None:
+        _watch(game, is_stdout(json_file), quiet)
+    else:
+        from airpuck.web.match_page import watch_in_browser
+        from airpuck.web.settings import ArenaSettings
 
-
-def _show_page(game: Game, craft: Model, port: int | None, quiet: bool) -> None:
-    """Show a game in the browser."""
-    from airpuck.web.match_page import watch_in_browser
-    from airpuck.web.page import ArenaSettings
-
-    arena = ArenaSettings() if port is None else ArenaSettings(port)
-    watch_in_browser(game, craft, arena, say(quiet))
+        watch_in_browser(game, craft, ArenaSettings(port), say(quiet))
+    wall = time.monotonic() - began
+    found = MatchResult(*names, (pairing.seed,), (game.figures(),), wall)
+    report(found.to_json(), json_file, *_lines(found, None))
 
 
 def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
 from typer.core import TyperOption
 
+import airpuck
 from airpuck.boundary import numbers
-from airpuck.boundary.numbers import Range
 from airpuck.boundary.outputs import Output
 from airpuck.boundary.settings import Setting
 from airpuck.cli.names import check_written
 from airpuck.cli.output import is_stdout
 from airpuck.cli.views import FromFile
-from airpuck.control.excitation_plan import ExcitationPlan, read_excitation_plan
 from airpuck.control.laws import LAWS
+from airpuck.control.settings import ExcitationPlan, read_excitation_plan
+from airpuck.control.settings import Seed as Seed
+from airpuck.control.settings import Workers as Workers
+
+if TYPE_CHECKING:
+    from airpuck.craft.table import AirHockey
+    from airpuck.craft.vehicle import Vehicle
+    from airpuck.recording.mapping import RecordingMapping
+    from airpuck.twin.settings import TwinSettings
 
 #: Description of an output, by its placeholder in the help.
 _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
@@ -33,17 +42,15 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
     return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)
 
 
-def number(metavar: str, help: str, limits: Range, *names: str) -> Any:
-    """Return an option for one or several numbers, within limits that the help names."""
+def _file(option: str, help: str, read: Callable[[Path], Any]) -> Setting:
+    """Return the setting that a file holds, which is read where the option is given."""
+    return Setting(help, metavar="FILE", option=option, read=read)
 
-    def check(context: Any, parameter: TyperOption, value: Any) -> Any:
-        for one in value if isinstance(value, (tuple, list)) else (value,):
-            if one is not None and not context.resilient_parsing:
-                limits.check(one, parameter.opts[0])
-        return value
 
-    words = f"{help.removesuffix('.')} ({limits})."
-    return Option(*names, metavar=metavar, help=words, callback=check)
+def _read_table(path: Path) -> AirHockey:
+    from airpuck.craft.table import read_table
+
+    return read_table(path)
 
 
 Json = Annotated[
@@ -53,26 +60,41 @@ Quiet = Annotated[bool, Option("--quiet", "-q", help="Print results only.")]
 Verbose = Annotated[
     bool, Option("--verbose", "-v", help="Print more: conditioning, correlations, constraints.")
 ]
-VehicleFile = Annotated[
-    Path | None,
-    Option("--vehicle", metavar="FILE", help="Vehicle file; by default the paper's craft."),
-]
-MappingFile = Annotated[
-    Path | None,
-    Option(
-        "--mapping",
-        "--topics",
-        metavar="FILE",
-        help="TOML file: topics, files, columns, units and axes of a recording.",
+ReadVehicle = Annotated[
+    "Vehicle | None",
+    _file(
+        "--vehicle",
+        "Vehicle file; by default the paper's craft.",
+        lambda path: airpuck.read_vehicle(path),
     ),
+]
+ReadMapping = Annotated[
+    "RecordingMapping | None",
+    _file(
+        "--mapping/--topics",
+        "TOML file: topics, files, columns, units and axes of a recording.",
+        lambda path: airpuck.read_mapping(path),
+    ),
+]
+ReadTwin = Annotated[
+    "TwinSettings | None",
+    _file(
+        "--twin",
+        "Table, sensors, radio, faults; by default the packaged.",
+        lambda path: airpuck.read_twin_settings(path),
+    ),
+]
+ReadTable = Annotated[
+    "AirHockey | None",
+    _file("--table", "Table file: sizes, goals, puck; by default the usual.", _read_table),
 ]
 Span = Annotated[
     tuple[float, float] | None,
-    number("A B", "Part to use, as fractions of the length.", numbers.SHARE, "--span"),
+    Setting("Part to use, as fractions of the length.", numbers.SHARE, "A B"),
 ]
 TuningFile = Annotated[
     Path | None,
-    Option("--tuning", metavar="FILE", help="Controller tuning; by default the packaged one."),
+    Setting("Controller tuning; by default the packaged.", metavar="FILE", option="--tuning"),
 ]
 PageFolder = Annotated[Path | None, output("DIR", "Write a page of figures, too.")]
 NewBag = Annotated[Path, output("BAG", "Folder to record to; new.")]
@@ -83,30 +105,14 @@ RecordingPath = Annotated[
         help="A bag folder, .mcap, folder of CSV files, data.pt, or preprocessed .npz.",
     ),
 ]
-CONTROLLERS_MODEL = Option("--model", metavar="MODEL", help="Model for the controller.")
-BELIEVED_MODEL = Option("--model", metavar="MODEL", help="Model of the craft.")
+ControllersModel = Annotated[
+    str, Setting("What the controller believes the craft to be.", metavar="MODEL")
+]
+BELIEVED = Setting("What the craft is believed to be.", metavar="MODEL")
+BelievedModel = Annotated[str, BELIEVED]
+Truth = Annotated[str, Setting("Truth of the twin.", metavar="MODEL")]
 ModelName = Annotated[
     str, Argument(metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4.")
-]
-TwinFile = Annotated[
-    Path | None,
-    Option(
-        "--twin",
-        metavar="FILE",
-        help="Table, sensors, radio, faults; by default the packaged ones.",
-    ),
-]
-TableFile = Annotated[
-    Path | None,
-    Option(
-        "--table",
-        metavar="FILE",
-        help="Table file: dimensions, goals, puck; by default the usual ones.",
-    ),
-]
-SetPointsFile = Annotated[
-    Path | None,
-    Option("--setpoints", metavar="FILE", help="Set points and their times, as TOML."),
 ]
 Experiment = Annotated[
     ExcitationPlan,
@@ -116,28 +122,27 @@ Experiment = Annotated[
 ]
 PilotClass = Annotated[
     str | None,
-    Option(
-        "--pilot",
+    Setting(
+        "A controller of your own: a class that is made from (model, reference).",
         metavar="FILE.py:NAME",
-        help="Your own controller: a class with the arguments (model, reference).",
+        option="--pilot",
     ),
 ]
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME"
 RegulatorName = Annotated[
     str | None,
-    Option("--regulator", metavar="LAW", help=f"{LAWS_THERE_ARE}; by default the tuning's."),
-]
-Seed = Annotated[int, number("N", "Seed of all random numbers.", numbers.SEED)]
-ProtocolName = Annotated[
-    Literal["paper", "paper-long", "causal"],
-    Option(
-        "--protocol",
-        help="paper; paper-long: encoders may look further back; causal: no later measurements.",
+    Setting(
+        f"{LAWS_THERE_ARE}; by default the tuning's.",
+        metavar="LAW",
+        option="--regulator",
+        complete=lambda: list(LAWS),
     ),
 ]
-Horizon = Annotated[
-    float, number("S", "Prediction horizon at which errors are reported.", numbers.HORIZON)
+ProtocolName = Annotated[
+    Literal["paper", "paper-long", "causal"],
+    Setting("paper; paper-long: encoders may look further back; causal: nothing measured later."),
 ]
+Horizon = Annotated[float, Setting("After how long errors are reported.", numbers.HORIZON, "S")]
 EncoderName = Annotated[
-    str, Setting("paper; actuation: also estimates the effectiveness of each motor.")
+    str, Setting("paper; actuation: estimates the effectiveness of each motor, too.")
 ]

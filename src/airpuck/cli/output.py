@@ -134,33 +134,17 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
 
 @contextmanager
-def show_counts(what: str, words: str, quiet: bool) -> Iterator[Callable[..., None]]:
-    """Show the numbers of finished and failed items: as a bar on a terminal, else in words."""
-    if quiet or not sys.stderr.isatty():
-        yield partial(print_tenths, "" if quiet else words)
-        return
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
-    columns = (*Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total, failed=0: bar.update(
-            task, completed=done, total=total, description=f"{failed} failed" if failed else what
-        )
-
-
-@contextmanager
-def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], None]]:
-    """Show how long some work will take: as a bar on a terminal, else in words."""
+def show_time_left(what: str, quiet: bool) -> Iterator[Callable[..., None]]:
+    """Show how long some work will take: on a terminal as a bar, else in words."""
     began, said = time.monotonic(), 0
 
-    def in_words(done: float, total: float) -> None:
+    def in_words(done: float, total: float, failed: int = 0) -> None:
         nonlocal said
         tenths = int(10 * done / total)
         if tenths > said and not quiet:
             said, left = tenths, (time.monotonic() - began) * (total / done - 1)
-            rest = f", about {left:.0f} s left" if done < total else ""
+            rest = f", {failed} failed" if failed else ""
+            rest += f", about {left:.0f} s left" if done < total else ""
             print(f"{what}: {10 * tenths} %{rest}", file=sys.stderr, flush=True)
 
     if quiet or not sys.stderr.isatty():
@@ -171,13 +155,9 @@ def show_time_left(what: str, quiet: bool) -> Iterator[Callable[[float, float], 
 
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def print_tenths(words: str, done: int, total: int, *more: int) -> None:
-    """Fill words with counts, and print them after each tenth."""
-    if words and 10 * done // total > 10 * (done - 1) // total:
-        show(words.format(done, total, *more), error=True)
+        yield lambda done, total, failed=0: bar.update(
+            task, completed=done, total=total, description=f"{failed} failed" if failed else what
+        )
 
 
 @contextmanager

@@ -6,13 +6,14 @@ from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from typer import Option
+from typer import Argument
 
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting, unknown
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app, repeated
+from airpuck.cli.app import app
 from airpuck.cli.output import report, show_time_left, table
 from airpuck.planning.settings import Limits
 
@@ -26,47 +27,51 @@ if TYPE_CHECKING:
 _PANEL = "Control and flight"
 
 
-@app.command(rich_help_panel=_PANEL, cls=repeated(via=2, keep_out=3))
+@app.command(rich_help_panel=_PANEL)
 def plan(
-    limits: Limits,
     start: Annotated[
         tuple[float, float, float],
-        options.number("X Y YAW", "Initial pose of the craft.", numbers.COORDINATE, "--from"),
+        Setting("Where the craft is.", numbers.COORDINATE, "X Y YAW", "--from"),
     ],
     goal: Annotated[
         tuple[float, float, float],
-        options.number("X Y YAW", "Goal pose.", numbers.COORDINATE, "--to"),
+        Setting("Where it is to be.", numbers.COORDINATE, "X Y YAW", "--to"),
     ],
-    model: Annotated[str, options.BELIEVED_MODEL] = "paper:M3",
+    limits: Limits,
+    model: options.BelievedModel = "paper:M3",
     velocity: Annotated[
-        tuple[float, float, float],
-        options.number("VX VY W", "Initial velocity.", numbers.COORDINATE, "--velocity"),
+        tuple[float, float, float], Setting("How fast it is.", numbers.COORDINATE, "VX VY W")
     ] = (0.0, 0.0, 0.0),
     end_velocity: Annotated[
         tuple[float, float, float],
-        options.number("VX VY W", "Final velocity.", numbers.COORDINATE, "--end-velocity"),
+        Setting("How fast it is to be.", numbers.COORDINATE, "VX VY W", advanced=True),
     ] = (0.0, 0.0, 0.0),
     free: Annotated[
         Literal["yaw", "velocity", "both"] | None,
-        Option(help="Final quantities that are free; by default none."),
+        Setting("What is left open at the end; by default nothing.", advanced=True),
     ] = None,
     turn: Annotated[
-        Literal["shorter", "exact"], Option(help="Count whole turns of the yaw.")
+        Literal["shorter", "exact"], Setting("Whether whole turns of the yaw count.", advanced=True)
     ] = "shorter",
     via: Annotated[
-        list[str] | None,
-        Option("--via", metavar="X Y", help="A point to pass; repeat for several, in order."),
+        list[tuple[float, float]] | None,
+        Setting("A point to pass; repeat for several, in order.", numbers.COORDINATE, "X Y"),
     ] = None,
     keep_out: Annotated[
-        list[str] | None,
-        Option("--keep-out", metavar="X Y R", help="A disc to avoid; repeat for several."),
+        list[tuple[float, float, float]] | None,
+        Setting(
+            "A disc not to touch; repeat for several.", numbers.COORDINATE, "X Y R", advanced=True
+        ),
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
-        options.number("L W", "Length and width of the table.", numbers.TABLE_SIDE, "--table"),
+        Setting(
+            "Length and width of the table.", numbers.TABLE_SIDE, "L W", "--table", advanced=True
+        ),
     ] = None,
     intervals: Annotated[
-        int, options.number("N", "Intervals of constant commands in a leg.", numbers.INTERVALS)
+        int,
+        Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N", advanced=True),
     ] = 40,
     output: Annotated[Path | None, options.output("FILE", "Plan to write; TOML.")] = None,
     figure: Annotated[
@@ -82,10 +87,8 @@ def plan(
         inputs.read_belief(model),
         (*start, *velocity),
         _goal(goal, end_velocity, free, turn),
-        via=inputs.rows(via or [], 2, "--via", "give two numbers: x [m], y [m]"),
-        keep_out=inputs.rows(
-            keep_out or [], 3, "--keep-out", "give three numbers: x [m], y [m], radius [m]"
-        ),
+        via=via or (),
+        keep_out=keep_out or (),
         table=rails,
         limits=limits,
         intervals=intervals,
@@ -102,30 +105,20 @@ def plan(
 
 @app.command(rich_help_panel=_PANEL)
 def race(
-    plan: Annotated[
-        Path | None,
-        Option("--plan", metavar="FILE", help="A plan by `airpuck plan`, instead of a course."),
-    ] = None,
     course: Annotated[
-        Literal["straight", "slalom", "eight"] | None,
-        Option(help="The course to plan and fly; by default straight."),
-    ] = None,
-    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
-    truth: Annotated[str, Option(metavar="MODEL", help="Truth of the twin.")] = "paper:M3",
+        str,
+        Argument(
+            metavar="COURSE",
+            help="straight, slalom or eight, which are planned first, or a plan by `airpuck plan`.",
+        ),
+    ] = "straight",
+    model: options.ControllersModel = "paper:M3",
+    truth: options.Truth = "paper:M3",
     regulator: options.RegulatorName = None,
-    reserve: Annotated[
-        float | None,
-        options.number(
-            "R", "Fraction of thrust reserved for feedback, by default 0.1.", numbers.RESERVE
-        ),
-    ] = None,
     seeds: Annotated[
-        int,
-        options.number(
-            "N", "Number of flights, each with its own noise and radio.", numbers.CHECK_FLIGHTS
-        ),
+        int, Setting("Flights, each with its noise and radio.", numbers.CHECK_FLIGHTS, "N")
     ] = 10,
-    twin: options.TwinFile = None,
+    twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     figure: Annotated[
         Path | None, options.output("FILE", "Draw all flights; a PNG.", "--figure")
@@ -142,15 +135,14 @@ def race(
     from airpuck.twin import race as racing
     from airpuck.twin.settings import default_twin_settings
 
-    settings = inputs.read_twin(twin) or default_twin_settings()
+    settings = twin or default_twin_settings()
     belief = inputs.read_belief(model)
-    if plan is not None and (course, reserve) != (None, None):
-        raise InputError("is planned already; leave --course and --reserve out", field="--plan")
-    if plan is not None:
-        planned = read_plan(plan, belief)
+    if course in racing.COURSES:
+        planned = racing.course_plan(course, belief, settings)
+    elif course.endswith(".toml"):
+        planned = read_plan(course, belief)
     else:
-        share = 0.1 if reserve is None else reserve
-        planned = racing.course_plan(course or "straight", belief, settings, share)
+        raise InputError(unknown(course, [*racing.COURSES, "PLAN.toml"]), field="COURSE")
     with show_time_left("flights", quiet) as progress:
         found = racing.race(
             planned,

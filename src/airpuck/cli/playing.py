@@ -4,72 +4,58 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
 
-from typer import Exit, Option
+from typer import Exit
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.live import on_topics, report_flight
+from airpuck.cli.live import report_flight
 from airpuck.cli.output import report, say
+from airpuck.cli.views import Without
 from airpuck.live.settings import LiveSettings
+from airpuck.web.settings import ArenaSettings
 
-if TYPE_CHECKING:
-    from airpuck.web.page import ArenaSettings
 
-_Tactic = Annotated[
-    str | None, Option("--tactic", metavar="FILE.py:NAME", help="Your own tactic for the craft.")
-]
+@dataclass(frozen=True)
+class Craft(Settings):
+    """The craft that plays."""
+
+    HEADING: ClassVar = ""
+
+    level: Annotated[
+        Literal["easy", "medium", "hard"],
+        Setting("Of the craft: thrust, reaction, aim; the page can change it."),
+    ] = "medium"
+    model: options.ControllersModel = "paper:M3"
+    twin: options.ReadTwin = None
+    seed: options.Seed = 0
+    tactic: Annotated[str | None, Setting("The craft's tactic; yours.", metavar="FILE.py:NAME")] = (
+        None
+    )
 
 
 @app.command(rich_help_panel="Air hockey")
 def play(
-    graph: LiveSettings,
-    level: Annotated[
-        Literal["easy", "medium", "hard"],
-        Option(help="Level of the craft: thrust, reaction, aim; the page can change it."),
-    ] = "medium",
-    port: Annotated[int, options.number("N", "Port of the page.", numbers.PORT)] = 8088,
-    no_browser: Annotated[
-        bool, Option("--no-browser", help="Serve the page, but do not open it.")
-    ] = False,
-    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
-    settings: options.TwinFile = None,
-    seed: options.Seed = 0,
-    tactic: _Tactic = None,
-    live: Annotated[
-        bool, Option("--live", help="Play on a ROS 2 graph, with puck and mallet on the table.")
-    ] = False,
-    no_page: Annotated[bool, Option("--no-page", help="With --live: do not serve a page.")] = False,
-    mapping: options.MappingFile = None,
-    json_file: options.Json = None,
+    craft: Craft, arena: ArenaSettings, json_file: options.Json = None, quiet: options.Quiet = False
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
-    from airpuck.web.page import ArenaSettings
-
-    if live:
-        if no_page:
-            shown = {"port": port, "no_browser": no_browser}
-            inputs.refuse_others(play, "--no-page", shown)
-        page = None if no_page else ArenaSettings(port, graph.interface, not no_browser)
-        _play_live(model, settings, level, tactic, seed, on_topics(graph, mapping), page, json_file)
-        return
-    of_graph = {"--domain": graph.domain, "--mapping": mapping, "--no-page": no_page or None}
-    for name, given in of_graph.items():
-        if given is not None:
-            raise InputError("is for --live, which is not given", field=name)
     from airpuck.compute.process import low_latency
     from airpuck.web.session import play_in_browser
 
-    arena = ArenaSettings(port, graph.interface, not no_browser, graph.duration)
-    craft, table = inputs.read_player(model, graph.quiet), inputs.read_twin(settings)
+    model = inputs.read_player(craft.model, quiet)
     low_latency()
-    tell = say(graph.quiet)
     figures = play_in_browser(
-        craft, arena, level=level, tactic=tactic, settings=table, seed=seed, tell=tell
+        model,
+        arena,
+        level=craft.level,
+        tactic=craft.tactic,
+        settings=craft.twin,
+        seed=craft.seed,
+        tell=say(quiet),
     )
     left, right = figures["score"]
     report(
@@ -77,24 +63,26 @@ def play(
         json_file,
         f"airpuck {left} : {right} you; physics behind real time at most "
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
-        quiet=graph.quiet,
+        quiet=quiet,
     )
     if figures["page_server_ended"]:
         print("airpuck: the page server has ended, and the game with it", file=sys.stderr)
         raise Exit(1)
 
 
-def _play_live(
-    model: str,
-    settings: Path | None,
-    level: str,
-    tactic: str | None,
-    seed: int,
-    on_graph: LiveSettings,
-    page: ArenaSettings | None,
-    json_file: Path | None,
+@app.command("play-live", rich_help_panel="Air hockey")
+def play_live(
+    craft: Craft,
+    live: LiveSettings,
+    port: Annotated[
+        int, Setting("Port of the page; with 0 there is no page.", numbers.PAGE_PORT, "N")
+    ] = 8088,
+    browser: Annotated[
+        bool, Setting("Whether to open the page in a browser.", option="--browser/--no-browser")
+    ] = True,
+    json_file: options.Json = None,
 ) -> None:
-    """Fly the player behind the guard, on the left half of the table, optionally with a page."""
+    """Play on a ROS 2 graph: fly the craft, on the left half, against the mallet on the table."""
     from airpuck.compute.process import low_latency
     from airpuck.craft.table import AirHockey
     from airpuck.hockey.all_rounder import AllRounder
@@ -107,46 +95,42 @@ def _play_live(
     from airpuck.web.live_page import LivePage, live_hello
     from airpuck.web.page import invite, served
 
-    craft = inputs.read_player(model, on_graph.quiet)
-    table = inputs.read_twin(settings) or AirHockey()
-    make = AllRounder if tactic is None else tactic_maker(tactic)
+    model = inputs.read_player(craft.model, live.quiet)
+    table = craft.twin or AirHockey()
+    make = AllRounder if craft.tactic is None else tactic_maker(craft.tactic)
     low_latency()
     score = Score(table)
     spectators: list[Spectator] = [score]
     with ExitStack() as stack:
-        if page is not None:
+        if port:
+            page = ArenaSettings(port, live.interface, browser)
             # The flight loop never waits for a page.
-            hello = live_hello(craft, table)
+            hello = live_hello(model, table)
             pages = stack.enter_context(
-                served(page.host, page.port, hello, waits=False, without=", or give --no-page")
+                served(page.host, port, hello, waits=False, without=", or give --port 0")
             )
-            spectators.append(LivePage(pages, score, level))
-            invite(pages, page, say(on_graph.quiet))
+            spectators.append(LivePage(pages, score, craft.level))
+            invite(pages, page, say(live.quiet))
         figures = fly_live(
-            lambda: Player(craft, table, make(), level=LEVELS[level], seed=seed),
-            craft.vehicle,
-            half_of(table.table, craft.vehicle.radius_m, -1),
-            on_graph,
+            lambda: Player(model, table, make(), level=LEVELS[craft.level], seed=craft.seed),
+            model.vehicle,
+            half_of(table.table, model.vehicle.radius_m, -1),
+            live,
             name="airpuck play",
             spectators=spectators,
         )
     left, right = figures["score"]
     said = f"{NAMES[0]} {left} : {right} {NAMES[1]}"
-    report_flight(figures, json_file, on_graph.quiet, said)
+    report_flight(figures, json_file, live.quiet, said)
 
 
 @app.command(rich_help_panel="Air hockey")
 def skills(
-    episodes: Annotated[
-        int, options.number("N", "Number of episodes per skill.", numbers.EPISODES)
-    ] = 100,
+    craft: Annotated[Craft, Without(("level",))],
+    episodes: Annotated[int, Setting("Episodes of each skill.", numbers.EPISODES, "N")] = 100,
     only: Annotated[
-        Literal["defend", "hit", "prepare"] | None, Option(help="One skill; by default all.")
+        Literal["defend", "hit", "prepare"] | None, Setting("One skill; by default all.")
     ] = None,
-    model: Annotated[str, options.CONTROLLERS_MODEL] = "paper:M3",
-    settings: options.TwinFile = None,
-    seed: options.Seed = 0,
-    tactic: _Tactic = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -161,12 +145,12 @@ def skills(
             tell(f"{name}: {successes} of {done}")
 
     found = measured(
-        inputs.read_player(model, quiet),
-        settings=inputs.read_twin(settings),
+        inputs.read_player(craft.model, quiet),
+        settings=craft.twin,
         episodes=episodes,
-        seed=seed,
+        seed=craft.seed,
         names=(only,) if only else SKILLS,
-        tactic=tactic,
+        tactic=craft.tactic,
         progress=progress,
     )
     figures = {name: skill.to_json() for name, skill in found.items()}

@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, Option
+from typer import Argument
 
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts
@@ -18,8 +19,6 @@ from airpuck.cli.inputs import (
     about,
     load,
     load_for,
-    mapping_in,
-    read_craft,
     read_given,
 )
 from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
@@ -48,7 +47,7 @@ def evaluate(
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
-    mapping: options.MappingFile = None,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -80,18 +79,18 @@ def evaluate(
 @app.command(rich_help_panel=PANEL)
 def check(
     recording: options.RecordingPath,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
     from airpuck.data.trajectory import vehicle_of
     from airpuck.recording.mapping import RecordingMapping
 
-    craft, names = read_craft(vehicle), mapping_in(mapping) or RecordingMapping()
-    trajectory = airpuck.load_trajectory(recording, craft, mapping=names)
+    names = mapping or RecordingMapping()
+    trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names)
     warn(trajectory.warnings, quiet=False)
-    craft = craft or vehicle_of([trajectory])
+    craft = vehicle or vehicle_of([trajectory])
     result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
     report(
         result.to_json(),
@@ -111,15 +110,12 @@ def faults(
     recording: options.RecordingPath,
     model: Annotated[
         str | None,
-        Option(
-            metavar="MODEL",
-            help="Model of the healthy craft; by default M3, fitted to the recording.",
-        ),
+        Setting("Of the healthy craft; by default M3, fitted to the recording.", metavar="MODEL"),
     ] = None,
     output: options.PageFolder = None,
     span: options.Span = None,
-    vehicle: options.VehicleFile = None,
-    mapping: options.MappingFile = None,
+    vehicle: options.ReadVehicle = None,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -127,7 +123,7 @@ def faults(
     from airpuck.data.trajectory import left_out_words
 
     healthy = read_given(model, vehicle, airpuck.read_model)
-    craft = healthy.vehicle if healthy else read_craft(vehicle)
+    craft = healthy.vehicle if healthy else vehicle
     trajectory = load(recording, craft, mapping, span=span, quiet=quiet)
     if healthy is None:
         fit = airpuck.identify(trajectory, vehicle=craft)
@@ -183,7 +179,7 @@ def compare(
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
-    mapping: options.MappingFile = None,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -263,8 +259,8 @@ def resid(
     recording: options.RecordingPath,
     span: options.Span = None,
     output: options.PageFolder = None,
-    lags: Annotated[int, options.number("N", "Largest lag, in samples.", numbers.LAGS)] = 25,
-    mapping: options.MappingFile = None,
+    lags: Annotated[int, Setting("Largest lag, in samples.", numbers.LAGS, "N")] = 25,
+    mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:

@@ -6,15 +6,14 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import plain
-from airpuck.control.excitation_plan import ExcitationPlan
+from airpuck.control.settings import Criterion, ExcitationPlan, ProposedDuration, ProposedMargin
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.experiment_design.forecast import (
     HELD,
@@ -28,9 +27,6 @@ from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
-
-#: Criterion for comparing candidates: the largest relative error, or the geometric mean of all.
-Criterion = Literal["worst", "mean"]
 
 #: The first candidates: all combinations of amplitudes, hold times and margins.
 _AMPLITUDES = (1.0, 0.6)
@@ -119,10 +115,10 @@ class Design:
 def design(
     model: Model,
     *,
-    duration: float = 60.0,
+    duration: ProposedDuration = 60.0,
     criterion: Criterion = "worst",
-    margin: float = 0.08,
-    rehearsal: float = 20.0,
+    margin: ProposedMargin = 0.08,
+    rehearsal: ProposedDuration = 20.0,
     amplitudes: Sequence[float] = _AMPLITUDES,
     holds: Sequence[float] = _HOLDS,
     seed: int = 0,
@@ -177,7 +173,9 @@ def design(
     model was fitted with a fixed delay, so is the twin's flight that its loss is compared with.
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
-    _check(model, duration, criterion, margin, rehearsal, seed)
+    check_seed(seed)
+    if not model.free.any():
+        raise InputError("has no learned parameters; give an identified model", file=model.name)
     given, model = model, _as_learned_next(model)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
@@ -356,17 +354,3 @@ def _as_learned_next(model: Model) -> Model:
         unknown = np.concatenate([uncertainty.undetermined, delay[None].astype(float)])
         uncertainty = replace(uncertainty, undetermined=unknown)
     return replace(model, free=model.free | delay, uncertainty=uncertainty)
-
-
-def _check(
-    model: Model, duration: float, criterion: str, margin: float, rehearsal: float, seed: int
-) -> None:
-    """Raise InputError for a request that cannot be flown."""
-    check_seed(seed)
-    if criterion not in ("worst", "mean"):
-        raise InputError(f"must be 'worst' or 'mean', not {criterion!r}", field="criterion")
-    numbers.MARGIN.check(margin, "margin")
-    for name, value in (("duration", duration), ("rehearsal", rehearsal)):
-        numbers.DESIGN_DURATION.check(value, name)
-    if not model.free.any():
-        raise InputError("has no learned parameters; give an identified model", file=model.name)

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
-from airpuck.control.excitation_plan import ExcitationPlan
+from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning
 from airpuck.data.trajectory import Trajectory
 from airpuck.experiment_design.forecast import (

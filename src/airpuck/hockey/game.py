@@ -265,7 +265,8 @@ class Game:
             self.step()
             if self.time >= told + _TOLD:
                 told = self.time
-                progress(max(self.time / rules.limit_s, max(self.score) / rules.goals))
+                goals, limit = rules.goals or math.inf, rules.limit_s or math.inf
+                progress(max(self.time / limit, max(self.score) / goals))
 
     def recording(self) -> Recording:
         """Return the flight as a recorder on the network would log it.

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, NamedTuple
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
-import pydantic
+from airpuck.boundary import numbers
+from airpuck.boundary.settings import Setting, Settings
 
-from airpuck.boundary.files import NonNegative, Positive, Section
-from airpuck.boundary.numbers import GOALS
-from airpuck.craft.table import AirHockey
+if TYPE_CHECKING:
+    from airpuck.craft.table import AirHockey
 
 #: In play, waiting for the puck after a goal, or over.
 Phase = Literal["play", "goal", "over"]
@@ -16,28 +18,42 @@ Phase = Literal["play", "goal", "over"]
 _RESTS = 0.05
 
 
-class Rules(Section):
+@dataclass(frozen=True)
+class Rules(Settings):
     """The rules of a game.
 
     Attributes
     ----------
-    goals : int
-        Goals needed to win.
-    limit_s : float
-        Time limit of a game; then the leader wins, and equal scores are a draw.
+    goals : int or None
+        Goals needed to win; None: nobody wins by goals.
+    limit_s : float or None
+        Time limit of a game; then the leader wins, and equal scores are a draw. None: no limit.
     foul_s : float
         Time on one side after which the puck goes to the other side.
     stuck_s : float
         Time at rest on the centre line after which the puck is served again.
     pause_s : float
         Time from a goal to the next serve.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
     """
 
-    goals: Annotated[int, pydantic.Field(ge=GOALS.low, le=GOALS.high)] = 7
-    limit_s: Positive = 300.0
-    foul_s: Positive = 15.0
-    stuck_s: Positive = 3.0
-    pause_s: NonNegative = 1.0
+    HEADING: ClassVar = ""
+
+    goals: Annotated[int | None, Setting("Goals needed to win.", numbers.GOALS, "N")] = 7
+    limit_s: Annotated[
+        float | None, Setting("Time limit of a game.", numbers.GAME_TIME, "S", "--limit")
+    ] = 300.0
+    foul_s: Annotated[
+        float, Setting("Time on one side that is a foul.", numbers.GAME_TIME, "S")
+    ] = 15.0
+    stuck_s: Annotated[
+        float, Setting("Time at rest until a new serve.", numbers.GAME_TIME, "S")
+    ] = 3.0
+    pause_s: Annotated[float, Setting("Time from a goal to a serve.", numbers.PAUSE, "S")] = 1.0
 
 
 class Ruling(NamedTuple):
@@ -104,7 +120,8 @@ class Referee:
         if self.phase == "play" and goal:
             found.append(self._scored(time, -goal))
         left, right = self.score
-        if max(self.score) >= self.rules.goals or time >= self.rules.limit_s:
+        goals, limit = self.rules.goals or math.inf, self.rules.limit_s or math.inf
+        if max(self.score) >= goals or time >= limit:
             self.phase = "over"
             found.append(Ruling("over", (right > left) - (left > right)))
         elif self.phase == "goal":

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.numbers import PAUSE
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.puck_filter import PuckFilter
 from airpuck.hockey.rules import Referee, Rules, Ruling
@@ -73,10 +75,9 @@ class Scorekeeper:
     """
 
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
-        # The person who puts the puck back decides when.
-        unhurried = {"pause_s": math.inf, "limit_s": math.inf}
+        # Who puts the puck back decides when.
         self._equipment = equipment
-        self._rules = (rules or Rules()).model_copy(update=unhurried)
+        self._rules = replace(rules or Rules(), pause_s=PAUSE.high, limit_s=None)
         self._filter = PuckFilter(equipment)
         self._line = equipment.table.length_m / 2
         self.games = 1

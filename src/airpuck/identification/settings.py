@@ -30,6 +30,7 @@ Stride = Annotated[
         numbers.STRIDE,
         "N",
         heading="Prediction errors to minimise",
+        advanced=True,
     ),
 ]
 YawWeight = Annotated[
@@ -39,6 +40,7 @@ YawWeight = Annotated[
         numbers.WEIGHT,
         "W",
         heading="Prediction errors to minimise",
+        advanced=True,
     ),
 ]
 #: Degree of the thrust polynomials.
@@ -49,6 +51,7 @@ Degree = Annotated[
         numbers.DEGREE,
         "N",
         heading="Structure of the model",
+        advanced=True,
     ),
 ]
 
@@ -91,15 +94,17 @@ class Loss(Settings):
 
     encoder: PaperEncoder = field(default_factory=_paper_encoder)
     encoder_time: Annotated[
-        float, Setting("Length of the past that the encoder uses", numbers.WINDOW, "S")
+        float,
+        Setting("Length of the past that the encoder uses", numbers.WINDOW, "S", advanced=True),
     ] = 40 / 240
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     prediction_time: Annotated[
-        float | None, Setting("Length of a prediction", numbers.WINDOW, "S")
+        float | None, Setting("Length of a prediction", numbers.WINDOW, "S", advanced=True)
     ] = 50 / 240
     spacing: float = 7 / 240
     robust: Annotated[
-        bool, Setting("Give poorly predicted windows less weight.", option="--robust")
+        bool,
+        Setting("Give poorly predicted windows less weight.", option="--robust", advanced=True),
     ] = False
 
     def __post_init__(self) -> None:
@@ -211,14 +216,16 @@ class Preparation(Settings):
         Literal["exclude", "keep"] | None,
         Setting(
             "Exclude or keep spans where motors or the radio failed. By default they are excluded, "
-            "but kept for recordings prepared elsewhere (data.pt)."
+            "but kept for recordings prepared elsewhere (data.pt).",
+            advanced=True,
         ),
     ] = None
     delay: Annotated[
         Literal["fit", "fixed"] | None,
         Setting(
             "Fit the transport delay, or use each recording's own. By default it is fitted if the "
-            "method is lm, the model has a motor lag, and the recordings are raw."
+            "method is lm, the model has a motor lag, and the recordings are raw.",
+            advanced=True,
         ),
     ] = None
     retimings: int = 2

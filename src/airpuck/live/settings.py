@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from airpuck.boundary import numbers
@@ -10,6 +11,12 @@ from airpuck.boundary.settings import Setting, Settings
 
 if TYPE_CHECKING:
     from airpuck.recording.mapping import Topics
+
+
+def _read_topics(path: Path) -> Topics:
+    from airpuck.recording.mapping import only_topics, read_mapping
+
+    return only_topics(read_mapping(path), path)
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,15 @@ class LiveSettings(Settings):
         Setting("Length; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
     ] = None
     quiet: Annotated[bool, Setting("Print results only.", option="--quiet/-q")] = False
-    topics: Topics | None = None
+    topics: Annotated[
+        Topics | None,
+        Setting(
+            "TOML file: names of the topics.",
+            metavar="FILE",
+            option="--mapping/--topics",
+            read=_read_topics,
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

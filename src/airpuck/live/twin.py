@@ -58,8 +58,7 @@ class Human:
         self._wanted_at = -math.inf
         # The server of the puck keeps neither score nor time.
         usual = Rules()
-        changes = {"foul_s": usual.foul_s + _FETCHED, "stuck_s": usual.stuck_s + _FETCHED}
-        rules = usual.model_copy(update={**changes, "limit_s": math.inf, "goals": math.inf})
+        rules = Rules(None, None, usual.foul_s + _FETCHED, usual.stuck_s + _FETCHED)
         self._referee = Referee(rules, twin.settings, 1 if self._puck.state.x > 0 else -1)
 
     def act(self, now: float) -> None:

@@ -11,9 +11,9 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
-from airpuck.control.excitation_plan import ExcitationPlan
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
+from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import FlightLog, fly

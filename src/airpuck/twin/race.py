@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -34,12 +33,11 @@ _STANDING, _STOPPED = 1e-6, 1e-2
 #: Time at rest before the start; waiting time after the planned end, for a plan and a set point
 #: [s].
 _LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
-#: Distance that plans of courses keep from the rails [m]; their weight of smoothness (`Limits`).
-_MARGIN, _SMOOTHING = 0.02, 2e-4
+#: Limits of the plans of courses: reserve of thrust, distance to the rails [m], smoothness.
+_LIMITS = Limits(reserve=0.1, margin=0.02, smoothing=2e-4)
 
-Course = Literal["straight", "slalom", "eight"]
 #: Start, goal and way points of each course.
-_COURSES: dict[Course, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]] = {
+COURSES: dict[str, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]] = {
     "straight": ((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), ()),
     "slalom": ((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0), ((-0.4, 0.2), (0.0, -0.2), (0.4, 0.2))),
     "eight": (
@@ -87,13 +85,12 @@ class Race(Result):
     recording: Recording
 
 
-def course_plan(course: Course, model: Model, settings: TwinSettings, reserve: float) -> Plan:
+def course_plan(course: str, model: Model, settings: TwinSettings) -> Plan:
     """Plan a course on the twin's table."""
-    start, goal, via = _COURSES[course]
-    limits = Limits(reserve=reserve, margin=_MARGIN, smoothing=_SMOOTHING)
+    start, goal, via = COURSES[course]
     intervals = 20 if via else 40
     return plan(
-        model, start, goal, via=via, table=settings.table, limits=limits, intervals=intervals
+        model, start, goal, via=via, table=settings.table, limits=_LIMITS, intervals=intervals
     )
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.results import Result, plain
 from airpuck.control.laws import law_label
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
+from airpuck.control.settings import ControllerKind, Dwell
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
@@ -136,9 +136,9 @@ def tracking_study(
     *,
     flights: Sequence[Recording | None] = (),
     set_points: SetPoints | None = None,
-    dwell: float = DWELL,
+    dwell: Dwell = DWELL,
     seed: int = 0,
-    full_controller: bool | None = None,
+    controller: ControllerKind = None,
     regulators: Sequence[str] = (),
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
@@ -164,9 +164,9 @@ def tracking_study(
         Time between the paper's set points, and at the last one [s].
     seed : int, default 0
         Seed of noise and radio.
-    full_controller : bool, optional
-        Whether the controller compensates the transport delay and rejects disturbances. By default
-        it does if a law is not ``lqr``; the paper's controller did neither.
+    controller : {"paper", "full"}, optional
+        ``full`` compensates the transport delay and rejects disturbances. By default it flies if a
+        law is not ``lqr``; the paper's controller did neither.
     regulators : sequence of str, optional
         Laws that each model flies with, by name (see `airpuck.Law`); by default the tuning's.
     settings : TwinSettings, optional
@@ -187,7 +187,6 @@ def tracking_study(
         If a model does not fit the twin, a recording lacks a stream, a set point is beyond the
         rails, or the pilot is invalid.
     """
-    numbers.DWELL.check(dwell, "dwell")
     tuning = tuning or default_tuning()
     settings = settings or default_twin_settings()
     border = settings.table.reach(truth.vehicle.radius_m)
@@ -199,7 +198,7 @@ def tracking_study(
         _flown,
         truth=truth,
         seed=seed,
-        full_controller=beyond_paper if full_controller is None else full_controller,
+        full_controller=beyond_paper if controller is None else controller == "full",
         settings=settings,
         plant=build_plant(truth, settings),
         make_pilot=make_pilot,

@@ -9,12 +9,10 @@ import select
 import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import Any
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Table
 from airpuck.hockey.game import PERIOD, Game, GameEvent
@@ -23,49 +21,13 @@ from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
-from airpuck.web.address import LOOPBACK, address_of, listen
+from airpuck.web.address import listen
 from airpuck.web.messages import Wish, packed_state, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageName, serve
+from airpuck.web.settings import ArenaSettings
 
 #: Number of steps between plans that are shown.
 _THOUGHTS_EVERY = 3
-
-
-@dataclass(frozen=True)
-class ArenaSettings:
-    """Where a game is served, and for how long.
-
-    Parameters
-    ----------
-    port : int, default 8088
-        Port of the page.
-    interface : str, optional
-        Network interface; by default loopback, so that only this machine can play.
-    browser : bool, default True
-        Whether to open the page.
-    duration : float, optional
-        How long to serve [s]; by default until SIGINT or SIGTERM.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range.
-    """
-
-    port: int = 8088
-    interface: str | None = None
-    browser: bool = True
-    duration: float | None = None
-
-    def __post_init__(self) -> None:
-        numbers.PORT.check(self.port, "--port")
-        if self.duration is not None:
-            numbers.LIVE_DURATION.check(self.duration, "--duration")
-
-    @property
-    def host(self) -> str:
-        """Address to serve at."""
-        return LOOPBACK if self.interface is None else address_of(self.interface)
 
 
 class Pages:

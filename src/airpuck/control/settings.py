@@ -1,10 +1,10 @@
-"""The plan of an excitation experiment: signals, length, margin."""
+"""Settings of flights: excitations, set points, and what to fly next."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import asdict, dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from airpuck.boundary import numbers
 from airpuck.boundary.settings import Setting, Settings
@@ -28,6 +28,30 @@ Margin = Annotated[
         "M",
         "--margin",
     ),
+]
+#: Time at one of several set points.
+Dwell = Annotated[float, Setting("Time at each set point.", numbers.DWELL, "S", "--dwell")]
+#: "full": compensates the delay and rejects disturbances; the paper's did neither.
+ControllerKind = Annotated[
+    Literal["paper", "full"] | None,
+    Setting(
+        "paper: as flown; full: compensates the delay, rejects disturbances; by default paper, "
+        "and full where another law than lqr flies.",
+    ),
+]
+#: By what proposed flights are compared: the largest relative error, or the geometric mean of all.
+Criterion = Annotated[
+    Literal["worst", "mean"],
+    Setting("worst: the largest relative error; mean: their geometric mean."),
+]
+ProposedDuration = Annotated[
+    float, Setting("Length of the flight to propose.", numbers.DESIGN_DURATION, "S", "--duration")
+]
+ProposedMargin = Annotated[float, Setting("Least distance to the rails.", numbers.MARGIN, "M")]
+Seed = Annotated[int, Setting("Seed of everything random.", numbers.SEED, "N")]
+#: Number of processes to start.
+Workers = Annotated[
+    int | None, Setting("Processes to start; as many as processors.", numbers.WORKERS, "N")
 ]
 
 
