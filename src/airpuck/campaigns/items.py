@@ -162,7 +162,7 @@ class Identification(Item):
     model: RungName = "M3"
     #: Samples from one window to the next; by default 7/240 s.
     stride: Stride = None
-    #: Whether badly predicted windows get less weight.
+    #: Whether poorly predicted windows get less weight.
     robust: bool = False
 
     def loss(self, data: Trajectory) -> Loss:

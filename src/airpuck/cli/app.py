@@ -62,7 +62,7 @@ class Command(_PlainFlags, TyperCommand):
         super().__init__(*args, params=params, callback=callback, **options)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse, and reject names that are invalid."""
+        """Parse, and reject file names that must be mistakes."""
         refuse_empty(args)
         try:
             rest = super().parse_args(ctx, args)

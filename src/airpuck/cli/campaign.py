@@ -34,13 +34,15 @@ def campaign(
         str | None, Setting("Address of a Dask scheduler, tcp://HOST:PORT.", metavar="TCP")
     ] = None,
     workers: options.Workers = None,
-    retry: Annotated[bool, Option("--retry", help="Run again what failed.")] = False,
+    retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Run many independent flights or fits, skipping those already done."""
     if scheduler is not None and workers is not None:
-        raise InputError("a running cluster has its own; give one of the two", field="--workers")
+        raise InputError(
+            "a running cluster has its own processes; give one of the two", field="--workers"
+        )
     with show_time_left("items", quiet) as progress:
         found = airpuck.campaign(
             spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress

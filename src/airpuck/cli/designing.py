@@ -30,7 +30,7 @@ _SHOWN = 8
 
 @app.command(rich_help_panel="Control and flight")
 def design(
-    model: Annotated[str, Setting("What is believed of the craft.", metavar="MODEL")] = "paper:M3",
+    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
     after: Annotated[
         list[Path] | None,
         Setting("Fit to this first; repeat for several.", metavar="RECORDING"),

@@ -104,7 +104,7 @@ def track(
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        Setting("Real flight of each model, to imitate.", metavar="FLIGHT", option="--flight"),
+        Setting("Real flight of each model, to reproduce.", metavar="FLIGHT", option="--flight"),
     ] = None,
     truth: options.Truth = "paper:M4",
     setpoints: Annotated[
@@ -124,7 +124,7 @@ def track(
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
         Setting(
-            "kalman, or actuation: finds out what each motor does; by default the tuning's.",
+            "kalman, or actuation, which also estimates motors; by default the tuning's.",
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -145,7 +145,7 @@ def track(
     if estimator is not None:
         controls = controls.with_estimator(estimator)
     if pilot is not None and (regulators or controller or estimator):
-        problem = "flies your controller; leave --regulator, --controller and --estimator out"
+        problem = "flies your own controller; leave --regulator, --controller and --estimator out"
         raise InputError(problem, field="pilot")
     if flights and (setpoints is not None or dwell is not None):
         raise InputError(

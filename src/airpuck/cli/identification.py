@@ -68,7 +68,7 @@ def preprocess(
     mapping: options.ReadMapping = None,
     delay: Annotated[
         float | None,
-        Setting("Transport delay; by default it is found.", numbers.DELAY, "S"),
+        Setting("Transport delay; by default it is estimated.", numbers.DELAY, "S"),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -115,7 +115,7 @@ def identify(
         str,
         Setting(
             "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "that predicts held-out parts of the recordings as well as any.",
+            "model that predicts held-out parts of the recordings as well as the best.",
             complete=_rung_names,
         ),
     ] = "M3",
@@ -125,7 +125,7 @@ def identify(
     ] = None,
     validation: Annotated[
         Path | None,
-        Setting("Another recording, to judge the model on.", metavar="RECORDING"),
+        Setting("Another recording, for validating the model.", metavar="RECORDING"),
     ] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,

@@ -31,7 +31,7 @@ def load(
     delay: float | None = None,
     quiet: bool = True,
 ) -> Trajectory:
-    """Load and preprocess a recording, or the part of it that --span names, and print warnings."""
+    """Load and preprocess a recording, or the part named by --span, and print warnings."""
     trajectory = airpuck.load_trajectory(recording, vehicle, mapping=mapping, delay=delay)
     warn(trajectory.warnings, quiet)
     return trajectory if span is None else trajectory.slice(*span)

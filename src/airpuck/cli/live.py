@@ -135,7 +135,7 @@ def twin(
     settings: options.ReadTwin = None,
     pose: Annotated[
         tuple[float, float, float],
-        Setting(r"Where the craft starts \[m, m, rad].", numbers.COORDINATE, "X Y YAW"),
+        Setting(r"Initial pose of the craft \[m, m, rad].", numbers.COORDINATE, "X Y YAW"),
     ] = (0.0, 0.0, 0.0),
     puck: Annotated[
         tuple[float, float, float, float] | None,
@@ -177,7 +177,7 @@ def fly(
     setpoints: Annotated[
         list[tuple[float, float, float]] | None,
         Setting(
-            "Where to go; repeat for several, in order.",
+            "A set point; repeat for several, in order.",
             numbers.COORDINATE,
             "X Y YAW",
             "--setpoint",
@@ -252,7 +252,7 @@ def fly_excitation(
     live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[
         str | None,
-        Setting("What the craft is believed to be; by default nominal.", metavar="MODEL"),
+        Setting("Model of the craft; by default nominal.", metavar="MODEL"),
     ] = None,
     vehicle: options.ReadVehicle = None,
     seed: options.Seed = 0,
@@ -358,7 +358,7 @@ def view(
     live: LiveSettings,
     port: Annotated[int, Setting("Port of the page.", numbers.PORT, "N")] = 8080,
     host: Annotated[
-        str, Setting("Who may see it; by default this machine alone.", metavar="ADDRESS")
+        str, Setting("Address to serve on; by default this machine only.", metavar="ADDRESS")
     ] = "127.0.0.1",
     json_file: options.Json = None,
 ) -> None:

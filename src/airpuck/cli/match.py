@@ -43,7 +43,7 @@ class Pairing(Settings):
     left: Annotated[str, Setting(_PLAYER, metavar="PLAYER")] = "airpuck"
     right: Annotated[str, Setting("The same.", metavar="PLAYER")] = "human"
     seed: options.Seed = 0
-    model: Annotated[str, Setting("What a craft is.", metavar="MODEL")] = "paper:M3"
+    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3"
     twin: options.ReadTwin = None
 
 
@@ -51,7 +51,7 @@ class Pairing(Settings):
 def match(
     pairing: Pairing,
     rules: _GameRules,
-    games: Annotated[int, Setting("How many games.", numbers.GAMES, "N")] = 1,
+    games: Annotated[int, Setting("Number of games.", numbers.GAMES, "N")] = 1,
     workers: options.Workers = None,
     output: Annotated[
         Path | None,

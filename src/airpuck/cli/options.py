@@ -80,13 +80,15 @@ ReadTwin = Annotated[
     "TwinSettings | None",
     _file(
         "--twin",
-        "Table, sensors, radio, faults; by default the packaged.",
+        "Table, sensors, radio, faults; by default the packaged ones.",
         lambda path: airpuck.read_twin_settings(path),
     ),
 ]
 ReadTable = Annotated[
     "AirHockey | None",
-    _file("--table", "Table file: sizes, goals, puck; by default the usual.", _read_table),
+    _file(
+        "--table", "Table file: dimensions, goals, puck; by default the usual ones.", _read_table
+    ),
 ]
 Span = Annotated[
     tuple[float, float] | None,
@@ -94,7 +96,7 @@ Span = Annotated[
 ]
 TuningFile = Annotated[
     Path | None,
-    Setting("Controller tuning; by default the packaged.", metavar="FILE", option="--tuning"),
+    Setting("Controller tuning; by default the packaged one.", metavar="FILE", option="--tuning"),
 ]
 PageFolder = Annotated[Path | None, output("DIR", "Write a page of figures, too.")]
 NewBag = Annotated[Path, output("BAG", "Folder to record to; new.")]
@@ -105,10 +107,8 @@ RecordingPath = Annotated[
         help="A bag folder, .mcap, folder of CSV files, data.pt, or preprocessed .npz.",
     ),
 ]
-ControllersModel = Annotated[
-    str, Setting("What the controller believes the craft to be.", metavar="MODEL")
-]
-BELIEVED = Setting("What the craft is believed to be.", metavar="MODEL")
+ControllersModel = Annotated[str, Setting("Model for the controller.", metavar="MODEL")]
+BELIEVED = Setting("Model of the craft.", metavar="MODEL")
 BelievedModel = Annotated[str, BELIEVED]
 Truth = Annotated[str, Setting("Truth of the twin.", metavar="MODEL")]
 ModelName = Annotated[
@@ -123,7 +123,7 @@ Experiment = Annotated[
 PilotClass = Annotated[
     str | None,
     Setting(
-        "A controller of your own: a class that is made from (model, reference).",
+        "Your own controller: a class with the arguments (model, reference).",
         metavar="FILE.py:NAME",
         option="--pilot",
     ),
@@ -140,9 +140,11 @@ RegulatorName = Annotated[
 ]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
-    Setting("paper; paper-long: encoders may look further back; causal: nothing measured later."),
+    Setting("paper; paper-long: encoders may look further back; causal: no later measurements."),
 ]
-Horizon = Annotated[float, Setting("After how long errors are reported.", numbers.HORIZON, "S")]
+Horizon = Annotated[
+    float, Setting("Prediction horizon at which errors are reported.", numbers.HORIZON, "S")
+]
 EncoderName = Annotated[
     str, Setting("paper; actuation: estimates the effectiveness of each motor, too.")
 ]

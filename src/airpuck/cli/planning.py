@@ -31,27 +31,27 @@ _PANEL = "Control and flight"
 def plan(
     start: Annotated[
         tuple[float, float, float],
-        Setting("Where the craft is.", numbers.COORDINATE, "X Y YAW", "--from"),
+        Setting("Initial pose of the craft.", numbers.COORDINATE, "X Y YAW", "--from"),
     ],
     goal: Annotated[
         tuple[float, float, float],
-        Setting("Where it is to be.", numbers.COORDINATE, "X Y YAW", "--to"),
+        Setting("Goal pose.", numbers.COORDINATE, "X Y YAW", "--to"),
     ],
     limits: Limits,
     model: options.BelievedModel = "paper:M3",
     velocity: Annotated[
-        tuple[float, float, float], Setting("How fast it is.", numbers.COORDINATE, "VX VY W")
+        tuple[float, float, float], Setting("Initial velocity.", numbers.COORDINATE, "VX VY W")
     ] = (0.0, 0.0, 0.0),
     end_velocity: Annotated[
         tuple[float, float, float],
-        Setting("How fast it is to be.", numbers.COORDINATE, "VX VY W", advanced=True),
+        Setting("Final velocity.", numbers.COORDINATE, "VX VY W", advanced=True),
     ] = (0.0, 0.0, 0.0),
     free: Annotated[
         Literal["yaw", "velocity", "both"] | None,
-        Setting("What is left open at the end; by default nothing.", advanced=True),
+        Setting("Final quantities that are free; by default none.", advanced=True),
     ] = None,
     turn: Annotated[
-        Literal["shorter", "exact"], Setting("Whether whole turns of the yaw count.", advanced=True)
+        Literal["shorter", "exact"], Setting("Count whole turns of the yaw.", advanced=True)
     ] = "shorter",
     via: Annotated[
         list[tuple[float, float]] | None,
@@ -59,9 +59,7 @@ def plan(
     ] = None,
     keep_out: Annotated[
         list[tuple[float, float, float]] | None,
-        Setting(
-            "A disc not to touch; repeat for several.", numbers.COORDINATE, "X Y R", advanced=True
-        ),
+        Setting("A disc to avoid; repeat for several.", numbers.COORDINATE, "X Y R", advanced=True),
     ] = None,
     size: Annotated[
         tuple[float, float] | None,

@@ -28,14 +28,14 @@ class Craft(Settings):
 
     level: Annotated[
         Literal["easy", "medium", "hard"],
-        Setting("Of the craft: thrust, reaction, aim; the page can change it."),
+        Setting("Level of the craft: thrust, reaction, aim; the page can change it."),
     ] = "medium"
     model: options.ControllersModel = "paper:M3"
     twin: options.ReadTwin = None
     seed: options.Seed = 0
-    tactic: Annotated[str | None, Setting("The craft's tactic; yours.", metavar="FILE.py:NAME")] = (
-        None
-    )
+    tactic: Annotated[
+        str | None, Setting("Your own tactic for the craft.", metavar="FILE.py:NAME")
+    ] = None
 
 
 @app.command(rich_help_panel="Air hockey")
@@ -127,7 +127,7 @@ def play_live(
 @app.command(rich_help_panel="Air hockey")
 def skills(
     craft: Annotated[Craft, Without(("level",))],
-    episodes: Annotated[int, Setting("Episodes of each skill.", numbers.EPISODES, "N")] = 100,
+    episodes: Annotated[int, Setting("Number of episodes per skill.", numbers.EPISODES, "N")] = 100,
     only: Annotated[
         Literal["defend", "hit", "prepare"] | None, Setting("One skill; by default all.")
     ] = None,

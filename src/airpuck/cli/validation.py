@@ -110,7 +110,9 @@ def faults(
     recording: options.RecordingPath,
     model: Annotated[
         str | None,
-        Setting("Of the healthy craft; by default M3, fitted to the recording.", metavar="MODEL"),
+        Setting(
+            "Model of the healthy craft; by default M3, fitted to the recording.", metavar="MODEL"
+        ),
     ] = None,
     output: options.PageFolder = None,
     span: options.Span = None,

@@ -64,7 +64,7 @@ def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _read_settings(context: Any, _parameter: Any, path: Path | None) -> Path | None:
-    """Take what is not typed from a file; its keys are the long names of options."""
+    """Read the options that are not typed from a file; its keys are their long names."""
     if path is not None and not context.resilient_parsing:
         import pydantic
 
@@ -122,7 +122,7 @@ class OptionView:
 
     @property
     def typed(self) -> Any:
-        """What Typer takes it for, which knows no list of tuples."""
+        """The type for Typer, which does not support lists of tuples."""
         return list[str] | None if self.row else self.kind
 
     @property
@@ -132,7 +132,7 @@ class OptionView:
 
     @property
     def row(self) -> int:
-        """How many numbers one occurrence of a repeated option takes; 0 for other options."""
+        """Numbers per occurrence of a repeated option; 0 for other options."""
         return len(get_args(_entry(self.kind)))
 
 
@@ -212,7 +212,7 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
 
 
 def _read(given: dict[str, Any], name: str, setting: Setting | None) -> Any:
-    """Return the value of an option, or what the file that it names has."""
+    """Return the value of an option; of an option that names a file, its content."""
     value = given[name]
     return setting.read(value) if setting and setting.read and value is not None else value
 
@@ -233,7 +233,7 @@ def _option(name: str, annotation: Any, default: Any) -> Parameter:
 
 
 def _first(kind: Any) -> Any:
-    """Return what can be typed on a command line: of several types the first, and perhaps none."""
+    """Return the type that can be typed: the first of a union, and None if it is optional."""
     if get_origin(kind) not in (Union, UnionType):
         return kind
     first, *others = get_args(kind)

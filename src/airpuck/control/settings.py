@@ -36,7 +36,7 @@ ControllerKind = Annotated[
     Literal["paper", "full"] | None,
     Setting(
         "paper: as flown; full: compensates the delay, rejects disturbances; by default paper, "
-        "and full where another law than lqr flies.",
+        "or full for laws other than lqr.",
     ),
 ]
 #: By what proposed flights are compared: the largest relative error, or the geometric mean of all.
@@ -47,11 +47,11 @@ Criterion = Annotated[
 ProposedDuration = Annotated[
     float, Setting("Length of the flight to propose.", numbers.DESIGN_DURATION, "S", "--duration")
 ]
-ProposedMargin = Annotated[float, Setting("Least distance to the rails.", numbers.MARGIN, "M")]
-Seed = Annotated[int, Setting("Seed of everything random.", numbers.SEED, "N")]
+ProposedMargin = Annotated[float, Setting("Smallest distance to the rails.", numbers.MARGIN, "M")]
+Seed = Annotated[int, Setting("Seed of all random numbers.", numbers.SEED, "N")]
 #: Number of processes to start.
 Workers = Annotated[
-    int | None, Setting("Processes to start; as many as processors.", numbers.WORKERS, "N")
+    int | None, Setting("Processes to start; by default one per processor.", numbers.WORKERS, "N")
 ]
 
 
