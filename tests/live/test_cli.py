@@ -126,7 +126,7 @@ def test_a_recorder_does_not_write_over_anything(tmp_path):
 
 def test_a_model_has_its_vehicle(tmp_path):
     published_model("M3").vehicle.save(tmp_path / "v.toml")
-    with pytest.raises(InputError, match="--vehicle: a model has its vehicle in it"):
+    with pytest.raises(InputError, match="--vehicle: a model includes its vehicle"):
         run("fly-excitation", *MODEL, "--vehicle", str(tmp_path / "v.toml"))
 
 
