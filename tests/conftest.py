@@ -63,7 +63,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave long studies, and what needs a browser, out unless they are asked for."""
+    """Skip long studies, and tests that need a browser, unless requested."""
     for marker, target in (("study", "studies"), ("browser", "test-browser")):
         asked = marker in (config.option.markexpr or "")
         mark = pytest.mark.timeout(0) if asked else pytest.mark.skip(f"runs with `make {target}`")

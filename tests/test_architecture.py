@@ -1,4 +1,4 @@
-"""The rules of the house: who may import whom, and what loads when."""
+"""Rules of the architecture: allowed imports, and what loads when."""
 
 import ast
 import importlib

@@ -1,4 +1,4 @@
-"""Exports and entry points of the rooms are documented in full; the rest in a sentence."""
+"""Exports and entry points of packages are documented in full; the rest in a sentence."""
 
 import importlib
 import inspect
@@ -17,7 +17,7 @@ def modules():
 
 
 def public_functions(module):
-    """Functions and methods that a module defines, by the name of what holds them."""
+    """Functions and methods that a module defines, with the name of their holder."""
     for name, thing in vars(module).items():
         if name.startswith("_") or getattr(thing, "__module__", None) != module.__name__:
             continue
@@ -31,7 +31,7 @@ def public_functions(module):
 
 
 def entry_points():
-    """`module.name` of each entry point that a room's docstring lists."""
+    """`module.name` of each entry point that a package's docstring lists."""
     for info in pkgutil.iter_modules(airpuck.__path__, "airpuck."):
         text = importlib.import_module(info.name).__doc__ or ""
         for name in re.findall(r"`(\w+\.\w+)`", text.partition("Entry points:")[2]):
@@ -47,7 +47,7 @@ ENTRIES = set(entry_points())
 
 
 def wrong_with(function, full: bool) -> str:
-    """What a docstring lacks or invents; empty if nothing."""
+    """What a docstring lacks or invents; empty if all is well."""
     text = inspect.getdoc(inspect.unwrap(function))
     if not text:
         return "no docstring"

@@ -13,7 +13,7 @@ from airpuck.web.server import ORDER, PATIENCE, PageName, serve
 
 
 def free_port() -> int:
-    """Return a port that nobody listens to."""
+    """Return an unused port."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return free.getsockname()[1]

@@ -14,7 +14,7 @@ from unittest import mock
 def airpuck(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
     """Run a command here: what it needs is imported and compiled once for all tests.
 
-    What is no `InputError` comes out as it is, instead of a traceback on standard error.
+    Exceptions other than `InputError` propagate, instead of a traceback on standard error.
     """
     from airpuck.cli import main
 

@@ -1,7 +1,7 @@
 """Runs commands and disturbs them: a signal at some time or in the middle of writing, a full disk.
 
 A server in a process of its own: it imports what commands need once, and forks for each command, so
-that whatever becomes of that one harms nobody. `Server` talks to it.
+so that its failures cannot affect the tests. `Server` talks to it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ from tests.apparatus import mutations as m
 
 MEMORY = 2 * 2**30
 SECONDS = 10
-#: Every so many cases go through the command line as well.
+#: How many cases lie between those that also go through the command line.
 CLI_EVERY = 50
 
 

@@ -39,7 +39,7 @@ def mirrored(view):
 
 
 def later(view, duration, craft=None):
-    """The same situation after the puck has moved on by itself."""
+    """The same situation after the puck has coasted."""
     puck = PuckOnTable(PLAY, PuckState(*view.puck.mean.tolist()), view.time, logs=False)
     puck.run(view.time + duration)
     return view_of(puck.state, view.craft if craft is None else craft, puck.time, view.opponent)

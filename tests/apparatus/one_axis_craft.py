@@ -44,7 +44,8 @@ def at_rest(x: float) -> np.ndarray:
 
 
 def ring(count: int):
-    """Propellers on a ring that push inwards, askew by turns; the last of an odd number straight.
+    """Propellers on a ring that push inwards, skewed in alternating directions; an odd last one
+    straight.
 
     Four and more can push and turn any way at once. Three cannot: they turn to move.
     """

@@ -15,7 +15,7 @@ GIB = 2**30
 
 @contextlib.contextmanager
 def little_memory(size: int = GIB) -> Iterator[None]:
-    """Let this process take only so much more memory."""
+    """Limit the additional memory of this process."""
     status = Path("/proc/self/status").read_text()
     used = 1024 * int(status.split("VmData:")[1].split()[0])
     before = resource.getrlimit(resource.RLIMIT_DATA)

@@ -24,7 +24,7 @@ _calls: Counter[tuple[str, str]] = Counter()
 
 
 def start_again() -> None:
-    """Count anew: the next calls are those of another test."""
+    """Restart the count: the next calls belong to another test."""
     _calls.clear()
 
 

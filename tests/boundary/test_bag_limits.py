@@ -68,7 +68,7 @@ def test_a_bomb_that_lies_costs_only_its_chunk(tmp_path: Path, compression: str)
 def test_many_chunks_that_unpack_to_gigabytes(tmp_path: Path):
     import zstandard
 
-    # One record of a kind that nobody knows.
+    # One record of an unknown kind.
     chunk = struct.pack("<BQ", 200, 128 * MIB - 9) + bytes(128 * MIB - 9)
     data = zstandard.ZstdCompressor(1).compress(chunk)
     path = with_chunks(tmp_path / "a.mcap", data, "zstd", len(chunk), times=50)

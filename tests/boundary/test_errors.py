@@ -1,4 +1,4 @@
-"""What is said of hostile names and texts can be printed."""
+"""Messages about hostile names and texts can be printed."""
 
 import os
 

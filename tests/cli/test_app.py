@@ -155,7 +155,7 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     assert process.returncode == 2
     assert "swapped" in process.stdout
     assert "motor_b_2, motor_a_1" in process.stderr.splitlines()[-1]
-    # A mapping that turns y alone: what mends it is said in terms of that mapping.
+    # A mapping that reverses y alone: the correction is stated in terms of that mapping.
     (tmp_path / "lab.toml").write_text('[pose]\naxes = ["x", "-y", "z"]\n')
     process = airpuck("check", bag, "--mapping", tmp_path / "lab.toml")
     assert process.returncode == 2
@@ -194,7 +194,7 @@ def test_track_says_that_it_flies_without_the_real_flights(tmp_path, folder):
     assert len(lines) == 2
     assert "with paper:M4 is missing: " in lines[0]
     assert ("not set" if folder is None else "elsewhere") in lines[0]
-    # Who asks for no real flight is told nothing.
+    # Without a request for a real flight there is no message.
     assert refused(airpuck(*arguments, "--dwell", "2", cwd=tmp_path, env=env), "none.toml")
 
 

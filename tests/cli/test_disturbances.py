@@ -114,7 +114,7 @@ def put_old(out: Path, written: dict[str, bytes]) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def usual(server, bag, tmp_path_factory):
-    """What each command writes, and how long it takes, when nobody disturbs it."""
+    """Output and duration of each undisturbed command."""
     known = {}
 
     def run(name: str):

@@ -19,7 +19,7 @@ KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 
 def outputs():
-    """Every option of every command that names what is to be written."""
+    """Every option of every command that names an output."""
     for name, command in get_command(app).commands.items():  # pyright: ignore
         for option in command.params:
             read = option.name in command.declared or option.name == "settings_file"

@@ -1,4 +1,4 @@
-"""Options: every number has limits that a user is told of; flags, completion."""
+"""Options: every number has documented limits; flags, completion."""
 
 import os
 import subprocess

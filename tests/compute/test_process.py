@@ -54,7 +54,7 @@ def test_large_programs_run_in_the_calling_thread_if_set_in_time(set_):
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
-    """The folder of a user who has decided nothing."""
+    """The default folder of a user."""
     for name in [name for name in os.environ if name.startswith(("JAX_", "XDG_"))]:
         monkeypatch.delenv(name)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

@@ -22,7 +22,7 @@ IDLE = VEHICLE.command_min
 PERIOD = 0.01
 #: A hair of a command above idle.
 ABOVE = IDLE + 1e-9
-#: What the controller alone asks of a motor at rest in the middle: hardly more than idling.
+#: The controller's own command to a motor at rest in the centre: slightly above idling.
 AT_REST = 0.02
 
 
@@ -301,7 +301,7 @@ def test_a_jump_of_the_clock_costs_no_time_and_signals_go_on():
     after = at_rest(excitation, 40, start=year)
     assert perf_counter() - began < 5
     assert np.abs(np.diff(after, axis=0)).max() > 0.1
-    # And back: the signals begin anew.
+    # And back: the signals restart.
     back = at_rest(excitation, 60, start=-5.0)
     changed = np.flatnonzero(np.abs(np.diff(back, axis=0)).max(axis=1) > 1e-3) + 1
     np.testing.assert_array_equal(changed, [20, 40])

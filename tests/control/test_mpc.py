@@ -80,7 +80,7 @@ def closed_loop(
     delay = ours.model.transport_delay
     for k in range(round(duration / H)):
         estimate = Estimate(k * H, state[:6], state[6:], np.zeros(3))
-        # Sent so much earlier that it acts now.
+        # Sent one delay earlier, so that it acts now.
         steps.append(ours.steer(estimate, k * H - delay))
         state = advance(state, steps[-1].command)
         states.append(state)

@@ -274,7 +274,7 @@ def test_propellers_that_all_push_along_one_line_are_refused():
     propellers = tuple(
         p.model_copy(update={"direction_deg": 180.0 * i}) for i, p in enumerate(old.propellers)
     )
-    # Made anew, since a copy would carry what the old one has computed already.
+    # A new object, since a copy would keep cached values.
     vehicle = Vehicle(**{**dict(old), "propellers": propellers})
     parameters = nominal_parameters(vehicle)
     free = parameters.mask(frozenset())

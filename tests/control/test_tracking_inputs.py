@@ -31,7 +31,7 @@ def test_a_stale_pose_idles_the_motors_until_the_next():
     ours.pose(last + 10, np.array([0.05, 0.0, 0.0]))
     step = ours.step(last + 10)
     assert step.flies
-    # Begun anew there, at rest.
+    # Restarted there, at rest.
     np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
 
 
@@ -295,7 +295,7 @@ def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
     ours.pose(last + 2 * FRAME, np.array([0.05, 0.0, 0.0]))
     step = ours.step(last + 2 * FRAME)
     assert step.flies
-    # Begun anew there, at rest.
+    # Restarted there, at rest.
     np.testing.assert_allclose(step.request[0], ours.law.gain[0, 0] * 0.05, atol=0.02)
 
 

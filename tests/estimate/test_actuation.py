@@ -29,7 +29,7 @@ from ..apparatus.public_recordings import TRAINING, VALIDATION
 from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), indexing="start")
-#: Of exact states: hardly any noise.
+#: For exact states: almost no noise.
 EXACT = ActuationEncoder(
     pose_noise=(1e-6, 1e-5), velocity_noise=(1e-5, 1e-4), disturbance=(1e-3, 1e-2)
 )
@@ -68,7 +68,7 @@ def test_a_weak_motor_is_named(motor):
     share[motor] = 0.4
     past = past_of(fly(weakened(share), duration=5.0, seed=motor))
     found = EXACT.estimate(MODEL.dynamics, past)
-    # Where the motor was hardly used nothing can be said; that is what the deviation tells.
+    # A motor that was barely used cannot be judged; its standard deviation shows this.
     told = found.deviation[motor] < 0.05
     assert told.sum() > 5
     assert np.median(found.effectiveness[motor, told]) == pytest.approx(0.4, abs=0.02)
@@ -160,7 +160,7 @@ def test_priors_compete_by_their_evidence(flight):
 
 
 def covariance(encoder, c, size, step):
-    """Of the poses' noise, white accelerations, and first motor speeds that nobody knows."""
+    """From the poses' noise, white accelerations, and unknown initial motor speeds."""
     doubled = np.array(
         [
             twice_integrated(column[:, None], np.full((size - 1, 1), step))[:, 0]

@@ -22,7 +22,7 @@ from ..apparatus.measured_flights import IDLE, MODEL, NOISE, some_commands
 from ..apparatus.random_flights import random_flight
 
 M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
-#: Noise of the twin's cameras, and a disturbance that hardly moves.
+#: Noise of the twin's cameras, and a nearly constant disturbance.
 QUIET = Noise(
     pose=(5e-5, 5e-5, 6e-4), acceleration=(0.02, 0.02, 0.6), disturbance=(0.02, 0.02, 0.6)
 )

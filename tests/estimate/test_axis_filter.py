@@ -124,7 +124,7 @@ def test_an_exact_mouse_tells_the_velocity():
     mean, covariance = AXES.use_mouse(belief(), body, 1e-9)
     assert complex(*mean[:2, 1]) == pytest.approx(complex(*body) * np.exp(2j))
     np.testing.assert_allclose(covariance[:2, 1, 1], 0.0, atol=1e-12)
-    # Nothing is said of the spin; and a bad mouse says nothing at all.
+    # The angular velocity is unaffected, and a bad mouse has no effect at all.
     np.testing.assert_array_equal(mean[2], MEAN[2])
     np.testing.assert_allclose(AXES.use_mouse(belief(), body, 1e9)[0], MEAN, atol=1e-9)
 

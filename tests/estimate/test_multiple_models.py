@@ -13,7 +13,7 @@ SIZE = 16  # nine of the axes, six motors, the delay
 
 
 def states(count, tempering=1.0, tail=1e9):
-    """With a tail so long, innovations are normal."""
+    """With this many degrees of freedom, innovations are normal."""
     rng = np.random.default_rng(3)
     roots = 0.1 * rng.normal(size=(count, 7, 7))
     weight = rng.uniform(0.5, 1.5, count)

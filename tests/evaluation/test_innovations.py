@@ -108,7 +108,7 @@ def test_a_simulation_of_the_truth_stays_near_it(flight):
     assert np.isnan(simulated[:100]).all()
     error = np.abs(simulated - flight.state[:, :3])[100:]
     assert error.max(axis=0) == pytest.approx([0, 0, 0], abs=0.1)
-    # It starts anew: at the second start the error is that of the filter's estimate.
+    # It restarts: at the second start the error equals the error of the filter's estimate.
     assert (error[600] < 6 * np.array(POSE_NOISE)).all()
 
 

@@ -43,7 +43,7 @@ def cost(axis, pose, added, noise):
         ]
     )
     mean = np.array([pose[0, axis], 0.0, 0.0])
-    # Whoever knows nothing of speed and drift; the first two samples teach that.
+    # Unknown speed and drift; the first two samples determine them.
     covariance, found = np.diag([r, 1e4, 1e4 * (q2 > 0)]), 0.0
     for k in range(1, COUNT):
         mean = step @ mean + [*added[k, axis], 0.0]

@@ -9,7 +9,7 @@ from scipy import stats
 
 from airpuck.boundary.errors import InputError
 
-# Rounding that hardly ever shows in a verdict: the matrix itself is looked at.
+# Rounding that rarely shows in a verdict: check the matrix itself.
 from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, cross_correlations, resid
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, holm, ljung_box
 from airpuck.model.model_file import Model

@@ -161,7 +161,7 @@ def test_the_loss_of_the_fit_says_how_large_real_residuals_are(trials, found):
 @pytest.mark.slow
 def test_a_fit_with_a_fixed_delay_is_compared_with_flights_prepared_like_it(monkeypatch):
     def fly(model, *_):
-        # What packets that arrive late leave unexplained where nobody looks for them.
+        # Residuals of late packets that are not searched for.
         loss = 1e-6 if model.delay_learned else 5e-6
         return Trial(0.2, replace(information(1.0), loss=loss))
 

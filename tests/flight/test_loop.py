@@ -53,7 +53,7 @@ class LateLink(FakeLink):
 
 
 class FakePilot(Pilot):
-    """Counts, and writes down what it is told, in order."""
+    """Counts and records its inputs, in order."""
 
     outcomes: ClassVar = ("no pose", "exact", "scaled")
 
@@ -131,7 +131,7 @@ def test_each_measurement_is_told_once_in_order_and_before_the_step_after_its_ar
     fly(pilot, link, 1.0)
     assert [values[0] for _, values in pilot.told("pose")] == list(range(200))
     np.testing.assert_array_equal([stamp for stamp, _ in pilot.told("pose")], arrivals - 0.001)
-    # A pose that arrived between two steps is heard of between them.
+    # A pose that arrived between two steps is delivered between them.
     steps = -1
     for kind, stamp, _ in pilot.events:
         steps += kind == "step"
@@ -205,7 +205,7 @@ def test_a_pilot_is_told_of_what_it_watches_and_of_sensors_on_board_if_asked_for
 
 
 class Used(TrackingController):
-    """Counts the poses it is told of, and those that its filter uses."""
+    """Counts the poses it receives, and those that its filter uses."""
 
     def __init__(self, *arguments):
         super().__init__(*arguments)

@@ -1,4 +1,4 @@
-"""The package's own tactic: who has his turn, and that nobody searches too much."""
+"""The package's own tactic: the order of strategies, and limits on their searches."""
 
 from dataclasses import replace
 
@@ -62,7 +62,7 @@ def test_without_a_puck_it_defends_blind_and_then_goes_home():
 
 
 class Counted(MinimalTimes):
-    """Shortest times that note how many are asked for at once."""
+    """Shortest times that record the size of each request."""
 
     def __call__(self, away, velocity, arrival="rest"):
         asked.append(np.asarray(away)[0].size)

@@ -36,7 +36,7 @@ def shots(count, speeds=(0.8, 4.0), seed=0):
         state = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), 0.0)
         puck = PuckOnTable(PLAY, state)
         puck.run(1.9)
-        # Those that touch a post are nobody's business.
+        # Shots that touch a post are ignored.
         if puck.goal < 0 and all(touch.met != "post" for touch in puck.touches):
             craft = [*(np.array(PITCH.home) + rng.uniform(-0.05, 0.15, 2)), 0, 0, 0, 0]
             found.append(view_of(state, craft))
@@ -189,7 +189,7 @@ def test_blind_it_keeps_within_its_goal_and_in_its_middle_if_nothing_comes():
     view = view_of((0.6, 0.3, 0, 0.1, 0.0, 0))
     blind.seen(view, Outlook(view))
     assert blind.propose(replace(view, puck=None)).reference.y == 0.0
-    # Who has never seen a puck is at home.
+    # Without ever seeing a puck, the craft waits at home.
     assert Blind().propose(replace(view, puck=None)).kind == "home"
 
 

@@ -15,7 +15,7 @@ EXACT = Dexterity(reaction_s=0.2, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
 
 
 class Frames:
-    """An observer that looks when it is told to."""
+    """An observer that takes measurements on request."""
 
     due = math.inf
 

@@ -31,7 +31,7 @@ def test_slack_is_what_the_shortest_times_leave():
     left = slack(view, np.array([1.0, 1.2]), np.array([[-0.5, 0.0]] * 2), np.zeros((2, 2)))
     assert left[1] - left[0] == pytest.approx(0.2)
     assert left[0] == pytest.approx(1.0 - PITCH.delay - 1.1 * needed - 0.03)
-    # To arrive with a velocity is to come to rest in a frame that moves with it.
+    # Arriving with a velocity means coming to rest in a frame that moves with it.
     speed, way, time = 0.9, 0.25, 0.6
     craft = (-0.6, 0, 0, speed, 0, 0)
     moving = slack(
@@ -56,7 +56,7 @@ def test_effort_is_the_greatest_acceleration_of_a_cubic():
     for _ in range(20):
         craft = np.array([*rng.uniform(-0.9, -0.3, 2), 0, *rng.normal(0, 0.4, 2), 0])
         place, velocity, time = rng.uniform(-0.8, -0.2, 2), rng.normal(0, 0.6, 2), 0.7
-        # The propellers act later; until then the craft goes on.
+        # The propellers act later; until then the craft continues.
         begin = craft[:2] + PITCH.delay * craft[3:5]
         spline = CubicHermiteSpline(
             [PITCH.delay, time], [begin, place], [craft[3:5], velocity]
@@ -97,7 +97,7 @@ def test_a_craft_that_is_thrown_back_has_room_for_it():
     strike(puck, craft, 1.0, 0.0, PLAY.puck.craft)
     recoil = np.array([craft.vx, 0.0])
     assert recoil[0] == pytest.approx(-5.0 * PITCH.recoil)
-    # It goes on for 80 ms, and then brakes: v (t + v / 2a).
+    # It continues for 80 ms, and then brakes: v (t + v / 2a).
     room = -recoil[0] * (0.08 - recoil[0] / (2 * PITCH.acceleration))
     view = view_of((0, 0, 0, 0, 0, 0))
     for share, fits in ((0.98, False), (1.02, True)):
@@ -140,7 +140,7 @@ def test_the_outlook_is_the_way_of_the_twins_puck():
         comes = (outlook.places[:, 0] < PITCH.fence[1, 0] + 0.1).any()
         assert outlook.is_reachable == comes
         assert (outlook.threat is not None) == (alone.goal < 0)
-    # Between two steps it goes straight; beyond the ends it goes on.
+    # Between two steps the path is straight; beyond the ends it continues.
     view = view_of((0.0, 0.1, 0, 1.0, 0.0, 0))
     outlook = Outlook(view)
     first, second = outlook.at(np.array([0.02, 0.04]))
@@ -188,7 +188,7 @@ def test_a_path_is_clear_where_a_craft_on_a_cubic_keeps_off_the_puck():
         apart = np.linalg.norm(way(times) - outlook.at(times)[:, :2], axis=1)
         nearest = (apart - PITCH.contact_distance)[times < 0.6].min()
         found = path_is_clear(view, outlook, meeting)
-        # Nine places are looked at, with a margin.
+        # Nine places are checked, with a margin.
         if nearest < -0.01:
             assert not found
             blocked += 1

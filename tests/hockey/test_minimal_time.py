@@ -87,7 +87,7 @@ def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
     play = AirHockey()
     usual, weaker = Player(model, play), Player(other, play)
     assert weaker.pitch.acceleration == pytest.approx(usual.pitch.acceleration / 4, rel=1e-3)
-    # A shot that comes at 2.5 m/s: who has the time strikes it back, who has not blocks it.
+    # A shot at 2.5 m/s: the craft strikes it back if there is time, and otherwise blocks it.
     assert "strike" in decisions(usual)
     assert decisions(weaker) == {"defend"}
 

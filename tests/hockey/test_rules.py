@@ -56,7 +56,7 @@ def test_fifteen_seconds_on_one_side_give_the_puck_to_the_other():
     judge = referee(first=-1)
     assert judge.judge(14.99, -0.5, 1.0, 0) == []
     assert judge.judge(15.0, -0.5, 1.0, 0) == [("foul", -1), ("serve", 1)]
-    # Who crosses the line in time begins anew.
+    # Crossing the line in time restarts the clock.
     assert judge.judge(29.0, 0.5, 1.0, 0) == []
     assert judge.judge(29.5, -0.1, 1.0, 0) == []
     assert judge.judge(31.0, 0.1, 1.0, 0) == []

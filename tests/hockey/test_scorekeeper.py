@@ -41,7 +41,7 @@ class Cameras:
         self.see(x, y, frames=frames)
 
     def fly(self, state, seconds, visible=lambda x: True):
-        """A puck that nobody hits, until it is in a goal."""
+        """An untouched puck, until it is in a goal."""
         puck = PuckOnTable(PLAY, PuckState(*state[:2], 0.0, *state[2:]), logs=False)
         for k in range(round(seconds / FRAME)):
             puck.run(k * FRAME)
@@ -219,7 +219,7 @@ def test_fouls_and_a_puck_that_is_stuck():
     cameras.said.clear()
     cameras.rest(0.0, 0.2, frames=round(3.2 / FRAME))
     assert cameras.said == [("stuck", 0)]
-    # A puck that is taken off the table, and comes back, begins anew.
+    # A puck that is taken off the table and returned starts afresh.
     cameras.said.clear()
     cameras.rest(0.5, 0.0, frames=round(10 / FRAME))
     cameras.nothing(60.0)

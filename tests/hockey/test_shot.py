@@ -106,7 +106,7 @@ def test_flights_end_as_those_of_the_twins_puck():
             puck.run(puck.next_meeting + 1e-8)
         met = [touch.met for touch in puck.touches]
         plain = met.count("rail") <= 2 and "post" not in met
-        # One that is said to score may yet touch the side of the goal, behind the line.
+        # A predicted goal may still touch the side of the goal, behind the line.
         assert puck.goal > 0 or not found.scores[k]
         missed += puck.goal > 0 and plain and not found.scores[k]
     assert found.scores.sum() > 50

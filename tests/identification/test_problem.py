@@ -16,7 +16,7 @@ from airpuck.physics.rigid_body import rollout
 from ..apparatus.robust_fits import MODEL, off
 from ..apparatus.synthetic_flights import fly
 
-#: When nobody hears what is sent [s].
+#: When commands are not received [s].
 OUTAGES = ((2.0, 2.5), (6.0, 6.5), (9.5, 10.0))
 
 
@@ -82,7 +82,7 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
 @pytest.mark.study
 def test_adam_leaves_them_out_too(faulty, fit):
     other = identify(faulty, "M3", method=Adam(epochs=1), preparation=Preparation(faults="exclude"))
-    # Its first fit takes the delay as it is: confidences differ a little.
+    # Its first fit uses the given delay, so confidences differ slightly.
     assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [
         [(s.start, s.stop, s.cause) for s in spans] for spans in fit.exclusion.faults
     ]

@@ -32,7 +32,7 @@ ROBUST, KEEP_FAULTS = Loss(robust=True), Preparation(faults="keep")
 
 @pytest.fixture(scope="module")
 def faulty(clean):
-    """For a second nobody hears the commands that are logged, three times."""
+    """Three times, the logged commands are not received for a second."""
     command = clean.command.copy()
     rng = np.random.default_rng(1)
     for begin in (2.0, 6.0, 9.5):
@@ -49,7 +49,7 @@ def test_unmarked_faults_hardly_move_the_estimate(faulty):
     assert off(robust) < 0.1 * off(plain)
     assert robust.converged
     assert robust.model.fit["robust"] is True
-    # The loss that is told is the plain one, which no other parameters have lower.
+    # The reported loss is the unweighted one; no other parameters give a lower one.
     assert robust.loss > plain.loss
 
 
@@ -87,7 +87,7 @@ def test_adam_is_not_robust(clean):
 
 @pytest.mark.slow
 def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
-    """Resampled fits find weights anew: those of the windows that were drawn."""
+    """Resampled fits recompute the weights for the windows that were drawn."""
     loss = replace(ROBUST.on([faulty], MODEL.vehicle), clusters=None)
     rung, windows, method = named_rung("M0"), loss.windows, LevenbergMarquardt()
     start = rung.initial(MODEL.vehicle)

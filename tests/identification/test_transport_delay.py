@@ -129,7 +129,7 @@ def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
 
 
 def test_shifted_commands_count_from_the_nominal_delay():
-    """Where the author had shifted the commands already, nobody knows by how much."""
+    """If the author had already shifted the commands, the amount is unknown."""
     fit = identify(fly(TRUTH, duration=6.0), preparation=LEARNED, loss=LONG)
     assert fit.model.transport_delay == pytest.approx(VEHICLE.nominal.transport_delay_s, abs=2e-5)
 

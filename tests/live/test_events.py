@@ -1,4 +1,4 @@
-"""What repeats is told once, and what is told last is what is so."""
+"""Repeated events are reported once, and the last report is the present state."""
 
 from __future__ import annotations
 

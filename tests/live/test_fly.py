@@ -21,7 +21,7 @@ VEHICLE = default_vehicle()
 
 
 class Pilot(PulseTest):
-    """Notes when it was asked for a command."""
+    """Records when a command was requested."""
 
     def __init__(self):
         super().__init__(VEHICLE)

@@ -113,7 +113,7 @@ class FakeGraph(Graph):
 
 
 class FakeEvents(EventLog):
-    """Keeps what it is told."""
+    """Stores its inputs."""
 
     def __init__(self):
         self.logged = []

@@ -84,7 +84,7 @@ def test_a_puck_that_the_craft_leaves_alone_is_the_humans_after_fifteen_seconds(
 
 
 class Guide:
-    """Somebody on the graph who says where the mallet is wanted, while time passes."""
+    """A process on the graph that publishes the mallet's target, while time passes."""
 
     def __init__(self, table: Table, process: Process, domain: int) -> None:
         self._table, self._clock = table, process.clock
@@ -127,7 +127,7 @@ def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guid
     assert table.mallet == (BEGINS, 0.0)
     guide.lead(0.5, 0.2, 0.0, seconds=0.8)
     assert table.mallet == pytest.approx((0.5, 0.2), abs=1e-3)
-    # Wherever it is wanted, it keeps to its half of the table.
+    # Whatever its target, it stays in its half of the table.
     guide.lead(-1e300, 1e300, 0.0, seconds=0.8)
     assert table.mallet == pytest.approx((0.04815, 0.55 - 0.04815), abs=1e-3)
     mallet = table.twin.world.mallet

@@ -294,7 +294,7 @@ def test_a_craft_that_pushes_one_way_turns_round_to_brake():
 
 
 def craft_of_three():
-    """A ring of three propellers that lean by turns; without a moment they push one way."""
+    """A ring of three propellers with alternating tilt; without a moment they push one way."""
     return nominal_model(
         Vehicle(
             name="three",

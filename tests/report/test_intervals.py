@@ -51,7 +51,7 @@ def test_ratios_have_intervals_where_they_are_known(known):
     curves = np.asarray(PLAIN.parameters.thrust)
     expected = 2 * 2.0 * np.linalg.norm(curves, axis=1) / curves.sum(axis=1)
     np.testing.assert_allclose(widths(known), expected, rtol=1e-4)
-    # Changed after its fit: nobody knows.
+    # Changed after its fit: unknown.
     np.testing.assert_array_equal(widths(known.with_delay(0.03)), 0.0)
 
 

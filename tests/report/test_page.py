@@ -56,7 +56,7 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pictures that nobody looks at: tests of figures draw them all."""
+    """Placeholder pictures: tests of figures draw the real ones."""
     monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
 
 

@@ -31,7 +31,7 @@ def test_a_band_that_would_hide_its_errors_is_cut_off():
     whole = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 0.4))
     assert (np.abs(limits(whole, 2)) >= 0.4 * np.array([1e3, 1e3, 1.0])[:, None]).all()
     assert (np.abs(limits(whole, 0)) >= 0.3).all()
-    # Nothing is known of the size of errors that are none, nor of bands that are not known.
+    # Zero errors have no scale, and neither do unknown bands.
     prediction_bands_figure(ahead, bands([0.0], 0.6, 0.0, 10.0))
     unknown = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, np.nan))
     assert np.isfinite(limits(unknown, 2)).all()

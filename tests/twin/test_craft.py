@@ -1,4 +1,4 @@
-"""Motors that do not do what they are told."""
+"""Motors that do not follow their commands."""
 
 import math
 
@@ -40,7 +40,7 @@ def test_motors_stand_until_they_are_armed():
 def test_an_idling_motor_follows_a_higher_command_later():
     motors = unit(starting_delay_s=0.1, idle_below=0.05)
     np.testing.assert_array_equal(motors.follow(0.0, np.array([0.03, 0.03])), [0.03, 0.03])
-    # Only the first is told to go; until it does, it turns at no more than the idle speed.
+    # Only the first gets a command; until it follows, it turns at idle speed at most.
     go = np.array([0.6, 0.03])
     np.testing.assert_array_equal(motors.follow(1.0, go), [0.05, 0.03])
     assert motors.next_change(1.0) == pytest.approx(1.1)

@@ -45,7 +45,7 @@ def judged(model: Model, trajectory):
 
 @pytest.mark.parametrize("missing", [0.1, 0.4])
 def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, missing):
-    # All accelerations are proportional to thrust, but for the slow turning of the craft.
+    # All accelerations are proportional to thrust, apart from the craft's slow rotation.
     model = scaled(1 - missing)
     found = judged(model, flight)
     np.testing.assert_allclose(found.missed, missing, rtol=0.25)

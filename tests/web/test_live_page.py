@@ -76,7 +76,7 @@ class Flight:
         self.far.send_bytes(WISH + packed_wish(Wish(1, x, y)))
 
     def said(self) -> dict[bytes, list]:
-        """What pages were told since the last call, by kind."""
+        """Messages to pages since the last call, by kind."""
         found: dict[bytes, list] = {STATE: [], EVENT: [], SCENE: [], THOUGHT: []}
         while self.far.poll():
             message = self.far.recv_bytes()
@@ -118,7 +118,7 @@ class Table:
 
 
 def until(flight: Flight, condition, timeout: float = 10.0):
-    """Let the flight go on until something is so; return it."""
+    """Let the flight continue until a condition holds; return it."""
     stop = time.monotonic() + timeout
     while not (found := condition()):
         assert time.monotonic() < stop
@@ -128,7 +128,7 @@ def until(flight: Flight, condition, timeout: float = 10.0):
 
 
 def phase_of(flight: Flight, wanted: str) -> bool:
-    """Whether that phase was told since the last call."""
+    """Whether that phase was reported since the last call."""
     return any(one.get("phase") == wanted for one in flight.said()[SCENE])
 
 
@@ -189,7 +189,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
         assert table.wanted() == []
         flight.wish(0.5, 0.25)
         assert until(flight, table.wanted)[-1] == pytest.approx((0.5, 0.25))
-        # It goes on saying so, whether the pointer moves or not.
+        # It keeps repeating this, whether the pointer moves or not.
         assert until(flight, table.wanted)[-1] == pytest.approx((0.5, 0.25))
         flight.ask("leave")
         until(flight, lambda: phase_of(flight, "waiting"))

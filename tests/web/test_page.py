@@ -1,4 +1,4 @@
-"""The page of a game in a real browser; the game is a test's, but for the last test."""
+"""The page of a game in a real browser; only the last test plays a real game."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Page:
         raise AssertionError(condition)
 
     def status(self, phase: str, score: tuple[int, int] = (0, 0)) -> None:
-        """Say how the game is."""
+        """Report the state of the game."""
         status = {"is": "status", "phase": phase, "score": score, "level": "medium"}
         self._arena.pipe.send_bytes(SCENE + json.dumps(status).encode())
         self.until(
@@ -93,7 +93,7 @@ class Page:
         time.sleep(0.1)
 
     def again(self) -> None:
-        """Tell the newest state once more."""
+        """Send the newest state again."""
         self._arena.pipe.send_bytes(self._state)
         time.sleep(0.01)
 
