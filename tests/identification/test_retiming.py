@@ -94,7 +94,7 @@ def test_stretches_too_short_to_smooth_are_left_alone():
 
 
 def test_velocities_are_not_smoothed_across_switches():
-    """With perfect cameras, smoothing is the only error; the true model removes nearly all of it."""
+    """With perfect cameras only smoothing errs; the true model removes nearly all of it."""
     flight = flown(0.0, 10.0, noise=False)
     known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
     inner = slice(10, -10)  # the ends of a derivative are its own
