@@ -211,7 +211,7 @@ def test_parameters_at_a_constraint_have_no_standard_error():
     labels = parameters.labels(NAMES)
     without = {labels[k] for k in np.flatnonzero(free & np.isnan(found.standard_errors))}
     assert without == {"thrust motor_a_1 φ^1", "motor_time_constant"}
-    assert "2 constraints bind" in " ".join(found.notes)
+    assert "binding constraints (bounds, rising thrust): 2" in " ".join(found.notes)
     assert found.covariance[0, 0] < 1e-20
 
 

@@ -266,7 +266,7 @@ def _notes(space: Subspace) -> list[str]:
     notes = []
     if space.binding:
         notes.append(
-            f"{space.binding} constraints bind (bounds, rising thrust): standard errors hold "
+            f"binding constraints (bounds, rising thrust): {space.binding}; standard errors hold "
             "along them"
         )
     if len(space.undetermined):
