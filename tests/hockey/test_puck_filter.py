@@ -266,3 +266,14 @@ def test_paths_are_those_of_the_twins_puck_into_the_goal_too():
             for time, state in zip(times, found, strict=True):
                 puck.run(5.0 + float(time))
                 np.testing.assert_allclose(state[:5], puck.state[:5], atol=1e-6)
+
+
+def test_predictions_do_not_depend_on_when_time_began():
+    # Stamps count from 1970. Their last digit is longer than a puck is held off a rail.
+    random, times = np.random.default_rng(3), np.arange(0.0, 2.0, 0.004)
+    began = 1.7e9 + 0.1811554
+    for _ in range(40):
+        mean = random.uniform(-1, 1, 6) * (0.9, 0.4, 3.0, 2.5, 2.5, 20.0)
+        now, long_after = (PuckBelief(start, mean, 1e-6 * np.eye(6)) for start in (0.0, began))
+        found = predict_path(AirHockey(), long_after, began + times)
+        np.testing.assert_allclose(found, predict_path(AirHockey(), now, times), atol=1e-4)

@@ -146,12 +146,12 @@ def predict_path(
     equipment: AirHockey, belief: PuckBelief, times: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T 6"]:
     """Return the mean state of an untouched puck at increasing times."""
-    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
+    puck, after = _untouched(equipment, belief), times - belief.time
     found, done = np.empty((len(times), 6)), 0
     while done < len(times):
-        until = min(puck.next_meeting + _BEYOND, times[-1])
-        here = int(np.searchsorted(times, until, side="right"))
-        found[done:here] = _coasting(equipment.puck, puck.state, times[done:here] - puck.time)
+        until = min(puck.next_meeting + _BEYOND, after[-1])
+        here = int(np.searchsorted(after, until, side="right"))
+        found[done:here] = _coasting(equipment.puck, puck.state, after[done:here] - puck.time)
         done = here
         if puck.goal:
             found[done:] = puck.state
@@ -162,13 +162,20 @@ def predict_path(
 
 def drawn_path(equipment: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
     """Return the path of an untouched puck over the next 1.2 s, with corners at the rails."""
-    times = belief.time + _DRAWN
-    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
-    bounces = []
-    while not puck.goal and (bounce := puck.next_meeting) < times[-1]:
+    puck, bounces = _untouched(equipment, belief), []
+    while not puck.goal and (bounce := puck.next_meeting) < _DRAWN[-1]:
         bounces.append(bounce)
         puck.run(bounce + _BEYOND)
-    return predict_path(equipment, belief, np.union1d(times, bounces))[:, :2]
+    now = replace(belief, time=0.0)
+    return predict_path(equipment, now, np.union1d(_DRAWN, bounces))[:, :2]
+
+
+def _untouched(equipment: AirHockey, belief: PuckBelief) -> PuckOnTable:
+    """Return a puck that starts from the belief's mean at time 0.
+
+    Time stamps count from 1970: their last digit is 0.2 µs, too coarse to get past a bounce.
+    """
+    return PuckOnTable(equipment, PuckState(*belief.mean.tolist()), logs=False)
 
 
 def _coasting(
@@ -258,14 +265,14 @@ def _crossing(
     equipment: AirHockey, belief: PuckBelief, x: float, end: float
 ) -> tuple[float, PuckState] | None:
     """Return when a puck crosses a line, and its state there: free paths are straight in σ."""
-    puck = PuckOnTable(equipment, PuckState(*belief.mean.tolist()), belief.time, logs=False)
-    while puck.time < end and not puck.goal:
+    puck, last = _untouched(equipment, belief), end - belief.time
+    while puck.time < last and not puck.goal:
         now, start = puck.time, puck.state
-        until = min(puck.next_meeting + _BEYOND, end)
+        until = min(puck.next_meeting + _BEYOND, last)
         sigma = (x - start.x) / start.vx if start.vx else -1.0
         after = time_of(equipment.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
         if now + after <= until:
-            return now + after, coast(equipment.puck, start, after)
+            return belief.time + now + after, coast(equipment.puck, start, after)
         puck.run(until)
     return None
 
