@@ -1,7 +1,6 @@
 """The command line, as a user meets it."""
 
 import json
-import os
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from typer.testing import CliRunner
 import airpuck as package
 from airpuck import write_bag, write_csv
 from airpuck.cli.app import app
+from airpuck.cli.inputs import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import demo
 
@@ -185,17 +185,17 @@ def test_excite_says_how_often_a_rail_was_met(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [None, "elsewhere"])
-def test_track_says_that_it_flies_without_the_real_flights(tmp_path, folder):
-    elsewhere = {} if folder is None else {"AIRPUCK_DATA": folder}
-    env = {k: v for k, v in os.environ.items() if k != "AIRPUCK_DATA"} | elsewhere
-    # It ends where the twin's settings are read, before anything is flown.
-    arguments = ("track", "--model", "paper:M4", "--model", "paper:M3", "--twin", "none.toml")
-    lines = airpuck(*arguments, cwd=tmp_path, env=env).stderr.strip().splitlines()
-    assert len(lines) == 2
-    assert "with paper:M4 is missing: " in lines[0]
-    assert ("not set" if folder is None else "elsewhere") in lines[0]
-    # Without a request for a real flight there is no message.
-    assert refused(airpuck(*arguments, "--dwell", "2", cwd=tmp_path, env=env), "none.toml")
+def test_track_says_that_it_flies_without_the_real_flights(monkeypatch, capsys, folder):
+    monkeypatch.delenv("AIRPUCK_DATA", raising=False)
+    if folder is not None:
+        monkeypatch.setenv("AIRPUCK_DATA", folder)
+    assert published_flights(["paper:M4", "paper:M3"]) == [None, None]
+    said = " ".join(capsys.readouterr().err.split())
+    assert "with paper:M4 is missing: " in said
+    assert ("not set" if folder is None else "elsewhere") in said
+    # The paper flew no M3.
+    published_flights(["paper:M3"])
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

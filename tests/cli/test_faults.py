@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import default_vehicle
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import Recording, Stream
 
@@ -64,5 +65,6 @@ def test_identify_tells_what_it_left_out(bag, tmp_path):
 
 def test_wrong_options_are_refused(bag, tmp_path):
     vehicle = tmp_path / "v.toml"
+    default_vehicle().save(vehicle)
     refused(airpuck("faults", bag, "--model", "paper:M3", "--vehicle", vehicle), "--vehicle")
     refused(airpuck("identify", bag, "--faults", "perhaps"), "--faults", "keep")

@@ -14,7 +14,6 @@ from airpuck.control import tracking
 from airpuck.control.lqr import motor_lag
 from airpuck.control.reference import SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
-from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
@@ -274,8 +273,7 @@ def test_propellers_that_all_push_along_one_line_are_refused():
     propellers = tuple(
         p.model_copy(update={"direction_deg": 180.0 * i}) for i, p in enumerate(old.propellers)
     )
-    # A new object, since a copy would keep cached values.
-    vehicle = Vehicle(**{**dict(old), "propellers": propellers})
+    vehicle = old.model_copy(update={"propellers": propellers})
     parameters = nominal_parameters(vehicle)
     free = parameters.mask(frozenset())
     model = replace(MODEL, vehicle=vehicle, parameters=parameters, free=free)

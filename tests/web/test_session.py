@@ -267,7 +267,7 @@ def test_what_cannot_be_served_is_refused():
     model = airpuck.read_model("paper:M3")
     with pytest.raises(InputError, match="--level"):
         play_in_browser(model, level="impossible")
-    with pytest.raises(InputError, match="--port"):
+    with pytest.raises(InputError, match="port"):
         ArenaSettings(port=0)
     with pytest.raises(InputError, match="no network interface 'nonsense'"):
         address_of("nonsense")

@@ -21,7 +21,7 @@ from airpuck.web.settings import ArenaSettings
 
 
 @dataclass(frozen=True)
-class Craft(Settings):
+class PlayingCraft(Settings):
     """The craft that plays."""
 
     HEADING: ClassVar = ""
@@ -40,7 +40,10 @@ class Craft(Settings):
 
 @app.command(rich_help_panel="Air hockey")
 def play(
-    craft: Craft, arena: ArenaSettings, json_file: options.Json = None, quiet: options.Quiet = False
+    craft: PlayingCraft,
+    arena: ArenaSettings,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends."""
     from airpuck.compute.process import low_latency
@@ -72,7 +75,7 @@ def play(
 
 @app.command("play-live", rich_help_panel="Air hockey")
 def play_live(
-    craft: Craft,
+    craft: PlayingCraft,
     live: LiveSettings,
     port: Annotated[
         int, Setting("Port of the page; with 0 there is no page.", numbers.PAGE_PORT, "N")
@@ -126,7 +129,7 @@ def play_live(
 
 @app.command(rich_help_panel="Air hockey")
 def skills(
-    craft: Annotated[Craft, Without(("level",))],
+    craft: Annotated[PlayingCraft, Without(("level",))],
     episodes: Annotated[int, Setting("Number of episodes per skill.", numbers.EPISODES, "N")] = 100,
     only: Annotated[
         Literal["defend", "hit", "prepare"] | None, Setting("One skill; by default all.")
