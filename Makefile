@@ -51,8 +51,9 @@ demo: install  ## the whole workflow on simulated recordings, no download
 test: dev  ## the quick tests, in minutes: while you work
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" --hypothesis-profile quick
 
-test-all: dev  ## all tests but the studies and the browser: before you push
-	$(BIN)/python -m pytest -n $(WORKERS)
+test-all: dev  ## all tests but the studies and the browser; those in real time at the end, alone
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not realtime"
+	$(BIN)/python -m pytest -n 0 -m realtime
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py

@@ -12,7 +12,7 @@ import pytest
 
 from ..apparatus.studies import STUDIES, study
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 @pytest.mark.parametrize("duration", [15.0, pytest.param(30.0, marks=pytest.mark.study)])

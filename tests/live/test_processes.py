@@ -28,7 +28,7 @@ from airpuck.twin.settings import default_twin_settings
 from ..apparatus.processes import CODECS, COMMANDS, EVENT, IDLE, POSES, REFERENCES, Process, Watch
 from ..apparatus.recovery import assert_recovered
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TRUTH = published_model("M3")
 #: Room for a busy machine [s].
@@ -71,6 +71,10 @@ class Table:
     def arrives(self, *pose: float, within: tuple[float, float] = (0.04, 0.25)) -> None:
         """Wait until the craft has been somewhere for half a second, in the median."""
         self.watch.forget()
+        self.stays(*pose, within=within)
+
+    def stays(self, *pose: float, within: tuple[float, float]) -> None:
+        """Wait until half a second of the poses heard lies there, in the median."""
 
         def there() -> bool:
             poses = np.array(self.watch.values(POSES)[-120:])
@@ -130,7 +134,8 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     with recorded(table.domain, tmp_path / "bag"):
         watch.until(lambda: watch.events("record") and watch.heard[POSES], 60.0)
         pilot = table.fly("--setpoint", 0, 0, 0, "--setpoint", *goal, "--dwell", 1, "--json", "-")
-        watch.run(4.5)
+        table.stays(*goal, within=(0.01, 0.05))
+        watch.run(2.0)
         pilot.press("q")
         status, out, err = pilot.end()
         watch.run(0.3)

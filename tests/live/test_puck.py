@@ -15,7 +15,7 @@ from airpuck.recording.message import StreamCodec
 from ..apparatus.arena import free_port
 from ..apparatus.processes import POSES, Process, Watch
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 TOPIC, MALLET = "/optitrack/puck/pose", "/optitrack/mallet/pose"
 

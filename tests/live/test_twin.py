@@ -16,7 +16,7 @@ from airpuck.live.twin import BEGINS, Human
 from airpuck.physics.puck import PuckState
 from airpuck.recording.message import StreamCodec
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 class Table:
@@ -110,15 +110,17 @@ class Guide:
 
 
 @pytest.fixture(scope="module")
-def guided(process, domain):
-    table = Table(process, PuckState(-0.7, 0.4), "page")
-    guide = Guide(table, process, domain)
-    until = time.monotonic() + 10.0
-    while not guide.graph.subscribers(process.topics.mallet_target):
-        assert time.monotonic() < until
-        time.sleep(0.01)
-    yield table, guide
-    guide.graph.close()
+def guided(domain):
+    # A process of its own: the table catches up with all that the clock has counted.
+    with Process("airpuck twin", LiveSettings(domain=domain, quiet=True)) as process:
+        table = Table(process, PuckState(-0.7, 0.4), "page")
+        guide = Guide(table, process, domain)
+        until = time.monotonic() + 10.0
+        while not guide.graph.subscribers(process.topics.mallet_target):
+            assert time.monotonic() < until
+            time.sleep(0.01)
+        yield table, guide
+        guide.graph.close()
 
 
 def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guided):
@@ -131,8 +133,11 @@ def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guid
     guide.lead(-1e300, 1e300, 0.0, seconds=0.8)
     assert table.mallet == pytest.approx((0.04815, 0.55 - 0.04815), abs=1e-3)
     mallet = table.twin.world.mallet
-    guide.lead(1.0, -0.5, 0.0, seconds=0.1)
-    assert 0.0 < math.hypot(mallet.vx, mallet.vy) <= 4.0 + 1e-6
+    speeds = []
+    for _ in range(20):
+        guide.lead(1.0, -0.5, 0.0, seconds=0.02)
+        speeds.append(math.hypot(mallet.vx, mallet.vy))
+    assert 0.0 < max(speeds) <= 4.0 + 1e-6
 
 
 def test_it_stays_when_nobody_says_where_it_is_wanted(guided):
