@@ -32,7 +32,7 @@ Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 #: Pydantic's error types for an unknown key, of a `Section` and of a settings class.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 #: Pydantic's names for validators and for the types of a union.
-_OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool)$")
+_OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool|propeller|on_off)$")
 
 #: Pydantic's phrase for the kind of a value that is too short or too long, and its actual size.
 _OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, not .*")

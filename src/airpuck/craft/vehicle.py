@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pydantic
@@ -26,12 +27,13 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
+from airpuck.craft.actuators import Actuators, Propellers
 
 #: Plausible radii of craft on a table [m].
 _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
 #: Plausible ratios: farthest propeller to radius; mass to squared radius [kg/m²]; inertia to mass
 #: times squared radius (a disc has ½).
-_FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 500.0), (0.01, 20.0)
+_FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 2000.0), (0.01, 20.0)
 #: Largest plausible ratio of a propeller's thrust to the craft's weight; longest lag and delay [s].
 _THRUST, _TIME = 10.0, 1.0
 _GRAVITY = 9.81
@@ -86,6 +88,8 @@ class Vehicle(Section):
         Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
         other: push in opposite directions, and turn the craft in opposite directions about its
         centre.
+    actuators : Propellers or OnOff
+        Kind of the actuators; by default propellers.
     nominal : Nominal
         Starting values for identification.
     """
@@ -97,7 +101,15 @@ class Vehicle(Section):
     command_max: Fraction = 1.0
     pairs: tuple[tuple[str, str], ...] = ()
     propellers: tuple[Propeller, ...] = pydantic.Field(min_length=1, max_length=PROPELLERS)
+    actuators: Actuators = Propellers()
     nominal: Nominal
+
+    @pydantic.model_serializer(mode="wrap")
+    def _without_default(self, dump: Any) -> dict[str, Any]:
+        content = dump(self)
+        if self.actuators == Propellers():
+            del content["actuators"]
+        return content
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Vehicle:
@@ -113,8 +125,15 @@ class Vehicle(Section):
             raise ValueError("pairs: a propeller can be in one pair only")
         if self.command_min >= self.command_max:
             raise ValueError("command_min must be below command_max")
-        nominal = self.nominal
-        full = float(_nominal_thrust(nominal.thrust_N, len(names)).sum(axis=1).max())
+        derived = self.actuators.nominal()
+        for name in self.nominal.model_fields_set & derived.keys():
+            del derived[name]
+        # The class is frozen: assignment would fail, even here.
+        nominal = self.nominal.model_copy(update=derived)
+        object.__setattr__(self, "nominal", nominal)
+        curves = _nominal_thrust(nominal.thrust_N, len(names))
+        self.actuators.check_thrust(curves.shape[1])
+        full = float(curves.sum(axis=1).max())
         check_sizes(self.mass_kg, self.radius_m, self.positions, nominal.inertia_kg_m2)
         lag, delay = nominal.motor_time_constant_s, nominal.transport_delay_s
         check_nominal(self.mass_kg, full, lag, delay)

@@ -107,8 +107,10 @@ def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[Ma
     for quantity in model.parameters.quantities:
         if quantity.name not in _BY_EFFECT:
             listed += _entries(model, quantity)
+    # A linear curve is one number.
+    linear = np.shape(model.parameters.thrust)[1] == 1
     for motor, name in enumerate(model.vehicle.propeller_names):
-        for speed in speeds:
+        for speed in speeds[-1:] if linear else speeds:
 
             def force(m: Model, motor: int = motor, speed: float = speed) -> Any:
                 return thrust(physical_thrust(m)[motor : motor + 1], np.array([speed]))[0]

@@ -302,9 +302,11 @@ def _of_propellers(model: Model) -> Iterator[ComparedQuantity]:
     learned = model.free[model.parameters.mask(frozenset({"thrust", "configuration_matrix"}))]
     if not learned.any():
         return
+    # A linear curve is one number.
+    speeds = _SPEEDS[-1:] if np.shape(model.parameters.thrust)[1] == 1 else _SPEEDS
     for motor, name in enumerate(model.vehicle.propeller_names):
         full = abs(_force(motor, 1.0, model)) or np.inf
-        for speed in _SPEEDS:
+        for speed in speeds:
             yield ComparedQuantity(f"F({speed:g}) {name}", "N", full, partial(_force, motor, speed))
     if model.parameters.configuration_matrix is None:
         return

@@ -28,6 +28,7 @@ from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.plant import Plant, build_plant
+from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -127,7 +128,7 @@ def skills(
         tactic cannot be made.
     """
     make = None if tactic is None else tactic_maker(tactic)
-    settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
+    settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
     stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), make)
     reach, _ = settings.table.reach(stage.pitch.craft_radius)
     if _beside_rail(stage) <= 0 or -stage.pitch.home[0] > reach:

@@ -44,6 +44,10 @@ class Rung:
         parameters = nominal_parameters(vehicle, self.degree)
         if self.powers is not None:
             parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
+        try:
+            vehicle.actuators.check_thrust(parameters.thrust.shape[1])
+        except ValueError as error:
+            raise InputError(str(error), field="model") from error
         if not self.lag:
             parameters = replace(parameters, motor_time_constant=0.0)
         if self.direct:

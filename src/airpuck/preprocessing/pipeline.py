@@ -151,12 +151,13 @@ def preprocess(
         *find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS),
         *short,
     )
+    driven, drive = vehicle.actuators.drive(commands.time, commands.values)
     trajectory = Trajectory(
         time=time,
         state=np.concatenate([values, rates], axis=1),
         acceleration=accelerations,
-        command_time=commands.time,
-        command=commands.values,
+        command_time=driven,
+        command=drive,
         propellers=vehicle.propeller_names,
         excluded=unusable,
         source=recording.source,

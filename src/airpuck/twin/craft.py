@@ -14,6 +14,7 @@ from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import Motors, TwinSettings
+from airpuck.twin.valves import DRIVERS
 
 #: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
 #: is straight to a micrometre.
@@ -115,6 +116,7 @@ class Craft:
         self.plant, self.radius = plant, model.vehicle.radius_m
         self.radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
         self.motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
+        self.driver = DRIVERS[model.vehicle.actuators.kind](model.vehicle.actuators, n)
         self.contacts: list[tuple[float, float]] = []
         self._logs = logs
         self._sag = settings.effects.battery_sag_1_s
@@ -123,8 +125,13 @@ class Craft:
         self._after, self._met = self.state, False
 
     def next_change(self, now: float) -> float:
-        """Return when its motion next changes: a packet, a timeout, a motor fault [s]."""
-        return min(self.radio.next_change(now), self.motors.next_change(now))
+        """Return when its motion next changes: a packet, a timeout, a fault, a valve [s]."""
+        event = min(self.radio.next_change(now), self.motors.next_change(now))
+        return min(event, self.driver.next_change(now, self._commanded))
+
+    def _commanded(self, now: float) -> Float[np.ndarray, " n"]:
+        """Return the commands that reach the drivers now."""
+        return self.motors.follow(now, self.radio.command(now))
 
     def thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
         """Return the fraction of the thrust that battery and motors still give."""
@@ -144,8 +151,8 @@ class Craft:
 
     def moving(self, duration: float, now: float = 0.0) -> Moving:
         """Begin a step, as if there were no puck; return its path."""
-        command = self.motors.follow(now, self.radio.command(now))
-        self._step = now, duration, command, self.thrust_left(now)
+        drive = self.driver.drive(now, self._commanded(now))
+        self._step = now, duration, drive, self.thrust_left(now)
         self._after, self._met = self._flown(duration)
         return self._disc(self._after, duration)
 
@@ -180,8 +187,8 @@ class Craft:
 
     def _flown(self, duration: float) -> tuple[Any, bool]:
         """Return where the craft gets to without a puck, and whether it meets a rail."""
-        _, _, command, left = self._step
-        state, met = self.plant.advance(self.state, command, duration, left)
+        _, _, drive, left = self._step
+        state, met = self.plant.advance(self.state, drive, duration, left)
         return state, bool(met)
 
     def _disc(self, after: Float[np.ndarray, " s"], duration: float) -> Moving:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
+from airpuck.craft.actuators import Actuators, Propellers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import make_effects
@@ -47,7 +48,7 @@ def build_plant(
     dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
     body = CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m)
-    return Plant(dynamics, body, settings.table, compiled)
+    return Plant(dynamics, body, settings.table, vehicle.actuators, compiled)
 
 
 @dataclass(frozen=True)
@@ -69,19 +70,23 @@ class Plant:
     dynamics: Dynamics
     disc: CraftBody
     table: Table
+    #: Kind of the actuators.
+    actuators: Actuators = field(default_factory=Propellers)
     #: Whether `advance` is compiled, or run in NumPy.
     compiled: bool = True
 
     @cached_property
     def advance(self) -> Callable[..., Any]:
-        """Function ``(state, command, duration, thrust scales) -> (state, met)`` of one craft.
+        """Function ``(state, drive, duration, thrust scales) -> (state, met)`` of one craft.
 
         `met` tells whether it met a rail.
         """
 
-        def advanced(xp: Any, state: Any, command: Any, duration: Any, scale: Any) -> Any:
+        def advanced(xp: Any, state: Any, drive: Any, duration: Any, scale: Any) -> Any:
             dynamics = scaled(self.dynamics, scale[:, None])
-            free = step(xp, dynamics, state, command, duration)
+            lag = self.actuators.lag(xp, drive, dynamics.motor_time_constant)
+            dynamics = replace(dynamics, motor_time_constant=lag)
+            free = step(xp, dynamics, state, drive, duration)
             state = rebound(xp, replace(self, dynamics=dynamics), free)
             return state, (state != free).any()
 

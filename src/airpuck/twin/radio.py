@@ -54,8 +54,13 @@ def queued_delay(
 
 def as_received(model: Model, settings: TwinSettings, period: float) -> Model:
     """Return a model with the mean delay of its packets, which is the delay that fits find."""
-    radio = settings.with_delay(model.transport_delay).radio
-    return model.with_delay(queued_delay(radio, period)[0])
+    radio = settings.with_delay(radio_delay(model)).radio
+    return model.with_delay(queued_delay(radio, period)[0] + model.vehicle.actuators.dead_time_s)
+
+
+def radio_delay(model: Model) -> float:
+    """Return the radio's part of a model's transport delay: without the actuators' dead time."""
+    return max(model.transport_delay - model.vehicle.actuators.dead_time_s, 0.0)
 
 
 class RadioLink:

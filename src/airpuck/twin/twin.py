@@ -21,6 +21,7 @@ from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.craft import Craft
 from airpuck.twin.plant import Plant, build_plant, scaled
 from airpuck.twin.play import HandMallet, World
+from airpuck.twin.radio import radio_delay
 from airpuck.twin.sensors import SensorSet, build_sensors, command_stream, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
@@ -77,7 +78,7 @@ class Twin:
     ) -> None:
         check_seed(seed)
         self.model = model
-        settings = (settings or default_twin_settings()).with_delay(model.transport_delay)
+        settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
         _check_pose(pose, settings.table, model.vehicle.radius_m)

@@ -1,0 +1,123 @@
+"""Kinds of actuators: how commands drive them, and how their force follows.
+
+The force of every kind is a thrust curve of a state that follows its drive in [0, 1] with a
+first-order lag, a transport delay after the command. The physics therefore knows no kinds.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+from jaxtyping import Float
+
+from airpuck.boundary.files import NonNegative, Section
+
+#: Packets start one PWM period each if their usual distance is this close to it, relatively.
+_SAME_PERIOD = 0.1
+#: Edges of pulses that are closer than this are one event [s].
+_ONE_EVENT = 1e-9
+#: Longest plausible times of a valve, and of a PWM period [s].
+_VALVE_TIME, _PWM_TIME = 0.5, 2.0
+
+
+class Propellers(Section):
+    """Propellers: motors that follow any command; the thrust curve is a polynomial."""
+
+    kind: Literal["propeller"] = "propeller"
+
+    #: Time from the driver to the force [s], and shortest pulse [s].
+    dead_time_s: ClassVar[float] = 0.0
+    least_on_s: ClassVar[float] = 0.0
+    #: Whether the force is either full or zero, so that only its mean can be commanded.
+    pulsed: ClassVar[bool] = False
+
+    def nominal(self) -> dict[str, float]:
+        """Return nominal values of a vehicle that follow from this kind."""
+        return {}
+
+    def check_thrust(self, degree: int) -> None:
+        """Raise ValueError for a thrust curve of a degree that this kind does not have."""
+
+    def drive(
+        self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
+    ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
+        """Return the drives that commands cause, and when each begins to be in force."""
+        return time, command
+
+    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
+        """Return the lag of the force behind a drive; `time_constant` is its mean."""
+        return time_constant
+
+
+class OnOff(Section):
+    """Valves: full force (``nominal.thrust_N``) or none, by switches or by duty cycles."""
+
+    kind: Literal["on_off"]
+    #: From switching to the beginning of the change of the force.
+    dead_time_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0
+    #: First-order lag of the force when the valve opens, and when it closes.
+    rise_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0
+    fall_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0
+    #: Shortest pulse; an open valve is held open this long.
+    least_on_s: NonNegative = 0.0
+    #: Commands are duty cycles over this period, which the craft turns into pulses. Without it they
+    #: are switches: open from 0.5 on.
+    pwm_period_s: Annotated[float, pydantic.Field(ge=1e-3, le=_PWM_TIME)] | None = None
+
+    pulsed: ClassVar[bool] = True
+
+    @pydantic.model_validator(mode="after")
+    def _pulse_fits(self) -> OnOff:
+        if self.pwm_period_s is not None and self.least_on_s > self.pwm_period_s:
+            raise ValueError("least_on_s must not exceed pwm_period_s")
+        return self
+
+    def nominal(self) -> dict[str, float]:
+        """Return mean lag and dead time."""
+        lag = (self.rise_s + self.fall_s) / 2
+        return {"motor_time_constant_s": lag, "transport_delay_s": self.dead_time_s}
+
+    def check_thrust(self, degree: int) -> None:
+        """Raise ValueError unless the curve is linear: F(u) = F u, also for means over pulses."""
+        if degree != 1:
+            raise ValueError(
+                f"the force of on/off thrusters is proportional to their on-time; a thrust curve "
+                f"of degree {degree} cannot be identified, give degree 1"
+            )
+
+    def drive(
+        self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
+    ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
+        """Return when the valves are open, or the mean where no pulse's time is known.
+
+        Packets at the PWM period's pace begin one pulse each. The phase of faster or slower ones is
+        unknown: they act by their mean.
+        """
+        period = self.pwm_period_s
+        if period is None:
+            return time, np.where(command >= 0.5, 1.0, 0.0)
+        pace = np.median(np.diff(time)) if len(time) > 1 else period
+        if abs(pace - period) > _SAME_PERIOD * period:
+            return time, command
+        shut = time[:, None] + command * period
+        ends = np.append(time[1:], np.inf)
+        shuts = (command > 0) & (shut < ends[:, None] - _ONE_EVENT)
+        shuts &= command < 1
+        times = np.concatenate([time, shut[shuts]])
+        packet = np.concatenate([np.arange(len(time)), np.nonzero(shuts)[0]])
+        order = np.lexsort((times, packet))
+        times, packet = times[order], packet[order]
+        still = (shut[packet] > times[:, None] + _ONE_EVENT) & (command[packet] > 0)
+        return times, np.where(still | (command[packet] >= 1), 1.0, 0.0)
+
+    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
+        """Return a lag for each valve: it opens and closes at different paces."""
+        mean = (self.rise_s + self.fall_s) / 2
+        if mean == 0:
+            return time_constant
+        return time_constant / mean * xp.where(drive > 0.5, self.rise_s, self.fall_s)
+
+
+Actuators = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]

@@ -1,0 +1,90 @@
+"""On/off thrusters in a vehicle file, and the pulses that commands cause."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airpuck import InputError, named_rung, read_vehicle
+from airpuck.craft.actuators import OnOff
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+
+FREE_FLYERS = Path(__file__).parents[2] / "examples" / "free_flyers"
+PERIOD = 0.1
+
+
+@pytest.mark.parametrize("name", ["atmos", "freeflyer2"])
+def test_free_flyers_push_and_turn_both_ways_and_survive_a_file(name: str, tmp_path: Path) -> None:
+    vehicle = read_vehicle(FREE_FLYERS / f"{name}.toml")
+    x, y = vehicle.positions.T
+    along, across = vehicle.directions.T
+    moments = x * across - y * along
+    np.testing.assert_allclose(vehicle.directions.sum(axis=0), 0, atol=1e-12)
+    assert moments.sum() == pytest.approx(0, abs=1e-12)
+    assert (moments > 0.1).sum() == (moments < -0.1).sum() == 4
+    assert vehicle.nominal.motor_time_constant_s == 0.005  # from rise and fall
+    vehicle.save(tmp_path / "again.toml")
+    assert read_vehicle(tmp_path / "again.toml") == vehicle
+
+
+def test_the_file_of_a_propeller_craft_does_not_change(tmp_path: Path) -> None:
+    default_vehicle().save(tmp_path / "holohover.toml")
+    assert "actuators" not in (tmp_path / "holohover.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "instead", "message"),
+    [
+        ("dead_time_s = 0.01", "dead_time_s = -0.01", "actuators.dead_time_s"),
+        ("dead_time_s", "deadtime_s", "did you mean dead_time_s"),
+        ("thrust_N = [0.2]", "thrust_N = [0.1, 0.1]", "degree 2"),
+        ("least_on_s = 0.01", "least_on_s = 0.2", "must not exceed pwm_period_s"),
+        ('"on_off"', '"valve"', "actuators"),
+    ],
+)
+def test_errors_name_the_field(wrong: str, instead: str, message: str, tmp_path: Path) -> None:
+    text = (FREE_FLYERS / "freeflyer2.toml").read_text().replace(wrong, instead)
+    (tmp_path / "wrong.toml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_vehicle(tmp_path / "wrong.toml")
+
+
+def test_no_rung_has_a_curved_force() -> None:
+    vehicle: Vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
+    assert named_rung("M3").initial(vehicle).thrust.shape == (8, 1)
+    for rung in (named_rung("M3", degree=3), named_rung("quadratic")):
+        with pytest.raises(InputError, match="give degree 1"):
+            rung.initial(vehicle)
+
+
+duties = st.lists(st.lists(st.floats(0, 1), min_size=3, max_size=3), min_size=2, max_size=8).map(
+    np.array
+)
+
+
+@given(duty=duties, start=st.floats(-1e3, 1e3))
+def test_pulses_have_the_mean_of_the_duty_cycles(duty: np.ndarray, start: float) -> None:
+    sent = start + PERIOD * np.arange(len(duty))
+    time, drive = OnOff(kind="on_off", pwm_period_s=PERIOD).drive(sent, duty)
+    assert set(np.unique(drive)) <= {0.0, 1.0}
+    assert (np.diff(time) >= 0).all()
+    lasting = np.diff(np.append(time, start + PERIOD * len(duty)))
+    for k, wanted in enumerate(duty):
+        within = (time >= sent[k]) & (time < sent[k] + PERIOD - 1e-7)
+        open_s = (drive[within] * lasting[within, None]).sum(axis=0)
+        np.testing.assert_allclose(open_s, PERIOD * wanted, atol=1e-7)
+
+
+def test_commands_at_another_pace_act_by_their_mean() -> None:
+    time, duty = 0.02 * np.arange(10), np.full((10, 2), 0.3)
+    for kind in (OnOff(kind="on_off", pwm_period_s=PERIOD), default_vehicle().actuators):
+        found, drive = kind.drive(time, duty)
+        assert found is time
+        assert drive is duty
+
+
+def test_switches_open_from_one_half_on() -> None:
+    _, drive = OnOff(kind="on_off").drive(np.zeros(1), np.array([[0.0, 0.4, 0.5, 1.0]]))
+    assert drive.tolist() == [[0, 0, 1, 1]]

@@ -1,0 +1,106 @@
+"""On/off thrusters in the twin: dead time, rise, fall, least on-time, PWM."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck import InputError
+from airpuck.craft.actuators import OnOff
+from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.twin.fleet import fly_fleet
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+FORCE, MASS = 0.5, 10.0
+DEAD, RISE, FALL = 0.0123, 0.006, 0.02
+
+
+def craft(**times: float) -> Model:
+    """One thruster along x; its radio has no delay."""
+    nominal = default_vehicle().nominal.model_copy(
+        update={
+            "thrust_N": (FORCE,),
+            "inertia_kg_m2": 0.05,
+            "motor_time_constant_s": (RISE + FALL) / 2,
+            "transport_delay_s": DEAD,
+        }
+    )
+    known = {"dead_time_s": DEAD, "rise_s": RISE, "fall_s": FALL, **times}
+    vehicle = Vehicle(
+        name="one",
+        mass_kg=MASS,
+        radius_m=0.1,
+        propellers=(Propeller(name="a", position_m=(0.1, 0.0), direction_deg=0.0),),
+        actuators=OnOff(kind="on_off", **known),
+        nominal=nominal,
+    )
+    return nominal_model(vehicle)
+
+
+def flown(model: Model, *sent: tuple[float, float], until: float) -> tuple[float, float]:
+    """Return position and speed along x after commands (time, level)."""
+    quiet = default_twin_settings().model_copy(
+        update={
+            "radio": default_twin_settings().radio.model_copy(
+                update={"jitter_s": 0.0, "timeout_s": 10.0}
+            )
+        }
+    )
+    twin = Twin(model, quiet)
+    for time, level in sent:
+        twin.wait_until(time)
+        twin.send(np.array([level]))
+    # The state is that of the last event: a frame of the motion capture.
+    twin.wait_until(until)
+    return float(twin.state[0]), float(twin.state[3])
+
+
+def impulse(on: float, later: float) -> float:
+    """Integrate the force by hand: ∫ (1 - e^(-t/rise)), then the decay from the force reached."""
+    reached = 1 - np.exp(-on / RISE)
+    return FORCE * (on - RISE * reached + FALL * reached * (1 - np.exp(-later / FALL)))
+
+
+@pytest.mark.parametrize("on", [0.0317, 0.0051, 0.2])
+def test_a_pulse_has_the_impulse_computed_by_hand(on: float) -> None:
+    _, speed = flown(craft(), (0.0501, 1.0), (0.0501 + on, 0.0), until=1.0)
+    assert speed == pytest.approx(impulse(on, 1.0 - on) / MASS, rel=2e-3)
+
+
+def test_nothing_moves_before_the_dead_time() -> None:
+    # Frames at 240 Hz: the last one before the force begins, at 112.3 ms, is at 108.3 ms.
+    assert flown(craft(), (0.1, 1.0), until=0.112)[1] == 0.0
+    assert flown(craft(), (0.1, 1.0), until=0.118)[1] > 0.0
+
+
+def test_a_valve_stays_open_for_its_least_time() -> None:
+    model = craft(least_on_s=0.03)
+    _, short = flown(model, (0.05, 1.0), (0.06, 0.0), until=1.0)
+    assert short == pytest.approx(impulse(0.03, 0.9) / MASS, rel=2e-3)
+
+
+def test_duty_cycles_become_pulses_that_repeat_until_the_next_packet() -> None:
+    model = craft(pwm_period_s=0.1, rise_s=0.01, fall_s=0.01)
+    _, speed = flown(model, (0.05, 0.3), (0.35, 0.8), (0.45, 0.0), until=1.0)
+    # With equal rise and fall, an impulse is force times on-time: three periods, then one.
+    assert speed == pytest.approx(FORCE * (3 * 0.03 + 0.08) / MASS, rel=2e-3)
+
+
+def test_full_duty_does_not_close_between_periods() -> None:
+    pwm, switch = craft(pwm_period_s=0.1), craft()
+    ends = [flown(m, (0.0, 1.0), (0.3, 0.0), until=0.8) for m in (pwm, switch)]
+    np.testing.assert_allclose(*ends, rtol=1e-6)
+
+
+def test_unequal_packets_in_a_period_wait_until_half_of_it_has_passed() -> None:
+    model = craft(pwm_period_s=0.1, rise_s=0.001, fall_s=0.001)
+    _, speed = flown(model, (0.0, 0.1), (0.02, 0.9), (0.14, 0.0), until=0.5)
+    assert speed == pytest.approx(FORCE * (0.01 + 0.09) / MASS, rel=1e-2)
+
+
+def test_a_fleet_refuses_valves() -> None:
+    model = craft()
+    with pytest.raises(InputError, match="use Twin"):
+        fly_fleet([model, replace(model)], np.zeros((3, 1)))
