@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.preprocessing.quality import drop_disorder
-from airpuck.recording.mapping import RecordingMapping, read_mapping
+from airpuck.recording.mapping import CommandMapping, RecordingMapping, read_mapping
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
 
@@ -228,3 +228,115 @@ def test_authors_columns_in_another_unit(tmp_path: Path):
     assert found["pose"].received_ns.tolist() == [7]
     assert found["command"].values.tolist() == [[1, 0.2]]
     assert found["command"].stamp_ns.tolist() == [3_000_000_002]
+
+
+ONE_CELL = """
+[pose]
+file = "mocap.csv"
+time = "t"
+position = ["x", "y"]
+orientation = "theta"
+units = ["cm", "deg", "ms"]
+
+[command]
+file = "motors.csv"
+time = "t"
+propellers = ["a", "b", "c", "d"]
+"""
+SWITCHES = np.random.default_rng(3).integers(0, 2, (N, 4))
+
+
+def one_column(cells: list[str]) -> str:
+    rows = zip(TIME.tolist(), cells, strict=True)
+    return "\n".join(["t,value", *(f'{t},"{cell}"' for t, cell in rows)]) + "\n"
+
+
+def read_cells(path: Path, cells: list[str], keys: str) -> Recording:
+    folder(path, command=one_column(cells))
+    return read_recording(path, mapping=mapping(path, ONE_CELL + keys))
+
+
+@pytest.mark.parametrize(
+    ("keys", "cell"),
+    [
+        ('values = ["value"]', lambda row: str(row.tolist())),
+        ('values = ["value"]', lambda row: str(row)),
+        ('values = ["value"]', lambda row: str(tuple(map(bool, row)))),
+        (
+            'values = ["value"]\nneutral = 1500\nspan = 400',
+            lambda row: str((1500 + 400 * row).tolist()),
+        ),
+        (
+            'values = ["value[4]", "value[1]", "value[2]", "value[0]"]',
+            lambda row: str(row[[3, 1, 2, 1, 0]].tolist()),
+        ),
+        ('values = ["value"]\nbits = [0, 1, 2, 3]', lambda row: str(row @ [1, 2, 4, 8])),
+        ('values = ["value"]\nbits = [0, 1, 2, 3]', lambda row: f"{float(row @ [1, 2, 4, 8])}"),
+        ('values = ["value"]\nbits = [3, 2, 1, 0]', lambda row: "0b1" + "".join(map(str, row))),
+        ('values = ["value"]\nbits = [12, 8, 4, 0]', lambda row: "0x" + "".join(map(str, row))),
+        ('values = ["value"]\nbits = [52, 8, 4, 0]', lambda row: hex(row @ [2**52, 256, 16, 1])),
+    ],
+)
+def test_all_commands_in_one_cell(tmp_path: Path, keys: str, cell):
+    read = read_cells(tmp_path, [cell(row) for row in SWITCHES], keys)
+    assert read["command"].columns == ("a", "b", "c", "d")
+    np.testing.assert_array_equal(read["command"].values, SWITCHES)
+
+
+@pytest.mark.parametrize("bad", [0, 7])
+@pytest.mark.parametrize(
+    ("keys", "good", "cell", "says"),
+    [
+        ("", "[1, 0, 1, 1]", "[1, x, 1, 1]", "is not a list of"),
+        ("", "[1, 0, 1, 1]", "[" * 500, "is not a list of"),
+        ("", "[1, 0, 1, 1]", "[1,,1,1,1]", "is not a list of"),
+        ("", "[1, 0, 1, 1]", "[[1,0],[1,1]]", "is not a list of"),
+        ("", "[1, 0, 1, 1]", "[" + "1," * 30_000 + "1]", "is not a list of"),
+        ("bits = [0, 1, 2, 3]", "0x1", "0xzz", "is not a bit mask"),
+        ("bits = [0, 1, 2, 3]", "0x1", "0x" + "f" * 100_000, "is not a bit mask"),
+        ("bits = [0, 1, 2, 3]", "0x1", "-1", "is not a bit mask"),
+        ("bits = [0, 1, 2, 3]", "0x1", "2.5", "is not a bit mask"),
+        ("bits = [0, 1, 2, 3]", "0x1", "inf", "is not a bit mask"),
+        ("bits = [0, 1, 2, 3]", "0x1", "9007199254740992", "is not a bit mask"),
+    ],
+)
+def test_a_wrong_cell_is_named_by_file_line_and_column(
+    tmp_path: Path, keys: str, good: str, cell: str, says: str, bad: int
+):
+    cells = [good] * N
+    cells[bad] = cell
+    with pytest.raises(InputError) as caught:
+        read_cells(tmp_path, cells, f'values = ["value"]\n{keys}')
+    message = str(caught.value)
+    assert "motors.csv" in message
+    assert "value" in message
+    assert says in message
+    assert len(message) < 400
+    assert "\n" not in message
+    if bad:
+        assert f"line {bad + 2}:" in message
+
+
+def test_lists_of_several_lengths(tmp_path: Path):
+    with pytest.raises(InputError, match="line 4: '\\[1, 0, 1\\]' is not a list of 4 numbers"):
+        read_cells(tmp_path, ["[1, 0, 1, 1]"] * 2 + ["[1, 0, 1]"] * (N - 2), 'values = ["value"]')
+
+
+def test_an_entry_that_lists_do_not_have(tmp_path: Path):
+    values = 'values = ["value[0]", "value[1]", "value[2]", "value[4]"]'
+    with pytest.raises(InputError, match="lists have 4 entries, counted from 0"):
+        read_cells(tmp_path, ["[1, 0, 1, 1]"] * N, values)
+
+
+def test_bits_need_one_value():
+    masked = RecordingMapping(command=CommandMapping(bits=(0, 1, 2)))
+
+    def read(commands):
+        times = np.arange(3.0)
+        return Recording.from_arrays(times, np.zeros((3, 3)), times, commands, mapping=masked)
+
+    masks = read([[5], [2], [0]])
+    assert masks["command"].values.tolist() == [[1, 0, 1], [0, 1, 0], [0, 0, 0]]
+    for commands, says in (([[5, 2]] * 3, "one value"), ([[1], [-1], [0]], "row 2: -1 is not")):
+        with pytest.raises(InputError, match=says):
+            read(commands)

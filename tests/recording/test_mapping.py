@@ -104,6 +104,13 @@ def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str,
         ('command.scale = "0.01"', "command.scale"),
         ('command.propellers = ["a", "b", "a"]', "command: a is named twice"),
         ('command.topic = "/motors"', "command.topic: is not a known key"),
+        ("[command]\nneutral = 1500", "neutral and span: give both"),
+        ("[command]\nneutral = 1500\nspan = 0", "span: must not be 0"),
+        ("[command]\nneutral = 1500\nspan = 500\nscale = 2", "exclude each other"),
+        ("[command]\nbits = [0, 1]\noffset = 1", "exclude each other"),
+        ("[command]\nbits = [0, 0]", "0 is named twice"),
+        ("[command]\nbits = [0, 53]", "less than 53"),
+        ('[command]\nbits = [0, 1]\nvalues = ["a", "b"]', "a bit mask is one value"),
     ],
 )
 def test_mistakes_in_columns_units_and_axes(tmp_path: Path, text: str, says: str):

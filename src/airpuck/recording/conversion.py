@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import CommandMapping, PoseMapping
+from airpuck.craft.vehicle import unnamed_columns
+from airpuck.recording.mapping import MASK_BITS, CommandMapping, PoseMapping
 
 SECOND_NS = 10**9
 #: A quaternion whose squared norm is this close to one is not normalised.
@@ -16,6 +19,8 @@ _ORTHOGONAL = 1e-2
 #: A third coordinate that varies by more than the first number is not a height above the table [m].
 #: The true height varies by at most the second number, as a fraction of the third coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
+#: What is said of a number that is no bit mask.
+NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
 #: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9
 
@@ -143,8 +148,12 @@ def yaw_of(
 
 def commands_of(
     values: Float[np.ndarray, "N k"], mapping: CommandMapping
-) -> Float[np.ndarray, "N k"]:
+) -> Float[np.ndarray, "N n"]:
     """Return fractions of full command."""
+    if mapping.bits:
+        return _switches(values, mapping.bits)
+    if mapping.neutral is not None and mapping.span is not None:
+        return (values - mapping.neutral) / mapping.span
     if (mapping.scale, mapping.offset) == (1, 0):
         return values
     found = mapping.scale * values + mapping.offset
@@ -153,8 +162,28 @@ def commands_of(
     return found
 
 
+def _switches(values: Float[np.ndarray, "N k"], bits: tuple[int, ...]) -> Float[np.ndarray, "N n"]:
+    """Return the switches in bit masks."""
+    if values.shape[1] != 1:
+        raise InputError(
+            f"a bit mask is one value, and there are {values.shape[1]}", field="command.bits"
+        )
+    wrong = ~is_mask(values[:, 0])
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(f"row {row + 1}: {values[row, 0]:g} {NO_MASK}", field="command.bits")
+    return (values.astype(np.int64) >> np.array(bits) & 1).astype(np.float64)
+
+
+def is_mask(value: Any) -> Any:
+    """Return where numbers are bit masks: whole, not negative, exact as float64."""
+    return (value >= 0) & (value < 2.0**MASK_BITS) & (value == np.floor(value))
+
+
 def propellers_of(names: tuple[str, ...], mapping: CommandMapping) -> tuple[str, ...]:
     """Return the names of a command's columns, from the mapping if it has any."""
+    if mapping.bits:
+        names = unnamed_columns(len(mapping.bits))
     if mapping.propellers and len(mapping.propellers) != len(names):
         raise InputError(
             f"names {len(mapping.propellers)} propellers for {len(names)} values",

@@ -13,13 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int64, Shaped
+from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.csv_table import CsvTable, plain_table, read_rows
-from airpuck.recording.files import listing, new_folder, sha256
+from airpuck.recording.csv_table import CsvTable, is_list, plain_table, read_rows
+from airpuck.recording.files import listing, new_folder, sha256, shortened
 from airpuck.recording.mapping import (
+    ENTRY,
     CommandMapping,
     Orientation,
     PoseMapping,
@@ -230,16 +232,44 @@ def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[s
             if name not in (_RECEIVED, mapping.time) and not name.startswith("header.")
         ]
         names = tuple([name for name in others if name.startswith("motor")] or others)
-    _require("command", table, names, mapping)
+    columns = tuple(_column(table, name)[0] for name in names)
+    _require("command", table, columns, mapping)
     if not names:
         raise InputError(
             f"has no column of a motor (it has {listing(table.columns)})", file=table.path
         )
-    table, blank = table.without_blank(names)
+    table, blank = table.without_blank(columns)
     time, received = _own_times(table, mapping)
-    values = np.stack([table.numbers(name) for name in names], axis=1)
+    if mapping.bits and len(names) == 1:
+        values = table.masks(names[0])[:, None]
+    else:
+        values = np.column_stack([_numbers(table, name) for name in names])
+        if values.shape[1] != len(names) or names != columns:
+            names = unnamed_columns(values.shape[1])
     made = command_stream(time, values, names, mapping, received)
     return made, table.warnings + left_out("commands", blank)
+
+
+def _column(table: CsvTable, name: str) -> tuple[str, int | None]:
+    """Return the column that a name means, and which entry of its lists."""
+    entry = None if name in table.columns else ENTRY.fullmatch(name)
+    return (entry[1], int(entry[2])) if entry else (name, None)
+
+
+def _numbers(table: CsvTable, name: str) -> Float[np.ndarray, "N *k"]:
+    """Return a column of numbers, all entries of its lists, or the entry in the name."""
+    column, entry = _column(table, name)
+    texts = table.columns[column]
+    if entry is None and not (texts and is_list(texts[0])):
+        return table.numbers(column)
+    values = table.lists(column)
+    if entry is not None and entry >= values.shape[-1]:
+        raise InputError(
+            f"its lists have {values.shape[-1]} entries, counted from 0",
+            file=table.path,
+            field=shortened(name),
+        )
+    return values if entry is None else values[:, entry]
 
 
 def _require(

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import ROW_LENGTH, csv_rows
+from airpuck.boundary.limits import CELLS, PROPELLERS, ROW_LENGTH, csv_rows, refused
+from airpuck.recording.conversion import NO_MASK, is_mask
 from airpuck.recording.files import listing, shortened
+from airpuck.recording.mapping import MASK_BITS
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"
+#: What separates the entries of a list in a cell, and what may stand around them.
+_BETWEEN, _AROUND = re.compile(r"\s*[,;]\s*|\s+"), "[]() \t"
+#: Switches as programs print them.
+_SWITCH = {"true": 1.0, "false": 0.0}
 #: What exports write in place of a missing number.
 _BLANK = ("", "null")
 
@@ -46,6 +54,34 @@ class CsvTable:
 
     def numbers(self, name: str, kind: type[float] | type[int] = float) -> Any:
         """Return a column as float64, or exactly as int64; NaN and infinity may be logged."""
+        problem = "is not a number" if kind is float else "is not a whole number"
+        return self._converted(name, kind, problem)
+
+    def masks(self, name: str) -> Float[np.ndarray, " N"]:
+        """Return bit masks: whole numbers, hexadecimal (``0x1f``) or binary ones (``0b11``)."""
+        return self._converted(name, _mask, NO_MASK)
+
+    def lists(self, name: str) -> Float[np.ndarray, "N k"]:
+        """Return a column whose cells hold lists of one length, as in ``"[1, 0, 1]"``."""
+        texts = self.columns[name]
+        width = len(_entries(texts[0])) if texts else 0
+        if width * len(texts) > CELLS:
+            remedy = "cut it into parts"
+            raise refused("holds too many numbers", CELLS, remedy, file=self.path, field=name)
+
+        def row(text: str) -> list[float]:
+            entries = _entries(text)
+            if len(entries) != width or not 0 < width <= PROPELLERS:
+                raise ValueError
+            return [float(_SWITCH.get(entry.lower(), entry)) for entry in entries]
+
+        length = f"{width} numbers, as in the first row"
+        if not 0 < width <= PROPELLERS:
+            length = f"1 to {PROPELLERS} numbers"
+        return self._converted(name, row, f"is not a list of {length}")
+
+    def _converted(self, name: str, convert: Callable[[str], Any], problem: str) -> Any:
+        """Convert the cells of a column; raise InputError for the first that does not fit."""
         if name not in self.columns:
             raise InputError(
                 f"there is no such column (there are {listing(self.columns)})",
@@ -55,13 +91,12 @@ class CsvTable:
         texts, numbers = self.columns[name], []
         try:
             for text in texts:
-                numbers.append(kind(text))
-            return np.array(numbers, dtype=np.float64 if kind is float else np.int64)
+                numbers.append(convert(text))
+            return np.array(numbers, dtype=np.int64 if convert is int else np.float64)
         except ValueError:
             line, text = self.lines[len(numbers)], shortened(repr(texts[len(numbers)]))
-            noun = "number" if kind is float else "whole number"
-            comma = "; decimals have a point" if "," in text else ""
-            problem = f"line {line}: {text} is not a {noun}{comma}"
+            comma = "; decimals have a point" if "," in text and "[" not in text else ""
+            problem = f"line {line}: {text} {problem}{comma}"
         except OverflowError:
             problem = "holds a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=shortened(name))
@@ -75,6 +110,26 @@ class CsvTable:
         columns = {name: list(compress(texts, kept)) for name, texts in self.columns.items()}
         lines = list(compress(self.lines, kept))
         return replace(self, columns=columns, lines=lines), len(kept) - len(lines)
+
+
+def is_list(text: str) -> bool:
+    """Return whether a cell holds a list."""
+    return text.lstrip().startswith(("[", "("))
+
+
+def _entries(text: str) -> list[str]:
+    """Split a list in a cell; one that is too long keeps an entry too many."""
+    inside = text.strip(_AROUND) if is_list(text) else ""
+    return _BETWEEN.split(inside, PROPELLERS) if inside else []
+
+
+def _mask(text: str) -> float:
+    """Return a bit mask; some programs write whole numbers with a point."""
+    based = text.strip().lower().startswith(("0x", "0b"))
+    value = float(min(int(text, 0), 1 << MASK_BITS)) if based else float(text)
+    if not is_mask(value):
+        raise ValueError
+    return value
 
 
 def read_rows(path: Path) -> Rows:

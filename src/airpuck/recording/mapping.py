@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -26,6 +27,10 @@ UNITS = {
     "ns": ("time", 1e-9),
 }
 Unit = Literal["m", "cm", "mm", "rad", "deg", "s", "ms", "us", "ns"]
+#: Bits of a mask that a float64 holds exactly.
+MASK_BITS = 53
+#: Entry of an array or list: ``data[2]``.
+ENTRY = re.compile(r"(.+)\[(\d{1,9})\]")
 #: Our x, y, z in terms of the file's axes.
 _UP = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y")}
 
@@ -251,25 +256,45 @@ class CommandMapping(_Times):
     file, time, start_s, units
         As for poses; only the unit of time matters.
     values : tuple of str
-        A column or field for each propeller, or one field that is an array. By default all columns
-        that are not times; in a message, all numbers after its header.
+        A column or field for each propeller, or one that holds all of them: an array of a message,
+        a list in a cell (``"[1, 0, 1]"``), or, with `bits`, a bit mask. ``name[2]`` is an entry of
+        an array or list. By default all columns that are not times; in a message, all numbers after
+        its header.
     propellers : tuple of str
         The propeller that each value drives, by its name in the vehicle file. By default the names
         of the columns or fields; values without names are in the order of the vehicle file.
     scale, offset : float
         Command = scale · value + offset, which should be in [0, 1].
+    neutral, span : float, optional
+        The same for pulse widths: command = (value - neutral) / span, all in the value's unit.
+    bits : tuple of int, optional
+        The value is a bit mask of switches: the bit of each propeller, 0 for the least significant.
+        If each hexadecimal digit is a switch, ``0x1010`` has the bits 12, 8, 4, 0 from left to
+        right. Other bits are ignored.
     """
 
     values: tuple[Name, ...] = ()
     propellers: tuple[Name, ...] = ()
     scale: float = 1.0
     offset: float = 0.0
+    neutral: float | None = None
+    span: float | None = None
+    bits: tuple[Annotated[int, pydantic.Field(ge=0, lt=MASK_BITS)], ...] = ()
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> CommandMapping:
-        if self.scale == 0:
-            raise ValueError("scale: must not be 0")
-        for names in (self.values, self.propellers):
+        for name in ("scale", "span"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"{name}: must not be 0")
+        pulses = {"neutral", "span"} & self.model_fields_set
+        conversions = [{"scale", "offset"} & self.model_fields_set, pulses, self.bits]
+        if sum(map(bool, conversions)) > 1:
+            raise ValueError("scale and offset, neutral and span, and bits exclude each other")
+        if len(pulses) == 1:
+            raise ValueError("neutral and span: give both")
+        if self.bits and len(self.values) > 1:
+            raise ValueError("bits: a bit mask is one value; values names several")
+        for names in (self.values, self.propellers, self.bits):
             twice = [name for name in names if names.count(name) > 1]
             if twice:
                 raise ValueError(f"{twice[0]} is named twice")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ from airpuck.recording.conversion import (
 )
 from airpuck.recording.files import listing, shortened
 from airpuck.recording.mapping import (
+    ENTRY,
     CommandMapping,
     Orientation,
     PoseMapping,
@@ -37,7 +37,6 @@ _JOINT_NAMES = "name"
 _JOINT_VALUES = ("position", "velocity", "effort")
 #: Parts of a message that hold no command.
 _BESIDE = ("header.", "layout.")
-_ENTRY = re.compile(r"(.+)\[(\d+)\]")
 
 _ACCEPTED = (
     "a message of numbers of one type, one for each motor or an array of them, with or without a "
@@ -83,7 +82,7 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
             f"holds {shortened(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
             f'command = {{values = ["..."]}}, out of {listing(field.path for field in fields)}'
         )
-    entries = [_ENTRY.fullmatch(name) for name in chosen]
+    entries = [ENTRY.fullmatch(name) for name in chosen]
     places = [
         Place(entry[1], int(entry[2])) if entry else Place(name, None)
         for name, entry in zip(chosen, entries, strict=True)
