@@ -251,3 +251,10 @@ def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
     found, truth = (read_model(m) for m in (tmp_path / "demo/models/M3.toml", "paper:M3"))
     assert found.parameters.inertia == pytest.approx(truth.parameters.inertia, rel=0.01)
     assert found.transport_delay == pytest.approx(5 / 240, abs=2e-3)
+
+
+def test_datasets_are_listed_with_their_licences():
+    listed = CliRunner().invoke(app, ["fetch", "--list"])
+    assert listed.exit_code == 0
+    for name, licence in (("holohover", "BSD 2-Clause"), ("air-bearing-satellite", "MIT")):
+        assert any(name in line and licence in line for line in listed.stdout.splitlines())

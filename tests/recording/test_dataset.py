@@ -13,14 +13,18 @@ import pytest
 
 import airpuck.recording.dataset as module
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import read_vehicle
 from airpuck.recording.dataset import (
-    BASE_URL,
-    dataset_files,
+    Dataset,
+    dataset,
     dataset_folder,
+    dataset_names,
     fetch,
     verify,
 )
+from airpuck.recording.mapping import read_mapping
 
+PACKAGED = Path(module.__file__).parents[1] / "packaged/datasets"
 CONTENT = {
     "models/paper/M0/params.json": b"{}",
     "control_experiment/data_M0/drone_control.csv": b"a,b\n1,2\n",
@@ -37,7 +41,8 @@ def no_copy(monkeypatch: pytest.MonkeyPatch):
 def published(monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
     """A small dataset in place of the real one."""
     hashes = {name: hashlib.sha256(content).hexdigest() for name, content in CONTENT.items()}
-    monkeypatch.setattr(module, "_registry", lambda: hashes)
+    made = dataset().model_copy(update={"files": hashes})
+    monkeypatch.setattr(module, "dataset", lambda name=module.PAPER: made)
     return CONTENT
 
 
@@ -199,19 +204,64 @@ def test_without_the_variable_the_cache_is_filled(
 
 
 def test_the_registry_is_pinned():
-    assert BASE_URL.endswith("/holohover-sysid/3a257e77d1fdefe445f5d180900015d55013cd9a/")
-    study, everything = dataset_files(), dataset_files(all=True)
+    assert dataset().url.endswith("/holohover-sysid/3a257e77d1fdefe445f5d180900015d55013cd9a/")
+    study, everything = dataset().chosen(), dataset().chosen(all=True)
     assert len(everything) == 28
     assert len(study) == 18
     assert study.items() <= everything.items()
-    assert all(len(digest) == 64 and int(digest, 16) for digest in everything.values())
     assert sum(name.endswith("params.json") for name in study) == 5
 
 
 def test_the_registry_is_the_published_one(data: Path):
     lines = (data / "SHA256SUMS").read_text().split("\n")
     expected = {name: digest for digest, name in (line.split() for line in lines if line)}
-    assert dict(dataset_files(all=True)) == expected
+    assert dataset().files == expected
+
+
+@pytest.mark.parametrize("name", dataset_names())
+def test_every_dataset_is_pinned_and_its_own_files_can_be_read(name: str):
+    described = dataset(name)
+    assert len(described.commit) == 40
+    assert described.licence
+    assert described.commit in described.url
+    for file in described.files:
+        assert not file.startswith("/")
+        assert ".." not in file
+    own = PACKAGED / name
+    if (own / "vehicle.toml").exists():
+        names = read_vehicle(own / "vehicle.toml").propeller_names
+        assert set(read_mapping(own / "mapping.toml").command.propellers) == set(names)
+
+
+def test_an_unknown_dataset():
+    with pytest.raises(InputError, match="choose from air-bearing-satellite, holohover"):
+        fetch("satellite")
+
+
+def test_our_files_lie_beside_the_data_and_nothing_is_downloaded_twice(
+    tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("AIRPUCK_DATA", str(tmp_path))  # the paper's data, and no other's
+    name = "air-bearing-satellite"
+    made = Dataset(
+        title="a", authors="b", repository="c/d", commit="e", licence="MIT", size_MB=1,
+        files={file: hashlib.sha256(content).hexdigest() for file, content in CONTENT.items()},
+    )  # fmt: skip
+    monkeypatch.setattr(module, "dataset", lambda asked: {name: made}[asked])
+    target = tmp_path / "copy"
+    fetch(name, folder=target, base_url=server.url)
+    ours = {
+        file: (PACKAGED / name / file).read_bytes() for file in ("vehicle.toml", "mapping.toml")
+    }
+    assert files_in(target) == CONTENT | ours
+    asked = len(server.asked)
+    (target / "experiments/other/data.pt").unlink()
+    fetch(name, folder=target, base_url=server.url)
+    assert server.asked[asked:] == ["/experiments/other/data.pt"]
+    server.cut = True
+    (target / "experiments/other/data.pt").unlink()
+    with pytest.raises(InputError, match="-o FOLDER"):
+        fetch(name, folder=target, base_url=server.url)
 
 
 def test_the_real_copy_is_whole(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -2,34 +2,56 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
-from typer import Option
+from typer import Argument, Option
 
 import airpuck
 from airpuck.cli import options
 from airpuck.cli.app import app
-from airpuck.cli.output import origin, report, say, show
+from airpuck.cli.output import console, origin, report, say, show, table
+from airpuck.recording.dataset import PAPER, dataset, dataset_names
 
 PANEL = "The paper's study"
 
+#: Left-aligned columns of the list of datasets.
+_LEFT = ("name", "licence", "content")
 #: The former name --out still works for scripts.
 Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 
 @app.command(rich_help_panel=PANEL)
 def fetch(
+    name: Annotated[str, Argument(metavar="[NAME]", help="The dataset.")] = PAPER,
     everything: Annotated[
         bool, Option("--all", help="All recordings, not only the study's.")
     ] = False,
+    listed: Annotated[bool, Option("--list", help="List the datasets; download nothing.")] = False,
+    output: Annotated[
+        Path | None,
+        options.output("DIR", "Folder to download to; by default the user's cache folder."),
+    ] = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Download and verify the public dataset (or verify $AIRPUCK_DATA)."""
-    tell = say(quiet)
+    """Download and verify a public dataset, by default the paper's (or verify $AIRPUCK_DATA)."""
+    if listed:
+        found = {each: dataset(each) for each in dataset_names()}
+        rows = [(n, f"{d.size_MB:g} MB", d.licence, d.title) for n, d in found.items()]
+        console().print(table(("name", "size", "licence", "content"), rows, left=_LEFT))
+        return
+    chosen, tell = dataset(name), say(quiet)
+    for line in (chosen.title, f"by {chosen.authors}; licence: {chosen.licence}", chosen.url):
+        tell(line)
     fetched = airpuck.fetch(
-        all=everything, progress=lambda done, of, name: tell(f"{done + 1}/{of} {name}")
+        name,
+        all=everything,
+        folder=output,
+        progress=lambda done, of, file: tell(f"{done + 1}/{of} {file}") if file else None,
     )
+    for command in chosen.next:
+        tell("next: " + command.replace("FOLDER", shlex.quote(str(fetched))))
     show(fetched)
 
 

@@ -1,42 +1,72 @@
-"""The authors' public dataset, pinned to one commit and checked by hash."""
+"""Public datasets, each pinned to one commit and checked by hash."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Annotated
+
+import pydantic
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.files import sha256
+from airpuck.boundary.files import Positive, Section, read_toml
+from airpuck.boundary.outputs import replacing, unwritable
+from airpuck.recording.files import listing, sha256
 
-#: Environment variable that names a copy of the dataset.
+#: Environment variable that names a copy of the paper's dataset.
 VARIABLE = "AIRPUCK_DATA"
-REPOSITORY = "PREDICT-EPFL/holohover-sysid"
-COMMIT = "3a257e77d1fdefe445f5d180900015d55013cd9a"
-BASE_URL = f"https://raw.githubusercontent.com/{REPOSITORY}/{COMMIT}/"
-
-#: Files of the paper's study: training, validation, the raw check of preprocessing, the flights.
-_STUDY = (
-    "models/paper/",
-    "control_experiment/",
-    "experiments/2023_10_18-11_28_12_sysid_h1_old/data.pt",
-    "experiments/2023_11_22-11_57_44_sysid_h1_old/data.pt",
-    "experiments/2024_03_05-16_12_50_sysid_h1_blue/",
-)
+#: The paper's dataset.
+PAPER = "holohover"
+_DATASETS = "packaged/datasets"
 _TIMEOUT_S = 20
 
-
-def _registry() -> dict[str, str]:
-    """Return the SHA-256 of every downloadable file, by its name in the repository."""
-    text = (resources.files("airpuck") / "packaged" / "dataset.sha256").read_text("utf-8")
-    lines = (line.split(maxsplit=1) for line in text.splitlines() if not line.startswith("#"))
-    return {name: digest for digest, name in lines}
+_Digest = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
 
 
-def dataset_files(*, all: bool = False) -> dict[str, str]:
-    """Return the SHA-256 of the study's files, or of all, by name."""
-    return {name: digest for name, digest in _registry().items() if all or name.startswith(_STUDY)}
+class Dataset(Section):
+    """What ``packaged/datasets/NAME/dataset.toml`` says of a dataset."""
+
+    title: str
+    authors: str
+    #: Owner and name on GitHub.
+    repository: str
+    commit: str
+    licence: str
+    #: Size of what is downloaded by default.
+    size_MB: Positive
+    #: Beginnings of the names of the files to download by default.
+    study: tuple[str, ...] = ("",)
+    #: Commands to run next; FOLDER stands for the folder.
+    next: tuple[str, ...] = ()
+    #: SHA-256 of each file.
+    files: dict[str, _Digest]
+
+    @property
+    def url(self) -> str:
+        """Address before the files' names."""
+        return f"https://raw.githubusercontent.com/{self.repository}/{self.commit}/"
+
+    def chosen(self, *, all: bool = False) -> dict[str, str]:
+        """Return the SHA-256 of the study's files, or of all, by name."""
+        return {n: digest for n, digest in self.files.items() if all or n.startswith(self.study)}
+
+
+def dataset_names() -> list[str]:
+    """Return the names of all datasets."""
+    return sorted(entry.name for entry in resources.files("airpuck").joinpath(_DATASETS).iterdir())
+
+
+@cache
+def dataset(name: str = PAPER) -> Dataset:
+    """Return a dataset's description, or raise InputError for an unknown name."""
+    names = dataset_names()
+    if name not in names:
+        raise InputError(f"there is no such dataset; choose from {listing(names)}", field=name)
+    with resources.as_file(resources.files("airpuck") / _DATASETS / name) as folder:
+        return read_toml(folder / "dataset.toml", Dataset)
 
 
 def dataset_folder() -> Path:
@@ -60,25 +90,30 @@ def _folder_from_environment() -> Path | None:
 
 
 def fetch(
+    name: str = PAPER,
     *,
     all: bool = False,
     folder: str | os.PathLike[str] | None = None,
-    base_url: str = BASE_URL,
+    base_url: str | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Path:
-    """Download the dataset, and check every file's hash.
+    """Download a public dataset, and check every file's hash.
 
-    Intact files that already exist are left alone. If ``$AIRPUCK_DATA`` is set and no folder is
-    given, nothing is downloaded: that copy is checked.
+    Intact files that already exist are left alone, so a second call resumes the first one. Our
+    vehicle and mapping file of the dataset, if it has any, are copied beside the data. For the
+    paper's dataset, if ``$AIRPUCK_DATA`` is set and no folder is given, nothing is downloaded: that
+    copy is checked.
 
     Parameters
     ----------
+    name : str, default "holohover"
+        The dataset; ``airpuck fetch --list`` lists them. The default is the paper's.
     all : bool, default False
         Whether to get every file instead of only the paper's study (about 15 MB).
     folder : path-like, optional
         Destination; by default the user's cache folder.
-    base_url : str
-        Base URL; the file names are appended.
+    base_url : str, optional
+        Base URL, to which file names are appended; by default the dataset's own.
     progress : callable, optional
         Called with the number of files done, their total and the next file's name.
 
@@ -90,33 +125,55 @@ def fetch(
     Raises
     ------
     InputError
-        If a file cannot be downloaded or has unexpected content; it is then deleted.
+        If there is no such dataset, or if a file cannot be downloaded or has unexpected content; it
+        is then deleted.
     """
-    given = _folder_from_environment() if folder is None else None
+    found = dataset(name)
+    given = _folder_from_environment() if folder is None and name == PAPER else None
     if given is None:
-        return _download(dataset_files(all=all), folder, base_url, progress or (lambda *_: None))
+        remedy = f"set {VARIABLE} to a copy of the dataset"
+        if name != PAPER:
+            remedy = "give a folder with a copy of the dataset, as in -o FOLDER"
+        target = _download(found, all, folder, base_url or found.url, remedy, progress)
+        _copy_our_files(name, target)
+        return target
     problems = verify(given, all=all)
     if problems:
-        name, problem = next(iter(problems.items()))
+        file, problem = next(iter(problems.items()))
         more = f", and {len(problems) - 1} more files are wrong" if len(problems) > 1 else ""
         raise InputError(
-            f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / name
+            f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / file
         )
     return given
 
 
+def _copy_our_files(name: str, folder: Path) -> None:
+    """Copy the vehicle and mapping file of a dataset beside its data."""
+    for file in (resources.files("airpuck") / _DATASETS / name).iterdir():
+        if file.name == "dataset.toml":
+            continue
+        try:
+            with replacing(folder / file.name) as temporary:
+                temporary.write_bytes(file.read_bytes())
+        except OSError as error:
+            raise unwritable(folder / file.name, error) from error
+
+
 def _download(
-    files: dict[str, str],
+    found: Dataset,
+    all: bool,
     folder: str | os.PathLike[str] | None,
     base_url: str,
-    progress: Callable[[int, int, str], None],
+    remedy: str,
+    progress: Callable[[int, int, str], None] | None,
 ) -> Path:
     """Let pooch download missing files; it keeps a file only if its hash is right."""
     import pooch
     import requests
 
     pooch.get_logger().setLevel("WARNING")
-    target = pooch.os_cache("airpuck") / COMMIT[:7] if folder is None else Path(folder)
+    files, tell = found.chosen(all=all), progress or (lambda *_: None)
+    target = pooch.os_cache("airpuck") / found.commit[:7] if folder is None else Path(folder)
     store = pooch.create(
         path=target,
         base_url=base_url,
@@ -124,14 +181,13 @@ def _download(
     )
     downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
     for done, name in enumerate(files):
-        progress(done, len(files), name)
+        tell(done, len(files), name)
         try:
             # pooch's annotation of a downloader does not fit pooch's own downloaders.
             store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
         except requests.RequestException as error:
             raise InputError(
-                f"cannot be downloaded ({_reason(error)}); if this machine is offline, set "
-                f"{VARIABLE} to a copy of the dataset",
+                f"cannot be downloaded ({_reason(error)}); if this machine is offline, {remedy}",
                 file=base_url + name,
             ) from error
         except OSError as error:
@@ -141,7 +197,7 @@ def _download(
                 "was downloaded with unexpected content and deleted; try again",
                 file=base_url + name,
             ) from error
-    progress(len(files), len(files), "")
+    tell(len(files), len(files), "")
     return target
 
 
@@ -158,10 +214,10 @@ def _reason(error: Exception) -> str:
 
 
 def verify(folder: str | os.PathLike[str], *, all: bool = False) -> dict[str, str]:
-    """Check a copy of the dataset against the hashes, and return each wrong file's problem."""
+    """Check a copy of the paper's dataset, and return each wrong file's problem."""
     problems = {}
-    expected = dataset_files(all=all)
-    for name, digest in _registry().items():
+    expected = dataset().chosen(all=all)
+    for name, digest in dataset().files.items():
         file = Path(folder) / name
         if file.is_file():
             if sha256(file) != digest:
