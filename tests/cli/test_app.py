@@ -1,17 +1,16 @@
 """The command line, as a user meets it."""
 
 import json
+import os
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.main import get_command
-from typer.testing import CliRunner
 
 import airpuck as package
 from airpuck import write_bag, write_csv
-from airpuck.cli.app import app
+from airpuck.cli.app import commands
 from airpuck.cli.inputs import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import demo
@@ -42,13 +41,13 @@ def test_help_lists_the_commands():
         assert command in process.stdout
 
 
-@pytest.mark.parametrize("name", sorted(get_command(app).commands))  # pyright: ignore
+@pytest.mark.parametrize("name", sorted(commands().commands))
 def test_help_texts_keep_their_units(name):
     # Rich takes [s] for markup, and leaves it out, unless it is escaped.
-    command = get_command(app).commands[name]  # pyright: ignore
+    command = commands().commands[name]
     names = {parameter.name for parameter in command.params}
     words = [name, "--help-all" if "help_all" in names else "--help"]
-    shown = " ".join(CliRunner().invoke(app, words, env={"COLUMNS": "300"}).stdout.split())
+    shown = " ".join(airpuck(*words, env={**os.environ, "COLUMNS": "300"}).stdout.split())
     for text in [command.help, *(parameter.help for parameter in command.params)]:
         assert (text or "").replace("\\", "").splitlines()[0] in shown
 
@@ -68,8 +67,7 @@ def test_commands_are_verbs_of_the_package():
         "view",
         "watch",
     }
-    commands = get_command(app).commands  # pyright: ignore
-    verbs = {name.replace("-", "_") for name in commands} - others
+    verbs = {name.replace("-", "_") for name in commands().commands} - others
     assert verbs <= set(package.__all__)
 
 

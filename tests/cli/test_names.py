@@ -4,10 +4,9 @@ import os
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from typer.main import get_command
 
 from airpuck.boundary.terminal import escaped
-from airpuck.cli.app import app
+from airpuck.cli.app import commands
 from airpuck.cli.output import origin, report, table
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
@@ -20,7 +19,7 @@ KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 def outputs():
     """Every option of every command that names an output."""
-    for name, command in get_command(app).commands.items():  # pyright: ignore
+    for name, command in commands().commands.items():
         for option in command.params:
             read = option.name in command.declared or option.name == "settings_file"
             if option.callback is not None and option.metavar in KINDS and not read:

@@ -5,17 +5,15 @@ import subprocess
 import sys
 
 import pytest
-from typer.main import get_command
-from typer.testing import CliRunner
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
-from airpuck.cli.app import app
+from airpuck.cli.app import commands
 from airpuck.cli.output import show_time_left
 
 from ..apparatus.commands import airpuck, refused
 
-COMMANDS = get_command(app).commands  # pyright: ignore
+COMMANDS = commands().commands
 
 
 def numbers():
@@ -43,7 +41,7 @@ def test_every_number_has_limits(tmp_path, name, option, size, whole):
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_help_names_limits_and_no_truth_values(name):
-    shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200"}).stdout
+    shown = airpuck(name, "--help", env={**os.environ, "COLUMNS": "200"}).stdout
     assert "bool" not in shown
     assert "<float" not in shown and "<int" not in shown
 

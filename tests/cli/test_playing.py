@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.cli.app import app
+from airpuck.cli.app import commands
 
 from ..apparatus.commands import airpuck, refused
 
@@ -39,7 +39,7 @@ def test_skills_on_the_command_line():
 )
 def test_play_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
-        app([*arguments], standalone_mode=False)
+        commands()([*arguments], standalone_mode=False)
 
 
 @pytest.mark.slow

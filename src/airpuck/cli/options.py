@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
-from typer.core import TyperOption
 
 import airpuck
 from airpuck.boundary import numbers
@@ -34,7 +33,7 @@ _KINDS: dict[str, Output] = {"FILE": "file", "DIR": "folder", "BAG": "new folder
 def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> Any:
     """Return an option for a file or folder to write; by default -o."""
 
-    def check(context: Any, parameter: TyperOption, path: Path | None) -> Path | None:
+    def check(context, parameter, path):  # without annotations as in `views.option`
         if path is not None and not is_stdout(path) and not context.resilient_parsing:
             check_written(context, parameter.opts[0], path, _KINDS[metavar])
         return path
