@@ -111,7 +111,7 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, printed = process.communicate(timeout=180)
     assert process.returncode == 130
-    assert printed.splitlines()[-1] == "airpuck: interrupted; run it again for what is missing"
+    assert printed.splitlines()[-1] == "airpuck: interrupted; run it again to compute the rest"
     assert "Traceback" not in printed
     (done,) = items.iterdir()
     content = done.read_bytes()

@@ -142,7 +142,7 @@ def test_our_code_belongs_to_every_key(monkeypatch):
 def test_a_folder_is_no_model_and_the_root_no_place_for_games(tmp_path):
     with pytest.raises(InputError, match="/: is a folder; a file is expected"):
         Match(model="/").key()
-    with pytest.raises(InputError, match="/: output: is the root of all folders"):
+    with pytest.raises(InputError, match="/: output: is the root folder"):
         match("human", "human", rules=SHORT, output="/")
     (tmp_path / "spec.toml").write_text('kind = "fit"\nbase.recordings = ["/"]\n')
     with pytest.raises(InputError, match="/: holds too many files"):

@@ -74,10 +74,10 @@ def test_nothing_is_written_over_what_is_read(tmp_path):
     before = (tmp_path / "model.toml").read_bytes()
     for name in ("model.toml", "link.toml", f"../{tmp_path.name}/model.toml"):
         process = airpuck("present", "model.toml", "--json", name, cwd=tmp_path)
-        assert refused(process, "model.toml", "--json", "is read, too")
+        assert refused(process, "model.toml", "--json", "is also an input")
     # A folder's own recording, too.
     (tmp_path / "bag").mkdir()
-    assert refused(airpuck("resid", "m", "bag", "-o", "./bag", cwd=tmp_path), "is read, too")
+    assert refused(airpuck("resid", "m", "bag", "-o", "./bag", cwd=tmp_path), "is also an input")
     assert (tmp_path / "model.toml").read_bytes() == before
 
 

@@ -75,7 +75,7 @@ def test_reads_back_what_it_writes(quad, tmp_path):
         ("mass_kg = 0.2", "mass_g = 200.0", "mass_kg|mass_g"),
         ('name = "right"', 'name = "left"', "same name"),
         ('["left", "right"]', '["left", "middle"]', "unknown propeller 'middle'"),
-        ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5], [0.2]", "as many coefficients"),
+        ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5], [0.2]", "equal numbers of coefficients"),
         ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5]", "1 curves for 2 propellers"),
         ("position_m = [0.0, 0.05]", "position_m = [0.0]", "position_m"),
         ("direction_deg = 0.0", "direction_deg = inf", "direction_deg"),

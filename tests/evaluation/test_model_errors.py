@@ -54,7 +54,7 @@ def test_what_commands_do_not_tell_is_not_tested():
     weakly = found(truth, excited=0.05)
     assert not any(error.tested for error in weakly[2:])
     assert all(error.passed for error in weakly)
-    assert "not tested, since the commands do not tell: a (± " in verdicts(weakly)[0]
+    assert "not tested, since the commands do not reveal them: a (± " in verdicts(weakly)[0]
     # Two motors that always run alike: their sum is known, neither of them is.
     alike = {error.name: error for error in found(truth, alike=True)}
     assert not alike["a"].tested and not alike["b"].tested

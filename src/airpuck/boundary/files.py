@@ -63,7 +63,7 @@ class Section(pydantic.BaseModel):
         return self
 
     def model_copy(self, **how: Any) -> Any:
-        """Copy as pydantic does, without what cached properties hold of the original.
+        """Copy as pydantic does, but without the original's cached properties.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ def _adapter(schema: type) -> Any:
 def _keys(schema: type) -> list[set[str]]:
     """Return the keys of a schema, then those of its tables."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of defaults that JSON does not know
+        warnings.simplefilter("ignore")  # about defaults that JSON cannot represent
         found = _adapter(schema).json_schema()
     return [set(one.get("properties", ())) for one in (found, *found.get("$defs", {}).values())]
 

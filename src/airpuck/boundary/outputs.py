@@ -86,7 +86,7 @@ def _problem(target: Path, kind: Output) -> str | None:
     if max(len(os.fsencode(part)) for part in target.parts) > longest:
         return f"has a name of more than {longest} bytes, the longest that the system allows"
     if target.resolve() == Path(target.anchor):
-        return "is the root of all folders; give one in it"
+        return "is the root folder; give a folder in it"
     if there == target:
         mode = target.lstat().st_mode if kind == "new folder" else target.stat().st_mode
         if kind == "new folder" and not (stat.S_ISDIR(mode) and not any(target.iterdir())):

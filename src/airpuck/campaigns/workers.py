@@ -43,7 +43,7 @@ class ItemResult(pydantic.BaseModel):
     rows: tuple[Row, ...]
     #: Hash of the other files that the item wrote.
     written: str | None = None
-    #: Reason of a failure.
+    #: Reason for a failure.
     failure: str | None = None
     #: Computing time, unless its workers died [s].
     wall_s: float | None = None
@@ -99,7 +99,7 @@ def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
 
     def note(number: int, _frame: Any) -> None:
         signal.signal(number, before[signal.Signals(number)])
-        finished.put(Stopped(number, "run it again for what is missing"))
+        finished.put(Stopped(number, "run it again to compute the rest"))
 
     for number in taken:
         signal.signal(number, note)

@@ -128,7 +128,7 @@ def summary(found: Design) -> list[str]:
         text.append(f"stays undetermined: {', '.join(missing)}")
     level = found.residual_level
     if level == 1.0:
-        return [*text, "residuals as on the twin; a real flight has larger ones (--after)"]
+        return [*text, "assumes the twin's residuals; those of a real flight are larger (--after)"]
     return [*text, f"variance of the residuals: {level:.2g} times the twin's, as in the fit"]
 
 
@@ -141,7 +141,7 @@ def _candidate_table(found: Design) -> Table:
     plans = [one.plan for one in shown]
     names = ["proposal" if p == proposal else "usual" if p == usual else "" for p in plans]
     return table(
-        ("", "amplitude", "hold s", "margin m", "from a rail mm", "error", "remark"),
+        ("", "amplitude", "hold s", "margin m", "clearance mm", "error", "remark"),
         [(name, *_row(one)) for name, one in zip(names, shown, strict=True)],
         title=f"Excitations of {proposal.duration_s:g} s, by the "
         + ("largest error" if found.criterion == "worst" else "mean error"),

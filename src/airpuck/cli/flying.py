@@ -145,11 +145,11 @@ def track(
     if estimator is not None:
         controls = controls.with_estimator(estimator)
     if pilot is not None and (regulators or controller or estimator):
-        problem = "flies your own controller; leave --regulator, --controller and --estimator out"
+        problem = "flies your own controller; leave out --regulator, --controller and --estimator"
         raise InputError(problem, field="pilot")
     if flights and (setpoints is not None or dwell is not None):
         raise InputError(
-            "has its set points and times; leave --setpoints and --dwell out", field="flights"
+            "sets the set points and times; leave out --setpoints and --dwell", field="flights"
         )
     laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
     beyond_paper = set(laws) != {"lqr"} and pilot is None
@@ -209,7 +209,7 @@ def animate(
     from airpuck.report.scene import TABLE
 
     if fps is not None and output.suffix != ".gif":
-        raise InputError("counts the frames of a GIF; the browser draws a page", field="fps")
+        raise InputError("sets the frame rate of a GIF; a page has none", field="fps")
     written = airpuck.animate(
         airpuck.read_recording(recording, mapping=mapping),
         output,

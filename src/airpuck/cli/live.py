@@ -37,7 +37,7 @@ _PANEL = "Live, on a ROS 2 graph"
 
 @dataclass(frozen=True, kw_only=True)
 class Guarded(Settings):
-    """What every flight on the graph has: a tuning, and a fence that the guard holds."""
+    """Options of every flight on the graph: a tuning, and a fence that the guard enforces."""
 
     HEADING: ClassVar = ""
 
@@ -272,7 +272,7 @@ def fly_excitation(
         margin=experiment.margin_m,
         seed=seed,
     )
-    make()  # rejects signals that the craft cannot make before the graph is joined
+    make()  # before joining the graph, rejects signals that the craft cannot produce
     live = replace(live, duration=experiment.duration_s)
     guarded.fly(make, craft, controls, live, json_file)
 
@@ -304,7 +304,7 @@ def preflight(
     rounds: Annotated[int, Setting("Pulses of each motor.", numbers.PULSE_ROUNDS, "N")] = 2,
     json_file: options.Json = None,
 ) -> None:
-    """Give each motor short pulses; say what is wrong with order, signs, frame, units and delay."""
+    """Give each motor short pulses; report errors of order, signs, frame, units and delay."""
     from airpuck.flight.pulses import PulsePlan
     from airpuck.live.fly import preflight_live
 

@@ -137,7 +137,7 @@ def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Pa
     if figures["rail_contacts"]:
         hardest = f", the hardest at {figures['hardest_rail_contact_m_s']:.2f} m/s"
     yield (
-        f"crafts met a rail {figures['rail_contacts']} times{hardest}, and crossed the centre "
+        f"craft hit rails {figures['rail_contacts']} times{hardest}, and crossed the centre "
         f"line {figures['crossings']} times; the puck was stuck {figures['stuck']} times"
     )
     yield (
@@ -170,7 +170,7 @@ def _watch(game: Game, error: bool, quiet: bool) -> None:
 
 
 def _picture(game: Game) -> str:
-    """Draw the table from above, in letters."""
+    """Draw the table from above with characters."""
     table, (columns, rows) = game.settings.table, _LETTERS
     canvas = [[" "] * columns for _ in range(rows)]
 

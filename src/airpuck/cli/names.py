@@ -22,7 +22,7 @@ def check_written(context: Any, option: str, path: Path, kind: Output) -> None:
     taken: dict[Path, str] = context.meta.setdefault(_OUTPUTS, {})
     whole = path.absolute()
     if whole in taken:
-        raise InputError(f"is the place of {taken[whole]}, too", file=path, field=option)
+        raise InputError(f"is also the output of {taken[whole]}", file=path, field=option)
     check_output(path, kind, field=option)
     taken[whole] = option
 
@@ -43,7 +43,7 @@ def check_inputs(context: Any) -> None:
                 continue
             for output, option in outputs.items():
                 if output.exists() and os.path.samestat(output.stat(), found):
-                    raise InputError("is read, too; choose another place", file=name, field=option)
+                    raise InputError("is also an input; give another name", file=name, field=option)
 
 
 def refuse_empty(arguments: list[str]) -> None:

@@ -238,7 +238,7 @@ def compare(
 
 
 def _drift_of(models: Sequence[Model], alone: bool) -> Drift | None:
-    """Return the drift between two models; None if it was neither requested nor known."""
+    """Return the drift between two models; None if it was not requested and is not known."""
     if len(models) != 2 or not (alone or all(m.known is not None for m in models)):
         return None
     try:
@@ -307,7 +307,7 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
     parameters = map(value_texts, presentation.parameters)
     yield table(headings, parameters, title="Parameters ± standard error")
     derived = map(value_texts, presentation.derived)
-    yield table(headings, derived, title="What follows from them")
+    yield table(headings, derived, title="Derived quantities")
     yield from (f"{key}: {value}" for key, value in presentation.conditions)
     yield from (f"note: {note}" for note in presentation.notes)
 

@@ -21,7 +21,7 @@ from airpuck.boundary.settings import Declared, Setting, Settings, declared, set
 
 @dataclass(frozen=True)
 class FromFile:
-    """Marks a settings object that a file may give; options next to it change single fields."""
+    """Marks a settings object that a file may give; options override single fields of it."""
 
     #: The option that names the file.
     option: str
@@ -196,7 +196,7 @@ def option(setting: Setting, name: str, heading: str | None = None, default: Any
             setting.check(value, parameter.opts[0])
         return value
 
-    # Typer puts strings in brackets: only for a default that is too long to show.
+    # Typer puts a string in brackets; use one only for a number with too many digits.
     short = f"{default:.3g}" if isinstance(default, float) else ""
     words = setting.help
     if setting.within is not None:

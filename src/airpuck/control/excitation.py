@@ -205,7 +205,7 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
             raise InputError(
                 f"{one} and {other} of {vehicle.name!r} do not oppose each other "
                 f"in force and in moment (cosine {cosine:.2f}, at most {_OPPOSED:g}); take the "
-                "pair out, and each is excited by itself",
+                "pair out, and each is excited separately",
                 field="pairs",
             )
     first, second = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2).T

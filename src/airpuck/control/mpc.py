@@ -221,7 +221,7 @@ def _numbers(given: Any, count: int) -> Float[np.ndarray, " k"] | None:
 def _stage(
     posed: Callable[..., Stages], form: Callable[..., tuple[Any, ...]]
 ) -> Callable[..., tuple[Any, ...]]:
-    """Combine the function that poses the problem with the one that lays it out for a solver.
+    """Combine two functions: one poses the problem, the other lays it out for a solver.
 
     A function instead of a method, so that another law of the same craft reuses the compiled
     program.

@@ -222,7 +222,7 @@ class Rendezvous:
         if self.state.shape != (6,) or not np.isfinite([*self.state, self.time]).all():
             raise InputError("give a finite time and six finite numbers", field="state")
         if self.precision.shape != (6,) or not (self.precision > 0).all():
-            raise InputError("give six positive numbers; inf is free", field="precision")
+            raise InputError("give six positive numbers; inf: component is free", field="precision")
         self.then = then or SetPoint(*self.state[:3].tolist())
 
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:

@@ -167,7 +167,7 @@ class AirHockey(Section):
     puck : Puck
         The puck.
     mallet : Mallet
-        The human's.
+        The human's mallet.
     """
 
     table: Table = Table()

@@ -197,7 +197,9 @@ def _nominal_thrust(
     try:
         coefficients = np.array(thrust, dtype=float)
     except ValueError:
-        raise ValueError("nominal.thrust_N: every propeller needs as many coefficients") from None
+        raise ValueError(
+            "nominal.thrust_N: propellers need equal numbers of coefficients"
+        ) from None
     if coefficients.size == 0:
         raise ValueError("nominal.thrust_N: every propeller needs at least one coefficient")
     if coefficients.ndim == 1:
@@ -277,10 +279,10 @@ def check_sizes(
     k = int(np.argmax(distance))
     farthest = float(distance[k])
     if not _RADII[0] <= radius <= _RADII[1]:
-        # Positions may be in that other unit, too.
+        # Positions may be in the same wrong unit.
         usual = farthest if 0.02 <= farthest <= 0.5 else _USUAL_RADIUS
         guess = _guess(radius, _LENGTHS, usual)
-        raise ValueError(f"radius_m = {radius:g} is no radius of a craft in metres{guess}")
+        raise ValueError(f"radius_m = {radius:g} is implausible for a craft's radius{guess}")
     if farthest > _FARTHEST * radius:
         x, y = positions[k]
         guess = _guess(farthest, _LENGTHS, 0.7 * radius)
@@ -291,7 +293,7 @@ def check_sizes(
     size = max(radius, farthest)
     if not _MASS[0] <= mass / size**2 <= _MASS[1]:
         raise ValueError(
-            f"mass_kg = {mass:g} is no mass of a craft with a radius of {size:g} m"
+            f"mass_kg = {mass:g} is implausible for a craft with a radius of {size:g} m"
             f"{_guess(mass, _MASSES, 20 * size**2)}"
         )
     if not _INERTIA[0] <= inertia / (mass * size**2) <= _INERTIA[1]:
@@ -306,7 +308,7 @@ def check_nominal(mass: float, thrust: float, lag: float, delay: float) -> None:
     """Raise ValueError if full thrust, lag or delay are implausible."""
     if thrust > _THRUST * mass * _GRAVITY:
         raise ValueError(
-            f"nominal.thrust_N sums up to {thrust:g} at full speed, "
+            f"nominal.thrust_N adds up to {thrust:g} at full speed, "
             f"{thrust / (mass * _GRAVITY):.0f} times the craft's weight"
             f"{_guess(thrust, _FORCES, 0.3 * mass * _GRAVITY)}"
         )

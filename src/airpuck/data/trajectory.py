@@ -277,7 +277,7 @@ class Trajectory:
         """
         if not 0 <= start < stop <= 1:
             raise InputError(
-                f"{start:g} {stop:g} is no part of a recording; give two fractions of its length, "
+                f"{start:g} {stop:g} is not part of a recording; give two fractions of its length, "
                 "0 <= A < B <= 1",
                 field="span",
             )
@@ -386,7 +386,7 @@ def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
         if vehicle is not None and found is not None and vehicle != found:
             raise InputError(
                 f"was preprocessed for the vehicle {vehicle.name!r}, {source} for {found.name!r} "
-                "with other values; give the vehicle that holds for all",
+                "with other values; give the vehicle that applies to all",
                 file=trajectory.source,
                 field="vehicle",
             )

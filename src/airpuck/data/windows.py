@@ -144,7 +144,7 @@ def make_windows(
         if trajectory.propellers != trajectories[0].propellers:
             raise InputError(
                 "has other propellers than the first recording "
-                f"({', '.join(trajectory.propellers)}); identify each craft for itself",
+                f"({', '.join(trajectory.propellers)}); identify each craft separately",
                 file=trajectory.source,
             )
         found = trajectory.window_starts(length, stride)

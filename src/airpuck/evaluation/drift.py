@@ -127,7 +127,7 @@ def drift(earlier: Model, later: Model) -> Drift:
     from scipy.stats import t
 
     if earlier.vehicle.propeller_names != later.vehicle.propeller_names:
-        raise InputError("the models are of crafts with different propellers", field="MODEL")
+        raise InputError("the models are of craft with different propellers", field="MODEL")
     found, p_values = [], []
     for quantity in main_quantities(earlier, speeds=(0.5, 1.0)):
         if not all(quantity.used(m) and quantity.learned(m) for m in (earlier, later)):
@@ -218,13 +218,13 @@ def _notes(earlier: Model, later: Model) -> list[str]:
         notes.append("both models learned from some of the same files: errors are not independent")
     if earlier.name != later.name:
         notes.append(
-            f"{earlier.name} and {later.name} have different terms: a difference may be theirs"
+            f"{earlier.name} and {later.name} have different terms: they may cause a difference"
         )
     delays = 1e3 * earlier.transport_delay, 1e3 * later.transport_delay
     learned = earlier.delay_learned and later.delay_learned
     if abs(delays[0] - delays[1]) > 0.05 and not learned:
         notes.append(
             f"the transport delay went from {delays[0]:.1f} to {delays[1]:.1f} ms: where it is "
-            "found by whole samples, lag and inertia take up the rest"
+            "found in whole samples, lag and inertia absorb the rest"
         )
     return notes

@@ -44,7 +44,7 @@ _PER_MOTOR = 3
 LOW_SPEED = 0.2
 #: Information in a channel of one window beyond its initial pose and velocity: about two numbers.
 _TOLD = 2
-#: Differences, which leave nothing of slow errors; they raise the variance of white noise by this.
+#: Order of the differences that remove slow errors, and how much they raise the noise's variance.
 _DIFFERENCES = 3
 _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Directions of acceleration: row of Π, sign.

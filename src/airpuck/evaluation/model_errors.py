@@ -140,7 +140,7 @@ def verdicts(errors: Sequence[ModelError]) -> list[str]:
     untested = [e for e in errors if not e.tested]
     if untested:
         said.append(
-            "not tested, since the commands do not tell: "
+            "not tested, since the commands do not reveal them: "
             + ", ".join(f"{e.name} (± {_half_band(e)})" for e in untested)
         )
     fine = [e.name for e in errors if e.tested and e.passed]

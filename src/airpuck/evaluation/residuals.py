@@ -2,7 +2,7 @@
 
 The tests ask two questions. Are the innovations white, or do past ones predict the next? Do the
 motor commands still explain them, so that the model has not used all of their information? Both
-tests are made in the body frame, where a motor pushes in one direction whatever the yaw. A third
+tests use the body frame, where a motor pushes in one direction whatever the yaw. A third
 test asks which error of the model would explain the innovations. Late packets and feedback are part
 of the null hypothesis.
 
@@ -47,7 +47,7 @@ _NONE = 1e-10
 BODY_CHANNELS = ("forward", "left", "yaw")
 #: Largest lag [samples].
 LAGS = 25
-#: Fraction of the strongest push below which there is none.
+#: A push below this fraction of the strongest one counts as none.
 _ROUNDING = 1e-9
 
 
