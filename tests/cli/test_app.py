@@ -252,7 +252,7 @@ def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
 
 
 def test_datasets_are_listed_with_their_licences():
-    listed = CliRunner().invoke(app, ["fetch", "--list"])
-    assert listed.exit_code == 0
+    listed = airpuck("fetch", "--list")
+    assert listed.returncode == 0
     for name, licence in (("holohover", "BSD 2-Clause"), ("air-bearing-satellite", "MIT")):
         assert any(name in line and licence in line for line in listed.stdout.splitlines())
