@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -15,6 +16,9 @@ from airpuck.recording.stream import COLUMNS, Recording, Stream
 
 SIX = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
 START_NS = 1_709_651_570_000_000_123
+#: What `ros1_bag` writes.
+ROS1_POSES = np.random.default_rng(3).uniform(-1, 1, (300, 3))
+ROS1_COMMANDS = np.random.default_rng(4).uniform(0, 1, (120, 6))
 
 HEADER = """
 ================================================================================
@@ -200,3 +204,44 @@ def rosbags_folder(path: Path, *, plugin=StoragePlugin.SQLITE3, version=8, compr
             writer.write(pose, 10**9 * (200 + i), store.serialize_cdr(message, POSE_TYPE))
             message = t[COMMAND_TYPE](header, *(0.1 * np.arange(6)))
             writer.write(command, 10**9 * (200 + i), store.serialize_cdr(message, COMMAND_TYPE))
+
+
+def ros1_bag(
+    path: Path,
+    compression: Ros1Writer.CompressionFormat | None = None,
+    *,
+    n_poses: int = 300,
+    n_commands: int = 120,
+) -> Path:
+    """A bag of ROS 1 by rosbags' own writer, in many chunks."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    text = "std_msgs/Header header\n" + "".join(f"float64 {name}\n" for name in SIX)
+    store.register(get_types_from_msg(text, COMMAND_TYPE))
+    t = store.types
+    writer = Ros1Writer(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    writer.chunk_threshold = 2000
+
+    def header(k: int, stamp_ns: int) -> object:
+        stamp = t["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
+        return t["std_msgs/msg/Header"](k, stamp, "w")
+
+    events = []
+    for k, (x, y, yaw) in enumerate(ROS1_POSES[:n_poses]):
+        stamp = START_NS + k * 4_166_667
+        place = t["geometry_msgs/msg/Point"](x, y, 0.0)
+        turn = t["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2))
+        message = t[POSE_TYPE](header(k, stamp), t["geometry_msgs/msg/Pose"](place, turn))
+        events.append((stamp + 10**6, "/optitrack/drone/pose", POSE_TYPE, message))
+    for k, row in enumerate(ROS1_COMMANDS[:n_commands]):
+        stamp = START_NS + k * 10**7
+        message = t[COMMAND_TYPE](header(k, stamp), *row)
+        events.append((stamp + 10**5, "/drone/control", COMMAND_TYPE, message))
+    with writer:
+        topics = {}
+        for time, topic, msgtype, message in sorted(events, key=lambda event: event[0]):
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            writer.write(topics[topic], time, store.serialize_ros1(message, msgtype))
+    return path

@@ -86,6 +86,12 @@ def _db3(folder: Path) -> Path:
     return folder / "bag" / "bag.db3"
 
 
+def _ros1(folder: Path) -> Path:
+    from tests.apparatus.bags import ros1_bag
+
+    return ros1_bag(folder / "a.bag", n_poses=60, n_commands=25)
+
+
 def _npz(folder: Path) -> Path:
     from dataclasses import replace
 
@@ -263,6 +269,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
         "mcap without chunks": Kind(
             functools.partial(_bag, use_chunking=False), m.bytes_damaged, _read_recording
         ),
+        "ROS 1 bag": Kind(_ros1, m.bytes_damaged, _read_recording, _PREPROCESS),
         "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
         "metadata.yaml": Kind(_metadata, text, _read_parent),
         "csv": Kind(_csv, m.table_damaged, _read_parent),

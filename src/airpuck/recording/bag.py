@@ -1,4 +1,4 @@
-"""Reading a rosbag2 recording: a folder or a bare storage file."""
+"""Reading a bag of ROS 2 or ROS 1: a folder or a bare storage file."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.recording.mcap_file import read_mcap
+from airpuck.recording.ros1_file import read_ros1
 from airpuck.recording.sqlite_file import read_sqlite
 from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
 from airpuck.recording.topic_stream import may_hold, topic_stream
@@ -24,7 +25,7 @@ METADATA = "metadata.yaml"
 #: Topics listed as suggestions when one is missing.
 _MOST_LOOKED_AT = 100
 #: Suffixes of storage files, compressed ones included.
-STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".bag")
 
 
 def is_bag(path: Path) -> bool:
@@ -44,7 +45,7 @@ def _stored(folder: Path) -> list[Path]:
 
 
 def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
-    """Read a rosbag2 folder, or a bare .mcap or .db3 file."""
+    """Read a bag's folder, or a bare .mcap, .db3 or .bag file."""
     for stream, section in (("pose", mapping.pose), ("command", mapping.command)):
         if section.file:
             problem = (
@@ -86,7 +87,7 @@ def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
 
 
 def _read_file(path: Path, wanted: Collection[str]) -> Log:
-    """Read one storage file; of a damaged .mcap, the intact part."""
+    """Read one storage file; of a damaged .mcap or .bag, the intact part."""
     if path.stat().st_size == 0:
         raise InputError("is empty", file=path)
     if path.suffix == ".zstd":
@@ -97,7 +98,7 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
                 raise InputError(error.problem, file=path, field=error.field) from error
     if path.suffix == ".db3":
         return read_sqlite(path, wanted)
-    log = read_mcap(path, wanted)
+    log = (read_ros1 if path.suffix == ".bag" else read_mcap)(path, wanted)
     if log.damage and log.n_messages == 0:
         raise InputError(f"no message can be read: {'; '.join(log.damage)}", file=path)
     log.damage = [f"{path.name} is damaged: {'; '.join(log.damage)}"] if log.damage else []

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import pydantic
@@ -31,8 +31,8 @@ Unit = Literal["m", "cm", "mm", "rad", "deg", "s", "ms", "us", "ns"]
 MASK_BITS = 53
 #: Entry of an array or list: ``data[2]``.
 ENTRY = re.compile(r"(.+)\[(\d{1,9})\]")
-#: Our x, y, z in terms of the file's axes.
-_UP = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y")}
+#: Name of axes -> our x, y, z in terms of these.
+AXES = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y"), "NED": ("x", "-y", "-z")}
 
 TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
 #: Name of a column, or path of a field in a message.
@@ -196,16 +196,17 @@ class PoseMapping(_Times):
         In TOML a column (yaw), ``{x = …, y = …, z = …, w = …}`` (quaternion), nine columns
         (rotation matrix, row by row) or ``{XYZ = […]}`` (Euler angles in SciPy's notation).
     axes : str or tuple of str
-        ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), or our x, y, z in terms of the
-        file's axes. The craft's own axes are renamed in the same way. A yaw counts about the file's
-        vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
+        ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), ``"NED"`` (north, east, down,
+        with a craft's axes forward, right, down: ``["x", "-y", "-z"]``), or our x, y, z in terms of
+        the file's axes. The craft's own axes are renamed in the same way. A yaw counts about the
+        file's vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
     body : str
         Rigid body, if an export contains several.
     """
 
     position: tuple[Name, ...] = ()
     orientation: Annotated[Orientation | None, pydantic.PlainValidator(_orientation)] = None
-    axes: str | tuple[str, ...] = _UP["Z-up"]
+    axes: str | tuple[str, ...] = AXES["Z-up"]
     body: str = ""
 
     @pydantic.field_validator("position")
@@ -218,11 +219,11 @@ class PoseMapping(_Times):
     @pydantic.field_validator("axes", mode="plain")
     @classmethod
     def _three_axes(cls, axes: Any) -> tuple[str, ...]:
-        found = _UP.get(axes, axes) if isinstance(axes, str) else axes
+        found = AXES.get(axes, axes) if isinstance(axes, str) else axes
         listed = found if isinstance(found, list | tuple) else ()
         if sorted(str(axis).removeprefix("-") for axis in listed) != ["x", "y", "z"]:
             raise ValueError(
-                'is "Z-up", "Y-up", or our x, y and z in terms of the file\'s axes, as in '
+                'is "Z-up", "Y-up", "NED", or our x, y and z in terms of the file\'s axes, as in '
                 '["x", "-z", "y"]'
             )
         return tuple(listed)
@@ -233,7 +234,10 @@ class PoseMapping(_Times):
         return _permutation(self.axes)
 
 
-def completed(mapping: PoseMapping, usual: dict[str, Any]) -> PoseMapping:
+_Mapping = TypeVar("_Mapping", PoseMapping, "CommandMapping")
+
+
+def completed(mapping: _Mapping, usual: Mapping[str, Any]) -> _Mapping:
     """Fill in omitted settings of a mapping, each unit separately."""
     given = {name: getattr(mapping, name) for name in mapping.model_fields_set}
     kinds = {UNITS[unit][0] for unit in mapping.units}

@@ -120,10 +120,12 @@ _OF_POSES = {
     "nav_msgs/msg/Odometry": _POSE_WITHIN,
     "geometry_msgs/msg/TransformStamped": _pose("transform.translation", "transform.rotation"),
     "geometry_msgs/msg/Pose": _pose("position", "orientation"),
+    "geometry_msgs/msg/Pose2D": ("x", "y", "theta"),
+    "ff_msgs/msg/Pose2DStamped": ("x", "y", "theta"),
 }
 
-#: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, z, quaternion.
-#: Bags are written with the first type. Commands may have any type.
+#: Stream -> message type -> fields that hold the stream's columns. For a pose: x, y, z and
+#: quaternion, or x, y and yaw. Bags are written with the first type. Commands may have any type.
 PATHS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         **dict.fromkeys(POSES, _OF_POSES),

@@ -14,7 +14,7 @@ from airpuck.recording.files import listing
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.stream import Recording
 
-_FORMS = "a rosbag2 folder, an .mcap or .db3 file, a CSV file or a folder of CSV files"
+_FORMS = "a rosbag2 folder, an .mcap, .db3 or .bag file, a CSV file or a folder of CSV files"
 
 
 def read_recording(
@@ -29,10 +29,10 @@ def read_recording(
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a CSV file, or a folder of CSV
-        files: the authors', exports of Motive or Qualisys, or any that the mapping describes. A
-        folder that contains a single such folder also works. If a folder contains a bag and CSV
-        files, the bag is read, because the CSV files were made from it.
+        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a ROS 1 bag, a CSV file, or a
+        folder of CSV files: the authors', exports of Motive or Qualisys, or any that the mapping
+        describes. A folder that contains a single such folder also works. If a folder contains a
+        bag and CSV files, the bag is read, because the CSV files were made from it.
     mapping : RecordingMapping, optional
         Topics, files, columns, units and axes (`read_mapping`); the default is the authors'
         table.
@@ -46,8 +46,8 @@ def read_recording(
     Recording
         At least the required streams, in SI units and our axes. Nothing is checked, sorted or
         unwrapped, but a bag's messages are in the order of the recorder's clock. A damaged .mcap
-        gives every intact chunk, with a warning on how far it reaches. Blank rows of a mapped file
-        or an export are left out, with a warning on their number.
+        or .bag gives every intact chunk, with a warning on how far it reaches. Blank rows of a
+        mapped file or an export are left out, with a warning on their number.
 
     Raises
     ------

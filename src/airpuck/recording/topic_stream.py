@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
@@ -20,11 +20,13 @@ from airpuck.recording.conversion import (
 )
 from airpuck.recording.files import listing, shortened
 from airpuck.recording.mapping import (
+    AXES,
     ENTRY,
     CommandMapping,
     Orientation,
     PoseMapping,
     RecordingMapping,
+    completed,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
 from airpuck.recording.stream import COLUMNS, COMMANDS, POSES, Stream
@@ -37,6 +39,25 @@ _JOINT_NAMES = "name"
 _JOINT_VALUES = ("position", "velocity", "effort")
 #: Parts of a message that hold no command.
 _BESIDE = ("header.", "layout.")
+#: PX4 counts microseconds, north, east and down, and marks what is stopped or unknown by NaN.
+_PX4 = {"time": "timestamp", "units": ("us",)}
+_PX4_POSE = {**_PX4, "time": "timestamp_sample", "axes": AXES["NED"]}
+_PX4_ODOMETRY = {
+    **_PX4_POSE,
+    "position": tuple(f"position[{k}]" for k in range(3)),
+    "orientation": Orientation("quaternion", tuple(f"q[{k}]" for k in (1, 2, 3, 0))),
+}
+_PX4_MOTORS = "px4_msgs/msg/ActuatorMotors"
+#: Message type -> settings of a mapping where the user gives none.
+_USUAL: Mapping[str, Mapping[str, Any]] = {
+    _PX4_MOTORS: {**_PX4, "values": ("control",)},
+    "px4_msgs/msg/VehicleOdometry": _PX4_ODOMETRY,
+    "px4_msgs/msg/VehicleLocalPosition": {
+        **_PX4_POSE,
+        "position": ("x", "y", "z"),
+        "orientation": Orientation("yaw", ("heading",)),
+    },
+}
 
 _ACCEPTED = (
     "a message of numbers of one type, one for each motor or an array of them, with or without a "
@@ -53,6 +74,25 @@ class Place(NamedTuple):
     path: str
     #: Index into the array; None for all entries.
     entry: int | None
+
+
+def _place(name: str) -> Place:
+    """Parse a field's name, or that of an array's entry (``data[2]``)."""
+    entry = ENTRY.fullmatch(name)
+    return Place(entry[1], int(entry[2])) if entry else Place(name, None)
+
+
+def _at(found: Decoded, place: Place) -> np.ndarray:
+    """Return what messages hold at a place."""
+    values = found[place.path]
+    if place.entry is None:
+        return values
+    if values.ndim == 1 or place.entry >= values.shape[1]:
+        entries = "no" if values.ndim == 1 else values.shape[1]
+        raise InputError(
+            f"{place.path} has {entries} entries, so there is no {place.path}[{place.entry}]"
+        )
+    return values[:, place.entry]
 
 
 def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:
@@ -82,11 +122,7 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
             f"holds {shortened(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
             f'command = {{values = ["..."]}}, out of {listing(field.path for field in fields)}'
         )
-    entries = [ENTRY.fullmatch(name) for name in chosen]
-    places = [
-        Place(entry[1], int(entry[2])) if entry else Place(name, None)
-        for name, entry in zip(chosen, entries, strict=True)
-    ]
+    places = [_place(name) for name in chosen]
     known = [field.path for field in fields if _number(field.code)]
     unknown = [place.path for place in places if place.path not in known]
     if unknown:
@@ -110,14 +146,9 @@ def commands_in(
     names: list[str] = []
     parts = []
     for path, entry in places:
-        part = found[path].astype(np.float64)
-        single = part.ndim == 1
-        part = part[:, None] if single else part
-        if entry is not None:
-            if single or entry >= part.shape[1]:
-                entries = "no" if single else part.shape[1]
-                raise InputError(f"{path} has {entries} entries, so there is no {path}[{entry}]")
-            part = part[:, [entry]]
+        part = _at(found, Place(path, entry)).astype(np.float64)
+        single = found[path].ndim == 1
+        part = part[:, None] if part.ndim == 1 else part
         parts.append(part)
         names += [path if single else ""] * part.shape[1]
     if not names:
@@ -159,39 +190,48 @@ def may_hold(stream: str, topic: TopicLog) -> bool:
 def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tuple[Stream, bool]:
     """Decode one topic, and report whether its messages carry their times."""
     msgtype = topic.msgtype
-    own = _own(stream, mapping)
+    own = completed(_own(stream, mapping), _USUAL.get(msgtype, {}))
     usual = PATHS.get(stream, {}).get(msgtype, ())
-    if stream not in COMMANDS and not usual and not (stream in POSES and mapping.pose.position):
+    if stream not in COMMANDS and not usual and not getattr(own, "position", ()):
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
     types = definitions(msgtype, topic.definition, idl=topic.idl)
     if msgtype not in types:
         raise InputError(f"the recording does not say what {shortened(msgtype)} holds")
     fields = flatten(types, msgtype)
-    if stream in COMMANDS:
-        paths, convert = _command_plan(msgtype, fields, mapping.command)
-    elif stream in POSES:
-        paths, convert = _pose_plan(usual, mapping.pose)
+    if isinstance(own, PoseMapping):
+        names, convert = _pose_plan(usual, own)
+    elif stream in COMMANDS:
+        names, convert = _command_plan(msgtype, fields, own)
     else:
-        paths, convert = usual, lambda found: (COLUMNS[stream], _table(found, usual))
+        names, convert = usual, lambda found: (COLUMNS[stream], _table(found, usual))
     times = (own.time,) if own.time else stamp_paths(fields)
-    single = [path for path, code in fields if code.startswith("<")]
-    absent = [
-        path for path in (*times, *(() if stream in COMMANDS else paths)) if path not in single
-    ]
+    codes = dict(fields)
+    absent = [name for name in (*times, *names) if not _is_there(name, codes, stream)]
     if absent:
+        numbers = [path for path, code in fields if _number(code)]
         raise InputError(
             f"{msgtype} is defined without the number {', '.join(absent)} "
-            f"(it has {listing(single)})"
+            f"(it has {listing(numbers)})"
         )
-    found = decode(topic.messages, types, msgtype, tuple(dict.fromkeys((*times, *paths))))
+    paths = dict.fromkeys(_place(name).path for name in (*times, *names))
+    found = decode(topic.messages, types, msgtype, tuple(paths))
     columns, values = convert(found)
     received = np.array(topic.received_ns, dtype=np.int64)
-    stamp = _stamps([found[path] for path in times], own)
+    stamp = _stamps([_at(found, _place(name)) for name in times], own)
     if stamp is None:
         arrived = received + round(own.start_s * SECOND_NS)
         return Stream(arrived, received, values, columns), False
     return Stream(stamp, received, values, columns), True
+
+
+def _is_there(name: str, codes: Mapping[str, str], stream: str) -> bool:
+    """Return whether a type has a number of this name; commands are checked by their plan."""
+    path, entry = _place(name)
+    code = codes.get(path, "")
+    if stream in COMMANDS:
+        return bool(code)
+    return bool(_number(code)) and (code[0] == "<") == (entry is None)
 
 
 def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
@@ -202,7 +242,7 @@ def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:
-    return np.stack([found[path] for path in paths], axis=1, dtype=np.float64)
+    return np.stack([_at(found, _place(path)) for path in paths], axis=1, dtype=np.float64)
 
 
 def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping) -> Plan:
@@ -211,6 +251,12 @@ def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping
 
     def convert(found: Decoded) -> tuple[tuple[str, ...], Float[np.ndarray, "N k"]]:
         names, values = commands_in(found, places, mapping.values)
+        if msgtype == _PX4_MOTORS:
+            whole = mapping.values == _USUAL[msgtype]["values"]
+            there = np.isfinite(values).any(axis=0) if whole else np.ones(len(names), bool)
+            # A craft has fewer motors than the message; the others are always NaN.
+            values = np.nan_to_num(values[:, there] if there.any() else values)
+            names = unnamed_columns(values.shape[1]) if whole else names
         return propellers_of(names, mapping), commands_of(values, mapping)
 
     return [*(place.path for place in places), *joint_names(msgtype)], convert
@@ -218,17 +264,18 @@ def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping
 
 def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:
     """Plan how poses are read, from usual fields or those that the mapping names."""
-    position = mapping.position or usual[:3]
-    orientation = mapping.orientation or Orientation("quaternion", usual[3:])
+    level = len(usual) == len(COLUMNS["pose"])  # x, y, yaw
+    split = 2 if level else 3
+    position = mapping.position or usual[:split]
+    kind = "yaw" if level else "quaternion"
+    orientation = mapping.orientation or Orientation(kind, usual[split:])
     if not position or not orientation.columns:
         raise InputError("name the fields of both, position and orientation", field="pose")
     paths = (*position, *orientation.columns)
 
     def convert(found: Decoded) -> tuple[tuple[str, ...], Float[np.ndarray, "N k"]]:
-        table, split = _table(found, paths), len(position)
-        return COLUMNS["pose"], poses_of(
-            table[:, :split], table[:, split:], orientation.kind, mapping
-        )
+        table, n = _table(found, paths), len(position)
+        return COLUMNS["pose"], poses_of(table[:, :n], table[:, n:], orientation.kind, mapping)
 
     return paths, convert
 

@@ -1,10 +1,11 @@
 """What the files of a bag hold before it is decoded, unpacked within limits.
 
-What Zstandard and LZ4 unpack is counted, whatever a header says.
+What Zstandard, LZ4 and bzip2 unpack is counted, whatever a header says.
 """
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import tempfile
 from collections.abc import Iterator
@@ -88,6 +89,11 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
         try:
             content = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
         except RuntimeError as error:
+            raise ValueError("it is damaged") from error
+    elif compression == "bz2":
+        try:
+            content = bz2.BZ2Decompressor().decompress(data, size + 1)
+        except (OSError, EOFError) as error:
             raise ValueError("it is damaged") from error
     elif compression:
         raise ValueError("it is packed by an unknown method")

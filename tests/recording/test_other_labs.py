@@ -1,0 +1,147 @@
+"""Messages of other labs' craft: PX4's and the Stanford free-flyer's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from airpuck import InputError, read_mapping, read_recording
+
+from ..apparatus.bags import START_NS, ros_header, ros_topic, write_mcap
+
+RNG = np.random.default_rng(5)
+POSES = RNG.uniform(-2, 2, (200, 3))
+DUTIES = RNG.uniform(0, 1, (80, 8))
+#: Our axes (forward, left, up) in those of PX4 (forward, right, down).
+DOWN = np.diag([1.0, -1.0, -1.0])
+
+MOTORS = """uint64 timestamp
+uint64 timestamp_sample
+uint16 reversible_flags
+float32[12] control
+"""
+ODOMETRY = """uint64 timestamp
+uint64 timestamp_sample
+uint8 pose_frame
+float32[3] position
+float32[4] q
+"""
+LOCAL = """uint64 timestamp
+uint64 timestamp_sample
+bool xy_valid
+float32 x
+float32 y
+float32 z
+float32 heading
+"""
+
+
+def motors(types, k):
+    """Eight of twelve motors, all stopped at first."""
+    row = np.full(12, np.nan)
+    row[:8] = DUTIES[k] if k >= 5 else np.nan
+    time = 10_000 * k
+    return types["px4_msgs/msg/ActuatorMotors"](time + 900, time, 0, row.astype(np.float32))
+
+
+def odometry(types, k):
+    """A pose in NED, by rotation matrices."""
+    x, y, yaw = POSES[k]
+    place = DOWN @ (x, y, 0.0)
+    turned = DOWN @ Rotation.from_euler("z", yaw).as_matrix() @ DOWN
+    q = Rotation.from_matrix(turned).as_quat()[[3, 0, 1, 2]]
+    single = np.float32
+    return types["px4_msgs/msg/VehicleOdometry"](
+        10_000 * k + 900, 10_000 * k, 1, place.astype(single), q.astype(single)
+    )
+
+
+def local(types, k):
+    x, y, yaw = POSES[k]
+    return types["px4_msgs/msg/VehicleLocalPosition"](
+        10_000 * k + 900, 10_000 * k, True, x, -y, 0.3, -np.angle(np.exp(1j * yaw))
+    )
+
+
+def topic(name, text, make, count):
+    return ros_topic(name, [lambda types, k=k: make(types, k) for k in range(count)], text)
+
+
+@pytest.mark.parametrize(
+    ("pose", "make"),
+    [
+        (("px4_msgs/msg/VehicleOdometry", ODOMETRY), odometry),
+        (("px4_msgs/msg/VehicleLocalPosition", LOCAL), local),
+    ],
+)
+def test_px4_needs_topics_alone(tmp_path, pose, make):
+    topics = {
+        "/fmu/in/vehicle_mocap_odometry": topic(*pose, make, 200),
+        "/fmu/out/actuator_motors": topic("px4_msgs/msg/ActuatorMotors", MOTORS, motors, 80),
+    }
+    (tmp_path / "m.toml").write_text(
+        '[topics]\npose = "/fmu/in/vehicle_mocap_odometry"\ncommand = "/fmu/out/actuator_motors"\n'
+    )
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    recording = read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
+    found, command = recording["pose"], recording["command"]
+    np.testing.assert_allclose(found.values[:, :2], POSES[:, :2], atol=1e-6)
+    np.testing.assert_allclose(np.exp(1j * found.values[:, 2]), np.exp(1j * POSES[:, 2]), atol=1e-6)
+    assert found.stamp_ns[3] == 30_000_000
+    assert command.values.shape == (80, 8)
+    assert (command.values[:5] == 0).all()
+    np.testing.assert_allclose(command.values[5:], DUTIES[5:], atol=1e-6)
+    assert command.stamp_ns[3] == 30_900_000
+
+
+def test_an_entry_that_is_not_there_is_named(tmp_path):
+    topics = {
+        "/p": topic("px4_msgs/msg/VehicleOdometry", ODOMETRY, odometry, 20),
+        "/c": topic("px4_msgs/msg/ActuatorMotors", MOTORS, motors, 20),
+    }
+    path = write_mcap(tmp_path / "a.mcap", topics)
+    for position, says in (
+        (["position[0]", "position[3]"], "no position\\[3\\]"),
+        (["position", "q[0]"], "without the number position"),
+    ):
+        (tmp_path / "m.toml").write_text(
+            f'topics = {{pose = "/p", command = "/c"}}\npose.position = {position}\n'.replace(
+                "'", '"'
+            )
+        )
+        with pytest.raises(InputError, match=says):
+            read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
+
+
+def test_the_free_flyer_s_switches_duties_and_poses(tmp_path):
+    switches = DUTIES > 0.5
+
+    def pose(types, k):
+        x, y, yaw = POSES[k]
+        head = ros_header(types, START_NS + k * 10**7)
+        return types["ff_msgs/msg/Pose2DStamped"](head, x, y, yaw)
+
+    def switched(types, k):
+        head = ros_header(types, START_NS + k * 10**7)
+        return types["ff_msgs/msg/ThrusterCommand"](head, switches[k])
+
+    def pulsed(types, k):
+        head = ros_header(types, START_NS + k * 10**7)
+        return types["ff_msgs/msg/ThrusterPWMCommand"](head, DUTIES[k])
+
+    stamped = "std_msgs/Header header\n"
+    poses = topic(
+        "ff_msgs/msg/Pose2DStamped", f"{stamped}float32 x\nfloat32 y\nfloat32 theta\n", pose, 200
+    )
+    for name, field, make, expected in (
+        ("ThrusterCommand", "bool[8] switches", switched, switches),
+        ("ThrusterPWMCommand", "float64[8] duty_cycles", pulsed, DUTIES),
+    ):
+        topics = {
+            "/optitrack/drone/pose": poses,
+            "/drone/control": topic(f"ff_msgs/msg/{name}", f"{stamped}{field}\n", make, 80),
+        }
+        recording = read_recording(write_mcap(tmp_path / f"{name}.mcap", topics))
+        np.testing.assert_allclose(recording["pose"].values, POSES, atol=1e-6)
+        np.testing.assert_array_equal(recording["command"].values, expected)
