@@ -234,7 +234,7 @@ class PoseMapping(_Times):
         return _permutation(self.axes)
 
 
-_Mapping = TypeVar("_Mapping", PoseMapping, "CommandMapping")
+_Mapping = TypeVar("_Mapping", bound=_Times)
 
 
 def completed(mapping: _Mapping, usual: Mapping[str, Any]) -> _Mapping:
