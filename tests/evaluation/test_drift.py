@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.evaluation.drift import drift
+from airpuck.evaluation.drift import Change, drift
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
 from airpuck.model.uncertainty import Uncertainty
@@ -46,6 +46,21 @@ def test_the_arithmetic_by_hand():
     joint = np.hypot(1, 1) * 0.02 * 1e3 * TRUTH.parameters.inertia
     assert change.standard_error == pytest.approx(joint, rel=1e-6)
     assert change.z == pytest.approx((after - before) / joint, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("before", "relative", "says"),
+    [
+        (4.0, True, "I rose by 25.0 % ± 5.0 % (z = 5.0)"),
+        (4.0, False, "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        # Of what is not positive there is no percentage.
+        (0.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        (-4.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
+    ],
+)
+def test_a_change_is_a_percentage_where_that_means_something(before, relative, says):
+    change = Change("I", "I", "mm", before, before + 1.0, 0.2, 5.0, 0.001, relative)
+    assert change.verdict == says
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from airpuck.data.trajectory import Span
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.evaluation.innovations import (
+    Innovations,
     cut_at_commands,
     free_run,
     innovations,
@@ -118,3 +119,33 @@ def test_too_few_poses_are_refused(flight):
     other = replace(flight, propellers=("a",), command=flight.command[:, :1])
     with pytest.raises(InputError, match="motors"):
         innovations(published_model("M3"), other)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_starts_are_the_earliest_that_keep_their_distance(seed):
+    rng = np.random.default_rng(seed)
+    n, period, ahead, apart = 400, 0.05, int(rng.integers(1, 12)), int(rng.integers(1, 25))
+    used = np.ones(n, bool)
+    used[rng.integers(0, n, 12)] = False
+    empty = np.zeros((n, 3))
+    noise = Noise((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    found = Innovations(
+        time=period * np.arange(n),
+        values=empty,
+        deviation=empty,
+        used=used,
+        restart=~used,
+        added=np.zeros((n, 3, 2)),
+        mean=np.zeros((n, 3, 3)),
+        covariance=np.zeros((n, 3, 3, 3)),
+        motor_speed=np.zeros((n, 6)),
+        noise=noise,
+        noise_parameters=(0, 0, 0),
+    )
+    # A quarter of a second is five samples, the start itself among them.
+    expected, last = [], -apart
+    for k in range(4, n - ahead):
+        if k - last >= apart and used[k - 4 : k + ahead + 1].all():
+            expected.append(k)
+            last = k
+    assert found.starts(ahead, apart).tolist() == expected

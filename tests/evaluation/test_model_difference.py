@@ -3,7 +3,7 @@
 import numpy as np
 
 from airpuck.evaluation.evaluate import PROTOCOLS, Evaluation, EveryStart
-from airpuck.evaluation.model_difference import model_differences
+from airpuck.evaluation.model_difference import ModelDifference, model_differences
 
 from ..apparatus.residuals import residuals
 
@@ -51,3 +51,13 @@ def test_short_recordings_are_not_judged():
     assert written["interval_95"]["x_m"] is None and written["p_value"]["x_m"] is None
     assert found.differs == [False, False, False]
     assert model_differences(["A"], [evaluation(errors, start)]) == []
+
+
+def test_an_interval_names_its_near_end_first():
+    interval = np.array([[0.7, 0.95, 0.5], [1.1, 1.4, 0.6]])
+    p_value = np.array([0.5, 0.5, 0.001])
+    found = ModelDifference("A", "B", np.array([0.9, 1.2, 0.55]), interval, p_value)
+    assert found.verdict == (
+        "B against A: x: no difference shown (10.0 % worse to 30.0 % better), "
+        "y: no difference shown (5.0 % better to 40.0 % worse), yaw 45.0 % better (40.0 to 50.0 %)"
+    )
