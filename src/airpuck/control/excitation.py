@@ -153,7 +153,8 @@ class Excitation(Pilot):
             return step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
-        return replace(step, command=np.clip(signed, vehicle.command_min, vehicle.command_max))
+        command = np.clip(signed, vehicle.command_min, vehicle.command_max)
+        return replace(step, command=vehicle.actuators.possible(command))
 
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, whether or not earlier steps were run."""

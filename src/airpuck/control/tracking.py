@@ -16,6 +16,7 @@ from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
 from airpuck.control.laws import law_named
+from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Numbers, Reference
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
@@ -100,7 +101,9 @@ class TrackingController(Pilot):
         self.compensate_delay = compensate_delay
         self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
         options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
-        self.law: Law = law_named(tuning.regulator.kind)(model, tuning, options)
+        self.law: Law = law_named(tuning.regulator.kind)(of_means(model), tuning, options)
+        self.law.stage = stage_of_means(model, self.law.stage)
+        self._modulator = modulator_for(model, tuning)
         self.state = self.law.init()
         self.filter = _estimator(model, tuning.estimation, compiled)
         self._staged = staged(self.law, model, compiled)
@@ -210,6 +213,7 @@ class TrackingController(Pilot):
         """
         refusal = self.refusal(time)
         if refusal is not None:
+            self._modulator.reset()
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
         return self._act(time, partial(self._foresee, time))
 
@@ -224,7 +228,7 @@ class TrackingController(Pilot):
         """Let the law compute the command, and store its state."""
         moment = Moment(self.reference, now, self.model.transport_delay, foresee)
         step, self.state = self.law.step(self.state, moment)
-        return step
+        return replace(step, command=self._modulator.command(now, step.command))
 
     def predict(self, time: float) -> Estimate:
         """Predict the craft to when a command sent now begins to act.

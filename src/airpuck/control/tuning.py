@@ -176,6 +176,14 @@ class Estimation(Section):
         return Noise(*((linear, linear, angular) for linear, angular in pairs))
 
 
+class Modulation(Section):
+    """How the duty cycles of on/off thrusters become pulses."""
+
+    kind: Literal["pulse_width", "sigma_delta"] = "pulse_width"
+    #: Period of the pulses, for a craft that takes switches.
+    period_s: Annotated[float, pydantic.Field(ge=0.01, le=2)] = 0.1
+
+
 class Tuning(Section):
     """All settings of the controller that are chosen instead of identified.
 
@@ -191,6 +199,8 @@ class Tuning(Section):
         Settings of the thrust allocation.
     estimation : Estimation
         Settings of the state estimator.
+    modulation : Modulation
+        Pulses of on/off thrusters; without effect on propellers.
     """
 
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
@@ -198,6 +208,7 @@ class Tuning(Section):
     allocation: Allocation = Allocation()
     regulator: Regulator
     estimation: Estimation
+    modulation: Modulation = Modulation()
 
     def with_estimator(self, estimator: str) -> Tuning:
         """Return the tuning with another estimator.

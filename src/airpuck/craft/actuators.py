@@ -40,6 +40,10 @@ class Propellers(Section):
     def check_thrust(self, degree: int) -> None:
         """Raise ValueError for a thrust curve of a degree that this kind does not have."""
 
+    def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Return the nearest command that acts as it says."""
+        return command
+
     def drive(
         self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
     ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
@@ -87,6 +91,13 @@ class OnOff(Section):
                 f"of degree {degree} cannot be identified, give degree 1"
             )
 
+    def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Return open or shut for switches, else duty cycles without pulses that are too short."""
+        if self.pwm_period_s is None:
+            return np.where(command >= 0.5, 1.0, 0.0)
+        least = self.least_on_s / self.pwm_period_s
+        return np.where(command < least, np.where(command < least / 2, 0.0, least), command)
+
     def drive(
         self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
     ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
@@ -97,7 +108,7 @@ class OnOff(Section):
         """
         period = self.pwm_period_s
         if period is None:
-            return time, np.where(command >= 0.5, 1.0, 0.0)
+            return time, self.possible(command)
         pace = np.median(np.diff(time)) if len(time) > 1 else period
         if abs(pace - period) > _SAME_PERIOD * period:
             return time, command

@@ -54,6 +54,12 @@ class HeldCommands:
             self._begun.pop()
         self._begun.append((begins, np.array(command, dtype=float)))
 
+    def send(self, time: float, command: Command, model: Model) -> None:
+        """Record the drives that a command causes, sent last."""
+        times, drives = model.vehicle.actuators.drive(np.array([time]), command[None])
+        for begins, drive in zip(times.tolist(), drives, strict=True):
+            self.add(begins + model.transport_delay, drive)
+
     def drop(self, time: float) -> None:
         """Drop commands older than the command that acts at a time."""
         while len(self._begun) > 1 and self._begun[1][0] <= time:
@@ -143,7 +149,7 @@ class KalmanFilter:
         command : array, shape (n,)
             Motor commands. The array is copied.
         """
-        self._commands.add(time + self.model.transport_delay, command)
+        self._commands.send(time, command, self.model)
 
     def run_motors(self, time: float) -> None:
         """Advance only the motors, up to the last command that begins to act before a time.

@@ -205,7 +205,7 @@ class HealthMonitor:
             return
         self._filter.command(time, command)
         self._commanded = time
-        self._commands.add(time + self.model.transport_delay, command)
+        self._commands.send(time, command, self.model)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Receive a pose."""

@@ -56,6 +56,8 @@ def thrust_slope(coefficients: Any, speed: Any) -> Any:
 
 def thrust_curvature(coefficients: Any, speed: Any) -> Any:
     """Evaluate d²F/dφ² [N]."""
+    if coefficients.shape[1] == 1:
+        return 0.0 * speed
     total = 0.0
     for power in reversed(range(1, coefficients.shape[1])):
         total = total * speed + power * (power + 1) * _column(coefficients, power, speed)
