@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from .apparatus.bags import ulog
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
@@ -23,6 +25,7 @@ FIRST_USE = (
         "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
         "ros2,play": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
     },
+    {"px4": "python -c \"import airpuck; airpuck.read_recording('log.ulg')\""},
     {"play": "airpuck play --no-browser --port 8392 --duration 0.2 --quiet"},
     {"campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet"},
 )
@@ -62,6 +65,7 @@ def environment(folder: Path, *extras: str) -> Path:
 
 def run(python: Path, command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     (folder / "spec.toml").write_text(SPEC)
+    ulog(folder / "log.ulg")
     program, *words = shlex.split(command)
     program = python.with_name(program)
     return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True)

@@ -245,3 +245,46 @@ def ros1_bag(
                 topics[topic] = writer.add_connection(topic, msgtype, typestore=store)
             writer.write(topics[topic], time, store.serialize_ros1(message, msgtype))
     return path
+
+
+def write_ulog(path: Path, topics: Mapping[str, tuple[str, Iterable[bytes]]]) -> Path:
+    """A PX4 log by its specification: topic -> (fields, messages)."""
+
+    def message(kind: str, content: bytes) -> bytes:
+        return struct.pack("<HB", len(content), ord(kind)) + content
+
+    parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message("B", bytes(40))]
+    parts += [message("F", f"{name}:{fields}".encode()) for name, (fields, _) in topics.items()]
+    for number, name in enumerate(topics):
+        parts.append(message("A", struct.pack("<BH", 0, number) + name.encode()))
+    for number, (_, messages) in enumerate(topics.values()):
+        parts += [message("D", struct.pack("<H", number) + one) for one in messages]
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+#: What `ulog` writes: poses with north, east, down, and commands of eight motors.
+ULOG_POSES = np.random.default_rng(8).uniform(-2, 2, (200, 3))
+ULOG_COMMANDS = np.random.default_rng(9).uniform(0, 1, (80, 8))
+
+
+def ulog(path: Path) -> Path:
+    """A log of motion capture and motors, as PX4 writes it."""
+    poses, motors = [], []
+    for k, (x, y, yaw) in enumerate(ULOG_POSES):
+        turn = np.cos(yaw / 2), 0.0, 0.0, -np.sin(yaw / 2)
+        poses.append(struct.pack("<QQ7fB", 10_000 * k + 900, 10_000 * k, x, -y, 0.3, *turn, 1))
+    for k, row in enumerate(ULOG_COMMANDS):
+        stopped = [float("nan")] * 4
+        motors.append(struct.pack("<QQ12fH", 10_000 * k + 50, 10_000 * k, *row, *stopped, 0))
+    times = "uint64_t timestamp;uint64_t timestamp_sample;"
+    return write_ulog(
+        path,
+        {
+            "vehicle_visual_odometry": (
+                f"{times}float[3] position;float[4] q;uint8_t pose_frame;",
+                poses,
+            ),
+            "actuator_motors": (f"{times}float[12] control;uint16_t reversible_flags;", motors),
+        },
+    )

@@ -92,6 +92,12 @@ def _ros1(folder: Path) -> Path:
     return ros1_bag(folder / "a.bag", n_poses=60, n_commands=25)
 
 
+def _ulog(folder: Path) -> Path:
+    from tests.apparatus.bags import ulog
+
+    return ulog(folder / "a.ulg")
+
+
 def _npz(folder: Path) -> Path:
     from dataclasses import replace
 
@@ -270,6 +276,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             functools.partial(_bag, use_chunking=False), m.bytes_damaged, _read_recording
         ),
         "ROS 1 bag": Kind(_ros1, m.bytes_damaged, _read_recording, _PREPROCESS),
+        "PX4 log": Kind(_ulog, m.bytes_damaged, _read_recording),
         "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
         "metadata.yaml": Kind(_metadata, text, _read_parent),
         "csv": Kind(_csv, m.table_damaged, _read_parent),

@@ -13,8 +13,9 @@ from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.stream import Recording
+from airpuck.recording.ulog_file import ULOG, read_ulog
 
-_FORMS = "a rosbag2 folder, an .mcap, .db3 or .bag file, a CSV file or a folder of CSV files"
+_FORMS = "a rosbag2 folder, an .mcap, .db3, .bag or .ulg file, a CSV file or a folder of CSV files"
 
 
 def read_recording(
@@ -29,10 +30,11 @@ def read_recording(
     Parameters
     ----------
     path : path-like
-        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a ROS 1 bag, a CSV file, or a
-        folder of CSV files: the authors', exports of Motive or Qualisys, or any that the mapping
-        describes. A folder that contains a single such folder also works. If a folder contains a
-        bag and CSV files, the bag is read, because the CSV files were made from it.
+        A rosbag2 folder (MCAP or SQLite), a bare .mcap or .db3 file, a ROS 1 bag, a PX4 log
+        (.ulg), a CSV file, or a folder of CSV files: the authors', exports of Motive or Qualisys,
+        or any that the mapping describes. A folder that contains a single such folder also works.
+        If a folder contains a bag and CSV files, the bag is read, because the CSV files were made
+        from it.
     mapping : RecordingMapping, optional
         Topics, files, columns, units and axes (`read_mapping`); the default is the authors'
         table.
@@ -81,6 +83,8 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
         return read_bag(found, mapping, needs)
+    if found.suffix == ULOG:
+        return read_ulog(found, mapping, needs)
     if found.suffix in TABLES:
         return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):

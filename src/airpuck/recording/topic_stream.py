@@ -190,15 +190,32 @@ def may_hold(stream: str, topic: TopicLog) -> bool:
 def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tuple[Stream, bool]:
     """Decode one topic, and report whether its messages carry their times."""
     msgtype = topic.msgtype
-    own = completed(_own(stream, mapping), _USUAL.get(msgtype, {}))
-    usual = PATHS.get(stream, {}).get(msgtype, ())
-    if stream not in COMMANDS and not usual and not getattr(own, "position", ()):
+    own = _own(stream, msgtype, mapping)
+    if stream not in COMMANDS and not (msgtype in PATHS[stream] or getattr(own, "position", ())):
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
     types = definitions(msgtype, topic.definition, idl=topic.idl)
     if msgtype not in types:
         raise InputError(f"the recording does not say what {shortened(msgtype)} holds")
-    fields = flatten(types, msgtype)
+    received = np.array(topic.received_ns, dtype=np.int64)
+
+    def read(paths: Sequence[str]) -> Decoded:
+        return decode(topic.messages, types, msgtype, paths)
+
+    return stream_of(stream, msgtype, flatten(types, msgtype), read, received, mapping)
+
+
+def stream_of(
+    stream: str,
+    msgtype: str,
+    fields: Sequence[Field],
+    read: Callable[[Sequence[str]], Decoded],
+    received: Int64[np.ndarray, " N"],
+    mapping: RecordingMapping,
+) -> tuple[Stream, bool]:
+    """Turn what `read` decodes into a stream, and report whether messages carry their times."""
+    own = _own(stream, msgtype, mapping)
+    usual = PATHS.get(stream, {}).get(msgtype, ())
     if isinstance(own, PoseMapping):
         names, convert = _pose_plan(usual, own)
     elif stream in COMMANDS:
@@ -207,17 +224,16 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
         names, convert = usual, lambda found: (COLUMNS[stream], _table(found, usual))
     times = (own.time,) if own.time else stamp_paths(fields)
     codes = dict(fields)
-    absent = [name for name in (*times, *names) if not _is_there(name, codes, stream)]
+    single = times if stream in COMMANDS else (*times, *names)  # the plan has checked commands
+    absent = [name for name in single if not _is_number(name, codes)]
     if absent:
         numbers = [path for path, code in fields if _number(code)]
         raise InputError(
             f"{msgtype} is defined without the number {', '.join(absent)} "
             f"(it has {listing(numbers)})"
         )
-    paths = dict.fromkeys(_place(name).path for name in (*times, *names))
-    found = decode(topic.messages, types, msgtype, tuple(paths))
+    found = read(tuple(dict.fromkeys(_place(name).path for name in (*times, *names))))
     columns, values = convert(found)
-    received = np.array(topic.received_ns, dtype=np.int64)
     stamp = _stamps([_at(found, _place(name)) for name in times], own)
     if stamp is None:
         arrived = received + round(own.start_s * SECOND_NS)
@@ -225,20 +241,21 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     return Stream(stamp, received, values, columns), True
 
 
-def _is_there(name: str, codes: Mapping[str, str], stream: str) -> bool:
-    """Return whether a type has a number of this name; commands are checked by their plan."""
+def _is_number(name: str, codes: Mapping[str, str]) -> bool:
+    """Return whether a type has a single number of this name."""
     path, entry = _place(name)
     code = codes.get(path, "")
-    if stream in COMMANDS:
-        return bool(code)
     return bool(_number(code)) and (code[0] == "<") == (entry is None)
 
 
-def _own(stream: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
-    """Return the mapping's section for a stream; all poses share one."""
+def _own(stream: str, msgtype: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
+    """Return the mapping's section for a stream, with what its type says; all poses share one."""
+    section = CommandMapping()
     if stream in POSES:
-        return mapping.pose
-    return mapping.command if stream in COMMANDS else CommandMapping()
+        section = mapping.pose
+    elif stream in COMMANDS:
+        section = mapping.command
+    return completed(section, _USUAL.get(msgtype, {}))
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:

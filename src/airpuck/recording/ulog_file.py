@@ -1,0 +1,154 @@
+"""Reading a PX4 log (ULog) through pyulog, the extra `px4`.
+
+A format may nest others and name arrays of any length, which pyulog unrolls field by field. So the
+formats are counted before it sees them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import struct
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.limits import DEFINITION_SIZE, refused
+from airpuck.recording.cdr import Field
+from airpuck.recording.files import listing, sha256
+from airpuck.recording.mapping import RecordingMapping
+from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.topic_stream import stream_of
+
+ULOG = ".ulg"
+#: Topics where the mapping names none; the first that the log has. Motion capture comes before what
+#: PX4 made of it.
+_USUAL = {
+    "pose": (
+        "vehicle_visual_odometry",
+        "vehicle_mocap_odometry",
+        "vehicle_odometry",
+        "vehicle_local_position",
+    ),
+    "command": ("actuator_motors",),
+}
+#: The log's names of topics -> types of their messages; others are their own type.
+_TYPES = {
+    **dict.fromkeys(_USUAL["pose"], "px4_msgs/msg/VehicleOdometry"),
+    "vehicle_local_position": "px4_msgs/msg/VehicleLocalPosition",
+    "actuator_motors": "px4_msgs/msg/ActuatorMotors",
+}
+#: Length and kind before each message; length of the file's header [bytes].
+_HEAD, _HEADER_BYTES = struct.Struct("<HB"), 16
+_FORMAT, _DEFINITIONS = ord("F"), frozenset(b"BFIMPQ")
+_ARRAY = re.compile(r"(\w+)(?:\[(\d{1,9})\])?")
+_ENTRY = re.compile(r"(.+)\[(\d+)\]")
+_MICROSECOND_NS = 1000
+
+
+def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
+    """Read the required streams of a ULog file, and those that the mapping names."""
+    try:
+        from pyulog import ULog
+    except ImportError:
+        raise InputError("PX4 logs need pyulog: pip install pyulog", file=path) from None
+    content = path.read_bytes()
+    _check_formats(content, path)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said):
+            log = ULog(io.BytesIO(content))
+    # A damaged log can make pyulog fail in any way.
+    except Exception as error:
+        raise InputError("is not a readable PX4 log", file=path) from error
+    topics: dict[str, Mapping[str, Any]] = {}
+    for data in log.data_list:
+        topics.setdefault(data.name, data.data)
+    streams = {}
+    for stream, name in mapping.topics.by_stream.items():
+        if not mapping.topics.required(stream, needs):
+            continue
+        # A ROS name such as /fmu/out/actuator_motors ends in the log's name.
+        named = (name.rpartition("/")[2],)
+        named = named if stream in mapping.topics.model_fields_set else _USUAL.get(stream, named)
+        topic = next((topic for topic in named if topic in topics), "")
+        if not topic:
+            problem = f"there is no such topic; choose out of {listing(sorted(topics))}"
+            raise InputError(problem, file=path, field=named[0])
+        try:
+            streams[stream] = _stream(stream, topic, topics[topic], mapping)
+        except (ValueError, OverflowError) as error:
+            problem = error.problem if isinstance(error, InputError) else str(error)
+            raise InputError(problem, file=path, field=topic) from error
+    damage = (f"{path.name} is damaged; what could be read is used",) if log.file_corruption else ()
+    return Recording(streams, str(path), {path.name: sha256(path)}, damage)
+
+
+def _stream(
+    stream: str, topic: str, data: Mapping[str, np.ndarray], mapping: RecordingMapping
+) -> Stream:
+    """Convert one topic; pyulog has a column for each entry of an array."""
+    columns: dict[str, list[np.ndarray]] = {}
+    single = set()
+    for name, values in data.items():
+        entry = _ENTRY.fullmatch(name)
+        columns.setdefault(entry[1] if entry else name, []).append(values)
+        if not entry:
+            single.add(name)
+    found = {k: v[0] if k in single else np.stack(v, axis=1) for k, v in columns.items()}
+    fields = [
+        Field(
+            name,
+            ("" if name in single else str(values.shape[1])) + values.dtype.str.replace("|", "<"),
+        )
+        for name, values in found.items()
+        if values.dtype.kind in "iuf"
+    ]
+    arrived = found["timestamp"].astype(np.int64) * _MICROSECOND_NS
+    read = partial(_chosen, found)
+    return stream_of(stream, _TYPES.get(topic, topic), fields, read, arrived, mapping)[0]
+
+
+def _chosen(found: Mapping[str, np.ndarray], paths: Sequence[str]) -> dict[str, np.ndarray]:
+    return {path: found[path] for path in paths}
+
+
+def _check_formats(content: bytes, path: Path) -> None:
+    """Refuse formats that unroll to too many fields."""
+    formats, place = dict[str, list[tuple[str, int]]](), _HEADER_BYTES
+    while place + _HEAD.size <= len(content):
+        length, kind = _HEAD.unpack_from(content, place)
+        place += _HEAD.size
+        if kind not in _DEFINITIONS:
+            break
+        if kind == _FORMAT:
+            text = content[place : place + length].decode(errors="replace")
+            name, _, fields = text.partition(":")
+            parts = filter(None, map(_ARRAY.match, fields.split(";")))
+            formats[name] = [(part[1], int(part[2] or 1)) for part in parts]
+        place += length
+    sizes: dict[str, int] = {}
+
+    def size(name: str, depth: int = 0) -> int:
+        if name not in formats:
+            return 1
+        if name not in sizes:
+            # A format within itself never ends.
+            total = DEFINITION_SIZE + 1 if depth > len(formats) else 0
+            for of, count in formats[name] if not total else ():
+                total += count * size(of, depth + 1)
+                if total > DEFINITION_SIZE:
+                    break
+            sizes[name] = total
+        return sizes[name]
+
+    for name in formats:
+        if size(name) > DEFINITION_SIZE:
+            raise refused(
+                f"defines {name} with too many fields", DEFINITION_SIZE, "log fewer", file=path
+            )

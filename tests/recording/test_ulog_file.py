@@ -1,0 +1,64 @@
+"""PX4 logs, written by their specification."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+
+from airpuck import InputError, read_mapping, read_recording
+
+from ..apparatus.bags import ULOG_COMMANDS, ULOG_POSES, ulog, write_ulog
+
+
+def test_motion_capture_and_motors_are_found(tmp_path):
+    recording = read_recording(ulog(tmp_path / "a.ulg"))
+    pose, command = recording["pose"], recording["command"]
+    np.testing.assert_allclose(pose.values[:, :2], ULOG_POSES[:, :2], atol=1e-6)
+    turned = np.exp(1j * (pose.values[:, 2] - ULOG_POSES[:, 2]))
+    np.testing.assert_allclose(turned, 1.0, atol=1e-6)
+    np.testing.assert_allclose(command.values, ULOG_COMMANDS, atol=1e-7)
+    # Measured and received; motors have one time.
+    assert (pose.stamp_ns[3], pose.received_ns[3]) == (30_000_000, 30_900_000)
+    assert command.stamp_ns[3] == 30_050_000
+
+
+def test_a_mapping_names_other_topics(tmp_path):
+    heading = [struct.pack("<QQ4f", 10_000 * k, 10_000 * k, 0.1 * k, 0, 0, 0.5) for k in range(9)]
+    fields = "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float heading;"
+    motors = [struct.pack("<Q2f", 10_000 * k, 0.25, 0.5) for k in range(9)]
+    topics = {
+        "vehicle_local_position": (fields, heading),
+        "my_motors": ("uint64_t timestamp;float[2] duty;", motors),
+    }
+    (tmp_path / "m.toml").write_text(
+        '[topics]\npose = "/fmu/out/vehicle_local_position"\ncommand = "/my_motors"\n'
+        '[command]\ntime = "timestamp"\nunits = ["us"]\nvalues = ["duty[1]", "duty[0]"]\n'
+    )
+    path = write_ulog(tmp_path / "a.ulg", topics)
+    recording = read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
+    np.testing.assert_allclose(recording["pose"].values[8], (0.8, 0.0, -0.5), atol=1e-6)
+    np.testing.assert_array_equal(recording["command"].values[0], (0.5, 0.25))
+    with pytest.raises(InputError, match="actuator_motors: there is no such topic; choose out of"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        "uint64_t timestamp;float[999999999] x;",
+        "uint64_t timestamp;" + "float[60] x;" * 60,
+        "a[900] a;a[900] b;",
+    ],
+)
+def test_formats_that_unroll_to_too_much_are_refused(tmp_path, fields):
+    path = write_ulog(tmp_path / "a.ulg", {"a": (fields, [])})
+    with pytest.raises(InputError, match="too many fields"):
+        read_recording(path)
+
+
+def test_what_is_no_log_is_refused(tmp_path):
+    (tmp_path / "a.ulg").write_bytes(b"ULog" + bytes(100))
+    with pytest.raises(InputError, match="is not a readable PX4 log"):
+        read_recording(tmp_path / "a.ulg")
