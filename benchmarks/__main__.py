@@ -1,7 +1,7 @@
 """The whole table of speed.
 
-    AIRPUCK_DATA=... python -m benchmarks                   # some minutes; leave the machine alone
-    AIRPUCK_DATA=... python -m benchmarks --only identify   # rows whose name begins so
+    AIRPUCK_DATA=... python -m benchmarks                   # takes minutes; keep the machine idle
+    AIRPUCK_DATA=... python -m benchmarks --only identify   # rows whose names begin with this
     AIRPUCK_DATA=... python -m benchmarks --long --authors ~/holohover-sysid
 
 Prints the table and stores it as out/benchmarks.json and out/benchmarks.md. Values are medians.
@@ -185,7 +185,7 @@ def peers(table: Table, folder: Path, checkout: Path | None) -> None:
         return float(workload("peer").figures["wall_s"])
 
     def demo() -> float:
-        # In turns: what a slow or busy machine does to one, it does to the other.
+        # Alternate them, so that a slow or busy machine affects both alike.
         whole = run((*AIRPUCK, "demo", "-q", "-o", folder / "demo"), **COLD).wall_s
         return whole / peer()
 

@@ -15,12 +15,12 @@ from airpuck.control.horizon import Answer, Blocks, Sizes, Stages
 from airpuck.control.tuning import Regulator
 from airpuck.craft.vehicle import Vehicle
 
-#: A bound that nothing reaches [m, m/s, rad/s]: PIQP wants one on either side of every row.
+#: A bound that nothing reaches [m, m/s, rad/s]: PIQP needs one on either side of every row.
 _FAR = 1e6
 
 
 class _Pattern:
-    """A sparse matrix whose entries change and whose places do not."""
+    """A sparse matrix with fixed positions and changing values."""
 
     def __init__(self, shape: tuple[int, int], *places: tuple[Any, Any]) -> None:
         rows, columns = (
@@ -41,7 +41,7 @@ class _Pattern:
 class Multistage(Sizes):
     """PIQP with all states as variables, whose multistage backend goes through them in turn.
 
-    It begins anew each time, and so needs the same time whatever the plan.
+    It starts cold each time, so its time does not depend on the plan.
     """
 
     _ACTIVE = 1e-6

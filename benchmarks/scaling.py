@@ -37,7 +37,7 @@ LABELS = {
 def measured(axis: str, runs: int) -> tuple[list[float], list[float], list[float]]:
     """Return sizes, times of a Gauss-Newton step [s], and peak memory of the process [MiB]."""
     option, values, figure = AXES[axis]
-    # Recordings are cut into all their windows, too, but one of seven.
+    # For several recordings, use every seventh window.
     stride = 7 if axis == "recordings" else 1
     sizes, times, peaks = [], [], []
     for value in values:

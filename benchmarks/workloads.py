@@ -38,7 +38,7 @@ def training(copies: int = 1):
     from airpuck.recording.dataset import dataset_folder
 
     whole = load_trajectory(dataset_folder() / TRAINING)
-    # The same recording twice is refused by its hashes.
+    # `identify` rejects a recording that is given twice; it compares hashes.
     return [replace(whole, hashes={f"copy {k}": str(k)}) for k in range(copies)]
 
 

@@ -5,7 +5,7 @@
 First on the twin: every row is the error after 0.2 s of the twin's own model, so the model adds no
 error. `known start` begins at the true state and motor speeds. Its error is due to events after the
 present, the floor for any predictor that uses past data only. Then the real validation experiment,
-by the known faults in its data.
+split by the known faults in its data.
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ def main() -> None:
         replicates=options.bootstrap,
         robust=options.robust,
     )
-    # JAX has threads, which do not live through a fork.
+    # JAX has threads, which do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with context.Pool(options.workers) as pool:
         results = []

@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=usable_cores())
     options = parser.parse_args()
     task = partial(pair, motor=options.motor, loss=options.loss, duration=options.duration)
-    # JAX has threads, which do not live through a fork.
+    # JAX has threads, which do not survive a fork.
     with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
         results = []
         for same, weak in pool.imap(task, range(options.pairs)):
@@ -76,7 +76,7 @@ def main() -> None:
     count = len(results)
     print(f"something moved between two flights of one craft: {false} of {count}")
     print(f"{options.motor} weakened by {options.loss:.0%}: named in {named} of {count}")
-    print(f"something else accused as well: {others} of {count}")
+    print(f"another quantity named as well: {others} of {count}")
 
 
 if __name__ == "__main__":

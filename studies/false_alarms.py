@@ -204,7 +204,7 @@ def main() -> None:
         for kind in KINDS
     ]
     rows = []
-    # JAX has threads, which do not live through a fork.
+    # JAX has threads, which do not survive a fork.
     with (
         multiprocessing.get_context("spawn").Pool(options.processes) as pool,
         options.out.open("w") as file,

@@ -203,15 +203,15 @@ def report(outcomes: Sequence[Outcome], healthy: Sequence[Outcome]) -> None:
     for kind, entries in kinds.items():
         seen = [entry for entry in entries if entry[1]]
         print(
-            f"{kind:14s} {len(entries):4d} given, {len(seen):4d} show: "
+            f"{kind:14s} {len(entries):4d} injected, {len(seen):4d} visible: "
             f"found {share(seen, 2)}, {share(seen, 3)} of their time; of all {share(entries, 2)}"
         )
     told, wrong = (sum(getattr(o, name) for o in outcomes) for name in ("told", "wrong"))
-    print(f"{told} spans of motors and radio told, {wrong} of them where nothing was")
+    print(f"{told} spans of motors and radio reported, {wrong} of them without a fault")
     lost = 100 * np.array([outcome.lost for outcome in healthy])
     print(
         f"{len(healthy)} healthy flights lose {lost.mean():.2f} % of their windows on average, "
-        f"at most {lost.max():.2f} %; {sum(o.told for o in healthy)} spans told"
+        f"at most {lost.max():.2f} %; {sum(o.told for o in healthy)} spans reported"
     )
 
 
@@ -225,7 +225,7 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=40)
     parser.add_argument("--duration", type=float, default=60.0)
     options = parser.parse_args()
-    # JAX has threads, which do not live through a fork.
+    # JAX has threads, which do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with context.Pool(usable_cores()) as pool:
         found = [

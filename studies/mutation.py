@@ -48,8 +48,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "airpuck"
 
-#: What stands for what. Of comparisons the second is taken where numbers are counted: real numbers
-#: are never equal.
+#: Replacements of operators. A comparison is replaced by the second one only between counts: real
+#: numbers are never equal.
 COMPARISONS: dict[type, tuple[str, ...]] = {
     ast.Lt: ("<", ">=", "<="),
     ast.LtE: ("<=", ">", "<"),
@@ -82,16 +82,16 @@ _PAIRS = (
     ("floor", "ceil"),
 )
 CALLS = {a: b for pair in _PAIRS for a, b in (pair, pair[::-1])}
-#: Keywords that check or label, and change no result.
+#: Keywords that only check or label: they change no result.
 IDLE_KEYWORDS = {"strict", "stacklevel", "check", "help"}
 #: A test that takes longer than this is not run [s of a processor].
 SLOW = 2.5
 #: A quick test is run before others [s of a processor].
 QUICK = 0.3
-#: Tests are stopped after twice their usual time and this [s of a processor], or after so many
-#: times that by the clock, which also knows other work on the machine.
+#: Tests are stopped after twice their usual time plus this [s of a processor], or after this
+#: multiple of that by the clock, since other work may slow the machine down.
 PATIENCE, LOADED = 10.0, 10.0
-#: No mistake takes more memory [bytes].
+#: Memory limit of a run with a mistake [bytes].
 MEMORY = 6 << 30
 
 
@@ -105,12 +105,12 @@ class Mutant:
     end: int
     before: str
     after: str
-    #: Of the file without it.
+    #: The file without the mistake, or its hash.
     source: str
 
     @property
     def key(self) -> str:
-        """What it is known by in the file of results."""
+        """The mistake's key in the file of results."""
         return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
 
     @property
@@ -130,7 +130,7 @@ class Mutant:
 
 
 class Mistakes(ast.NodeVisitor):
-    """Finds where in a file a mistake can be made: spans with what may stand there instead."""
+    """Finds the places in a file where a mistake can be made: spans and their replacements."""
 
     def __init__(self, text: bytes) -> None:
         self.text = text
@@ -155,7 +155,7 @@ class Mistakes(ast.NodeVisitor):
         return self.text[start:end].decode()
 
     def between(self, left: ast.AST, right: ast.AST, old: str, new: tuple[str, ...]) -> None:
-        """Note an operator between two operands."""
+        """Record an operator between two operands."""
         start, end = self.span(left)[1], self.span(right)[0]
         gap = self.text[start:end].decode()
         pattern = re.escape(old).replace(r"\ ", r"\s+")
@@ -165,11 +165,11 @@ class Mistakes(ast.NodeVisitor):
             self.found.append((start + offset, start + offset + len(operator[0].encode()), new))
 
     def negated(self, test: ast.expr) -> None:
-        """Note a condition."""
+        """Record a condition."""
         self.found.append((*self.span(test), (f"not ({self.piece(test)})",)))
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> None:
-        """Look at the defaults and the body."""
+        """Visit the defaults and the body."""
         if node.name in ("__repr__", "__str__"):
             return
         for default in (*node.args.defaults, *node.args.kw_defaults):
@@ -181,23 +181,23 @@ class Mistakes(ast.NodeVisitor):
         self.inside -= 1
 
     def visit_ClassDef(self, node: ast.ClassDef) -> None:
-        """Look at the body."""
+        """Visit the body."""
         for statement in node.body:
             self.visit(statement)
 
     def visit_AnnAssign(self, node: ast.AnnAssign) -> None:
-        """Look at the value."""
+        """Visit the value."""
         if node.value is not None:
             self.visit(node.value)
 
     def visit_Raise(self, node: ast.Raise) -> None:
-        """Leave messages alone."""
+        """Skip messages."""
 
     def visit_Assert(self, node: ast.Assert) -> None:
-        """Leave assertions alone."""
+        """Skip assertions."""
 
     def visit_JoinedStr(self, node: ast.JoinedStr) -> None:
-        """Leave messages alone."""
+        """Skip messages."""
 
     def visit_Compare(self, node: ast.Compare) -> None:
         """Invert a comparison, or move its boundary by one."""
@@ -237,7 +237,7 @@ class Mistakes(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Constant(self, node: ast.Constant) -> None:
-        """Change a number by one, and truth."""
+        """Change a number by one, or negate a boolean."""
         value = node.value
         if isinstance(value, bool):
             self.found.append((*self.span(node), (str(not value),)))
@@ -245,7 +245,7 @@ class Mistakes(ast.NodeVisitor):
             self.found.append((*self.span(node), (repr(value + 1),)))
 
     def visit_Call(self, node: ast.Call) -> None:
-        """Call the opposite; leave reports alone."""
+        """Call the opposite function; skip reports."""
         name = self.piece(node.func).rpartition(".")[2]
         if name in ("warn", "warning", "info", "debug", "InputError", "isinstance"):
             return
@@ -296,7 +296,7 @@ class Mistakes(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Assign(self, node: ast.Assign) -> None:
-        """Leave out what changes an object."""
+        """Leave out a statement that changes an object."""
         if self.inside and isinstance(node.targets[0], ast.Attribute | ast.Subscript):
             self.found.append((*self.span(node), ("pass",)))
         self.generic_visit(node)
@@ -314,7 +314,7 @@ def mutants(package: str, count: int, seed: int) -> list[Mutant]:
                 (name, text.count(b"\n", 0, start) + 1, start, end, text, choices, digest)
             )
     draw = random.Random(f"{package} {seed}")
-    # The first of many are the same as few.
+    # A smaller number of draws gives the first of a larger number.
     draw.shuffle(places)
     drawn = []
     for name, line, start, end, text, choices, digest in places[:count]:
@@ -327,7 +327,7 @@ def mutants(package: str, count: int, seed: int) -> list[Mutant]:
 
 @dataclass
 class Test:
-    """What is known of a test: how long it takes, and which functions of the package it calls."""
+    """A test's duration, and the functions of the package that it calls."""
 
     node: str
     seconds: float
@@ -337,13 +337,13 @@ class Test:
 
 
 class Reports:
-    """A pytest plugin that keeps the names of tests that failed."""
+    """A pytest plugin that records the names of failed tests."""
 
     def __init__(self) -> None:
         self.failed: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note a failure in any of a test's parts."""
+        """Record a failure in any phase of a test."""
         if report.failed:
             self.failed.append(report.nodeid)
 
@@ -364,13 +364,13 @@ class Chosen:
 
 
 class Instead:
-    """A pytest plugin that does something else with the tests than to run them."""
+    """A pytest plugin that passes the collected tests to a function instead of running them."""
 
     def __init__(self, work: Callable[[pytest.Session], None]) -> None:
         self.work = work
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """Do it."""
+        """Call the function."""
         self.work(session)
         return True
 
@@ -392,7 +392,7 @@ def too_slow(signal: int, frame: Any) -> None:
 
 
 def watched(items: list[pytest.Item], folder: Path, slow: float) -> list[dict[str, Any]]:
-    """Run collected tests in this process; return what is known of each."""
+    """Run collected tests in this process; return duration and calls of each."""
     inside, found = f"{folder}{os.sep}", []
     calls: set[tuple[str, int]] = set()
 
@@ -458,7 +458,7 @@ def in_a_child(work: Callable[[], Any], limit: float) -> Any:
     timer = threading.Timer(LOADED * limit, stop)
     timer.start()
     with os.fdopen(reading) as pipe:
-        # One line, not all until the end: a child of the child may live on.
+        # Read one line, not until the end: a child of the child may keep the pipe open.
         said = pipe.readline()
     timer.cancel()
     with suppress(ProcessLookupError):
@@ -502,7 +502,7 @@ def baseline(package: str, items: list[pytest.Item], slow: float, out: Path) -> 
 
 
 def imported(path: Path) -> set[str]:
-    """Return what a module imports when it is imported."""
+    """Return the modules that a module imports at import time."""
     found: set[str] = set()
     stack: list[ast.AST] = [ast.parse(path.read_bytes())]
     while stack:
@@ -524,7 +524,7 @@ def imported(path: Path) -> set[str]:
 
 
 def dependents(module: str) -> set[str]:
-    """Return the loaded modules that a changed one could have changed, itself among them."""
+    """Return the loaded modules that a change of one module may affect, including itself."""
     ours = {
         name: imported(Path(loaded.__file__))
         for name, loaded in list(sys.modules.items())
@@ -544,7 +544,7 @@ def dependents(module: str) -> set[str]:
 
 
 def forget(module: str) -> None:
-    """Make everything that depends on a module be imported again."""
+    """Reimport everything that depends on a module."""
     for name in dependents(module):
         parent, _, last = name.rpartition(".")
         sys.modules.pop(name, None)
@@ -553,7 +553,7 @@ def forget(module: str) -> None:
 
 
 def codes(scope: CodeType, functions: dict[tuple[str, int], CodeType], rest: list[Any]) -> None:
-    """Sort the code of a module into its functions, and what runs when it is imported."""
+    """Divide the code of a module into its functions and the code that runs at import."""
     rest += [scope.co_code, scope.co_names]
     for constant in scope.co_consts:
         if not isinstance(constant, CodeType):
@@ -579,7 +579,7 @@ def functions_of(folder: Path) -> dict[tuple[str, str, int], list[FunctionType]]
 def changed_in_place(
     mutant: Mutant, loaded: dict[tuple[str, str, int], list[FunctionType]]
 ) -> bool:
-    """Give functions the code with a mistake; return whether that is all there is to change."""
+    """Give functions the code with a mistake; return whether nothing else must change."""
     path = SOURCES / mutant.path
     loader: Any = sys.modules[mutant.module].__loader__
     old: dict[tuple[str, int], CodeType] = {}
@@ -630,7 +630,7 @@ def attempt(
 
 
 def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], int]) -> list[str]:
-    """Return the tests of the files that call a function: quick ones first.
+    """Return the tests that may notice a change of a function, quick ones first.
 
     A fixture of a module, or a compiled program, calls a function for one test only, so that the
     other quick tests of its file come, too. What runs when a module is imported concerns all who
@@ -657,7 +657,7 @@ def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], in
 
 
 def spans_of(package: str) -> dict[tuple[str, int], int]:
-    """Return from which to which line functions go: file and first line, and last line."""
+    """Return the line ranges of functions: file and first line, and last line."""
     found = {}
     for path in (SOURCES / package).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_bytes())):
@@ -677,7 +677,7 @@ def state_of_tests(package: str) -> str:
 def study(
     package: str, count: int, seed: int, slow: float, out: Path
 ) -> list[tuple[Mutant, dict[str, Any]]]:
-    """Return what became of each mutant; keep it in a file."""
+    """Return the result of each mutant, and store it in a file."""
     out.mkdir(parents=True, exist_ok=True)
     file, state = out / f"{package}.jsonl", state_of_tests(package)
     known: dict[str, dict[str, Any]] = {}
@@ -696,7 +696,7 @@ def study(
         items = {item.nodeid: item for item in session.items}
         usual = {test.node: test.seconds for test in tests}
         loaded = functions_of(SOURCES / package)
-        # What is not collected is not copied for the forks.
+        # Forks need not copy frozen objects.
         gc.freeze()
         print(
             f"{package}: {len(tests)} tests, {time.monotonic() - began:.0f} s;"

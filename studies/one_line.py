@@ -1,4 +1,4 @@
-"""How studies end that were given something they cannot use: with one line, as commands do."""
+"""Ends a study with one line if its input is unusable, as commands do."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def main() -> None:
         state = np.concatenate([arrived.state[:, :3], rates], axis=1)
         ways = {
             "every packet after the mean delay": (trajectory, 0),
-            "packets where the poses tell (identify)": (trajectory, Preparation().retimings),
+            "times estimated from the poses (identify)": (trajectory, Preparation().retimings),
             "true times of arrival": (arrived, 0),
             "true times and velocities": (replace(arrived, state=state), 0),
         }

@@ -28,7 +28,7 @@ from airpuck.planning.transcription import program_for
 PROPELLERS = (3, 4, 6, 8)
 #: Intervals of the plans that are compared.
 INTERVALS = 20
-#: What an error says that no search could mend.
+#: Words of errors that no search could avoid.
 PROVED = ("whatever it does",)
 
 

@@ -3,8 +3,8 @@
     python studies/random_games.py --games 100000
 
 Games are two seconds long. The players are a craft (a free disc that is pushed at random, and
-bounces off the rails) and two mallets that hunt the puck, with random speed and force. Puck, table,
-goal and laws of contact are random as well. Shots have up to 20 m/s.
+bounces off the rails) and two mallets that chase the puck, with random speed and force. Puck,
+table, goal and laws of contact are random as well. Shots have up to 20 m/s.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ class Situation:
     kind: Literal["excitation", "hover"] = "excitation"
     amplitude: float = 0.7
     duration: float = RECORDED
-    #: A metre in the recording, which no recording can tell and all accelerations are stated in.
+    #: A metre in the recording's unit: no recording reveals it, and accelerations are stated in it.
     metre: float = 1.0
 
     def truth(self) -> Model:
@@ -106,7 +106,7 @@ def _settings(updates: str) -> TwinSettings:
 
 
 def clock(offset: float, recorder: bool = False) -> Callable[[Recording], Recording]:
-    """Stamp poses too late [s]; `recorder`: its own times stay right."""
+    """Stamp poses late by a time [s]; `recorder`: its arrival times stay right."""
 
     def edit(recording: Recording) -> Recording:
         pose, by = recording["pose"], round(offset * 1e9)
@@ -274,7 +274,7 @@ def identified(situation: Situation, seed: int, folder: Path) -> Model | str:
         fit.model.save(file)
     try:
         return read_model(file)
-    except InputError as error:  # A fit that ran away has numbers that no model file may hold.
+    except InputError as error:  # A diverged fit has numbers that no model file may hold.
         return str(error)
 
 

@@ -38,7 +38,7 @@ DWELL, FAULT = 3.0, 3.0
 SETTLED = 0.5 * DWELL
 #: Share of its thrust that the motor then gives. A model needs curves that rise.
 FAULTS = {"none": 1.0, "60 %": 0.6, "stalled": 1e-3}
-#: Of the converged solution.
+#: Tuning of the converged solution.
 _SLOW = default_tuning().model_copy(update={"period_s": 0.02})
 
 

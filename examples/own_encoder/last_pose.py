@@ -1,16 +1,16 @@
-"""An encoder of your own: a prediction starts from the last pose, motors at their last command."""
+"""An encoder of your own: the last pose, and motors that already follow the last command."""
 
 import numpy as np
 
 
 class LastPose:
-    """Takes the newest state, and motors without any lag. Give it to `airpuck.evaluate`."""
+    """Uses the newest state, as if motors had no lag. Pass an object to `airpuck.evaluate`."""
 
     name = "last pose"
     causal = False  # smoothed velocities look a few samples ahead
 
     def begin(self, dynamics, past):
-        """Return what to predict from, and the dynamics to predict with."""
+        """Return the initial state and the dynamics of a prediction."""
         return self.encode(np, dynamics, past), dynamics
 
     def encode(self, xp, dynamics, past):

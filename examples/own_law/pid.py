@@ -1,4 +1,4 @@
-"""A law of one's own; see docs/control.md, "A law of your own"."""
+"""A law of your own; see docs/control.md, "A law of your own"."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A pilot of one's own; see docs/control.md, "A controller of your own"."""
+"""A pilot of your own; see docs/control.md, "A controller of your own"."""
 
 import numpy as np
 

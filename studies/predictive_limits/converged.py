@@ -45,7 +45,7 @@ class Problem:
     solver : str
         ``fatrop`` or ``ipopt``.
     tolerance : float
-        Of the solver.
+        Tolerance of the solver.
     compiled : bool
         Whether the system's C compiler compiles the derivatives, which takes a minute.
     """

@@ -1,1 +1,1 @@
-"""What the tests are made with: each module says what it makes, or what it checks."""
+"""Shared tools of the tests: each module states what it makes or checks."""

@@ -1,4 +1,4 @@
-"""A server of pages, with the test as the game at the other end of its pipe."""
+"""A page server; the test plays the game at the other end of its pipe."""
 
 from __future__ import annotations
 
@@ -41,26 +41,26 @@ class Arena:
         return connect(f"ws://127.0.0.1:{self.port}/", compression=None, **options)
 
     def heard(self, timeout: float = 5.0) -> tuple[bytes, Any]:
-        """What the game hears next."""
+        """Return the next message that the game receives."""
         assert self.pipe.poll(timeout)
         message = self.pipe.recv_bytes()
         kind, content = message[:1], message[1:]
         return kind, json.loads(content) if kind == ORDER else struct.unpack("<Ifff", content)
 
     def ordered(self) -> dict[str, Any]:
-        """The next order; wishes are left out."""
+        """Return the next order, skipping wishes."""
         while True:
             kind, content = self.heard()
             if kind == ORDER:
                 return content
 
     def hears(self, *orders: str) -> None:
-        """The game hears these orders next."""
+        """Check that the game receives these orders next."""
         for order in orders:
             assert self.ordered()["do"] == order
 
     def silent(self) -> bool:
-        """Whether the game hears nothing more."""
+        """Check that the game receives nothing more."""
         return not self.pipe.poll(0.2)
 
     def close(self) -> None:

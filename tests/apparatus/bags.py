@@ -71,7 +71,7 @@ def pose_message(stamp_ns: int, x: float, y: float, yaw: float, frame: str = "")
 def stream(
     n: int, rate: float, columns: tuple[str, ...], seed: int, latency: int = 3_000_000
 ) -> Stream:
-    """Random numbers, so that every one has all its digits."""
+    """Return random numbers, which use all digits of a float."""
     rng = np.random.default_rng(seed)
     stamp = START_NS + (np.arange(n) * (1e9 / rate)).astype(np.int64)
     return Stream(
@@ -153,7 +153,7 @@ def ros_header(types: Types, stamp_ns: int) -> object:
 
 
 def foreign_topics() -> dict[str, Topic]:
-    """Four seconds of poses and commands as another recorder would have them."""
+    """Four seconds of poses and commands as another recorder would store them."""
     rng = np.random.default_rng(7)
     poses, commands = rng.uniform(-1, 1, (960, 3)), rng.uniform(0, 1, (400, 6))
     return {

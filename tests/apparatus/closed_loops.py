@@ -70,7 +70,7 @@ def fly(
 
 
 def steer_to(ours: TrackingController, craft: Estimate, reference: Reference) -> Step:
-    """Steer a craft to a reference, now."""
+    """Compute one control step of a craft towards a reference."""
     ours.reference = reference
     return ours.steer(craft, 0.0)
 

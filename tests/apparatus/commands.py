@@ -1,4 +1,4 @@
-"""Run the command line: in this process, or as a user does, in one of its own."""
+"""Run the command line: in this process, or in a separate one as a user does."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from unittest import mock
 
 
 def airpuck(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
-    """Run a command here: what it needs is imported and compiled once for all tests.
+    """Run a command in this process: imports and compiled programs serve all tests.
 
     Exceptions other than `InputError` propagate, instead of a traceback on standard error.
     """
@@ -36,7 +36,7 @@ def airpuck(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
 
 
 def airpuck_process(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
-    """Run a command in a process of its own."""
+    """Run a command in a separate process."""
     return subprocess.run(
         [sys.executable, "-c", "from airpuck.cli import main; main()", *map(str, arguments)],
         capture_output=True,
@@ -48,7 +48,7 @@ def airpuck_process(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
 
 
 def refused(process: CompletedProcess[str], *words: str) -> bool:
-    """Bad input: status 2, one line, no traceback, the words in it."""
+    """Check for bad input: status 2, one line with these words, no traceback."""
     assert process.returncode == 2, process.stderr
     lines = process.stderr.strip().splitlines()
     assert len(lines) == 1, process.stderr

@@ -1,7 +1,7 @@
-"""Runs commands and disturbs them: a signal at some time or in the middle of writing, a full disk.
+"""Runs commands and disturbs them, by a signal at any time or by a full disk.
 
-A server in a process of its own: it imports what commands need once, and forks for each command, so
-so that its failures cannot affect the tests. `Server` talks to it.
+A server in a separate process imports everything that commands need once, and forks for each
+command. Its failures cannot affect the tests. `Server` talks to it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-#: Files may grow no longer than this where the disk is full [bytes].
+#: Largest file size if the disk is full [bytes].
 _FULL = 64
 
 
@@ -28,7 +28,7 @@ _FULL = 64
 class Ended:
     """How a command ended."""
 
-    #: Exit status; negative: of a signal.
+    #: Exit status; negative: minus the number of a signal.
     status: int
     error: str
     wall_s: float
@@ -39,7 +39,7 @@ class Server:
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "tests.apparatus.disturbed_commands"]
-        # A shell that starts the tests in the background has its children ignore Ctrl-C.
+        # Children of a shell that starts the tests in the background ignore Ctrl-C.
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -71,7 +71,7 @@ class Server:
 
 
 def _serve() -> None:
-    """Answer cases from standard input; a child returns to be the command."""
+    """Serve cases from standard input; a forked child returns and becomes the command."""
     warnings.filterwarnings("ignore", "os.fork")
     for line in sys.stdin:
         case, started = json.loads(line), time.monotonic()
@@ -89,7 +89,7 @@ def _serve() -> None:
         _, status = os.waitpid(child, 0)
         code = os.waitstatus_to_exitcode(status)
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(child, signal.SIGKILL)  # what a killed command leaves running
+            os.killpg(child, signal.SIGKILL)  # children that a killed command left running
         with os.fdopen(errors, errors="replace") as text:
             error = text.read()
         wall_s = time.monotonic() - started
@@ -110,7 +110,7 @@ def _become(case: dict[str, Any], errors: int) -> None:
     os.dup2(os.open(os.devnull, os.O_RDWR), 1)
     os.dup2(1, 0)
     sys.argv = ["airpuck", *case["arguments"]]
-    # Flights of 90 s are for the reader of its report.
+    # A report needs flights of 90 s, a test does not.
     airpuck.report.demo.demo = partial(airpuck.report.demo.demo, duration=8.0)
     counts = {"touch": 0, "replace": 0, "mkdir": 0, "rename": 0}
 

@@ -1,4 +1,4 @@
-"""Short flights whose states are noisy, rates included."""
+"""Short flights with noisy states, rates included."""
 
 from dataclasses import replace
 

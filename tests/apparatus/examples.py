@@ -1,9 +1,9 @@
-"""How many random examples a test tries."""
+"""Number of random examples that a test tries."""
 
 from hypothesis import settings
 
 
 def examples(count: int) -> settings:
-    """Try as many in all tests, a tenth in the quick ones."""
-    # The profile says which: 100 examples, or 10.
+    """Set the number of examples for all tests; quick runs try a tenth of it."""
+    # The profile determines which: 100 examples or 10.
     return settings(max_examples=max(5, count * settings.default.max_examples // 100))

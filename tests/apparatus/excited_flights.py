@@ -1,4 +1,4 @@
-"""Excitation flights on the twin: how fast they really were, how long each packet really took."""
+"""Excitation flights on the twin, with their true velocities and the true delay of each packet."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Flown:
     trajectory : Trajectory
         As preprocessed.
     delay : array, shape (K,)
-        How long each packet took [s].
+        True delay of each packet [s].
     rates : array, shape (N, 3)
         True vx, vy [m/s], ω [rad/s].
     """
@@ -64,7 +64,7 @@ def settings(jitter: float, noise: bool = True) -> TwinSettings:
 
 @once
 def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> Flown:
-    """Fly with a radio of a given jitter [s], and look into it."""
+    """Fly with a radio of a given jitter [s], and record the true delays."""
     delay: list[float] = []
     twins: list[Twin] = []
 

@@ -2,9 +2,9 @@
 
     python -m tests.apparatus.fuzz [--cases N] [--first SEED] [KIND ...]
 
-A case is good if it is read or refused by an `InputError` in one printable line, and nothing is
-written. All other exceptions, deaths of the process, cases above the limit of time, and files left
-behind are failures; each is named by kind and seed, which make the same file again.
+A case passes if the file is read, or rejected by an `InputError` in one printable line, and nothing
+is written. All other exceptions, crashes of the process, timeouts, and files left behind are
+failures. Each is reported with kind and seed, which reproduce the file.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tests.apparatus import mutations as m
 
 MEMORY = 2 * 2**30
 SECONDS = 10
-#: How many cases lie between those that also go through the command line.
+#: One case out of this number also goes through the command line.
 CLI_EVERY = 50
 
 
@@ -49,7 +49,7 @@ class Kind:
 
 @dataclass
 class Tally:
-    """What became of the cases."""
+    """Results of the cases."""
 
     outcomes: Counter[str] = field(default_factory=Counter)
     failures: list[str] = field(default_factory=list)
@@ -62,7 +62,7 @@ class Tally:
 
 
 class TooSlow(BaseException):
-    """A case takes longer than it may; no `except Exception` swallows it."""
+    """A case timed out; `except Exception` does not catch this."""
 
 
 def _bag(folder: Path, **options: Any) -> Path:
@@ -315,7 +315,7 @@ def _too_slow(*_: object) -> None:
 
 
 def _refusal(error: Exception, path: Path) -> str:
-    """Return what is wrong with the way a file was refused; empty for nothing."""
+    """Return what is wrong with the rejection of a file; empty if it is right."""
     message = str(error)
     if not message.isprintable():
         return f"the message is not one printable line: {message!r}"
@@ -325,12 +325,12 @@ def _refusal(error: Exception, path: Path) -> str:
 
 
 def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
-    """Read one file; return its outcome and what is wrong with that, empty for nothing."""
+    """Read one file; return the outcome, and what is wrong with it; empty if it is right."""
     from airpuck.boundary.errors import InputError
     from tests.apparatus.commands import airpuck
 
     before = sorted(path.parent.iterdir())
-    # Of processor time, since other tests may run beside this one; and in all for what waits.
+    # Limit processor time, since other tests may run at the same time; and wall time for deadlocks.
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     signal.alarm(10 * SECONDS)
     try:
@@ -358,7 +358,7 @@ def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
 
 
 def work(names: Sequence[str], first: int, count: int, done: int) -> None:
-    """Run cases here, reporting each before and after; `done` of the first kind are left out."""
+    """Run cases here, reporting each before and after; skip the first `done` of the first kind."""
     import warnings
 
     import airpuck.cli  # noqa: F401
@@ -392,7 +392,7 @@ def _report(**content: Any) -> None:
 
 
 def fuzz(names: Sequence[str], count: int, first: int = 0) -> dict[str, Tally]:
-    """Run cases of each kind in a process of their own, and another one where it dies."""
+    """Run the cases of each kind in a separate process; start another one if it dies."""
     tallies = {name: Tally() for name in names}
     left, done = list(names), 0
     while left:

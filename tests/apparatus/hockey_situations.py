@@ -1,4 +1,4 @@
-"""Situations in a game, as a tactic sees them; and what really happens in them."""
+"""Situations in a game as a tactic sees them, and their true outcomes."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ from airpuck.physics.puck_on_table import PuckOnTable
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 PITCH, TIMES, PUCK = pitch_of(MODEL, PLAY), read_minimal_times(), PuckModel(PLAY)
-#: How well the filter knows a puck that it has seen for a while.
+#: Covariance of the filter for a puck that it has seen for a while.
 SEEN = np.diag([3e-5, 3e-5, 1e-3, 3e-3, 3e-3, 0.1]) ** 2
 #: Signs of x, y, yaw and their rates in a mirror along the table.
 MIRROR = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])
@@ -46,7 +46,7 @@ def later(view, duration, craft=None):
 
 
 def decided(strategy, view, periods=4):
-    """Ask a strategy for some periods, in which nothing moves; return its last proposal."""
+    """Ask a strategy for some periods while nothing moves; return its last proposal."""
     found, turns = None, Turns()
     for k in range(periods):
         found = asked(strategy, replace(view, time=view.time + 0.01 * k), turns)
@@ -54,7 +54,7 @@ def decided(strategy, view, periods=4):
 
 
 def asked(strategy, view, turns):
-    """Ask a strategy once; it has all turns to search to itself."""
+    """Ask a strategy once, giving it every turn to search."""
     outlook = Outlook(view)
     found = strategy.propose(view, outlook)
     if isinstance(strategy, Searcher) and turns.give(view, outlook, [strategy]):

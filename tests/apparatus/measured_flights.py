@@ -19,7 +19,7 @@ Commands = list[tuple[float, np.ndarray]]
 
 
 def some_commands(duration: float, seed: int = 0) -> Commands:
-    """New ones a hundred times a second, never at the time of a pose."""
+    """Return new commands a hundred times a second, never at the time of a pose."""
     random = np.random.default_rng(seed)
     times = 0.0037 + 0.01 * np.arange(round(100 * duration))
     return [(float(t), random.uniform(0.03, 0.6, 6)) for t in times]
@@ -32,7 +32,7 @@ def acting(commands: Commands, time: float) -> np.ndarray:
 
 
 def switches(commands: Commands, start: float, end: float) -> list[float]:
-    """Both ends and all times between them at which another command comes into force."""
+    """Return both ends, and all times in between at which the command changes."""
     return [start, *(t + DELAY for t, _ in commands if start < t + DELAY < end), end]
 
 

@@ -1,4 +1,4 @@
-"""Crafts, models of them, and what a fit of them would give."""
+"""Craft, their models, and made-up results of fits."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
 
 
 def fit_of(model: Model, training: Trajectory | None = None) -> Fit:
-    """What a fit would look like, without the work."""
+    """Make up the result of a fit."""
     history = tuple(Iteration(k, 1e-4 * (1 + 2.0**-k)) for k in range(4))
     loss = None if training is None else Loss().on([training], model.vehicle)
     found = history[-1].loss

@@ -1,4 +1,4 @@
-"""Damage to files of every kind: blind for any bytes, and aimed at what each format means."""
+"""Damage to files of every kind: random bytes, and damage specific to each format."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 
 HUGE = [2**8, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**33, 2**62, 2**63, 2**64 - 1]
-#: What a number, a text or a table may be replaced by.
+#: Replacements of a number, a text or a table.
 VALUES = ["nan", "inf", "-inf", "1e400", "-0", "-1", "0", "1", "1e-320", "true", '""', '"text"']
 VALUES += ["[]", "{}", "[[1.0]]", "[nan]", '["a"]', "null", "1979-05-27", "0x7fffffffffffffffffff"]
 VALUES += ["9" * 26]
 VALUES += ["9" * 5000, "[" * 900 + "]" * 900, "{a=" * 200 + "1" + "}" * 200]
 VALUES += ['"\\u001b[2J\\u202e"', '"' + "x" * 5000 + '"', "[" + "1.0," * 3000 + "1.0]"]
-#: What may stand between two tokens.
+#: Separators of tokens.
 STRANGE = ["\x1b[31m", "\0", "\u202e", "é", "[[", "a.b", "&a *a", "<<: "]
 _TOKEN = re.compile(r'"[^"\n]*"|[\w.+-]+|[^\w\s]')
 
@@ -113,7 +113,7 @@ def table_damaged(content: bytes, rng: random.Random) -> bytes:
 
 
 def array_damaged(content: bytes, rng: random.Random) -> bytes:
-    """Replace a NumPy array by one of other numbers, shape or type, or lie in its header."""
+    """Replace a NumPy array by one of other numbers, shape or type, or falsify its header."""
     if rng.random() < 0.4:
         return bytes_damaged(content[:200], rng) + content[200:]
     array = np.load(io.BytesIO(content))

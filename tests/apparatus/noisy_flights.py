@@ -20,7 +20,7 @@ TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 def noisy(model: Model = TRUTH, duration: float = 4.0, seed: int = 0) -> Trajectory:
     """A random flight with white noise on the poses; rates and accelerations stay exact.
 
-    Without its first 0.3 s: motors start at rest there, which no command tells.
+    Without its first 0.3 s, in which motors start from rest whatever the commands.
     """
     flight = fly(model, duration + 0.3, seed)
     flight = flight.slice(0.3 / (duration + 0.3), 1)

@@ -1,4 +1,4 @@
-"""What takes seconds to make is made once a session, for all workers."""
+"""Caches expensive objects once per session, for all workers."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ folder: Path | None = None
 
 
 def once(make: Callable[P, T]) -> Callable[P, T]:
-    """Keep what a function returns for its arguments: in memory, and in a file for other workers.
+    """Cache the results of a function: in memory, and in a file for other workers.
 
-    The first worker that asks makes it; others wait and read.
+    The first worker that needs a result computes it; others wait for the file.
     """
 
     @functools.cache

@@ -1,4 +1,4 @@
-"""Crafts of which the fastest flight is known by hand."""
+"""Craft whose fastest flight can be calculated by hand."""
 
 import numpy as np
 
@@ -12,8 +12,8 @@ THRUST, WEAK, MASS = 0.5, 1e-4, 0.25
 def one_axis(lag: float = 0.0):
     """Two propellers push along x, through the centre; four weak ones push along y and turn.
 
-    Thrust goes with the speed. The weak ones are so weak that a flight along x is that of the
-    first two, to six digits.
+    Thrust is proportional to speed. The weak ones barely affect a flight along x: it equals that of
+    the first two to six digits.
     """
     places = [
         ("forward", -0.03, 0.0),
@@ -47,7 +47,7 @@ def ring(count: int):
     """Propellers on a ring that push inwards, skewed in alternating directions; an odd last one
     straight.
 
-    Four and more can push and turn any way at once. Three cannot: they turn to move.
+    Four or more can push and turn in any direction at once. Three cannot: they turn to move.
     """
     angles = 360 * np.arange(count) / count
     askew = [0.0 if k == count - 1 and count % 2 else 60.0 - 120.0 * (k % 2) for k in range(count)]

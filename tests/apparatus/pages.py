@@ -1,4 +1,4 @@
-"""Read a page as a browser would, and check that it needs nothing else."""
+"""Parse a page as a browser would, and check that it loads nothing else."""
 
 import re
 from html.parser import HTMLParser
@@ -43,7 +43,7 @@ class Page(HTMLParser):
 
 
 def check_self_contained(text: str) -> Page:
-    """Parse a page and check that it needs nothing else."""
+    """Parse a page and check that it loads nothing else."""
     page = Page(text)
     assert page.images
     embedded = re.compile(r"data:image/(png|svg\+xml);base64,")

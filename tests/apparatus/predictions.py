@@ -20,7 +20,7 @@ def predicted(
     late: float = 0.0,
     lead: int = 40,
 ) -> np.ndarray:
-    """x, y, γ after each step, shape (T, 3, W), of commands that act `late` after their times.
+    """Predict x, y, γ after each step, shape (T, 3, W), for commands that act `late` [s] late.
 
     From the filter's estimates, without their disturbances; motor speeds from those `lead` samples
     before.

@@ -1,4 +1,4 @@
-"""Processes of airpuck, really started, and somebody who watches what they say to each other."""
+"""Real processes of airpuck, and a watcher of their messages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _TAKE_TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
 
 
 class Process:
-    """A command of airpuck's that runs."""
+    """A running command of airpuck."""
 
     def __init__(self, *arguments: object, domain: int, terminal: bool = False) -> None:
         #: The operator's end of the terminal that it runs on.
@@ -62,19 +62,19 @@ class Process:
         self._process.send_signal(number)
 
     def end(self, timeout: float = 30.0) -> tuple[int, str, str]:
-        """Exit status, and what it printed."""
+        """Return the exit status and the output."""
         out, err = self._process.communicate(timeout=timeout)
         return self._process.returncode, out, err
 
     def kill(self) -> None:
-        """Kill it, also if it is stopped."""
+        """Kill it, even if it is stopped."""
         if self.alive:
             self._process.kill()
         self._process.communicate()
 
 
 class Watch:
-    """Hears everything on a domain."""
+    """Receives everything on a domain."""
 
     def __init__(self, domain: int) -> None:
         self.graph = Graph("watch", domain=domain)
@@ -92,7 +92,7 @@ class Watch:
                     self._told.append(EVENT.decode(message.data))
 
     def until(self, condition, timeout: float = 30.0):
-        """Listen until something is so; return it."""
+        """Listen until a condition holds; return its value."""
         stop = time.monotonic() + timeout
         while not (found := condition()):
             assert time.monotonic() < stop, f"it did not happen; events: {self.events()}"
@@ -100,17 +100,17 @@ class Watch:
         return found
 
     def forget(self) -> None:
-        """Begin anew."""
+        """Discard everything received so far."""
         self.run(0.02)
         self.heard.clear()
         self._told.clear()
 
     def events(self, name: str = "") -> list[str]:
-        """What processes said, those of one name or all."""
+        """Return the events of all processes, or of those with a name."""
         return [event.msg for event in self._told if name in event.name]
 
     def said(self, text: str) -> bool:
-        """Whether some event has these words."""
+        """Return whether an event contains these words."""
         return any(text in event for event in self.events())
 
     def values(self, topic: str) -> list:
@@ -134,7 +134,7 @@ class Watch:
 
 
 def until(condition, timeout=10.0):
-    """Wait for something to become true."""
+    """Wait until a condition holds."""
     stop = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < stop, "it did not happen"

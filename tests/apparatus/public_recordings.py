@@ -1,4 +1,4 @@
-"""Recordings of the public dataset, and what the paper prints of them."""
+"""Recordings of the public dataset, and the paper's numbers for them."""
 
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"

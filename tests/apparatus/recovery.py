@@ -1,4 +1,4 @@
-"""When an identification has found the twin's parameters again: one measure for all ways to fly."""
+"""Whether an identification recovers the twin's parameters: one measure for all flights."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from airpuck.physics.thrust import thrust
 
 
 def assert_recovered(found: Parameters, truth: Parameters) -> None:
-    """Compare what was found in half a minute or more of excitation with the truth."""
+    """Compare parameters identified from at least half a minute of excitation with the truth."""
     grid = np.tile(np.linspace(0.03, 1, 98), (len(truth.thrust), 1))
     true = thrust(truth.thrust, grid)
     apart = np.sqrt(np.mean((thrust(found.thrust, grid) - true) ** 2, axis=1))

@@ -1,4 +1,4 @@
-"""How a hostile file must be refused: in one line, with little memory and in little time."""
+"""Check that a hostile file is rejected in one line, with little memory and time."""
 
 import contextlib
 import resource
@@ -27,7 +27,7 @@ def little_memory(size: int = GIB) -> Iterator[None]:
 
 
 def refusal(read, *arguments, says: str, error: type[ValueError] = InputError) -> str:
-    """Return the line in which something is refused within the means of a small machine."""
+    """Return the one-line rejection, produced within the resources of a small machine."""
     start = time.process_time()
     with pytest.raises(error, match=says) as caught, little_memory():
         read(*arguments)

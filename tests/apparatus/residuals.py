@@ -1,4 +1,4 @@
-"""Errors that are correlated, of known variance."""
+"""Correlated errors of known variance."""
 
 import numpy as np
 from scipy.signal import lfilter
@@ -8,7 +8,7 @@ SPACING, CORRELATED = 1 / 60, 0.1
 
 
 def residuals(seed: int, duration: float, channels: int) -> tuple[np.ndarray, np.ndarray]:
-    """Make autoregressive errors of variance 1, and when they start."""
+    """Make autoregressive errors of variance 1, and their start times."""
     rng, size = np.random.default_rng(seed), round(duration / SPACING)
     keep = np.exp(-SPACING / CORRELATED)
     noise = rng.normal(size=(channels, size + 200))

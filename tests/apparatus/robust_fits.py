@@ -1,4 +1,4 @@
-"""How far a fit is off."""
+"""Errors of a fit."""
 
 from dataclasses import replace
 

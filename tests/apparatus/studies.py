@@ -1,4 +1,4 @@
-"""Long studies, as modules."""
+"""Import long studies as modules."""
 
 import importlib.util
 from pathlib import Path

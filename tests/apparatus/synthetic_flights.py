@@ -16,7 +16,7 @@ __all__ = ["RATE", "bad_value", "edited", "fly", "record", "shuffled"]
 
 
 def fly(model: Model, duration: float = 6.0, seed: int = 0) -> Trajectory:
-    """A random flight with exact states: no noise, no smoothing, the delay taken out already."""
+    """A random flight with exact states: no noise, no smoothing, no delay."""
     flight = random_flight(model, duration, seed)
     return Trajectory(
         time=flight.time,

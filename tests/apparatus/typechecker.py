@@ -1,4 +1,4 @@
-"""How signatures are checked while the tests run: by beartype, where an int is also a float.
+"""Checks of signatures while the tests run: by beartype, which accepts an int as a float.
 
 In each test, the first calls of each function are checked. A check takes longer than most short
 functions; loops that step through a flight make a million of them, of the same shapes.
@@ -18,7 +18,7 @@ from jaxtyping import jaxtyped as always_checked
 
 check = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
-#: Calls that are checked of each function in each test.
+#: Number of calls of each function that are checked in each test.
 CHECKED = 20
 _calls: Counter[tuple[str, str]] = Counter()
 

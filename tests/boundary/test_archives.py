@@ -1,4 +1,4 @@
-"""Zip archives, small ones that unpack to gigabytes, that grow without end, that lie."""
+"""Hostile zip archives: they unpack to gigabytes, grow without end, or have false headers."""
 
 import json
 import struct
@@ -18,14 +18,14 @@ from ..apparatus.torch_archives import archive
 
 
 def zeros_deflated(size: int) -> bytes:
-    """Raw deflate of many zeros, made of one block again and again."""
+    """Raw deflate of many zeros: one block, repeated."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     block = packer.compress(bytes(16 * MIB)) + packer.flush(zlib.Z_FULL_FLUSH)
     return block * (size // (16 * MIB)) + zlib.compressobj(9, zlib.DEFLATED, -15).flush()
 
 
 def zip_member(name: str, data: bytes, *, says: int, method: int = 8, flags: int = 0) -> bytes:
-    """A zip file with one member that may say anything about itself, packed by hand."""
+    """A zip file with one member whose header may claim anything, packed by hand."""
     common = struct.pack("<HHHHHIIIHH", 20, flags, method, 0, 0, 0, len(data), says, len(name), 0)
     local = b"PK\3\4" + common + name.encode() + data
     entry = b"PK\1\2" + struct.pack("<H", 20) + common + struct.pack("<HHHII", 0, 0, 0, 0, 0)
@@ -52,7 +52,7 @@ def test_a_hole_of_gigabytes_in_the_authors_file(tmp_path: Path):
     whole = archive(tmp_path / "data.pt").read_bytes()
     with zipfile.ZipFile(tmp_path / "data.pt") as content:
         size = content.getinfo("data/data/1").file_size
-    # What the list says about the second tensor's storage, and a file that is as long as that.
+    # The claimed size of the second tensor's storage, and a file that is long enough for it.
     said = struct.pack("<II", size, size)
     place = whole.rindex(said)
     patched = whole[:place] + struct.pack("<II", 3 * GIB, 3 * GIB) + whole[place + 8 :]
@@ -61,7 +61,7 @@ def test_a_hole_of_gigabytes_in_the_authors_file(tmp_path: Path):
 
 
 def npz(path: Path, flight, *, method: int = zipfile.ZIP_DEFLATED, **about) -> Path:
-    """A trajectory's file, with something else said beside its arrays."""
+    """A trajectory's file with other metadata."""
     flight.save(path)
     with np.load(path) as archive:
         members = {name: archive[name] for name in archive.files}

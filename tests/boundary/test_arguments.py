@@ -1,4 +1,4 @@
-"""Public functions refuse arguments of another kind by name, and suggest what was meant."""
+"""Public functions reject arguments of a wrong type by name, and suggest what was meant."""
 
 import inspect
 import itertools
@@ -16,7 +16,7 @@ FUNCTIONS = {
     for name in airpuck.__all__
     if inspect.isfunction(getattr(airpuck, name))
 }
-#: What no argument takes.
+#: Values that no argument accepts.
 STRANGE = (object(), 1j, {1, 2}, NotImplemented)
 
 
@@ -71,5 +71,5 @@ def test_what_is_no_argument_is_named(name):
 def test_what_is_wrong_is_said(call, words):
     with pytest.raises(Exception, match=words) as error:
         call()
-    # With checked signatures, as in tests, a constructor may be faster.
+    # In tests, the checked signature of a constructor may reject the value first.
     assert isinstance(error.value, InputError)

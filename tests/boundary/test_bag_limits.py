@@ -1,4 +1,4 @@
-"""Bags that unpack to gigabytes, that lie, and message definitions that grow without end."""
+"""Bags that unpack to gigabytes or have false headers; definitions that grow without end."""
 
 import sqlite3
 import struct
@@ -23,7 +23,7 @@ def zeros_zstd(size: int) -> bytes:
 
 
 def zeros_lz4(size: int) -> bytes:
-    """An LZ4 frame of many zeros: one compressed block, again and again."""
+    """An LZ4 frame of many zeros: one compressed block, repeated."""
     import lz4.frame
 
     with lz4.frame.LZ4FrameCompressor(
@@ -35,7 +35,7 @@ def zeros_lz4(size: int) -> bytes:
 
 
 def with_chunks(path: Path, data: bytes, compression: str, says: int, times: int = 1) -> Path:
-    """A good bag with chunks added that may say anything."""
+    """A good bag with additional chunks whose headers may claim anything."""
     whole = write_mcap(path, foreign_topics()).read_bytes()
     name = compression.encode()
     content = struct.pack("<QQQII", 1, 2, says, 0, len(name)) + name
@@ -155,7 +155,7 @@ def test_a_generated_column_of_gigabytes(tmp_path: Path):
             INSERT INTO messages(topic_id, timestamp) SELECT 1, i FROM n;
         """)
     refusal(read_recording, path, says="longer than the file")
-    # Messages on other topics are not even made.
+    # Messages on other topics are not even generated.
     assert read_sqlite(path, {"/nothing"}).n_messages == 9000
 
 
@@ -176,7 +176,7 @@ LINE = "=" * 80 + "\n"
 
 
 def chain(depth: int, width: int, array: str = "") -> str:
-    """Types of which each holds the next some times."""
+    """Types that each contain the next one several times."""
     parts = [
         f"{LINE}MSG: a/msg/A{i}\n" + "".join(f"A{i + 1}{array} f{k}\n" for k in range(width))
         for i in range(1, depth)

@@ -1,4 +1,4 @@
-"""Every number of every settings file, at its extremes: refused in one line, or all is finite."""
+"""Extreme values of every number in settings files: rejected in one line, or results are finite."""
 
 import copy
 import tomllib
@@ -62,7 +62,7 @@ READERS = {
 
 
 def leaves(content, place=()):
-    """Where numbers stand in a file; of a list the first."""
+    """Return the places of numbers in a file; of a list, the first."""
     if isinstance(content, dict):
         for key, value in content.items():
             yield from leaves(value, (*place, key))

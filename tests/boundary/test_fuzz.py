@@ -1,4 +1,4 @@
-"""Damaged files of every kind are read, or refused in one line."""
+"""Damaged files of every kind are read, or rejected in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def assert_good(cases: int, first: int = 0) -> str:
     failures = [f"{name} {text}" for name, tally in tallies.items() for text in tally.failures]
     assert not failures, "\n".join(failures[:5])
     assert all(sum(tally.outcomes.values()) == cases for tally in tallies.values())
-    # Damage that is always or never noticed would test one path only.
+    # If damage were always or never detected, only one path would be tested.
     assert sum(tally.outcomes["read"] > 0 for tally in tallies.values()) == len(KINDS)
     assert sum(tally.outcomes["refused"] > 0 for tally in tallies.values()) >= len(KINDS) - 1
     return table(tallies)

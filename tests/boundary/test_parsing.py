@@ -122,7 +122,7 @@ def test_an_endless_device(read):
     refusal(read, Path("/dev/zero"), says="too long")
 
 
-#: In a process of its own: that of the tests may have taken, and freed, any amount before.
+#: Runs in a separate process: the tests' own may have allocated and freed any amount before.
 NO_MEMORY = """
 import sys
 from pathlib import Path
@@ -140,7 +140,7 @@ with little_memory(20 * MIB):
 
 
 def test_running_out_of_memory_is_one_line(tmp_path: Path):
-    # Long numbers: of short ones the allocator finds another gap, slowly, for minutes.
+    # Use long numbers: for short ones the allocator keeps finding gaps, slowly, for minutes.
     written(tmp_path, "a,b\n" + f"{'1' * 3000},2\n" * 16_000, "control.csv")
     command = [sys.executable, "-c", NO_MEMORY, str(tmp_path)]
     said = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout

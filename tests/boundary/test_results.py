@@ -1,4 +1,4 @@
-"""Results declare their figures once, and JSON holds nothing that JSON does not know."""
+"""Results declare their figures once, and JSON contains only values that JSON can represent."""
 
 import json
 from dataclasses import dataclass

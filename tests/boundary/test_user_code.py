@@ -1,4 +1,4 @@
-"""Whatever a user's tactic or pilot does becomes one line that names its file."""
+"""Any misbehaviour of a user's tactic or pilot becomes one line that names its file."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ from airpuck.flight.pilot import pilot_maker
 from airpuck.hockey.rules import Rules
 from tests.apparatus import commands as command_line
 
-#: What code can do instead of its work.
+#: Misbehaviour of user code.
 MISDEEDS = {
     "exits": "sys.exit(0)",
     "exits in words": "sys.exit('bye')",
@@ -80,7 +80,7 @@ RENDEZVOUS = "airpuck.Rendezvous(0.01, [-0.8, 0, 0, 0, 0, 0], then=Where())"
 
 
 class _Only(dict):
-    """Turns every line into a comment except for those of one place."""
+    """Comments out the misbehaving lines except at one place."""
 
     def __missing__(self, key):
         return "" if key in self["place"] else "pass  # "

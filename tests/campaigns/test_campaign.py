@@ -1,4 +1,4 @@
-"""Campaigns as a whole: resumed, interrupted, from the command line; files and tables."""
+"""Whole campaigns: resumed, interrupted, from the command line; files and tables."""
 
 import csv
 import math
@@ -35,7 +35,7 @@ SPEC = 'kind = "tracking"\nseeds = {seeds}\nbase.dwell_s = 0.2\n'
 
 @pytest.fixture
 def here(monkeypatch):
-    """Compute in this process, and note the seeds."""
+    """Compute in this process, and record the seeds."""
     seeds = []
 
     def dispatch(entries, **_):
@@ -74,7 +74,7 @@ def test_only_what_is_missing_is_computed(here, spec, tmp_path):
 
 
 def test_failures_are_kept_and_run_again_when_asked(here, spec, tmp_path):
-    # 0.01 s of flight hold fewer poses than an identification needs.
+    # 0.01 s of flight have fewer poses than an identification needs.
     text = 'kind = "recovery"\nseeds = {seeds}\nbase.duration_s = 0.02\n'
     found = campaign(spec(1, text), tmp_path)
     assert len(found.failures) == 1
@@ -107,7 +107,7 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
     while not (items.exists() and list(items.glob("[!.]*.json"))):
         assert process.poll() is None
         time.sleep(0.05)
-    # As a terminal does: to the worker, too.
+    # To the worker as well, as a terminal does.
     os.killpg(process.pid, signal.SIGINT)
     _, printed = process.communicate(timeout=180)
     assert process.returncode == 130

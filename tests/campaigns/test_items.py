@@ -90,7 +90,7 @@ def test_craft_of_a_fleet_come_apart_as_much_as_they_differ():
         for s in (0.0, 0.01, 0.02)
     )
     assert (same == 0).all()
-    # The same factors, twice as far: to first order twice as far apart.
+    # The same factors with twice the spread: to first order twice the distance.
     np.testing.assert_allclose(far.std(axis=0), 2 * near.std(axis=0), rtol=0.1)
 
 
@@ -117,7 +117,7 @@ def test_fits_from_anywhere_end_at_the_same_place(flight):
 
 @pytest.mark.study
 def test_resampled_fits_surround_the_fit(tmp_path):
-    """Of a minute: a quarter of it has eight blocks for nineteen parameters."""
+    """A quarter of a minute has eight blocks for nineteen parameters."""
     flight = str(tmp_path / "minute")
     write_csv(record(duration=60.0, noise=1e-4), tmp_path / "minute")
     rows = Fitting(recordings=[flight], model="M2", resamplings=24, seed=4).run()

@@ -1,4 +1,4 @@
-"""Games of two players, several of them; kept, and not played twice."""
+"""Several games of two players: stored, and not played twice."""
 
 import contextlib
 import json
@@ -47,7 +47,7 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     again = match("human:hard", "human:easy", 4, seed=5, rules=SHORT, workers=1, output=tmp_path)
     assert played == [8]
     assert again.games[:3] == first.games
-    # What lost its bag is played again; games of others have bags of their own.
+    # A game without its bag is played again; games of other players have separate bags.
     shutil.rmtree(bag)
     match("human:hard", "human:easy", 3, seed=5, rules=SHORT, workers=1, output=tmp_path)
     assert played == [8, 6]
@@ -59,7 +59,7 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
 def test_the_interval_of_wins_is_wilsons():
     found = match("human:hard", "human:easy", 1, rules=Rules(limit_s=0.1), workers=1).to_json()
     assert found["draws"] == 1
-    # Of no success in one trial: up to z² / (1 + z²).
+    # For no success in one trial the upper end is z² / (1 + z²).
     assert found["left_wins_interval"] == pytest.approx([0.0, 1.96**2 / (1 + 1.96**2)], abs=1e-4)
 
 
@@ -162,7 +162,7 @@ def test_a_damaged_bag_is_written_again(tmp_path):
 @pytest.mark.slow
 def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
     def shown(verb, *arguments):
-        """What a terminal gets."""
+        """Return what a terminal receives."""
         ours, theirs = pty.openpty()
         command = "from airpuck.cli import main; main()"
         words = ("--left", "human", "--right", "human", *arguments)

@@ -1,4 +1,4 @@
-"""A spec lays out items; their keys follow what they compute."""
+"""A spec defines items; equal computations have equal keys."""
 
 import shutil
 
@@ -63,7 +63,7 @@ def test_a_changed_spec_changes_only_what_differs(spec):
     before = keys(spec())
     assert before < keys(spec(TRACKING.replace("seeds = 2", "seeds = [0, 1, 5]")))
     assert before > keys(spec(TRACKING.replace(", 0.03]", "]")))
-    # Said in another way, the same.
+    # The same in another notation.
     assert before == keys(spec(TRACKING.replace("0.0, 0.01", "0, 1e-2")))
     assert not before & keys(spec(TRACKING.replace("loss = 0.1", "loss = 0.2")))
 
@@ -77,7 +77,7 @@ def test_keys_follow_the_content_of_files_not_their_place(spec, tmp_path):
 
 
 def test_a_setting_given_twice_is_computed_once(spec):
-    # Where the seed is of no account to the setting, it is part of the item nevertheless.
+    # The seed is part of an item even if it does not affect the setting.
     assert len(read_spec(spec('kind = "fleet"\nseeds = [3, 3]'))) == 1
 
 

@@ -1,4 +1,4 @@
-"""Workers die; their items do not."""
+"""Workers die; their items survive."""
 
 import logging
 import os
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 class Mortal(Item):
-    """Marks that it was run; some kill their worker, the first time or every time."""
+    """Records that it ran; some kill their worker, the first time or every time."""
 
     folder: str
     kills: Literal["never", "once", "always"] = "never"
@@ -40,7 +40,7 @@ class Mortal(Item):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """Run 12 items on two workers; kill one from outside, too, after the first result."""
+    """Run 12 items on two workers; after the first result, also kill one from outside."""
     folder = tmp_path_factory.mktemp("marks")
     fates = {3: "once", 7: "always"}
     items = [
@@ -67,7 +67,7 @@ def test_every_item_comes_to_an_end(run):
 def test_a_killed_worker_loses_its_own_item_only(run):
     _, runs = run
     assert runs[3] == 2
-    # Besides, at most the one that ran where the worker was killed from outside.
+    # At most one more: the item on the worker that was killed from outside.
     others = {s: n for s, n in runs.items() if s not in (3, 7)}
     assert sum(n - 1 for n in others.values()) <= 1
 
@@ -107,7 +107,7 @@ def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
 
 
 class Interrupted:
-    """A signal comes in a destructor, out of which Python lets no exception."""
+    """A signal arrives in a destructor, where Python drops exceptions."""
 
     def __init__(self, number: int) -> None:
         self.number = number

@@ -1,4 +1,4 @@
-"""The command line, as a user meets it."""
+"""The command line from a user's point of view."""
 
 import json
 import os
@@ -240,7 +240,7 @@ def test_bad_input_ends_a_process_alike(tmp_path):
 
 @pytest.mark.slow
 def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
-    # Flights of 90 s are for the reader of its report.
+    # A report needs flights of 90 s, a test does not.
     monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr

@@ -25,7 +25,7 @@ def test_propellers_and_motions_are_shown(file, tmp_path):
     figures = json.loads((tmp_path / "v.json").read_text())
     assert figures["mass_kg"] == 0.1377
     assert figures["motions"]["missing"] == []
-    # Two propellers at 30 degrees and two at right angles: 2 F cos 30° / m, less what idles.
+    # Two propellers at 30 degrees and two at right angles: 2 F cos 30° / m, minus idle thrust.
     assert 7.9 < figures["motions"]["alone"]["forward_m_s2"] < 2 * 0.644 * 0.866 / 0.1377
 
 

@@ -1,4 +1,4 @@
-"""Long commands that are interrupted, killed, or find the disk full: what was there stays whole."""
+"""Long commands that are interrupted, killed, or find the disk full: old outputs stay intact."""
 
 import json
 import signal
@@ -19,7 +19,7 @@ from ..apparatus.synthetic_flights import record
 
 pytestmark = pytest.mark.slow
 
-#: By name: the words of a command.
+#: Command lines by name.
 COMMANDS = {
     "preprocess": "preprocess bag -o out/trajectory.npz --json out/figures.json",
     "identify": "identify bag --model M0 -o out/model.toml --json out/figures.json",
@@ -33,14 +33,14 @@ COMMANDS = {
     "demo": "demo -o out",
     "reproduce": "reproduce -o out",
 }
-#: Minutes; they run with the studies.
+#: These take minutes and run with the studies.
 LONG = ("identify with a page", "resid", "design", "demo", "reproduce")
-#: Of a bag of an excitation: it must be new.
+#: A bag of an excitation must be new.
 NEW = ("excite",)
 
 
 def cases(*names: str):
-    """Commands, the long ones as studies."""
+    """Return all commands; the long ones are marked as studies."""
     marks = {name: [pytest.mark.study] * (name in LONG) for name in names or COMMANDS}
     return [pytest.param(name, marks=marks[name], id=name) for name in marks]
 
@@ -61,13 +61,13 @@ def bag(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path, bag) -> Path:
-    """Where a command runs."""
+    """Return the folder in which a command runs."""
     (tmp_path / "bag").symlink_to(bag)
     return tmp_path
 
 
 def check_whole(path: Path) -> None:
-    """Read a file to its end, by what reads it elsewhere."""
+    """Read a whole file with the package's own reader."""
     match path.suffix:
         case ".json":
             json.loads(path.read_text())
@@ -94,7 +94,7 @@ def check_whole(path: Path) -> None:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Every file of an output, by name."""
+    """Return every file of an output, by name."""
     found = (path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 
@@ -142,7 +142,7 @@ def prepare(name: str, folder: Path, written) -> dict[str, bytes]:
 
 
 def check_after(name: str, folder: Path, old, ended, number: int, *, words: str = "") -> None:
-    """Look at what a disturbed command left."""
+    """Check the outputs that a disturbed command left."""
     left = files(folder / "out")
     assert "Traceback" not in ended.error and "Exception" not in ended.error, ended.error
     if number != signal.SIGKILL:
@@ -156,7 +156,7 @@ def check_after(name: str, folder: Path, old, ended, number: int, *, words: str 
     assert set(old) <= set(left)
 
 
-#: Ctrl-C is everybody's; of the other signals two commands tell as much as all.
+#: Ctrl-C is tested with every command; for other signals, two commands suffice.
 SIGNALS = [(signal.SIGINT, -1), (signal.SIGTERM, 1), (signal.SIGKILL, -1)]
 
 

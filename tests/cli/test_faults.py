@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """A flight whose log says for 0.4 s what the craft never heard, and whose poses leap."""
+    """A flight whose log contains 0.4 s of commands that never arrived, and jumping poses."""
     recording = record(duration=8.0, noise=5e-5)
     command, pose = recording["command"], recording["pose"]
     said, seen = command.values.copy(), pose.values.copy()
@@ -41,7 +41,7 @@ def test_faults_are_printed_written_and_drawn(bag, tmp_path):
     figures = json.loads((tmp_path / "f.json").read_text())
     spans = {span["cause"]: span for span in figures["spans"]}
     assert spans.pop("jumping pose")["confidence"] == 1
-    # 3.0 s of commands, less what precedes the first one that moves, and the delay.
+    # 3.0 s of commands, minus those before the first effective one, and the delay.
     assert any(2.7 < span["start_s"] < 3.3 for span in spans.values())
     assert all(0 < span["confidence"] < 1 for span in spans.values())
     assert 0.9 < figures["usable"] < 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-# The words of a ladder, without the fits of a minute that the command makes first.
+# The report on a ladder, without the fits that precede it, which take a minute.
 from airpuck.cli.identification import _ladder_summary
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.selection import CandidateModel, Selection

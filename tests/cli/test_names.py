@@ -18,7 +18,7 @@ KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 
 def outputs():
-    """Every option of every command that names an output."""
+    """Return every option of every command that names an output."""
     for name, command in commands().commands.items():
         for option in command.params:
             read = option.name in command.declared or option.name == "settings_file"

@@ -17,7 +17,7 @@ COMMANDS = commands().commands
 
 
 def numbers():
-    """Every parameter of every command that is a number or several."""
+    """Return every parameter of every command that takes one or more numbers."""
     for name, command in COMMANDS.items():
         for parameter in command.params:
             kind = str(parameter.type_descriptor.annotation)
@@ -75,7 +75,7 @@ def test_limits_hold_in_python_as_well():
 
 
 def completions(*words: str) -> list[str]:
-    """What the shell is offered for the last word."""
+    """Return the completions that the shell is offered for the last word."""
     environment = {
         **os.environ,
         "_AIRPUCK_COMPLETE": "complete_bash",
@@ -91,7 +91,7 @@ def completions(*words: str) -> list[str]:
 def test_the_shell_completes():
     assert completions("airpuck", "iden") == ["identify", "identify-puck"]
     assert completions("airpuck", "identify", "--st") == ["--stride"]
-    # What was typed before is not refused meanwhile.
+    # Completion does not reject the preceding words.
     typed = ("identify", "x", "-o", "/nowhere/x", "--stride", "0", "--delay", "")
     assert completions("airpuck", *typed) == ["fit", "fixed"]
     assert "auto" in completions("airpuck", "identify", "x", "--model", "")

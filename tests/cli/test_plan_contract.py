@@ -1,4 +1,4 @@
-"""`airpuck plan`: what a script may rely on, without a search that takes long."""
+"""`airpuck plan`: the contract with scripts, tested without long searches."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_a_file_of_another_kind_is_named(tmp_path):
 
 @pytest.fixture
 def searched(monkeypatch):
-    """What the search was asked for; it finds a plan at once."""
+    """Record the search's request; the search finds a plan at once."""
     asked, model = {}, published_model("M3")
 
     def search(belief, start, goal, **options):
@@ -79,7 +79,7 @@ def test_rare_options_may_stand_in_a_file(searched, tmp_path):
     file.write_text("reserve = 0.1\nkeep_out = [[0.0, 0.2, 0.05]]\nvia = [[0.1, 0.1], [0.2, 0.0]]")
     asks = ("plan", *FROM, *TO, "--settings", "careful.toml", "--reserve", 0.2, "--via", -0.1, 0)
     assert airpuck(*asks, cwd=tmp_path).returncode == 0
-    assert searched["limits"].reserve == 0.2  # what is typed has precedence
+    assert searched["limits"].reserve == 0.2  # the command line takes precedence
     assert list(searched["via"]) == [(-0.1, 0.0)]
     assert list(searched["keep_out"]) == [(0.0, 0.2, 0.05)]
     for line, said in (

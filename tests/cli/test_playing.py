@@ -1,4 +1,4 @@
-"""`airpuck skills`, and what `airpuck play` refuses."""
+"""`airpuck skills`, and input that `airpuck play` rejects."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What the command line refuses, in one line and with nothing written."""
+"""Input that the command line rejects, in one line and without writing anything."""
 
 import json
 from dataclasses import replace
@@ -119,7 +119,7 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
         (tmp_path / "mine.toml").write_text(f"[weights]\n{line}\n")
         process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", cwd=tmp_path)
         assert refused(process, "mine.toml", "weights.position")
-    # More commands than can be decided in time: that depends on file and craft.
+    # More commands than can be decided in time; the number depends on file and craft.
     (tmp_path / "mine.toml").write_text("[regulator]\nblock = 1\nhorizon_s = 0.8\n")
     process = airpuck(
         *track, "paper:M4", "--tuning", "mine.toml", "--regulator", "mpc", cwd=tmp_path

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
-    """A bag, and two models, each of one half of it."""
+    """A bag, and two models, each learned from one half of it."""
     folder = tmp_path_factory.mktemp("judging")
     write_bag(record(duration=16.0, noise=1e-4), folder / "bag")
     for name, span in (("early", (0, 0.5)), ("late", (0.5, 1))):
@@ -57,14 +57,14 @@ def test_evaluate_and_compare_write_pages(flown, tmp_path, monkeypatch):
     process = airpuck("compare", early, late, bag, "-o", tmp_path / "two")
     assert process.returncode == 0, process.stderr
     page = (tmp_path / "two" / "index.html").read_text()
-    # Models are called the same on the terminal and on the page.
+    # Models have the same names on the terminal and on the page.
     for written in (process.stdout, page):
         assert "late against early" in written
         assert str(flown) not in written.replace(f"{early} {late} {bag}", "")
         assert "AIC" in written
     assert (tmp_path / "two" / "figures" / "path.pdf").read_bytes()[:4] == b"%PDF"
     assert refused(airpuck("compare", early, late, "-o", tmp_path / "three"), "RECORDING", "-o")
-    # That figures are the same whenever they are drawn is a matter of tests/report.
+    # tests/report checks that figures are reproducible.
     monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     words = "evaluate", early, bag, "-o", tmp_path / "one", "--json", "-"
@@ -89,7 +89,7 @@ def test_compare_of_two_models_tells_drift(flown):
 
 
 def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, tmp_path):
-    # As of a fit that came to no end: nothing in it has a standard error.
+    # As after an unfinished fit: nothing in it has a standard error.
     late = read_model(flown / "late.toml")
     assert late.uncertainty is not None
     unknown = np.full_like(late.uncertainty.covariance, np.nan)

@@ -1,4 +1,4 @@
-"""Compiled programs: what they compute, and when one serves another function."""
+"""Compiled programs: their results, and when functions share one."""
 
 from dataclasses import replace
 from functools import partial
@@ -172,7 +172,7 @@ def test_a_pass_from_sample_to_sample_is_compiled_once_for_all_lengths():
         traced.append(sample)
         total, product = carry
         value, weights = sample
-        # What fills up the last stretch must not reach the results, not even as nan.
+        # Padding of the last stretch must not reach the results, not even as nan.
         return (total + known * value, product / weights.sum()), (total, weights)
 
     run, random = for_samples(step), np.random.default_rng(0)

@@ -16,7 +16,7 @@ from ..apparatus.commands import airpuck_process
 FOLDER = "JAX_COMPILATION_CACHE_DIR"
 
 #: Prints whether the setting came in time, and the share of a program's time that the calling
-#: thread spends in it: the most of several runs, since others may want the cores.
+#: thread spends in it: the maximum of several runs, since other programs may use the cores.
 SHARE = """
 import sys, time
 import jax, numpy as np
@@ -69,7 +69,7 @@ def test_commands_keep_what_they_compile(cache, tmp_path):
 
 
 def settings(monkeypatch):
-    """What a command leaves in the environment, where JAX reads its settings."""
+    """Return the environment that a command sets for JAX."""
     monkeypatch.setattr("sys.argv", ["airpuck", "--version"])
     with pytest.raises(SystemExit, match="0"):
         main()
@@ -88,7 +88,7 @@ def test_without_a_folder_nothing_is_kept(cache, monkeypatch):
 
 
 class Interrupted:
-    """A signal comes in a destructor, out of which Python lets no exception."""
+    """A signal arrives in a destructor, where Python drops exceptions."""
 
     def __init__(self, number: signal.Signals) -> None:
         self._number = number

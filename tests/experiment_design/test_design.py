@@ -260,7 +260,7 @@ def shows_every_quantity(real: Design, checked):
     assert [label.get_text() for label in axes.get_yticklabels()] == real.quantities.labels
     shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
     np.testing.assert_allclose(shown["proposal, predicted"], 100 * real.proposal.relative_alone)
-    np.testing.assert_allclose(shown["proposal, obtained in 1 flights"], 100 * checked.errors[0])
+    np.testing.assert_allclose(shown["proposal, obtained (flights: 1)"], 100 * checked.errors[0])
 
 
 @pytest.mark.slow

@@ -74,7 +74,7 @@ def tactics(tmp_path):
         # With checked signatures it is `Intention` that refuses some.
         ("HasNoReference", "reference"),
         ("AvoidsAWord", "avoid"),
-        ("MeetsNever", r"as meet something else than 3 finite numbers"),
+        ("MeetsNever", r"gave a meet that is not 3 finite numbers"),
         ("SeesNoPath", "path"),
         ("HopesInWords", "chance"),
         ("NeedsMore", r"cannot be made without arguments: TypeError"),

@@ -23,5 +23,5 @@ def test_a_twin_is_ready(domain):
 def test_without_poses_it_says_so(domain):
     status, out, err = Process("preflight", "-q", domain=domain).end(90)
     assert status == 2
-    assert "none came" in out
+    assert "none arrived" in out
     assert err.startswith("airpuck: not ready to fly: fix poses")

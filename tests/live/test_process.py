@@ -191,5 +191,5 @@ def test_another_clock_is_told_once(box):
         box.take()
         time.sleep(0.02)
     assert [text for level, text in box.logged if "clock" in text] == [
-        "the clock behind /pose differs by -3600.000 s; allowed for"
+        "the clock behind /pose differs by -3600.000 s; compensated"
     ]

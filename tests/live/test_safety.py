@@ -236,7 +236,7 @@ def test_a_command_that_is_no_array_idles_the_motors(guarded):
     assert given.status == "unsafe"
     np.testing.assert_array_equal(given.command, [0.03, 0.03])
     [(level, words)] = guarded.logged
-    assert level == "error" and "a command that is no array of numbers" in words
+    assert level == "error" and "a command that is not an array of numbers" in words
 
 
 def test_a_change_is_logged_once(guarded):

@@ -38,7 +38,7 @@ def test_a_unit_of_time_that_is_not_the_second_is_named(rate, unit, size):
 def test_a_unit_of_time_that_a_mapping_has_too_small_is_told_by_its_factor():
     with pytest.raises(InputError, match="too small by a factor of about 1e3"):
         check(np.zeros(100), RATE * 1e3)
-    with pytest.raises(InputError, match="look at the column or field of the time"):
+    with pytest.raises(InputError, match="check the column or field of the time"):
         check(np.zeros(3), RATE / 1e12)
 
 

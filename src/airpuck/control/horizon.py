@@ -126,7 +126,7 @@ class Stages(NamedTuple):
     terminal: Num[Any, "6 6"]
     #: Weights of squared changes of motor speeds, from the curvature of the thrust curves.
     bend: Num[Any, "N n"]
-    #: Yaw still to turn, in the chosen direction of rotation.
+    #: Remaining yaw, in the chosen direction of rotation.
     way: Num[Any, ""]
     #: The commands.
     plan: Num[Any, "B n"]

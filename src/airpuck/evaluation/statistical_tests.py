@@ -156,7 +156,7 @@ def share_text(share: float) -> str:
 def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Adjust p-values so that the chance of any false alarm among them stays below the level.
 
-    The step-down procedure of Holm (1979): the smallest counts K times, the next K - 1 times, ….
+    The step-down procedure of Holm (1979): the smallest is multiplied by K, the next by K - 1, ….
     It needs no independence.
     """
     order = np.argsort(p_values, kind="stable")

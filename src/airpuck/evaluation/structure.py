@@ -64,7 +64,7 @@ class Structure(Result):
     half_band: Float[np.ndarray, " B"]
     #: Root mean square of the means about their mean, minus the effect of chance.
     size: float
-    #: The same relative to the motors' effect in this channel.
+    #: `size` relative to the motors' effect in this channel.
     share: float
     #: P-value for equal means, adjusted for all regressors and channels (Holm).
     p_value: float

@@ -295,7 +295,7 @@ class _Search:
                 return flown[0]
             if not waiting:
                 raise InputError(
-                    f"no excitation keeps {1e3 * self.margin:g} mm away from the rails; lower it",
+                    f"no excitation keeps {1e3 * self.margin:g} mm away from the rails; allow less",
                     field="margin",
                 )
             self.fly(waiting, duration, _FLIGHTS)

@@ -94,7 +94,7 @@ class AxisSigns:
         one = len(self.names) == 1
         return (
             f"{what} {'is' if one else 'are'} flipped: {'counts' if one else 'count'} the wrong "
-            f"way; mend it in the mapping file, under [pose]: {self.line(axes)}"
+            f"way; correct the mapping file, under [pose]: {self.line(axes)}"
         )
 
     def undone(self, trajectory: Trajectory) -> Trajectory:
@@ -240,7 +240,7 @@ class LayoutCheck(Result):
         remarks = [self.signs.remark(self.axes)] if self.mirrored else []
         if self.length_ratio != 1:
             remarks.append(
-                f"the craft moves {self.length_ratio:g} times as far as its turns say: correct "
+                f"the craft moves {self.length_ratio:g} times as far as its turns imply: correct "
                 'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
             )
         if abs(self.rotation) > _TURNED:

@@ -18,7 +18,7 @@ from airpuck.control.reference import asked, check_inside
 from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import called, check_pilot, checked_step
 
-#: Every how many steps a prediction is stored or published.
+#: Number of steps between predictions that are stored or published.
 PREDICTIONS_EVERY = 10
 
 

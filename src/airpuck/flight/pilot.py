@@ -74,11 +74,11 @@ def _what_is_wrong(step: Any) -> str:
     try:
         np.asarray(step.command, dtype=float)
     except (TypeError, ValueError) as error:
-        return f"gave a command that is no array of numbers: {error}"
+        return f"gave a command that is not an array of numbers: {error}"
     kinds = {"status": str, "estimate": Estimate | None, "prediction": Prediction | None}
     for name, kind in kinds.items():
         if not isinstance(getattr(step, name), kind):
-            return f"gave as {name} a {type(getattr(step, name)).__name__}"
+            return f"gave a {type(getattr(step, name)).__name__} as {name}"
     return ""
 
 

@@ -127,7 +127,9 @@ def preflight(
 def judge_test(pilot: PulseTest, model: Model) -> Preflight:
     """Judge a completed test."""
     if not pilot.poses:
-        check = Check("poses", "wrong", "none came: is the motion capture sending, on this topic?")
+        check = Check(
+            "poses", "wrong", "none arrived: is the motion capture sending, on this topic?"
+        )
         return _found_only(check, model)
     pose_time, poses = zip(*pilot.poses, strict=True)
     beyond = _beyond_any_table(poses[-1], pilot.reach) if pilot.stopped else None
@@ -202,7 +204,7 @@ def judge_pulses(
     if not moves.any():
         words = "no pulse of a single motor was recorded"
         if tried.any():
-            words = "none does anything: armed? powered? is the command's topic the radio's?"
+            words = "none responds: armed? powered? does the radio use the command's topic?"
         checks.append(Check("motors", "wrong", words))
         return Preflight(tuple(checks), names, strength, np.nan)
     motors = np.flatnonzero(moves)
@@ -314,7 +316,7 @@ def _frame_check(
         if words:
             return Check("pose frame", "wrong", words), True
         if abs(angle) > _MISALIGNED:
-            return Check("pose frame", "look", f"{by}: a fit finds it as α"), True
+            return Check("pose frame", "look", f"{by}: a fit identifies it as α"), True
         return Check("pose frame", "ok", "as expected"), True
     return Check("pose frame", "look", "no frame explains what single motors do"), False
 
@@ -326,7 +328,7 @@ def _motor_verdict(
     if likeness is None:
         if np.isnan(strength):
             return "look", "was not tried"
-        return "wrong", "does nothing: cable, power, or a motor that stands"
+        return "wrong", "does nothing: check its cable, power and bearing"
     share = f"{100 * strength:.0f} % of the modelled thrust"
     if likeness.acts_as is None:
         angle = np.rad2deg(np.arccos(np.clip(likeness.cosine, -1, 1)))

@@ -199,7 +199,7 @@ def replay(
     compared = inside & known
     if not compared.any():
         raise InputError(
-            "at none of the commands in the span was the pose known; give a longer span, or a "
+            "the pose was not known at any command in the span; give a longer span, or a "
             "recording whose poses and commands overlap",
             file=recording.source,
         )

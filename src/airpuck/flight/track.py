@@ -174,7 +174,7 @@ class Track:
         stop = min(self.origin + span[1], other.time[-1])
         inside = (self.time >= begin) & (self.time <= stop)
         if not inside.any():
-            raise InputError(f"{self.label} and {other.label} have no time in common")
+            raise InputError(f"{self.label} and {other.label} do not overlap in time")
         theirs = [np.interp(self.time[inside], other.time, values) for values in other.pose.T]
         return pose_difference(np, np.array(theirs), self.pose[inside].T).T
 

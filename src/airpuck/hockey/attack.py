@@ -22,7 +22,7 @@ _SPEEDS = np.array([0.6, 1.3, 2.1])
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: Number of candidates that the best are picked from.
 _PICKED = 200
-#: A candidate is evaluated with all errors from this share of the least probability on.
+#: Only candidates above this share of the smallest accepted probability get all errors.
 _PROMISING = 1 / 3
 #: Least difference of the speeds of craft and puck along the normal [m/s].
 _FASTER = 0.2

@@ -114,7 +114,7 @@ class _UserTactic:
 def _what_is_wrong(intention: Intention, time: float) -> str:
     """Return the first problem with an intention, or an empty text."""
     if intention.kind not in get_args(Kind):
-        return f"gave as kind something else than {', '.join(get_args(Kind))}"
+        return f"gave a kind other than {', '.join(get_args(Kind))}"
     numbers = {
         "reference": (intention.reference.at(time, 0.0).state, (6,)),
         "meet": (intention.meet, (3,)),
@@ -123,13 +123,13 @@ def _what_is_wrong(intention: Intention, time: float) -> str:
     for name, (given, shape) in numbers.items():
         found = None if given is None else _finite(given)
         if given is not None and (found is None or found.shape != shape):
-            return f"gave as {name} something else than {shape[0]} finite numbers"
+            return f"gave a {name} that is not {shape[0]} finite numbers"
     path, chance = intention.path, intention.chance
     found = None if path is None else _finite(path)
     if path is not None and (found is None or found.ndim != 2 or found.shape[1] != 2):
-        return "gave as path something else than finite numbers of shape (N, 2)"
+        return "gave a path that is not an array of finite numbers (N, 2)"
     if not (chance is None or isinstance(chance, Real)):
-        return "gave as chance something else than a number"
+        return "gave a chance that is not a number"
     return ""
 
 

@@ -28,7 +28,7 @@ from airpuck.twin.sensors import SensorSet, log_stream, pose_sensor
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
 
-#: Random streams of a game's own, and of the cameras of a game without craft; see
+#: Random stream of the game, and streams of the cameras of a game without craft; see
 #: `airpuck.twin.sensors.pose_sensor`.
 _STREAM = 20
 _CAMERA_STREAMS: dict[Kind, int] = {"pose": 1, "puck": 4, "mallet": 5}

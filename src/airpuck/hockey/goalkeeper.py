@@ -74,7 +74,7 @@ def block(view: View, outlook: Outlook) -> Intention:
     value = np.minimum(spare, _SPARE) - _AWAY * away
     # A craft that the fence keeps off the puck's path covers less of the goal.
     value -= _OFF_PATH * np.maximum(apart - pitch.contact_distance, 0)
-    # Behind the fence the craft would push the puck on, or stand where it has been.
+    # Behind the fence the craft would push the puck on, or come after the puck has passed.
     passed = ((places - pucks) * motions).sum(axis=1) < 0
     value -= _PASSED * (passed | (apart < pitch.contact_distance - _OVERLAP))
     best = int(np.argmax(value))

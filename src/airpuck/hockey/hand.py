@@ -39,7 +39,7 @@ _POST, _BANK = 0.02, 0.02
 _ROOM = 0.03
 #: Clearance when going round the puck, and length of the first leg back [m].
 _ROUND, _LEG = 0.01, 0.15
-#: Part of the puck's distance from the table's axis at which the hand waits.
+#: The hand waits at this fraction of the puck's distance from the table's axis.
 _FOLLOWS = 0.5
 #: Shorter distances have no direction [m].
 _NO_DISTANCE = 1e-9

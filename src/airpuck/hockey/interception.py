@@ -25,10 +25,10 @@ _AT_LINE, _AT_POSTS = 0.01, 0.02
 _KNOWN = 0.05
 #: A puck this far beyond the craft's half can still be touched: about the sum of the radii [m].
 _TOUCHED = 0.1
-#: So near to a contact the plan is final, because thrust can change little until then [s].
+#: This long before a contact the plan is final, because thrust can change little by then [s].
 _COMMITMENT = 0.15
-#: So long after its time a contact that did not happen is given up [s]: later than the craft aims
-#: beyond the contact.
+#: A contact that is overdue by this time did not happen [s]. The time exceeds the one for which the
+#: craft aims beyond a contact.
 _EXPIRY = 0.03
 #: Largest share of the craft's acceleration that the path to a planned contact may need: more than
 #: all, because thrust does not limit a short peak at the start.

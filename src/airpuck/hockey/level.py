@@ -11,7 +11,7 @@ from airpuck.hockey.minimal_time import MinimalTimes
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 
-#: Number of commands of which the thrust is computed.
+#: Number of commands at which the thrust is computed.
 _COMMANDS = 500
 _SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
 _REACTION = numbers.Range(0.0, 1.0, "after that nothing is seen in time", "s")

@@ -88,7 +88,7 @@ class Catch(Searcher):
         fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > self.slowest)
         spare = np.full(normal.shape, -np.inf)
         spare[fits] = slack(view, times[fits], place[fits], velocity[fits])
-        # Enough time matters more than much; sooner is better, and so is head-on.
+        # Having enough time matters more than having much; sooner is better, and so is head-on.
         value = np.minimum(spare - self.reserve, _SPARE) - _WAITING * (times - view.time)
         value -= _ASLANT * np.abs(_BESIDE)
         value += _AT_GOOD_PLACE * good_place(view, pucks)[:, None]

@@ -108,9 +108,9 @@ def predict_puck(
 ) -> PuckPrediction:
     """Predict an untouched puck.
 
-    Mean and covariance pass through the bounces by differences of one standard deviation to both
-    sides (Nørgaard, Poulsen and Ravn, *Automatica* 36, 2000): along each axis of the belief, and in
-    each uncertain number of the puck.
+    Central differences of one standard deviation carry mean and covariance through the bounces
+    (Nørgaard, Poulsen and Ravn, *Automatica* 36, 2000): along each axis of the belief, and in each
+    uncertain number of the puck.
 
     Parameters
     ----------

@@ -141,7 +141,9 @@ class PuckFilter:
         if self.belief is None:
             raise InputError("no pose of the puck has come yet")
         for time in times:
-            ahead = numbers.Range(0, _LONGEST, "a puck is predicted ahead, not for longer", "s")
+            ahead = numbers.Range(
+                0, _LONGEST, "predictions begin at the last pose and are short", "s"
+            )
             ahead.check(time - self.belief.time, "times")
         return predict_puck(self.model, self.belief, times)
 

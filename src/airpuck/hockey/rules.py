@@ -25,7 +25,7 @@ class Rules(Settings):
     Attributes
     ----------
     goals : int or None
-        Goals needed to win; None: nobody wins by goals.
+        Goals needed to win; None: goals do not end the game.
     limit_s : float or None
         Time limit of a game; then the leader wins, and equal scores are a draw. None: no limit.
     foul_s : float

@@ -35,7 +35,7 @@ _GRAZING = 0.95
 #: Uncertain numbers of a shot: the puck's state (6), the craft's place and velocity (2, 2),
 #: restitution and grip of the contact and of the rails (2, 2).
 _DIMENSIONS = 14
-#: Iterations of the fixed point of `_plastic`, which converges twofold in each.
+#: Iterations of the fixed point of `_plastic`; each halves the error.
 _ITERATIONS = 50
 #: Standard deviations of restitution and grip of contacts with the craft, which are not identified.
 _RESTITUTION, _GRIP = 0.03, 0.1
@@ -218,7 +218,7 @@ def _plastic(dimensions: int) -> float:
 class ArrivalError:
     """Standard deviations of the craft's errors at a rendezvous."""
 
-    #: Of its middle, along each axis [m].
+    #: Error of its centre along each axis [m].
     place: float = 0.0015
     #: Velocity.
     speed: float = 0.04

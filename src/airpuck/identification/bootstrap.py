@@ -63,7 +63,7 @@ def bootstrap(
     numbers.SEED.check(seed, "seed")
     known = fit.uncertainty
     if known is None or fit.model.fit.get("method") != LevenbergMarquardt.__name__:
-        raise InputError("is for fits by Levenberg-Marquardt only", field="bootstrap")
+        raise InputError("works with Levenberg-Marquardt only", field="bootstrap")
     estimates = resampled_estimates(fit, replicates, seed=seed, progress=progress)
     lower, upper = np.percentile(estimates, [2.5, 97.5], axis=0)
     if fit.model.delay_jitter is not None:

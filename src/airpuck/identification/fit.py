@@ -124,7 +124,7 @@ def _early_poses(problem: Problem) -> InputError | None:
     dynamics = problem.start.dynamics(np, problem.vehicle)
     for trajectory in problem.trajectories:
         delay = visible_delay(trajectory, dynamics)
-        # What is seen is a whole number of samples, and may be one of them off.
+        # The delay is found in whole samples, and may be off by one.
         if delay is not None and delay < -1.5 * trajectory.sample_period:
             return InputError(
                 f"the motion begins {-1e3 * delay:.0f} ms before the commands that cause it: the "

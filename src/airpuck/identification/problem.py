@@ -63,9 +63,9 @@ class Problem:
         """Raise InputError if the problem cannot be solved."""
         if not isinstance(self.method, LevenbergMarquardt):
             if self.loss.robust:
-                raise InputError("is of Levenberg-Marquardt only", field="robust")
+                raise InputError("works with Levenberg-Marquardt only", field="robust")
             if self.preparation.delay == "fit":
-                raise InputError("fit is of Levenberg-Marquardt only", field="delay")
+                raise InputError("fit works with Levenberg-Marquardt only", field="delay")
         for trajectory in self.trajectories:
             check_propellers(self.vehicle, trajectory)
         # All its files together identify a recording.

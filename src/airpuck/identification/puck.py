@@ -40,7 +40,7 @@ _FEWEST = 3
 _OUTLIER = 4.0
 _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 #: Which bounces determine which number.
-_TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "are there"}
+_TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
 #: Largest standard errors with which a number counts as identified.
 _WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
 
@@ -268,7 +268,7 @@ def _fit_rail(
 
     law, notes = puck.rail, list[str]()
     if len(bounces) < _FEWEST:
-        notes.append(f"{len(bounces)} bounces off rails: bounces off rails are assumed")
+        notes.append(f"only {len(bounces)} bounces off rails: their parameters are assumed")
         return law, {}, len(bounces), notes
 
     def residuals(values: Float[np.ndarray, " 3"], among: list[Bounce]) -> Float[np.ndarray, " n"]:

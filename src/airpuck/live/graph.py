@@ -137,7 +137,7 @@ class Graph:
             self._participant = DomainParticipant(self.domain, Qos(Policy.EntityName(described)))
         except DDSException as error:
             raise InputError(
-                f"domain {self.domain} cannot be entered ({error}); are there too many processes "
+                f"domain {self.domain} cannot be joined ({error}); are there too many processes "
                 "in it?",
                 field="--domain",
             ) from error
@@ -345,7 +345,7 @@ class Graph:
         if topic in self._topics:
             present, made = self._topics[topic]
             if present != msgtype:
-                raise InputError(f"is {present} already, not {msgtype}", field=topic)
+                raise InputError(f"already has the type {present}, not {msgtype}", field=topic)
             return made
         if msgtype not in self._kinds:
             self._kinds[msgtype] = dds.raw_type(dds.idl_struct(types, msgtype, self._structs))

@@ -76,7 +76,7 @@ class Process:
             if others and (heard.take() or silent > LEASE + 1.0):
                 raise InputError(
                     f"there is another {role} already: {self.graph.describe(others[0])}; end it "
-                    "first, or take another --domain",
+                    "first, or use another --domain",
                     field=topic,
                 )
             time.sleep(0.02)
@@ -155,7 +155,7 @@ class Inbox:
         offset = self._stamps.offset
         if abs(offset - self._reported_offset) > _NOTABLE_OFFSET:
             self._reported_offset = offset
-            self._warn(f"the clock behind {self._topic} differs by {-offset:.3f} s; allowed for")
+            self._warn(f"the clock behind {self._topic} differs by {-offset:.3f} s; compensated")
         return taken
 
     def take_commands(self) -> list[Float[np.ndarray, " k"]]:
@@ -182,7 +182,7 @@ class Inbox:
                 self._strangers.add(endpoint)
                 text = (
                     f"{self._graph.describe(endpoint)} publishes {endpoint.msgtype} on "
-                    f"{self._topic}, which should be {self._codec.msgtype}; it is not heard"
+                    f"{self._topic}, which should be {self._codec.msgtype}; it is ignored"
                 )
                 self._warn(text, kind=text)
 

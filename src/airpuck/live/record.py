@@ -64,7 +64,7 @@ class Listener:
     def __init__(self, graph: Graph, motors: tuple[str, ...] = (), *, own: bool = False) -> None:
         self._graph, self._own = graph, own
         self.types: Types = command_type(motors)[1] if motors else definitions("")
-        #: Topics that are not heard, with reasons; the user empties it.
+        #: Topics that cannot be recorded, with reasons; the caller empties the list.
         self.notes: list[str] = []
         self._topics: dict[str, _Topic] = {}
         self._refused: set[tuple[str, str]] = set()
@@ -104,7 +104,7 @@ class Listener:
                 except ValueError as error:
                     self._refused.add((name, msgtype))
                     whose = self._graph.describe(endpoint)
-                    self.notes.append(f"{name} of {whose}, {msgtype}, is not heard: {error}")
+                    self.notes.append(f"{name} of {whose}, {msgtype}, is not recorded: {error}")
 
     def _ask(self, endpoint: Endpoint, quality: Quality) -> Subscription:
         """Subscribe to an endpoint's topic."""

@@ -17,7 +17,7 @@ NAMES = ("airpuck", "human")
 #: Message of a ruling; filled in with the score, the player concerned, and the other.
 _SAID = {
     "goal": "goal for {1}, {0}",
-    "foul": "foul of {1}, the puck was too long on its side; {2} serves, {0}",
+    "foul": "foul by {1}, the puck stayed too long on its side; {2} serves, {0}",
     "stuck": "the puck is stuck at the centre line; serve it again, {0}",
     "over": "{1} wins {0}; the next serve begins another game",
 }

@@ -19,11 +19,11 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-#: Replaces a skill.
+#: Given instead of a skill: the person at a page moves the mallet.
 PAGE = "page"
 #: Initial position of the mallet [m].
 BEGINS = 0.85
-#: Time from the call to fetching a stuck puck, or the opponent's [s].
+#: Time from the referee's call until a stuck puck, or the opponent's, is put back [s].
 _FETCHED = 0.2
 #: The mallet follows a target for this long after its message [s].
 _HOLDS = 0.25
@@ -78,7 +78,7 @@ class Human:
         """Store the mallet's target; old or non-finite targets are ignored."""
         for stamp, (x, y, _) in self.targets.take() if self.targets else ():
             if not (math.isfinite(x) and math.isfinite(y)):
-                text = "refused: a place for the mallet that is not finite"
+                text = "refused a position for the mallet that is not finite"
                 self._events.log("warning", text)
             elif now - stamp < _HOLDS:
                 self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp
@@ -176,7 +176,7 @@ class _Table(Result):
         now = clock.now
         arrived = self._twin.wait_until(now)
         if now - due > _LOST:
-            process.events.log("warning", f"stood still for {now - due:.3f} s, measurements lost")
+            process.events.log("warning", f"paused for {now - due:.3f} s, measurements lost")
             arrived = []
         for measurement in arrived:
             self._sensors[measurement.kind].send(measurement.values, measurement.stamp)
@@ -204,7 +204,9 @@ class _Table(Result):
         puck = self._twin.world.puck
         if puck is not None and self._puck is not None and puck.goal:
             side = "right" if puck.goal > 0 else "left"
-            self._process.events.log("info", f"the puck is in the {side} goal, and comes back")
+            self._process.events.log(
+                "info", f"the puck is in the {side} goal, and returns to its start"
+            )
             puck.place(self._puck)
 
     def _report_contact(self) -> None:

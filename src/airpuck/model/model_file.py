@@ -102,7 +102,7 @@ class Model:
         Parameters
         ----------
         title : str
-            Stands above the table.
+            Text above the table.
 
         Returns
         -------

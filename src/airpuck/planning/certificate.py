@@ -44,8 +44,8 @@ _COASTS = np.linspace(0.0, 1.0, 9)
 _BINS, _LONGEST = 4000, 2.0
 #: Durations tried for a leg between way points, as fractions of the plan's, which includes turns.
 _SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
-#: Times at which a hit of a rail is looked for, as multiples of the time to brake at full thrust in
-#: a straight line, without turns.
+#: Times at which the proof tests for a collision with a rail, as multiples of the time to brake at
+#: full thrust in a straight line, without turns.
 _BRAKING_TIMES = (1.0, 1.2, 1.5)
 #: If the bound exceeds this fraction of the tried duration, it came from that duration's weight.
 _NEAR = 0.8
@@ -57,18 +57,18 @@ def lower_bound(request: Request, weight: Weight, duration: float) -> float | No
     Parameters
     ----------
     request : Request
-        The request. The reserve of thrust, way points and discs are ignored.
+        The request. Way points, discs and the reserve of thrust are ignored.
     weight : Weight
         Weight of accelerations over time. Any weight gives a valid bound; the costates of a good
         plan give a high one.
     duration : float
-        Duration for which the weight was made [s]: the search begins there. It does not limit the
+        Duration for which the weight was made [s]; the search begins there. It does not limit the
         bound.
 
     Returns
     -------
     float or None
-        All durations below this one [s] are refuted; zero if none is. None if an effect of the
+        All durations below this one [s] are refuted; zero: none is refuted. None: an effect of the
         model states no bounds.
     """
     if not has_bounds(request.model, request.limits):

@@ -227,7 +227,7 @@ def search(
         )
     words = ", ".join(sorted(set(statuses)))
     raise InputError(
-        f"no plan was found from any of {max(len(tried), 1)} starts ({words}); there may be no way "
+        f"no plan was found from any of {max(len(tried), 1)} starts ({words}); none may exist "
         "within the limits",
         field="plan",
     )

@@ -95,7 +95,7 @@ def _other_unit(period: float, stream: str) -> str:
         )
     if power > 0:
         return f"; the mapping's unit of time is too small by a factor of about 1e{power}"
-    return "; look at the column or field of the time"
+    return "; check the column or field of the time"
 
 
 def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
@@ -154,7 +154,7 @@ def drop_disorder(
     for found, what in ((duplicated, "a duplicated stamp"), (backward, "a stamp that goes back")):
         if found.any():
             warnings.append(
-                f"dropped {int(found.sum())} {kind} samples with {what}, "
+                f"dropped {int(found.sum())} of the {kind} samples, with {what}, "
                 f"the first at {time[found][0]:.3f} s"
             )
     return Samples(time[ahead], values[ahead], tuple(warnings))

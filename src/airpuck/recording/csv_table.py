@@ -186,7 +186,7 @@ def table_below(
     if cells and len(cells[-1]) < whole and not rows.ends:
         cells, lines, line = cells[:-1], lines[:-1], lines[-1]
         warnings = (
-            f"{rows.path.name} is cut short: its last line ({line}) is not whole and left out",
+            f"{rows.path.name} is cut short: its last line ({line}) is incomplete and left out",
         )
     for line, row in zip(lines, cells, strict=True):
         if len(row) < width or (exact and len(row) > width):

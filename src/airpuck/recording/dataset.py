@@ -140,7 +140,7 @@ def fetch(
     problems = verify(given, all=all)
     if problems:
         file, problem = next(iter(problems.items()))
-        more = f", and {len(problems) - 1} more files are wrong" if len(problems) > 1 else ""
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         raise InputError(
             f"{problem}{more}; unset {VARIABLE} to download the dataset", file=given / file
         )
@@ -221,7 +221,7 @@ def verify(folder: str | os.PathLike[str], *, all: bool = False) -> dict[str, st
         file = Path(folder) / name
         if file.is_file():
             if sha256(file) != digest:
-                problems[name] = "has another content than published"
+                problems[name] = "differs from the published file"
         elif name in expected:
             problems[name] = "is missing"
     return problems

@@ -213,7 +213,7 @@ class PoseMapping(_Times):
     @classmethod
     def _two_or_three(cls, position: tuple[str, ...]) -> tuple[str, ...]:
         if position and len(position) not in (2, 3):
-            raise ValueError(f"names {len(position)} coordinates; give two or three")
+            raise ValueError(f"needs two or three coordinates, not {len(position)}")
         return position
 
     @pydantic.field_validator("axes", mode="plain")

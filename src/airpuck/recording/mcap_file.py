@@ -143,7 +143,7 @@ def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
         code, length = _HEAD.unpack_from(content, start - _HEAD.size)
         end = start + length
         if end > size or not code:
-            raise _Damaged("a record is longer than what holds it, or none")
+            raise _Damaged("the length of a record is impossible")
         yield code, start, end
         start = end + _HEAD.size
 

@@ -213,7 +213,7 @@ class MessageCodec:
             return self._store.deserialize_cdr(data, self.msgtype)
         # rosbags checks little, so a foreign message can make it fail in any way.
         except Exception as error:
-            raise ValueError(f"{len(data)} bytes are no {self.msgtype}") from error
+            raise ValueError(f"{len(data)} bytes are not a valid {self.msgtype}") from error
 
     def message(self, msgtype: str = "", **fields: Any) -> Any:
         """Make a message, or one of a nested type; omitted fields are zero or empty."""

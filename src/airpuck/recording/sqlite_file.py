@@ -116,7 +116,7 @@ def _read_messages(database: sqlite3.Connection, path: Path, topics: dict[int, T
             raise ValueError("its messages are longer than the file")
         topic = topics.get(number)
         if topic is None:
-            raise ValueError("a message is of no topic")
+            raise ValueError("a message belongs to no topic")
         topic.received_ns.append(time)
         topic.messages.append(message)
 

@@ -140,7 +140,7 @@ def commands_in(
         if len(places) > 1:
             filled = ", ".join(place.path for place in places)
             raise InputError(
-                f"has numbers in {filled}; choose, as in "
+                f"has numbers in {filled}; choose some, as in "
                 f'command = {{values = ["{places[0].path}"]}}'
             )
     names: list[str] = []

@@ -100,7 +100,7 @@ def unpacked(data: bytes, compression: str, size: int) -> bytes:
     else:
         content = data
     if len(content) != size:
-        raise ValueError("its size is not the one it names")
+        raise ValueError("its size differs from the stated one")
     return content
 
 

@@ -56,8 +56,8 @@ def craft_section(vehicle: Vehicle) -> PageSection:
 def craft_figure(vehicle: Vehicle) -> Figure:
     """Draw the propeller layout to scale.
 
-    Shows the disc from above, the name, force and moment of each propeller, pairs in one colour,
-    and the body frame. A regular layout is annotated with its radius and half-angle.
+    Shows the disc from above, the body frame, and the name, force and moment of each propeller;
+    the two of a pair share a colour. A regular layout is annotated with its radius and half-angle.
     """
     figure = style.new_figure(5.4, 5.2)
     axes = figure.add_subplot()

@@ -324,7 +324,7 @@ def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figur
     if checked is not None:
         marks: dict[str, Any] = {"ls": "", "marker": "|", "ms": 9, "mew": 1.3}
         axes.plot(100 * checked.errors.T, rows, color=style.VERMILLION, **marks)
-        label = f"proposal, obtained in {len(checked.errors)} flights"
+        label = f"proposal, obtained (flights: {len(checked.errors)})"
         handles.append(style.key(label, style.VERMILLION, **marks))
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

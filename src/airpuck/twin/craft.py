@@ -86,7 +86,7 @@ class Craft:
     settings : TwinSettings
         Radio, motors, battery.
     plant : Plant
-        Of both.
+        The craft on its table, with the effects of both.
     seed : int
         Random generator of the radio.
     pose : tuple of float

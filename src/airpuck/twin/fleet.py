@@ -91,7 +91,7 @@ def fly_fleet(
 ) -> FleetFlight:
     """Fly many craft at once with given commands.
 
-    Values that are given once hold for all craft; values for each craft determine their number.
+    Values that are given once apply to all craft; values for each craft determine their number.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ from airpuck.twin.twin import Twin
 TOLERANCE = (0.01, 0.1, 0.05)
 #: A point counts as passed within this distance [m].
 _PASSED = 0.03
-#: A plan with lower speeds than these starts, or ends, at rest [m/s, rad/s].
+#: Speeds below which a plan counts as starting, or ending, at rest [m/s, rad/s].
 _STANDING, _STOPPED = 1e-6, 1e-2
 #: Time at rest before the start; waiting time after the planned end, for a plan and a set point
 #: [s].
@@ -188,7 +188,7 @@ def _flown(
 
 
 def _reached(twin: Twin, planned: Plan) -> float | None:
-    """Return the true time of the craft past all points to the goal; None if it did not arrive."""
+    """Return when the craft reached the goal, past all points; None if it did not arrive."""
     time, states = twin.truth
     time, goal = time - _LEAD, planned.samples[1][-1]
     passed = 0

@@ -92,7 +92,7 @@ class Twin:
         elif puck is not None or mallet is not None:
             raise InputError("come with the world; leave them out", field="puck and mallet")
         elif world.puck is None:
-            raise InputError("is shared to play; give it a puck", field="world")
+            raise InputError("needs a puck if it is shared; give it one", field="world")
         else:
             played = ("puck", "mallet")
         self.now = 0.0
@@ -240,7 +240,7 @@ def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple
     """Return the other bodies beside the craft; raise InputError for invalid positions."""
     if puck is None:
         if mallet is not None:
-            raise InputError("is there for a puck; give one, too", field="mallet")
+            raise InputError("needs a puck; give one, too", field="mallet")
         return ()
     for field, numbers_given in (("puck", puck), ("mallet", mallet or ())):
         if not all(map(math.isfinite, numbers_given)):

@@ -224,7 +224,7 @@ def _structural(model: Model) -> list[str]:
     """Describe what the model or its fit lacks."""
     found = []
     if model.fit.get("converged") is False:
-        found.append("The fit did not converge: run it again, with more data or from nearby.")
+        found.append("The fit did not converge: run it again, with more data or a closer start.")
     if not float(model.parameters.motor_time_constant) > 0 and not _learned_lag(model):
         found.append("The model has no motor lag, so it expects every thrust too early: use M3.")
     return found

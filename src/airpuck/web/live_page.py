@@ -66,7 +66,7 @@ class LivePage:
             self._poses[measurement.kind] = [*self._poses.get(measurement.kind, [])[-1:], one]
 
     def after(self, action: Action) -> None:
-        """Read the pages' wishes, and send them the news; see `Spectator`."""
+        """Process the pages' requests, and send them the current state; see `Spectator`."""
         if self._pages.lost:
             return
         self._hear(self._pages)

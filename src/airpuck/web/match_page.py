@@ -1,4 +1,4 @@
-"""A match in the page: two players, in real time, watched by any page."""
+"""A match on a page: two players, in real time, watched by any page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from airpuck.hockey.player import Player
 from airpuck.model.model_file import Model
 from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 
-#: Time between looks for the first page, and for which the page shows the winner [s].
+#: Polling period for the first page, and time for which the page shows the winner [s].
 _LOOK, _END = 0.02, 3.0
 
 

@@ -223,7 +223,7 @@ class Session:
         return self._player
 
     def _hear(self) -> None:
-        """Process messages from the page; of wishes only the last counts."""
+        """Process messages from the page; only the last of several targets counts."""
         orders, wish = self._pages.hear()
         for order in orders:
             self._obey(order)
@@ -273,7 +273,7 @@ class Session:
             puck.place(PuckState(_LAID, 0.0))
 
     def _tell(self, events: Sequence[GameEvent]) -> None:
-        """Send the news to the page."""
+        """Send the current state to the page."""
         game = self._game
         self._until_home = max(self._until_home - 1, 0)
         self._pages.show(state_of(game, self._heard))
