@@ -105,7 +105,7 @@ class Mutant:
     end: int
     before: str
     after: str
-    #: The file without the mistake, or its hash.
+    #: Hash of the file without the mistake.
     source: str
 
     @property
