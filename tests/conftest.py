@@ -18,8 +18,8 @@ pytest.register_assert_rewrite("tests.apparatus")
 
 from .apparatus import once, typechecker  # noqa: E402
 
-# Compiled programs are kept from test to test, from process to process and from run to run. They
-# are found again by their content, so an old one is never used for new code.
+# Compiled programs are cached between tests, processes and runs. The key is their content, so an
+# old program is never used for new code.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("airpuck-tests")))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
@@ -45,7 +45,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# The same examples in every run, so that a failure is always somebody's change. The quick tier
+# The same examples in every run, so that only a change of code can cause a failure. The quick tier
 # tries a few of them; `--hypothesis-profile default` looks for new ones.
 for name, count in (("full", 100), ("quick", 10)):
     hypothesis.settings.register_profile(
@@ -58,8 +58,8 @@ _hook = jaxtyping.install_import_hook("airpuck", "tests.apparatus.typechecker.ch
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let the test in the browser keep its picture."""
-    parser.addoption("--screenshot", metavar="FILE", help="where to keep that of a page")
+    """Add an option that keeps the picture of a browser test."""
+    parser.addoption("--screenshot", metavar="FILE", help="where to store the picture of a page")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -85,14 +85,14 @@ def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Let the workers of a session find what one of them made."""
+    """Share the session's cached objects between its workers."""
     own = tmp_path_factory.getbasetemp()
     once.folder = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture(scope="session")
 def data() -> Path:
-    """Folder of the public dataset; skips, or fails where CI says that it must be there."""
+    """Folder of the public dataset; without it, skips the test, or fails where CI requires it."""
     folder = os.environ.get("AIRPUCK_DATA")
     if folder and Path(folder).is_dir():
         return Path(folder)
@@ -110,7 +110,7 @@ def experiments(data: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def domain() -> int:
-    """A DDS domain of this process's own, so that tests that run side by side do not meet."""
+    """A DDS domain for this process alone, so that parallel tests do not interfere."""
     pytest.importorskip("cyclonedds")
     return 1 + os.getpid() % 200
 

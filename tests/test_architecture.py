@@ -17,7 +17,7 @@ import airpuck
 ROOT = Path(airpuck.__file__).parent
 TESTS = Path(__file__).parent
 
-#: Rooms from the ground up: each may import itself and the ones before it.
+#: Packages from the lowest layer up: each may import itself and the ones before it.
 ORDER = (
     "boundary",
     "craft",
@@ -255,7 +255,7 @@ def test_functions_are_short_or_say_why_not():
 
 
 def private_imports(path: Path) -> list[str]:
-    """Names of ours with an underscore that a test imports without a comment that says why."""
+    """Return private names that a test imports without a comment that states the reason."""
     lines, found = path.read_text(encoding="utf-8").splitlines(), []
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("airpuck"):

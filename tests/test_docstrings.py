@@ -1,4 +1,4 @@
-"""Exports and entry points of packages are documented in full; the rest in a sentence."""
+"""Exports and entry points of packages have full documentation; the rest has a sentence."""
 
 import importlib
 import inspect
@@ -47,7 +47,7 @@ ENTRIES = set(entry_points())
 
 
 def wrong_with(function, full: bool) -> str:
-    """What a docstring lacks or invents; empty if all is well."""
+    """Return what a docstring omits or invents; empty if it is right."""
     text = inspect.getdoc(inspect.unwrap(function))
     if not text:
         return "no docstring"

@@ -1,4 +1,4 @@
-"""Each equation of the paper is found where docs/equations.md says, under the paper's label."""
+"""Each equation of the paper is where docs/equations.md states, under the paper's label."""
 
 import importlib
 import re

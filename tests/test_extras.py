@@ -1,4 +1,4 @@
-"""Each extra brings what its first command or import needs, and nothing else need be installed."""
+"""Each extra installs everything that its first command or import needs."""
 
 import shlex
 import subprocess
@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
-#: What is installed, and what its users run first; one after the other in one environment. The
-#: view needs a graph to show.
+#: Extras, and the first command of their users; run one after the other in one environment. The
+#: view needs a graph.
 FIRST_USE = (
     {"control": "python -c \"import airpuck; airpuck.read_model('paper:M3').to_statespace()\""},
     {"plan": "airpuck plan --from 0 0 0 --to 0.5 0 0"},
@@ -33,7 +33,7 @@ SPEC = 'kind = "tracking"\nseeds = 1\nbase.dwell_s = 0.2\n'
 
 
 def needed(requirement: Requirement, known: set[tuple[str, str]]) -> None:
-    """Add what a requirement brings to what is known: pairs of a distribution and an extra."""
+    """Add the distributions that a requirement installs: pairs of a distribution and an extra."""
     for extra in ("", *requirement.extras):
         if (requirement.name, extra) in known:
             continue
@@ -45,7 +45,7 @@ def needed(requirement: Requirement, known: set[tuple[str, str]]) -> None:
 
 
 def environment(folder: Path, *extras: str) -> Path:
-    """Make an environment with what `pip install airpuck[extras]` would bring, by links."""
+    """Make an environment like that of `pip install airpuck[extras]`, from links."""
     venv.create(folder)
     known = {("airpuck", "")}
     for line in sum((EXTRAS[extra] for extra in extras), PROJECT["dependencies"]):
@@ -90,7 +90,7 @@ def test_without_its_extra_a_command_says_what_to_install(tmp_path):
     for extras, command in ((e, c) for uses in FIRST_USE for e, c in uses.items()):
         done = run(plain, command, tmp_path)
         assert done.returncode
-        # The package itself: airpuck may not come from an index.
+        # Link the package itself, which must not come from an index.
         (package, *_) = (Requirement(line).name for line in EXTRAS[extras.split(",")[-1]])
         assert f"pip install {package}" in done.stderr.splitlines()[-1], extras
 

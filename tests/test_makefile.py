@@ -1,4 +1,4 @@
-"""What make would do."""
+"""Commands that make would run."""
 
 import shutil
 import subprocess
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
     [("install", "-e .;"), ("dev", "-e '.[dev]';"), ("live", "-e '.[ros2,play]';")],
 )
 def test_a_target_installs_what_it_uses_with_uv_and_with_pip(target, installed):
-    # As if nothing were set up.
+    # As in a fresh checkout.
     command = ["make", "-n", "-B", target, "VENV=.no-venv"]
     said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert said.replace("\\\n", "").count(installed) == 2

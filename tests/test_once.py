@@ -1,4 +1,4 @@
-"""What takes long is made once a session."""
+"""Expensive objects are made once per session."""
 
 from .apparatus import once
 
@@ -11,7 +11,7 @@ def test_workers_share_what_one_of_them_made(tmp_path, monkeypatch):
         made.append(number)
         return {"square": number**2}
 
-    # Two workers, each with a memory of its own.
+    # Two workers, each with its own memory.
     one, other = once.once(square), once.once(square)
     assert one(2) == one(2) == other(2) == {"square": 4}
     assert other(3) == {"square": 9}

@@ -1,4 +1,4 @@
-"""Signatures are checked in the first calls of each test, and in the next test again."""
+"""Signatures are checked in the first calls of each test."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -20,7 +20,7 @@ ARM = float(np.sqrt(MODEL.parameters.inertia / MODEL.vehicle.mass_kg))
 ROWS = np.array([1.0, 1.0, ARM])
 SLACK_WEIGHT = 1e6
 SOLVERS: tuple[Literal["daqp", "piqp"], ...] = ("daqp", "piqp")
-#: A sum of equality violations [m/s²] below and above which a problem is called (in)feasible.
+#: Sum of equality violations [m/s²] below which a problem counts as feasible, or above, infeasible.
 FEASIBLE, INFEASIBLE = 1e-10, 1e-6
 
 
@@ -80,13 +80,13 @@ def least_distance(a, b, lower, upper) -> np.ndarray:
 
 @cache
 def sample() -> list[tuple[tuple[np.ndarray, ...], float]]:
-    """Random problems and by how much they are infeasible; none on the very edge."""
+    """Return random problems and their violations; none at the border of feasibility."""
     random = np.random.default_rng(7)
     problems = [random_problem(random) for _ in range(600)]
     judged = [(problem, violation(*stacked(problem))) for problem in problems]
     clear = [(p, v) for p, v in judged if v < FEASIBLE or v > INFEASIBLE]
     assert len(clear) > 0.99 * len(judged)
-    assert 0.25 < np.mean([v < FEASIBLE for _, v in clear]) < 0.75  # of each enough
+    assert 0.25 < np.mean([v < FEASIBLE for _, v in clear]) < 0.75  # enough of each
     return clear
 
 
@@ -145,7 +145,7 @@ def test_infeasible_requests_get_the_nearest_acceleration(solver):
         a, b, lower, upper = stacked(problem)
         nearest: Any = lsq_linear(a, b, (lower, upper), method="bvls", tol=1e-15, max_iter=500)
         assert nearest.success
-        # As near as can be; the ties among equally near ones move the acceleration by 1e-6.
+        # The nearest possible; the choice among equally near ones moves the acceleration by 1e-6.
         reached = a @ np.append(found.thrust, [found.linear_scale, found.angular_scale]) - b
         least = a @ nearest.x - b
         tolerance = 1e-10 if solver == "daqp" else 1e-7
@@ -163,7 +163,7 @@ def test_what_thrusts_within_the_bounds_give_is_met(solver):
         force = random.uniform(low, high)
         request = matrix @ force + offset
         found = ours.allocate(request, matrix, offset, low, high)
-        # A share of |F|²/μ is given up for less thrust: eq. force_qp is like that.
+        # eq. force_qp trades a fraction |F|²/μ of the request for less thrust.
         assert (found.linear_scale, found.angular_scale) == pytest.approx((1, 1), abs=5e-6)
         np.testing.assert_allclose(ROWS * (matrix @ (found.thrust - force)), 0, atol=2e-5)
         # And with no more thrust than necessary.
@@ -195,7 +195,7 @@ def test_a_request_twice_too_large_is_halved(solver):
     assert found.outcome == "scaled"
     assert (found.linear_scale, found.angular_scale) == pytest.approx((0.5, 1), abs=1e-6)
     np.testing.assert_allclose(found.thrust, [1, 0, 0.5, 0.5], atol=1e-6)
-    # Turning alone: two propellers of one newton each against four asked for.
+    # Turning alone: two propellers of one newton each, four newtons requested.
     found = ours.allocate(np.array([0, 0, -4.0]), CROSS, np.zeros(3), nothing, one)
     assert (found.linear_scale, found.angular_scale) == pytest.approx((1, 0.5), abs=3e-6)
     np.testing.assert_allclose(found.thrust, [0, 0, 1, 1], atol=3e-6)
@@ -203,8 +203,8 @@ def test_a_request_twice_too_large_is_halved(solver):
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_thrust_that_cannot_be_taken_away_is_met_halfway(solver):
-    # The right propeller cannot slow down below 1 N, the left one reaches 0.5 N only: the craft
-    # goes right by 0.5 m/s² whatever is asked; going left is as near as that without any push.
+    # The right propeller gives at least 1 N, the left one at most 0.5 N. So the craft accelerates
+    # to the right by at least 0.5 m/s², the nearest to a request to the left.
     ours = ThrustAllocator(4, 1.0, SLACK_WEIGHT, solver)
     low, high = np.array([1, 0, 0, 0.0]), np.array([2, 0.5, 1, 1.0])
     found = ours.allocate(np.array([-3.0, 0, 0]), CROSS, np.zeros(3), low, high)
@@ -219,7 +219,7 @@ number = st.floats(-1e3, 1e3)
 
 @st.composite
 def crafts(draw):
-    """Any craft, even one that cannot turn, in any state, asked for anything."""
+    """Any request to any craft in any state, even a craft that cannot turn."""
     n = draw(st.sampled_from([3, 4, 6, 8]))
     matrix = draw(st.lists(number, min_size=3 * n, max_size=3 * n))
     low = np.array(draw(st.lists(st.floats(0, 0.5), min_size=n, max_size=n)))

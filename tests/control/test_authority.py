@@ -1,4 +1,4 @@
-"""What propellers can do together, against hand calculations."""
+"""The motions that propellers can produce together, against hand calculations."""
 
 from dataclasses import replace
 
@@ -72,7 +72,7 @@ def test_idle_thrusts_that_cannot_cancel_are_said():
 
 @pytest.mark.parametrize("seed", range(20))
 def test_missing_motions_are_those_outside_the_positive_span(seed):
-    """Without a lowest command: nonnegative least squares reaches a motion, or it does not."""
+    """Without a lowest command: whether nonnegative least squares reaches a motion."""
     rng = np.random.default_rng(seed)
     places = [(*rng.uniform(-0.07, 0.07, 2), rng.uniform(0, 360)) for _ in range(3 + seed % 4)]
     model = nominal_model(craft(*places))

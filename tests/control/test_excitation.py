@@ -31,7 +31,7 @@ def pilot(model=MODEL, **values):
 
 
 def at_rest(excitation, steps, pose=(0.0, 0.0, 0.0), start=0.0):
-    """Commands while the craft is held where it is, whatever the motors do."""
+    """Return the commands to a craft that is held in place, whatever the motors do."""
     commands = []
     for k in range(steps):
         now = start + k * PERIOD
@@ -53,7 +53,7 @@ def craft(count, pairs=()):
 
 
 def signal_of(commands):
-    """The signal of each pair: what its two motors do, with the sign of the one that blows."""
+    """Return the signal of each pair, with the sign of the motor that runs."""
     first, second = commands[:, 0::2], commands[:, 1::2]
     return np.where(first > second, first, -second)
 
@@ -63,7 +63,7 @@ def test_at_rest_one_motor_of_each_pair_blows_and_the_other_idles():
     first, second = commands[:, 0::2], commands[:, 1::2]
     np.testing.assert_allclose(np.minimum(first, second), IDLE, atol=1e-12)
     assert (np.maximum(first, second) > ABOVE).mean() > 0.9
-    # Each of the six has its turn.
+    # Each of the six runs at some time.
     assert ((commands > 0.2).mean(axis=0) > 0.15).all()
 
 
@@ -98,7 +98,7 @@ def test_signals_go_on_with_the_time_though_steps_are_missed():
 def test_signals_are_uniform_and_independent(amplitude):
     commands = at_rest(pilot(amplitude=amplitude, hold=PERIOD, seed=7), 3000)
     signals = signal_of(commands)
-    # Below idle, the motor does not say what the signal was.
+    # Below idle, the command does not reveal the signal.
     told = np.abs(signals) > ABOVE
     assert 1 - told.mean() == pytest.approx(IDLE / amplitude, abs=0.006)
     for column, clear in zip(signals.T, told.T, strict=True):
@@ -201,7 +201,7 @@ def moving(excitation, position, velocity, steps=15):
 
 
 def controlled(position, velocity):
-    """What the controller alone would do."""
+    """Return the command of the controller alone."""
     controller = pilot().controller
     moving(controller, position, velocity)
     return controller.step(14 * PERIOD).command

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from airpuck.compute.compiled import program
 from airpuck.control.authority import control_authority
 
-# What the horizon takes a craft's brake to be is in the stages, but mixed with other numbers.
+# The stages contain the assumed braking acceleration, but mixed with other numbers.
 # The same problem is written down by hand, with the same damping.
 from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages, _brake, linearised, stages
 from airpuck.control.tuning import SoftLimits, default_tuning
@@ -117,10 +117,10 @@ def test_at_half_a_turn_the_way_round_is_kept():
     assert posed(PLAN, wanted).way > 3
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(-np.pi - 0.01)
     assert posed(PLAN, wanted, way=3.1).way > 3
-    # It was chosen near half a turn only: what is left at a set point says nothing of the next one.
+    # The direction is kept near half a turn only: the rest of one turn does not affect the next.
     wanted[2] = STATE[2] - np.pi + 0.4
     assert posed(PLAN, wanted, way=-1e-4).way == pytest.approx(np.pi - 0.4)
-    # A quarter of a turn is no question.
+    # A quarter of a turn is unambiguous.
     wanted[2] = STATE[2] - np.pi / 2
     assert posed(PLAN, wanted, way=-3.1).way == pytest.approx(np.pi / 2)
 
@@ -177,7 +177,7 @@ def test_limits_are_met_by_changes_that_reach_them():
 
 
 def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
-    # One short step: nothing but the thrusts bends, so the Hessian of the cost is known.
+    # One short step: only the thrusts are nonlinear, so the Hessian of the cost is known.
     blocks, h = Blocks(0.01, (1,)), 0.01
     regulator = default_tuning().regulator
     w = regulator.weights
@@ -200,7 +200,7 @@ def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
         gauss_newton = by_u @ by_u + felt @ (effort * felt)
         left_out[0, motor] = curved - gauss_newton
         left_out[1, motor] = left_out[0, motor] - s.bend[0, motor] * drive[motor] ** 2
-    # What would make it less convex is left out on purpose.
+    # Terms that would make it less convex are left out on purpose.
     wanted_less = left_out[0] < 0
     assert not s.bend[0, wanted_less & (left_out[0] < -0.02)].any()
     assert left_out[0].max() > 0.05
@@ -298,7 +298,7 @@ def problem(seed: int, blocks: Blocks, *, tight: float = np.inf) -> Stages:
 
 
 def craft(least: float, most: float) -> Vehicle:
-    """Return a vehicle of which only the commands are known; they may be without bounds."""
+    """Return a vehicle with nothing but commands, which may be unbounded."""
     propellers = (None,) * N_MOTORS
     return Vehicle.model_construct(propellers=propellers, command_min=least, command_max=most)
 
@@ -349,7 +349,7 @@ def test_without_limits_it_is_the_riccati_solution(seed):
 
 
 def penalised(solver: Condensed, formed, change: np.ndarray) -> float:
-    """Return what a change costs, limits that it exceeds included."""
+    """Return the cost of a change, including exceeded limits."""
     hessian, gradient, rows, lower, upper, _ = formed
     x = change.ravel()
     beyond = np.maximum(np.maximum(lower[x.size :] - rows @ x, rows @ x - upper[x.size :]), 0)
@@ -363,7 +363,7 @@ def test_it_agrees_with_highs(seed, tight):
     s, condensed = problem(seed, blocks, tight=tight), solver_of(blocks, (0.0, 1.0))
     formed = condensed.form(np, s)
     answer = condensed.solve(formed)
-    # It says where the change leads: step after step by the slopes.
+    # The predicted states follow step by step from the linearisation.
     moved = np.zeros((len(blocks.owner) + 1, SIZE))
     for k, block in enumerate(blocks.owner):
         given = np.concatenate([moved[k, 2:], answer.change[block]])

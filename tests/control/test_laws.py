@@ -1,4 +1,4 @@
-"""Laws of one's own: by name from a file or a registry, and refused when wrong."""
+"""Users' laws: by name from a file or a registry, and rejected if invalid."""
 
 import json
 import textwrap
@@ -57,7 +57,7 @@ def test_a_step_changes_nothing_but_the_state_it_returns():
     first = controller.step(0.0).command
     moved = controller.state
     assert moved is not begun and np.abs(moved.plan - begun.plan).max() > 0
-    # The solver's last active set aside, the same state gives the same command.
+    # Apart from the solver's last active set, the same state gives the same command.
     controller.state = begun
     np.testing.assert_allclose(controller.step(0.0).command, first, atol=1e-6)
 

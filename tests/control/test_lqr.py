@@ -1,4 +1,4 @@
-"""The regulator, against python-control and the cost that it is to minimise."""
+"""The regulator, against python-control and the cost that it should minimise."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ def test_gain_agrees_with_python_control(six, h):
     w = Weights(**dict(zip(names, six, strict=True)))
     q = np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin])
     r = np.diag([w.acceleration, w.acceleration, w.angular_acceleration])
-    # The state in numbers, so that not even the discretisation is ours.
+    # Numerical matrices, so that the discretisation is independent of ours, too.
     plant = control.c2d(control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), 0), h, "zoh")
     expected, _, _ = control.dlqr(plant, q, r)
     np.testing.assert_allclose(

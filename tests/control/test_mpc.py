@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import FLYING, Step
 
-# A weight within the plan, compared with a least-squares fit that no flight shows.
+# A weight inside the plan has no visible effect on a flight, so compare it with least squares.
 from airpuck.control.mpc import MPC, _way_left
 from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
 from airpuck.control.tracking import TrackingController
@@ -73,7 +73,7 @@ def closed_loop(
     *,
     advance: Callable[[np.ndarray, np.ndarray], np.ndarray] = runge_kutta,
 ) -> tuple[np.ndarray, list[Step]]:
-    """Steer a craft whose state is known and that has no delay: states at 100 Hz, steps."""
+    """Steer a craft without delay and with known state; return states at 100 Hz, and steps."""
     ours.reference = reference
     state = np.concatenate([start, np.full(6, MODEL.vehicle.command_min)])
     states, steps = [state], []
@@ -146,7 +146,7 @@ def test_the_step_that_learns_of_a_set_point_expects_what_its_commands_do():
     ours, craft = law(), Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3))
     for _ in range(10):
         ours.steer(craft, 0.0)
-    ours.reference = SetPoint(0.002, -0.001, 0.005)  # so little that all is linear
+    ours.reference = SetPoint(0.002, -0.001, 0.005)  # small enough for linearity
     expected, controller = ours.steer(craft, 0.0).prediction, ours.law
     assert isinstance(controller, MPC) and expected is not None
     # By the physics, under the commands that were found in this step.
@@ -180,12 +180,12 @@ def test_a_rendezvous_is_kept(yaw):
     np.testing.assert_allclose(arrived[3:5], met[3:5], atol=0.09)
     if np.isfinite(yaw):
         assert arrived[2] == pytest.approx(1.0, abs=0.06)
-    np.testing.assert_allclose(states[-1, :2], 0.0, atol=0.01)  # and then it goes on
+    np.testing.assert_allclose(states[-1, :2], 0.0, atol=0.01)  # then it follows the next target
 
 
 @pytest.mark.parametrize("sharp", [(1e9, 1e9), (1e9, 0.0), (0.0, 1e9), (0.0, 0.0), (3.0, 0.2)])
 def test_the_way_to_a_rendezvous_is_the_cheapest(sharp):
-    # A double integrator with an error and a drift, pushed piece by piece: least squares.
+    # A double integrator with an error and a drift, under piecewise constant pushes: least squares.
     left, effort, apart, drift = 0.7, 0.3, 0.2, -0.5
     pieces = 500
     h = left / pieces

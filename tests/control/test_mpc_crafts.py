@@ -1,4 +1,4 @@
-"""The predictive law with other craft than the paper's, and with a motor that is dead."""
+"""The predictive law with craft other than the paper's, and with a dead motor."""
 
 from dataclasses import replace
 

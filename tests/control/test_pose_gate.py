@@ -1,4 +1,4 @@
-"""Which poses are believed: one frame that jumps, a jump that lasts, clocks that go back."""
+"""Which poses are accepted: one jumping frame, a lasting jump, clocks that go back."""
 
 import math
 
@@ -76,7 +76,7 @@ def test_poses_become_stale_after_fifty_milliseconds_and_begin_anew(craft):
     assert craft.gate.is_recent(craft.time - 0.0499)
     assert craft.gate.refusal(craft.time + 0.0501) == "stale pose"
     assert not craft.gate.is_recent(craft.time - 0.0501)
-    # However far away the craft is by then.
+    # However far the craft has moved by then.
     craft.time += 0.06
     assert craft.see(-0.8, 0.3, -2.0) is None
     np.testing.assert_allclose(craft.place(), (-0.8, 0.3, -2.0), atol=1e-3)

@@ -1,4 +1,4 @@
-"""The predictive law against its limits: small siblings of `studies/predictive.py`."""
+"""The predictive law against its limits: short versions of `studies/predictive.py`."""
 
 import importlib
 import sys

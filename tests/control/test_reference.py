@@ -1,4 +1,4 @@
-"""References: values by hand, splines by their definition, and input that is refused."""
+"""References: values by hand, splines by their definition, and rejected input."""
 
 import numpy as np
 import pytest
@@ -111,7 +111,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_pose(share, seed):
 
 
 def test_no_other_curve_through_the_poses_bends_less():
-    # What defines the cubic spline with its ends at rest: the least ∫ a² among all such curves.
+    # Definition of the cubic spline with its ends at rest: the least ∫ a² among all such curves.
     times, poses = path()
     fine = np.linspace(times[0], times[-1], 20001)
     curve = TimedPath(times, poses)
@@ -205,7 +205,7 @@ def test_the_shorter_way_round_is_taken():
     forward = steer_to(controller, craft, SetPoint(0, 0, -3.0)).request
     back = steer_to(controller, craft, SetPoint(0, 0, 2.5)).request
     k = controller.law.gain[2, 2]
-    # 2π - 6 ahead, 0.5 back; the idle motors turn it a little in the period that is settled.
+    # 2π - 6 ahead, 0.5 back; idling motors turn the craft a little in the first period.
     assert forward[2] - back[2] == pytest.approx(k * (2 * np.pi - 6 + 0.5), rel=1e-9)
     assert forward[2] > 0 > back[2]
 

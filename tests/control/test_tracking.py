@@ -32,7 +32,7 @@ from ..apparatus.closed_loops import (
 
 
 def test_the_loop_on_the_nominal_craft_is_python_controls_linear_one():
-    # While nothing saturates, what the motors give is what the regulator asked for one period ago:
+    # Without saturation the motors give what the regulator requested one period ago:
     # x⁺ = A x + B v, v⁺ = -K (x⁺ - target). Thrusts, motors and turning drop out.
     target = np.array([0.02, -0.03, 0.4, 0, 0, 0])
     ours = controller(SetPoint(*target[:3].tolist()))
@@ -88,7 +88,7 @@ def test_compiled_and_numpy_give_the_same_commands():
 
 @pytest.mark.parametrize("compensate", [True, False])
 def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, compensate):
-    # Where JAX hands programs of any size to no other thread, the controller has one for both.
+    # If JAX runs programs of any size in the calling thread, the controller has one for both.
     monkeypatch.setattr(tracking, "large_programs_are_fast", lambda: True)
     point, random = SetPoint(0.4, -0.2, 2.0), np.random.default_rng(1)
     pair = [controller(point, compiled=c, compensate_delay=compensate) for c in (True, False)]
@@ -114,7 +114,7 @@ def test_a_request_too_large_is_no_error(far):
     step = ours.step(last)
     assert step.flies
     assert step.status in ("scaled", "nearest")
-    # As far as it goes, towards the target: the direction is kept.
+    # Scaled down, but towards the target: the direction is kept.
     x = step.estimate
     assert x is not None
     lag, drive = motor_lag(float(MODEL.dynamics.motor_time_constant), ours.tuning.period_s)
@@ -154,7 +154,7 @@ def test_set_points_are_reached_and_the_yaw_turns_the_shorter_way():
         turn = (arrived[:, 2] - point[2] + np.pi) % (2 * np.pi) - np.pi
         np.testing.assert_allclose(arrived[:, :2], [point[:2]] * len(arrived), atol=2e-3)
         np.testing.assert_allclose(turn, 0, atol=2e-2)
-    # From 1.5 on to -2.5 + 2π, then on by -0.98 to 2.8: never below zero, never a turn too much.
+    # From 1.5 to -2.5 + 2π, then by -0.98 to 2.8: never below zero, and without an extra turn.
     assert poses[:, 2].min() > -0.1
     assert poses[:, 2].max() < 2 * np.pi - 2.5 + 0.5
     commands = np.array([step.command for step in steps])
@@ -222,7 +222,7 @@ def test_with_the_delay_compensated_the_craft_flies_as_without_one_only_later():
         ours = TrackingController(late, target, compensate_delay=compensated)
         _, flown[delay, compensated], _ = fly(ours, 2.0, delay=delay)
     prompt, shift = flown[0.0, True], round(LONG / 0.01)
-    # What is left is the drift with idling motors until the first command arrives.
+    # The remainder is the drift with idling motors until the first command arrives.
     np.testing.assert_allclose(flown[LONG, True][shift:], prompt[:-shift], atol=1e-3)
     # Without compensation the yaw, whose gains are highest, swings far beyond.
     assert prompt[:, 2].max() < 1.03

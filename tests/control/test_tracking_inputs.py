@@ -1,4 +1,4 @@
-"""The tracking controller and everything that can be wrong with what it hears."""
+"""The tracking controller with all kinds of wrong input."""
 
 from itertools import count, takewhile
 
@@ -77,7 +77,7 @@ def test_poses_at_random_are_never_believed(seed):
     ours = controller()
     last = hold_still(ours)
     for k in range(1, 241):
-        # Anywhere on the table but where the craft is.
+        # Anywhere on the table except where the craft is.
         x, yaw = random.uniform(0.2, 1) * random.choice([-1, 1]), random.uniform(-3, 3)
         ours.pose(last + k * FRAME, np.array([x, random.uniform(-0.5, 0.5), yaw]))
         idles(ours.step(last + k * FRAME), "jumping pose")
@@ -161,7 +161,7 @@ def test_arrays_that_the_caller_uses_again_are_copied():
             one.sent(now, command.copy() if copied else command)
     expected = same.filter.predict(0.59)
     np.testing.assert_array_equal(ours.filter.predict(0.59).motor_speed, expected.motor_speed)
-    # Among poses in doubt too: each agrees with the one before, none with itself.
+    # Also among doubtful poses: each agrees with its predecessor only.
     for k in range(1, 26):
         pose[:] = [0.5 * (-1) ** k, 0, 0]
         ours.pose(0.59 + k * FRAME, pose)
@@ -179,7 +179,7 @@ def test_commands_belong_to_the_caller(compiled):
 
 
 def flown(told, steps: int = 40) -> tuple[TrackingController, Step]:
-    """Fly at one place; `told` changes what the controller hears of each command."""
+    """Hold a pose; `told` changes each command that is reported to the controller."""
     ours = controller(SetPoint(0.05, 0, 0))
     step = ours.step(0.0)
     for k in range(steps):
@@ -224,7 +224,7 @@ def test_a_sent_command_that_is_not_a_number_is_taken_as_not_sent(bad):
     assert step.flies
     assert step.estimate is not None
     assert np.isfinite(step.estimate.motor_speed).all()
-    # What was sent before stays in force for the time of one more command.
+    # The previous command stays in force for one more period.
     _, other = flown(lambda k, time, command: (time, command))
     np.testing.assert_allclose(step.command, other.command, atol=0.05)
 

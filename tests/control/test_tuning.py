@@ -1,4 +1,4 @@
-"""Tuning files: written and read back, and every mistake named."""
+"""Tuning files: written and read back; errors name every mistake."""
 
 import re
 import tomllib

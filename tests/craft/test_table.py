@@ -1,4 +1,4 @@
-"""The table file: files in, files out, and what is refused."""
+"""The table file: reading, writing, and rejected content."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def test_a_table_survives_a_file_which_is_also_one_for_the_twin(tmp_path, table)
     table.save(tmp_path / "table.toml")
     assert read_table(tmp_path / "table.toml") == table
     twin = read_twin_settings(tmp_path / "table.toml")
-    # A number that a file leaves out is as in the twin's settings.
+    # A number that a file omits has the default of the twin's settings.
     assert (twin.table, twin.puck, twin.mallet) == (table.table, table.puck, table.mallet)
 
 

@@ -171,7 +171,7 @@ def test_spans_keep_their_confidence_in_a_file(flight, tmp_path):
     marked.save(tmp_path / "t.npz")
     found = read_trajectory(tmp_path / "t.npz")
     assert found.excluded == (Span(0.1, 0.2, "gap", 1.0), doubtful)
-    # What is excluded already is not excluded twice.
+    # A span that is already excluded is not excluded twice.
     assert marked.leave_out([doubtful]).excluded == marked.excluded
     assert not marked.usable[(flight.time >= 0.5) & (flight.time <= 0.7)].any()
 
@@ -213,7 +213,7 @@ def test_the_mean_by_hand():
 
 @given(TIMES, TIMES)
 def test_the_mean_is_the_integral(events, times):
-    """Of the held values, summed from one event or time to the next."""
+    """Integrate the held values, summing from one event or time to the next."""
     time = np.unique(np.round(times, 3))
     values = np.cos(np.arange(len(events)))[:, None] ** 2
     mean, _ = mean_hold(np.array(events), values, time)

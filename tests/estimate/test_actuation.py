@@ -1,4 +1,4 @@
-"""What the motors really do, against dense Gaussian conditioning and made-up failures."""
+"""Estimated motor effectiveness, against dense Gaussian conditioning and made-up failures."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ EXACT = ActuationEncoder(
 
 
 def weakened(effectiveness):
-    """The craft whose motors give a share of their thrust."""
+    """Return the craft with motors that deliver a fraction of their thrust."""
     thrust = MODEL.parameters.thrust * np.array(effectiveness)[:, None]
     return replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
 
@@ -53,7 +53,7 @@ def flight():
 def test_a_healthy_craft_is_found_healthy(flight):
     past = past_of(flight)
     found = EXACT.estimate(MODEL.dynamics, past)
-    # Motors that had just been told otherwise when a window began cost the others their certainty.
+    # Motors whose command had changed just before a window make the estimates of others uncertain.
     off = np.abs(found.effectiveness - 1)
     assert np.median(off) < 0.01
     assert np.mean(off < 3 * found.deviation + 0.01) > 0.9
@@ -113,7 +113,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     offset = whole[..., 0]
     elapsed = np.cumsum(np.insert(past.duration[:, 0], 0, 0.0))
     elapsed -= elapsed[-1]
-    # Pose and speed have a prior so wide that it says nothing.
+    # The prior of pose and speed is so wide that it has no effect.
     size, wide = 12, np.diag([300.0] * 6)
     before = np.block([[wide, np.zeros((6, 6))], [np.zeros((6, 6)), prior.covariance(6)]])
     rows, noise = [], []
@@ -152,7 +152,7 @@ def test_priors_compete_by_their_evidence(flight):
     found = encoder.estimate(MODEL.dynamics, past)
     weights = []
     for prior in priors:
-        # The density of the residuals, from 6 contrasts fewer than there are measurements:
+        # The density of the residuals, which has 6 dimensions less than the measurements:
         # p and v have no prior.
         weights.append(np.log(prior.weight) + contrast_density(encoder, past, prior))
     weights = np.exp(np.array(weights) - max(weights))
@@ -180,7 +180,7 @@ def covariance(encoder, c, size, step):
 
 
 def contrast_density(encoder, past, prior):
-    """Log density of what of the measurements does not depend on pose and speed."""
+    """Log density of those contrasts of the measurements that do not depend on pose and speed."""
     size, step = len(past.state), float(np.median(past.duration))
     speed = _motor_speeds(MODEL.dynamics, past)
     by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
@@ -261,7 +261,7 @@ def test_the_paper_s_encoder_may_not_judge_causally(flight):
         evaluate(MODEL, flight, encoder="kalman")
 
 
-#: What must not be exceeded on the paper's validation experiment: x, y [m], yaw [rad].
+#: Largest allowed errors on the paper's validation experiment: x, y [m], yaw [rad].
 REACHED = {
     "paper": (0.0076, 0.0088, 0.27),
     "paper-long": (0.0072, 0.0085, 0.24),

@@ -1,4 +1,4 @@
-"""What motors do, found in flight: against the Kalman filter, the encoder, and known faults."""
+"""Motor effectiveness in flight: against the Kalman filter, the encoder, and known faults."""
 
 from copy import copy
 from dataclasses import replace
@@ -40,7 +40,7 @@ def compiled():
 
 @pytest.fixture
 def ours(compiled):
-    """A filter that knows nothing yet, its programs compiled once for all tests."""
+    """A new filter, with programs compiled once for all tests."""
     fresh = copy(compiled)
     fresh.reset()
     return fresh
@@ -105,7 +105,7 @@ def test_the_recursion_is_the_encoders_regression(monkeypatch, seed):
         M3, still, encoder=encoder, lasting=1e9, delay_deviation=0.0, compiled=False
     )
     length, first = 60, 30
-    # Until the window begins, its first command has acted for long.
+    # The first command has acted for a long time before the window begins.
     one.command(flight.time[first] - 10, flight.command[first])
     for k in range(first, first + length):
         one.command(flight.time[k], flight.command[k])
@@ -161,7 +161,7 @@ def test_a_motor_that_dies_in_flight_is_found_at_once_and_one_that_comes_back_to
         for k, z in enumerate(flight.state):
             ours.command(time + k / 240, flight.command[k])
             ours.pose(time + k / 240, z[:3])
-        time += len(flight.time) / 240 + 0.06  # as if nobody had seen it being carried back
+        time += len(flight.time) / 240 + 0.06  # as if it had been carried back unseen
         found = ours.predict(time - 0.06)
         assert found.actuation is not None
         if right == 0:
@@ -175,11 +175,11 @@ def test_idling_motors_say_nothing_and_are_thought_healthy(ours):
     assert found[-1].effectiveness[2] < 0.2
     ours.command(2.0, np.zeros(6))
     ours.restart(3.0, np.zeros(3))
-    assert ours.predict(3.0).effectiveness[2] < 0.5  # a new start at a pose forgets no motor
+    assert ours.predict(3.0).effectiveness[2] < 0.5  # a restart at a pose keeps the motors
     for k in range(1, 8 * 100):
         ours.pose(3.0 + k / 100, rng.normal(size=3) * QUIET.pose)
     after = ours.predict(11.0)
-    # What was known is forgotten, and in its place stands what is thought of any motor.
+    # The estimate is forgotten and replaced by the prior of a motor.
     np.testing.assert_allclose(after.effectiveness, 1, atol=0.12)
     priors = ActuationEncoder().priors
     of_any = np.sqrt(sum(p.weight * (p.common**2 + p.single**2) for p in priors))
@@ -201,7 +201,7 @@ def test_a_rail_is_not_blamed_on_motors(ours):
 
 
 def test_longer_delays_are_estimated(ours):
-    # Commands act 4 ms later than the filter thinks.
+    # Commands act 4 ms later than the filter assumes.
     flight = random_flight(M3, 3.0, 4)
     for k, z in enumerate(flight.state):
         ours.command(float(flight.time[k]) - 0.004, flight.command[k])
@@ -212,7 +212,7 @@ def test_longer_delays_are_estimated(ours):
 
 
 def test_commands_are_for_the_thrust_that_motors_give():
-    # A request that both can meet is met by the craft as it is, and missed if nobody knows.
+    # A feasible request is met if the weak motor is known, and missed otherwise.
     share = np.array([1, 0.6, 1, 1, 0.8, 1.1])
     controller = TrackingController(MODEL, SetPoint(0.01, 0.01, 0.05), compiled=False)
     speed = np.full(6, 0.35)

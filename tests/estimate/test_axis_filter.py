@@ -113,7 +113,7 @@ def test_the_mean_moves_as_the_equations_of_motion(effects, order):
         errors.append(np.abs(np.concatenate([mean[:, 0], mean[:, 1]]) - exact).max())
         np.testing.assert_allclose(speed, command + (SPEED - command) * math.exp(-0.1 / tau))
         np.testing.assert_array_equal(mean[:, 2], MEAN[:, 2])
-    # Half the step, a quarter of the error; with drag, which is that of the step's beginning, half.
+    # Half the step, a quarter of the error; half with drag, which is evaluated at the step's start.
     assert errors[0] < 0.02
     for coarse, fine in pairwise(errors):
         assert 0.75 * 2**order < coarse / fine < 1.25 * 2**order
@@ -135,12 +135,12 @@ def test_an_exact_inertial_sensor_tells_disturbance_and_spin():
     modelled = acceleration(np, DYNAMICS, motion, SPEED)
     mean, covariance = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e-9, 1e-9))
     world = complex(*felt) * np.exp(2j)
-    # What is felt is the model's acceleration and the disturbance.
+    # The sensor measures the model's acceleration plus the disturbance.
     assert complex(*mean[:2, 2]) == pytest.approx(world - complex(*modelled[:2]))
     assert mean[2, 1] == pytest.approx(gyro)
     np.testing.assert_allclose(covariance[:2, 2, 2], 0.0, atol=1e-9)
     assert covariance[2, 1, 1] == pytest.approx(0.0, abs=1e-9)
-    # A gyro alone leaves the rest of x and y alone, and the other way round.
+    # A gyro alone does not change x and y, and vice versa.
     mean, _ = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e9, 1e-9))
     np.testing.assert_allclose(mean[:2], MEAN[:2], atol=1e-9)
     mean, _ = AXES.use_imu(belief(), (SPEED, SPEED), felt, gyro, (1e-9, 1e9))
@@ -151,7 +151,7 @@ def test_a_pose_is_used_after_moving_there_by_its_shortest_difference():
     command = np.array([0.5, 0.0, 0.3, 0.6, 0.2, 0.1])
     pieces = np.array([0.004, 0.002]), np.stack([command, SPEED])
     mean, covariance, speed = AXES.advance(np, *belief(), SPEED, *pieces)
-    # Two turns on is the same yaw.
+    # Two turns further is the same yaw.
     pose = mean[:, 0] + [1e-3, -2e-3, 0.01 + 4 * math.pi]
     after, less, same, innovation = AXES.use_pose(np, *belief(), SPEED, *pieces, pose)
     np.testing.assert_allclose(innovation, [1e-3, -2e-3, 0.01])

@@ -253,4 +253,4 @@ def test_inertial_sensor_and_mouse_improve_velocities_between_sparse_poses():
     optical = velocity_error(imu=False, mouse=True)
     assert (inertial < 0.6 * poses).all()
     assert (optical[:2] < 0.6 * poses[:2]).all()
-    assert optical[2] == pytest.approx(poses[2], rel=0.01)  # it says nothing about the spin
+    assert optical[2] == pytest.approx(poses[2], rel=0.01)  # it does not measure the spin

@@ -49,7 +49,7 @@ def test_commands_are_held_until_the_next_begins():
     one, two, idle = (np.full(1, value) for value in (1.0, 2.0, 0.0))
     held = HeldCommands(idle)
     held.add(1.0, one)
-    held.add(9.0, idle)  # its time was wrong: another, sent later, begins before
+    held.add(9.0, idle)  # its time was wrong: a later command begins earlier
     held.add(2.0, two)
     assert held.cut(0.5, 2.5) == [(0.5, idle), (1.0, one), (0.5, two)]
     assert held.cut(1.2, 1.5) == [(1.5 - 1.2, one)]

@@ -60,7 +60,7 @@ def test_evidence_is_tempered_and_outliers_count_less():
         models = MultipleModels(DYNAMICS, NOISE, states(3, **options))
         return models.measure(np, given, rows, np.array([innovation]), variances)[2]
 
-    # The power of the likelihood: logarithms of the odds change by its share.
+    # The power of the likelihood scales the change of the log odds.
     full, half = weights(1.0), weights(1.0, tempering=0.5)
     change = [np.log(after / given[2]) for after in (full, half)]
     np.testing.assert_allclose(
@@ -77,7 +77,7 @@ def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
     means[:, 3] = 0.2
     covariances = np.repeat(np.diag([1e-6] * 9 + [1e-2] * 7)[None], 2, axis=0)
     rows, exact = np.eye(SIZE)[3:4], np.array([1e-6])  # the velocity along x
-    # As precise as what is known, a measurement counts half; beyond eight deviations, fully.
+    # A measurement as precise as the estimate counts half; beyond eight deviations, fully.
     for deviations, counts in ((4.5, 0.5), (7.5, 0.5), (8.5, 1.0), (50.0, 1.0)):
         innovation = np.array([deviations * np.sqrt(2e-6)])
         found, less, _ = models.measure(np, (means, covariances, weights), rows, innovation, exact)
@@ -96,14 +96,14 @@ def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
     # Each state lasts with probability exp(-t / T); the weights relax to the prior's.
     same = np.exp(-1.5 / 3.0)
     np.testing.assert_allclose(weights, same * before[2] + (1 - same) * models.states.weight)
-    # Of the axes, nothing is lost or gained by the mixing.
+    # Mixing does not change the knowledge about the axes.
     ours, theirs = (
         (w @ m, np.einsum("h,hij->ij", w, c + m[:, :, None] * m[:, None, :]))
         for m, c, w in ((means, covariances, weights), before)
     )
     np.testing.assert_allclose(ours[0][:9], theirs[0][:9])
     np.testing.assert_allclose(ours[1][:9, :9], theirs[1][:9, :9])
-    # After long, nothing is left of what was known of the motors.
+    # After a long time, all knowledge about the motors is lost.
     means, covariances, _ = models.renewed(np, before, 100.0)
     np.testing.assert_allclose(means[:, 9:], 0.0, atol=1e-12)
     np.testing.assert_allclose(covariances[:, 9:, 9:], models.states.covariance, atol=1e-9)

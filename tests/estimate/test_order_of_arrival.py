@@ -1,4 +1,4 @@
-"""The books of the filters: what comes when, late, twice, or not at all."""
+"""Bookkeeping of the filters: measurements that arrive late, twice, or never."""
 
 from collections.abc import Callable
 from copy import copy
@@ -81,7 +81,7 @@ def test_the_future_changes_nothing_before(make):
 
     one, two = estimates(poses), estimates(other)
     for k, ((kept, then), (_, changed)) in enumerate(zip(one, two, strict=True)):
-        # Nor does an estimate that was handed out change later.
+        # An estimate that was returned does not change later either.
         np.testing.assert_array_equal(np.append(kept.state, kept.disturbance), then)
         assert np.array_equal(then, changed) == (k < 30)
 
@@ -108,7 +108,7 @@ def test_a_command_acts_after_the_transport_delay_and_not_before(make):
 
 
 def test_a_command_given_early_or_on_time_is_the_same(make):
-    # Only when it acts matters, not how many poses lie in between.
+    # Only the time at which it acts matters, not the number of poses in between.
     command = np.linspace(0.2, 0.9, 6)
     one, other = (make() for _ in range(2))
     one.command(0.05, command)

@@ -1,4 +1,4 @@
-"""Models learned from made-up flights, shared by the tests of this room."""
+"""Models learned from made-up flights, shared by the tests of this folder."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What changed between two models of one craft."""
+"""Changes between two models of one craft."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from ..apparatus.noisy_flights import TRUTH
 
 
 def estimated(rng, error=0.02, clusters=40):
-    """The truth as an estimate with independent normal errors, and these known."""
+    """The truth plus independent normal errors of known size, as an estimate."""
     vector = TRUTH.parameters.to_vector()
     deviation = np.where(TRUTH.free, error * np.abs(vector), 0.0)
     estimate = vector + rng.normal(size=len(vector)) * deviation
@@ -111,7 +111,7 @@ def timed(lag: float, delay: float):
     spread[parameters.mask(frozenset({"motor_time_constant"}))] *= lag > 0
     errors = np.where(spread > 0, spread, np.nan)
     covariance = np.diag(spread**2)
-    # As a fit knows them: what one has too much the other has too little.
+    # As after a fit: the errors of lag and delay are opposite.
     (one,), (other,) = (
         np.flatnonzero(parameters.mask(frozenset({name})))
         for name in ("motor_time_constant", "transport_delay")

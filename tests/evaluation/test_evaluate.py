@@ -29,7 +29,7 @@ def test_the_true_model_predicts_exactly(flight):
 
 
 def test_the_baseline_coasts_at_the_speed_of_the_start(flight):
-    # A craft that accelerates at 2 m/s² in x leaves it behind by t² metres.
+    # A craft that accelerates at 2 m/s² in x is t² metres ahead of it.
     t = flight.time
     zero = np.zeros_like(t)
     state = np.stack([t**2, 0.3 * t, -0.5 * t, 2 * t, zero + 0.3, zero - 0.5], axis=1)
@@ -75,7 +75,7 @@ def test_windows_do_not_overlap_and_cover_the_flight(flight):
         ([(1.001, 1.499)], [0, 70, 140, *range(360, 960 - 69, 70)]),
         # Sample 48 too: none before it, two from 49 to 240.
         ([(0.199, 0.201), (1.001, 1.499)], [49, 119, *range(360, 960 - 69, 70)]),
-        # A span in what thirteen windows leave over costs none, ...
+        # A span in the samples left over by thirteen windows costs none, ...
         ([(3.81, 4.5)], list(range(0, 910, 70))),
         # ... and a single sample in the middle of the flight one at most.
         ([(1.999, 2.001)], [*range(0, 480 - 69, 70), *range(481, 960 - 69, 70)]),

@@ -1,4 +1,4 @@
-"""What can be compared between models must not depend on the arbitrary scale of M4's thrusts."""
+"""Comparable quantities must not depend on the arbitrary scale of M4's thrusts."""
 
 from dataclasses import replace
 

@@ -75,7 +75,7 @@ def test_the_likelihood_finds_the_noise_that_was_added(flight):
 
 
 def test_the_likelihood_finds_densities():
-    # A body that only noise moves, on one axis after the other with other densities.
+    # A body that only noise moves, with different densities on each axis.
     rng, n, h = np.random.default_rng(5), 6000, 1 / 240
     density, pose_noise = np.array([0.05, 0.2, 2.0]), np.array(POSE_NOISE)
     kicks = rng.normal(size=(n, 3)) * density * np.sqrt(h)

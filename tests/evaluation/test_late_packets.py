@@ -13,12 +13,12 @@ from airpuck.evaluation.residuals import resid
 from ..apparatus.noisy_flights import TRUTH, noisy
 
 JITTER = 0.007
-#: The truth, which knows its delay better than whole samples tell.
+#: The truth, whose delay is known to a fraction of a sample.
 MODEL = replace(TRUTH, free=TRUTH.free | TRUTH.parameters.mask(frozenset({"transport_delay"})))
 
 
 def late_flight(seed, jitter=JITTER, later=0.0, duration=12.0):
-    """A flight whose poses are those of packets that came late; its log knows the mean only."""
+    """A flight whose packets came late; its log contains only the mean delay."""
     flight = noisy(duration=duration, seed=seed)
     lateness = np.random.default_rng([seed, 3]).normal(size=len(flight.command_time)) * jitter
     sent = np.maximum.accumulate(flight.command_time - lateness)
@@ -37,7 +37,7 @@ def test_jitter_is_found(jitter):
         flight = late_flight(seed, jitter)
         late = late_packets(TRUTH, flight, innovations(TRUTH, flight), nothing(flight))
         found += late.jitter.tolist()
-    # Packets that wait for each other scatter less than the radio.
+    # Delays of packets that wait for each other scatter less than the radio's.
     assert np.mean(found) == pytest.approx(jitter, abs=0.0015)
 
 
@@ -57,7 +57,7 @@ def test_a_delay_is_told_from_jitter():
 
 
 def test_the_filter_and_its_directions_share_the_motors_of_a_model_with_idle_lag():
-    """Otherwise a difference of 1 ms would hold all that the longer lag does."""
+    """Otherwise a difference of 1 ms would contain the whole effect of the longer lag."""
     parameters = replace(TRUTH.parameters, idle_lag=2.0)
     model = replace(TRUTH, parameters=parameters, free=np.zeros(len(parameters.to_vector()), bool))
     flight = noisy(duration=2.0, seed=4)
@@ -67,7 +67,7 @@ def test_the_filter_and_its_directions_share_the_motors_of_a_model_with_idle_lag
 
 
 def test_directions_are_differences_of_filtered_innovations():
-    """The linear answer to a stronger motor, against the innovations of a model that has it."""
+    """The linear response to a stronger motor, against the innovations of a model with it."""
     flight, step = noisy(duration=4.0, seed=3), 1e-3
     before = innovations(TRUTH, flight)
     late = late_packets(TRUTH, flight, before, nothing(flight))
@@ -78,7 +78,7 @@ def test_directions_are_differences_of_filtered_innovations():
     same = innovations(TRUTH, flight, before.noise)
     change = -(after.values - same.values) / step / same.deviation
     answer = late.directions[..., 2 + 2]
-    # Of x and y the answer leaves out that the yaw turns thrusts; the poses correct it at once.
+    # In x and y the response neglects that yaw turns the thrusts; poses correct this at once.
     used = before.used
     np.testing.assert_allclose(
         change[used, 2], answer[used, 2], atol=2e-3 * np.abs(answer[used, 2]).max()

@@ -1,4 +1,4 @@
-"""Errors of a model, estimated from innovations that are made up."""
+"""Errors of a model, estimated from made-up innovations."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ MOTORS, PERIOD, SAMPLES = ("a", "b", "c", "d"), 1 / 240, 3000
 
 
 def innovations(truth, excited=1.0, seed=0, alike=False):
-    """White innovations plus what errors of delay, four motors and mass do to them."""
+    """White innovations plus the effects of errors of delay, four motors and mass."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(SAMPLES, 3, 6)) * [300.0, 100.0, *[excited] * 4]
     if alike:
@@ -31,7 +31,7 @@ def test_all_errors_are_estimated_together():
     assert [error.name for error in errors] == ["delay", "lag", *MOTORS, "mass"]
     for error, value in zip(errors, truth, strict=True):
         assert error.value == pytest.approx(value, abs=4 * error.standard_error)
-    # 2 % of a motor are shown beyond doubt, and do not count.
+    # An error of 2 % of a motor is significant, but does not count.
     assert [e.name for e in errors if not e.passed] == ["delay", "lag", "a", "c", "mass"]
     said = "\n".join(verdicts(errors))
     assert "commands act 12.0 ms" in said and "later than modelled" in said
@@ -55,7 +55,7 @@ def test_what_commands_do_not_tell_is_not_tested():
     assert not any(error.tested for error in weakly[2:])
     assert all(error.passed for error in weakly)
     assert "not tested, since the commands do not reveal them: a (± " in verdicts(weakly)[0]
-    # Two motors that always run alike: their sum is known, neither of them is.
+    # For two motors that always run alike, only the sum is known.
     alike = {error.name: error for error in found(truth, alike=True)}
     assert not alike["a"].tested and not alike["b"].tested
     assert alike["c"].tested and alike["d"].tested

@@ -26,7 +26,7 @@ def in_deviations(bands):
 
 @pytest.mark.slow
 def test_bands_hold_what_they_say_on_the_twin():
-    # Default radio: what its jitter does is not in the model, and found by maximum likelihood.
+    # Default radio: the model does not include jitter; maximum likelihood finds its effect.
     flight = preprocess(excite(TRUTH, 20.0, seed=3))
     # An uncertainty of other parameters says nothing about the model.
     vector = TRUTH.parameters.to_vector()
@@ -50,7 +50,7 @@ def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
     bands = prediction_bands(fits[0], flight, horizon=0.5)
     assert bands.by_parameters is not None
     assert bands.coverage.mean() > 85
-    # What is not known of the parameters counts beside the noise.
+    # The uncertainty of the parameters adds to the noise.
     assert (np.median(bands.by_parameters[-1], axis=1) > 0.5 * np.array(POSE_NOISE)).all()
     assert np.abs(in_deviations(bands)).mean() > 0.3
 
@@ -59,7 +59,7 @@ def test_bands_of_a_learned_model_hold_another_flight(fits, flights):
 def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance():
     learned = TRUTH.parameters.mask(frozenset({"motor_time_constant", "transport_delay"}))
     estimate, size = TRUTH.parameters.to_vector(), len(learned)
-    # As a fit knows them: what one has too much the other has too little.
+    # As after a fit: the errors of lag and delay are opposite.
     covariance = np.zeros((size, size))
     covariance[np.ix_(learned, learned)] = 1e-8 * np.array([[1.0, -0.95], [-0.95, 1.0]])
     model = replace(
@@ -81,7 +81,7 @@ def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance
         return predicted(one, flight, known, starts, len(bands.time), late)
 
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(size), covariance, 60)
-    # With its mirror image each: what is not linear cancels.
+    # Each draw with its mirror image, so that nonlinear effects cancel.
     halves = [(moved(one) - moved(-one)) / 2 for one in drawn]
     expected = 2.0 * np.sqrt(np.mean(np.square(halves), axis=0))
     # 60 draws: a standard error of 9 %.

@@ -1,4 +1,4 @@
-"""How a model is presented."""
+"""Presentation of a model."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def test_the_bandwidth_and_its_error_follow_from_the_lag(known):
 
 
 def test_the_largest_acceleration_is_that_of_the_best_commands():
-    # Motors do not share anything: of all corners of the commands, the best.
+    # Motors are independent, so the best corner of the command range is optimal.
     matrix, vehicle = MODEL.dynamics.configuration, MODEL.vehicle
     thrusts = np.array(
         [

@@ -9,7 +9,7 @@ from scipy import stats
 
 from airpuck.boundary.errors import InputError
 
-# Rounding that rarely shows in a verdict: check the matrix itself.
+# Rounding rarely affects a verdict, so check the matrix itself.
 from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, cross_correlations, resid
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, holm, ljung_box
 from airpuck.model.model_file import Model
@@ -31,7 +31,7 @@ def test_ljung_box_by_hand():
 
 
 def test_only_more_than_the_least_share_is_rejected():
-    # r(1) = a of an autoregressive process says a² of the variance: half and four times the least.
+    # r(1) = a of an autoregressive process explains a² of the variance: half and 4 times the least.
     rng, rejected = np.random.default_rng(4), []
     for share in (0.5 * LEAST_SHARE, 4 * LEAST_SHARE):
         tests = []
@@ -46,7 +46,7 @@ def test_only_more_than_the_least_share_is_rejected():
 
 
 def test_beyond_least_is_a_noncentral_test():
-    # At the least share itself it rejects as often as it says.
+    # At the least share itself the rejection rate equals the level.
     rng, count, degrees = np.random.default_rng(5), 2000, 6
     statistics = rng.noncentral_chisquare(degrees, LEAST_SHARE * count, size=4000)
     rejected = np.mean([beyond_least(q, degrees, count)[0] < 0.05 for q in statistics])
@@ -77,7 +77,7 @@ def test_rates_of_false_alarms_are_nominal():
 
 
 def test_a_share_too_small_to_count_is_white_and_says_what_would_count():
-    # An AR(1) of 0.05: the past says 0.05² = 0.25 % of the variance, surely, and 1 % would count.
+    # An AR(1) of 0.05: the past explains 0.05² = 0.25 % of the variance; the threshold is 1 %.
     rng = np.random.default_rng(4)
     values = rng.normal(size=40_001)
     values = values[1:] + 0.05 * values[:-1]
@@ -133,7 +133,7 @@ def test_a_motor_that_is_modelled_too_strong_is_named():
 def test_a_wrong_lag_is_a_matter_of_timing(change, word):
     parameters = TRUTH.parameters
     wrong = replace(parameters, motor_time_constant=parameters.motor_time_constant + change)
-    # A model that has learned its delay does not take the recording's.
+    # A model that has learned its delay does not use the recording's.
     free = TRUTH.free | parameters.mask(frozenset({"transport_delay"}))
     wrong = replace(TRUTH, parameters=wrong, free=free)
     tests = resid(wrong, noisy(duration=10.0, seed=2))
@@ -171,7 +171,7 @@ def test_motors_that_commands_do_not_tell_apart_are_not_accused():
 
 @pytest.mark.slow
 def test_louder_innovations_where_commands_change_are_no_correlation():
-    # Jitter does that: variance follows the command, the mean does not.
+    # As with jitter, the variance depends on the command and the mean does not.
     rng, alarms = np.random.default_rng(6), 0
     for _ in range(200):
         command = np.repeat(rng.uniform(size=(40, 2)), 25, axis=0)

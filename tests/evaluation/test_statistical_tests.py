@@ -1,4 +1,4 @@
-"""Statistics that several tests share: against draws whose distribution is known."""
+"""Statistics that several tests share, against draws from known distributions."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def test_pairs_are_compared_with_the_stated_false_alarms_and_intervals():
         widths.append((high - low)[0])
     assert np.mean(alarms) < 0.09
     assert 0.91 < np.mean(held) < 0.985
-    # Errors in common cancel: the same two models judged apart would differ by far wider intervals.
+    # Common errors cancel: judged separately, the same two models would have far wider intervals.
     low, high = rmse_interval(first, start)
     assert np.mean(widths) < 0.7 * (high - low)[0]
 

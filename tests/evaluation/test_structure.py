@@ -1,4 +1,4 @@
-"""Structure left in residuals: found where it is, with its size, and nowhere else."""
+"""Structure in residuals is found where it exists, with its size, and nowhere else."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The worked examples: extensions of one's own, each in one short file."""
+"""The worked examples: users' extensions, each in one short file."""
 
 import importlib.util
 import json

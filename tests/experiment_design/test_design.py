@@ -1,4 +1,4 @@
-"""Proposals of what to fly next: the search over made-up trials, and real ones."""
+"""Proposals for the next flight: the search over made-up trials, and over real ones."""
 
 import json
 from dataclasses import replace
@@ -28,12 +28,12 @@ MODEL = replace(
 SIZE = len(MODEL.free)
 
 
-#: What the search calls for each flight.
+#: Function that the search calls for each flight.
 FLY = "airpuck.experiment_design.design.fly_trial"
 
 
 def information(gain):
-    """Information of each second: every parameter as well known as its size and the gain say."""
+    """Information per second: each parameter's accuracy follows from its size and the gain."""
     unit = gain / np.maximum(np.abs(MODEL.parameters.to_vector()), 1e-3)
     spread = np.random.default_rng(0).normal(size=(SIZE, 100)) * unit[:, None]
     hessian = spread @ spread.T / 100
@@ -72,7 +72,7 @@ def found():
 def test_the_best_of_all_combinations_is_found(found):
     assert found.proposal.plan == ExcitationPlan(hold_s=0.4, duration_s=60.0, margin_m=0.05)
     assert found.usual.plan == ExcitationPlan(duration_s=60.0)
-    # Errors are as one over the gain, which all parameters share.
+    # Errors are inversely proportional to the gain, which all parameters share.
     ratio = found.usual.relative / found.proposal.relative
     np.testing.assert_allclose(ratio, np.exp(np.log(2) ** 2), rtol=1e-6)
     assert found.proposal.score == found.proposal.relative.max()
@@ -247,9 +247,9 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     real = replace(found, usual=candidate, proposal=candidate)
     one, other = check_design(real, 1, processes=1)
     np.testing.assert_array_equal(one.errors, other.errors)
-    # Three blocks of time: a factor is all they can say.
+    # Three blocks of time determine no more than a factor.
     assert 0.4 < np.median(one.typical / one.predicted) < 2.5
-    # What is missed is of the size of the error, not of the value.
+    # The deviation is as large as the error, not as the value.
     assert np.median(np.abs(one.misses[0]) / one.typical) < 4
     assert one.clearance.shape == (1,)
     shows_every_quantity(real, one)

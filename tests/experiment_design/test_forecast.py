@@ -105,7 +105,7 @@ def test_twice_the_time_shrinks_errors_by_the_root_of_two(information):
 
 
 def test_packets_that_are_a_sample_leave_the_mean_delay_uncertain():
-    """Of what was determined anyhow, only the variance of the delay grows, by its own."""
+    """Among determined quantities, only the variance of the delay grows, by its own amount."""
     free = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
     model, flight = replace(MODEL, free=free), synthetic(7)
     plain = Forecast(model, [flight]).of(flight, 60.0)
@@ -125,7 +125,7 @@ def test_what_is_known_counts_like_another_flight():
     after = Forecast(replace(MODEL, uncertainty=before), [flight])
     now = errors(after, flight, 60.0)
     np.testing.assert_allclose(before.standard_errors[ENTRIES] / now, np.sqrt(2), rtol=1e-6)
-    # What is known of other parameters does not count.
+    # Knowledge of other parameters does not count.
     changed = replace(MODEL, uncertainty=before).with_delay(0.03)
     np.testing.assert_allclose(
         errors(Forecast(changed, [flight]), flight, 60.0), before.standard_errors[ENTRIES]
@@ -182,7 +182,7 @@ def test_few_blocks_give_the_information_times_the_mean_inflation():
 
 
 def test_many_blocks_find_what_the_residuals_are_made_of():
-    # Scores that are twelve times as large in one direction as the information says.
+    # Scores that are twelve times as large in one direction as the information implies.
     rng, size = np.random.default_rng(10), len(ENTRIES)
     stretch = np.where(np.arange(size) == 3, 12.0, 1.0)
     flights = []

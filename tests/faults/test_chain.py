@@ -53,7 +53,7 @@ def test_the_chain_is_one():
     np.testing.assert_allclose(chain.transition.sum(axis=1), 1)
     np.testing.assert_allclose(chain.initial.sum(), 1)
     assert (chain.transition >= 0).all()
-    # Every state but normal has its cause; where two motors stand, two.
+    # Every state except normal has a cause; two if two motors stand still.
     times = np.sum(list(chain.causes.values()), axis=0)
     assert times[0] == 0
     assert (times[1:] >= 1).all()
@@ -75,7 +75,7 @@ def test_faults_of_motors_last_at_least_a_tenth_of_a_second():
 
 
 MODEL = replace(published_model("M3"), indexing="start", frame="body")
-#: Where the fault begins, in steps.
+#: Start of the fault, in steps.
 BEGIN = 40
 
 
@@ -104,7 +104,7 @@ def means(flight, predicted, command):
 
 
 def close(found, expected):
-    """Within a tenth of what motors give: the steps' means are taken at fewer instants."""
+    """Within a tenth of the motors' acceleration: the model averages over fewer instants."""
     np.testing.assert_allclose(found[..., :2], expected[..., :2], atol=0.25)
     np.testing.assert_allclose(found[..., 2], expected[..., 2], atol=6.0)
 
@@ -124,7 +124,7 @@ def test_motors_that_stand(flight, predicted, motors):
     modelled = predicted.faulty[predicted.faults.index(Fault(motors, ages))]
     for age in range(ages):
         close(modelled[age, BEGIN + age], expected[BEGIN + age])
-    # From then on, they stand for good.
+    # From then on, they stand still.
     close(modelled[-1, BEGIN + ages :], expected[BEGIN + ages :])
     assert np.abs(expected - predicted.normal)[BEGIN + ages :, 2].max() > 20
 

@@ -1,4 +1,4 @@
-"""Faults that were put in are found, with their causes; and nothing else is."""
+"""Injected faults are found with their causes, and nothing else is."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def flight():
 
 
 def with_log(flight, first, last, command):
-    """The same motion, of a craft that got other commands."""
+    """The same motion, logged with other commands."""
     logged = flight.command.copy()
     inside = (flight.command_time >= first) & (flight.command_time < last)
     logged[inside] = np.where(np.isnan(command), logged[inside], command)
@@ -50,7 +50,7 @@ def test_a_model_that_is_somewhat_off_finds_none_either(flight, factor):
 
 @pytest.mark.parametrize("motor", range(6))
 def test_a_motor_that_stands_is_named(flight, motor):
-    # Nothing is injected into the motion: this motor idles, while the log says that it does not.
+    # The motion is unchanged: this motor idles, although it runs according to the log.
     name = flight.propellers[motor]
     idle = np.flatnonzero(flight.command[:, motor] < 0.05)
     ends = np.flatnonzero(np.diff(idle, prepend=-9, append=10**9) > 1)
@@ -108,7 +108,7 @@ def test_a_model_of_another_craft_is_refused(flight):
 
 @pytest.mark.data
 def test_the_known_faults_of_the_real_flight_are_found(experiments):
-    """Those that its data show at a glance, found with the published parameters."""
+    """The obvious faults of the recording are found with the published parameters."""
     trajectory = read_authors_experiment(experiments / VALIDATION / "data.pt")
     found = find_faults(trajectory, published_model("M3"))
     known = [

@@ -87,7 +87,7 @@ def test_a_turned_layout_is_remarked(flight):
     check = check_layout(flight, edited(lambda _, p: moved(p, np.pi / 2)))
     assert not check.agrees
     assert "turned by -92 degrees" in check.remarks[0]
-    # None of them is swapped: turned back, all do what the file says.
+    # None of them is swapped: in the rotated layout all agree with the file.
     assert {p.verdict for p in check.propellers} == {"turned with the whole layout"}
     assert [p.behaves_like for p in check.propellers] == [p.name for p in check.propellers]
     assert check.wrong == ("the yaw's zero",)
@@ -177,7 +177,7 @@ def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
         names = [n for n, s in zip(("x axis", "y axis", "yaw"), signs, strict=True) if s < 0]
         assert check.signs.flipped == tuple(name.removesuffix(" axis") for name in names)
         assert remark.startswith(" and ".join(f"the {name}" for name in names))
-        # With true signs the propellers are what the file says.
+        # With true signs the propellers agree with the file.
         assert all(p.verdict == "agrees" for p in check.propellers)
 
 
@@ -207,7 +207,7 @@ def test_noise_is_not_conclusive(flight):
 
 
 def test_the_delay_is_found(flight):
-    # The one found by correlation need not be right for this check: it looks for its own.
+    # This check finds its own delay: the one found by correlation need not be right.
     assert check_layout(flight, default_vehicle()).delay == pytest.approx(5 / 240, abs=1 / 240)
 
 

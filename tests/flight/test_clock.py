@@ -79,7 +79,7 @@ def test_the_clock_goes_and_stamps_come_back():
     clock.sleep_until(0.0)  # long past: returns at once
 
 
-# How well a loop keeps its time -------------------------------------------------------------------
+# Timing of a loop ---------------------------------------------------------------------------------
 
 DURATIONS = st.lists(st.floats(0, 0.049), min_size=1, max_size=50)
 
@@ -129,7 +129,7 @@ def test_an_action_that_is_late_by_less_than_the_deadline_misses_nothing():
     for k, late in enumerate([5e-4, 7e-3, 5e-4, 9e-3, 5e-4]):
         timing.add(k * 0.01, k * 0.01 + late, None)
     assert timing.missed == 0
-    # Due at 50 ms, done at 85 ms: late itself, and two after it, due at 60 and 70 ms, left out.
+    # Due at 50 ms, done at 85 ms: late itself, and the two due at 60 and 70 ms are skipped.
     timing.add(0.05, 0.085, None)
     timing.add(0.08, 0.086, None)
     assert timing.missed == 3

@@ -36,7 +36,7 @@ def flown(plant, settings: TwinSettings, duration: float, seed: int = 0) -> Reco
 
 
 def watched(recording: Recording, *times: float, monitor: HealthMonitor) -> list[Health]:
-    """What a monitor says at some times of a flight, and at its end."""
+    """Return a monitor's findings at some times of a flight, and at its end."""
     start = int(recording["pose"].stamp_ns[0])
     heard = [
         ((int(stamp) - start) / 1e9, kind == "pose", values)
@@ -89,7 +89,7 @@ def test_a_propeller_that_weakens_in_flight_and_a_longer_delay_are_named(faulty)
 
 
 def test_little_excitation_is_no_evidence():
-    """A loss that would be certain from its standard deviation alone, and one that is small."""
+    """A loss that is certain by its standard deviation alone, and a small one."""
     value, deviation = (
         np.array([0.6, 0.88, 0.8, 1.0, 0.0]),
         np.array([0.08, 0.01, 0.01, 0.01, 0.005]),
@@ -144,7 +144,7 @@ def test_what_is_not_finite_is_left_aside():
 
 
 def test_deviations_of_a_linear_world():
-    """Errors drawn as the notes say: the standard deviations are those of the estimates."""
+    """With errors drawn as assumed, the estimates have the stated standard deviations."""
     random = np.random.default_rng(0)
     truth, motors = np.array([-0.12, 0.05, 0.006]), 2
     scores = []

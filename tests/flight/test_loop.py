@@ -1,4 +1,4 @@
-"""The flight loop, with a link and a pilot made up for it."""
+"""The flight loop, with a made-up link and pilot."""
 
 from dataclasses import replace
 from time import sleep
@@ -44,7 +44,7 @@ class FakeLink:
 
 
 class LateLink(FakeLink):
-    """Returns a little after it was asked to."""
+    """Returns a little later than requested."""
 
     def wait_until(self, time):
         arrived = super().wait_until(max(time, self.now))
@@ -279,5 +279,5 @@ def test_periods_that_a_flight_slept_through_are_left_out():
     for action in control(pilot, link, 0.1):
         due.append(action.due)
         if len(due) == 3:
-            link.now += 0.043  # stopped by somebody
+            link.now += 0.043  # the process was suspended
     assert due == pytest.approx([0, 0.01, 0.02, 0.06, 0.07, 0.08, 0.09])

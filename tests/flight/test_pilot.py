@@ -1,4 +1,4 @@
-"""Pilots of one's own: flown on the twin, by name from a file, and refused when wrong."""
+"""Users' pilots: flown on the twin, by name from a file, and rejected if invalid."""
 
 import json
 import textwrap

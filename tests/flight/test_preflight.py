@@ -1,4 +1,4 @@
-"""Pulses find what is wrong with a craft before it flies: on twins that are wrong in known ways."""
+"""Pulses find faults of a craft before it flies: on twins with known faults."""
 
 from dataclasses import dataclass, replace
 
@@ -39,7 +39,7 @@ def same(values):
 
 @dataclass
 class Changed:
-    """A link to a twin, with commands or poses changed on the way; a pose of None does not come."""
+    """A link to a twin that changes commands or poses; a pose of None does not arrive."""
 
     twin: Twin
     command: object = same
@@ -119,7 +119,7 @@ def test_a_motor_that_stands_and_a_weak_one_are_told_apart():
 
 @pytest.mark.slow
 def test_the_delay_is_that_of_motors_that_do_something():
-    """Five of six stand, and what fits their noise best is any delay."""
+    """Five of six stand still; the delay that best fits their noise is arbitrary."""
     found = fly_pulses(lambda u: np.where(np.arange(6) == 1, u, IDLE))
     assert found.delay == pytest.approx(MODEL.transport_delay, abs=8e-3)
     assert words(found, "transport delay").startswith(f"{1e3 * found.delay:.0f} ms")
@@ -194,7 +194,7 @@ def test_degrees_are_said_of_a_guarded_test():
 
 
 def preflight_live_like(pose, start) -> Preflight:
-    """A test on the twin behind the guard that a test on the graph has."""
+    """A test on the twin, behind the same guard as on the graph."""
     pilot = PulseTest(MODEL.vehicle)
     guard = Guard(ANYWHERE)
     guarded = GuardedPilot(pilot, guard, np.full(len(NAMES), IDLE), lambda *_: None)

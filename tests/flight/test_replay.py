@@ -1,4 +1,4 @@
-"""Replay: a flight of the package's own controller comes back, the paper's flight nearly so."""
+"""Replay reproduces a flight of the package's controller, and nearly the paper's flight."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,7 +28,7 @@ LEAST = M4.vehicle.command_min
 # At the second change the request is too large and is scaled down.
 SET_POINTS = SetPoints([0.0, 0.505, 2.005], [(0, 0, 0), (0.2, -0.1, 0.8), (-0.1, 0.1, -0.9)])
 NOISY = default_twin_settings()
-# Frames every 4 ms, 6.5 ms under way: no stamp is rounded, and none arrives as a command leaves.
+# Frames every 4 ms with 6.5 ms latency: no stamp is rounded, and none arrives with a command.
 CLEAN = NOISY.model_copy(
     update={
         "radio": Radio(delay_s=M4.transport_delay),
@@ -121,7 +121,7 @@ def test_the_gains_that_flew_are_found(plant, settings, tolerance, gains):
     np.testing.assert_allclose(
         list(vars(found.gains).values()), list(vars(gains).values()), rtol=tolerance
     )
-    # From those of the packaged tuning, which explain the commands less.
+    # Start from the packaged tuning's gains, which explain the commands less.
     other = replay(recording, M4, **PAPER)
     assert not other.fitted
     mean = [np.abs(one.computed - log.command)[one.compared].mean() for one in (found, other)]
@@ -147,7 +147,7 @@ def test_clocks_that_differ_change_little(recording, plain, senders, sender_s, r
     np.testing.assert_array_equal(found.reference, plain.reference)
     both = plain.compared & found.compared
     assert both.sum() >= 298
-    # The latency of the poses can no longer be told: the controller knows of one or two more.
+    # The latency of the poses is unknown here: the controller gets one or two more.
     apart = np.abs(found.computed - plain.computed)[both]
     assert np.median(apart) < 1e-3
     assert np.quantile(apart, 0.99) < 0.1
@@ -303,7 +303,7 @@ def test_a_span_that_is_none_is_refused(recording, span):
 
 @pytest.mark.parametrize("span", [(0.0, 0.003), (0.5001, 0.5002)])
 def test_a_span_without_a_step_to_compare_is_refused(recording, span):
-    # The first command has seen no pose; and between two commands there is none.
+    # No pose precedes the first command, and none arrives between two commands.
     with pytest.raises(InputError, match=r"none of the commands in the span .* longer span"):
         replay(recording, M4, span=span)
 
@@ -336,6 +336,6 @@ def test_the_commands_of_the_papers_flight_come_back(data):
         list(vars(found.gains).values()), [9.06, 5.02, 15.0, 6.36], rtol=0.05
     )
     assert found.compared.sum() > 800
-    # The commands are those of this model: another one explains them worse.
+    # This model's controller made the commands: another model explains them less.
     other = replay(flight, published_model("M0"), span=(0.0, 0.84))
     assert (other.correlation < found.correlation - 0.02).all()

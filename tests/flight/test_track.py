@@ -1,4 +1,4 @@
-"""How well a flight kept to its set points, against numbers worked out by hand."""
+"""Tracking performance at set points, against hand calculations."""
 
 from dataclasses import replace
 
@@ -99,7 +99,7 @@ def test_what_is_there_from_the_start_settles_at_once():
 
 
 def test_the_steady_state_error_is_the_mean_over_the_last_second():
-    # A ramp of 10 mm/s: the mean over 3 … 4 s is what it was at 3.5 s.
+    # A ramp of 10 mm/s: the mean over 3 … 4 s equals the value at 3.5 s.
     (result,) = track(lambda t: (1.0 + 0.01 * t, 0.3, 1.5 - 0.02 * t), TO_ONE).results()
     assert result.steady_state_error == pytest.approx((0.035, 0, -0.07), abs=1e-4)
 

@@ -75,7 +75,7 @@ asked: list[int] = []
 @pytest.mark.parametrize("puck", [(-0.6, 0.45, 0, 0.1, 0, 0), (-0.7, 0.2, 0, 0, 0, 0)])
 def test_one_search_a_decision_and_none_that_waits_for_ever(puck):
     tactic = AllRounder()
-    # Nothing is good enough for it, so that all others are asked.
+    # No shot is good enough, so that all other strategies are asked.
     tactic.strategies[0].least = 1.1
     times = Counted(**vars(TIMES))
     view = replace(view_of(puck, opponent=np.array([0.9, 0.0, 0.0, 0.0])), times=times)
@@ -98,7 +98,7 @@ def test_in_play_a_slow_puck_is_shot_and_a_fast_one_is_stopped():
 
 
 def test_what_it_does_follows_from_where_the_puck_is():
-    # On the other half: home. Too fast to be shot: stopped. Resting before it: shot.
+    # On the other half: go home. Too fast to shoot: stop it. At rest in front of the craft: shoot.
     expected = {
         (0.7, 0.2, 0, 0.5, 0, 0): {"home"},
         (0.6, 0.1, 0, -7.0, -0.2, 0): {"defend", "prepare"},

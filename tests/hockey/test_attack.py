@@ -1,4 +1,4 @@
-"""Shooting: whether shots that are promised score, on the twin's table."""
+"""Shooting: whether predicted goals score on the twin's table."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_a_shot_that_is_likely_to_score_does(puck):
     assert intention.kind in ("strike", "bank")
     assert intention.chance > 0.45
     time, place, velocity, before = contact(view, intention)
-    # The discs touch, on the own half, at a speed that was to be tried.
+    # The discs touch, in the own half, at one of the candidate speeds.
     np.testing.assert_allclose(intention.meet[1:], before[:2], atol=2e-3)
     assert np.hypot(*(place - before[:2])) == pytest.approx(PITCH.contact_distance, abs=2e-3)
     assert stays_inside(view, place, velocity)
@@ -95,7 +95,7 @@ def test_a_craft_that_errs_more_has_less_chance():
 def test_what_cannot_be_shot_is_not():
     nothing = [
         view_of((0.6, 0.0, 0, 0, 0, 0)),  # on the other half
-        view_of((-0.4, 0.0, 0, 3.0, 0, 0)),  # too fast to be caught up with
+        view_of((-0.4, 0.0, 0, 3.0, 0, 0)),  # too fast to catch up with
         view_of((-1.05, 0.5, 0, 0, 0, 0)),  # no room behind it
     ]
     unknown = view_of((-0.45, 0.0, 0, 0, 0, 0))
@@ -113,7 +113,7 @@ def test_a_shot_under_way_is_kept_and_one_that_was_interrupted_is_not():
     for k in range(4, 8):
         now = replace(view, time=0.01 * k)
         assert strategy.propose(now, Outlook(now)).meet == first.meet
-    # Others had their turn: it searches again, and what it finds first comes later.
+    # Others had their turn: it searches again, and its first result comes later.
     now = replace(view, time=0.3)
     assert strategy.propose(now, Outlook(now)) is None
 
@@ -126,7 +126,7 @@ def test_a_shot_is_given_up_when_the_puck_leaves():
 
 
 def test_a_puck_in_the_way_is_gone_round():
-    # The craft is before the puck: from there it can only shoot at its own goal.
+    # The craft is on the far side of the puck: from there it can only shoot at its own goal.
     view = view_of((-0.6, 0.0, 0, 0, 0, 0), craft=(-0.35, 0.02, 0, 0, 0, 0))
     intention = decided(Shoot(least=0.0), view, 6)
     assert intention is not None
@@ -143,7 +143,7 @@ def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypat
     def chances(pitch, model, contacts, *_):
         y = contacts.place[:, 1]
         seen.append(y)
-        # The sooner one is worth more, as patience costs, but is too unlikely.
+        # The sooner one is worth more, because waiting costs, but it is too unlikely.
         return np.where(y > y.min() + 0.01, 0.27, 0.24), np.zeros(len(y))
 
     monkeypatch.setattr(attack, "chances", chances)
@@ -191,7 +191,7 @@ def test_a_shot_that_the_craft_is_late_for_is_given_up_until_just_before_the_con
         )
         now = first.meet[0] - left
         assert now > 0.1
-        # Nothing better turns up. It is asked all the time, so that it is not interrupted.
+        # Nothing better turns up. Asking it all the time keeps the plan from expiring.
         strategy.least = 1.1
         for time in np.arange(0.03, now, 0.04):
             moved = max(float(time), begin)

@@ -1,4 +1,4 @@
-"""Who can play, by name; and what becomes of those who cannot."""
+"""Players by name, and errors for invalid ones."""
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def tactics(tmp_path):
         ("Raises", r"decide\(\) at 0\.0\d s: ZeroDivisionError: division by zero"),
         ("SaysUp", r"must return an Intention, not str"),
         ("GoesNowhere", r"x: must be a finite number, not nan"),
-        # With checked signatures it is `Intention` that refuses some.
+        # With checked signatures, `Intention` itself rejects some of them.
         ("HasNoReference", "reference"),
         ("AvoidsAWord", "avoid"),
         ("MeetsNever", r"gave a meet that is not 3 finite numbers"),

@@ -58,7 +58,7 @@ def test_a_hand_that_points_nowhere_is_named():
 
 
 class Pusher(Pilot):
-    """A craft that is pushed about by commands that only depend on time."""
+    """A craft whose commands depend on time only."""
 
     watches = ("mallet",)
 
@@ -81,7 +81,7 @@ def pusher(seen=None) -> Contestant:
 
 
 def exact():
-    """Settings without noise and chance."""
+    """Settings without noise and random losses."""
     usual = default_twin_settings()
     nothing = {"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0}
     return usual.model_copy(
@@ -145,7 +145,7 @@ def test_a_game_between_hands_is_recorded_too():
 
 
 def served_puck(y: float, vx: float, vy: float = 0.0) -> Game:
-    """Let a puck go where a hand that stays away may or may not meet it."""
+    """Release a puck that a passive hand may or may not meet."""
 
     class Away:
         def target(self, time, own, puck, opponent):
@@ -173,7 +173,7 @@ def test_who_turns_a_puck_into_the_own_goal_is_told():
 
     class Backwards:
         def target(self, time, own, puck, opponent):
-            # From before the puck, through it, at the own goal.
+            # From the far side of the puck, through it, towards the own goal.
             before = (-0.35, 0.49) if time < 1.5 else (-1.05, -0.05)
             return before if time < 3.0 else (-1.0, 0.45)
 
@@ -205,7 +205,7 @@ def test_who_stops_a_shot_and_then_pushes_it_in_is_told():
     stopped = [e for e in game.events if e.kind == "hit"]
     assert [e.side for e in stopped] == [-1]
     assert game.score == (0, 0)
-    # It lies where it can be pushed from before.
+    # The puck can be pushed from its far side.
     game.world.puck.place(PuckState(-0.6, 0.30))
     while game.phase == "play" and game.time < began + 5.0:
         game.step()

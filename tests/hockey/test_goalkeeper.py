@@ -28,7 +28,7 @@ HALF = PLAY.table.goal_width_m / 2
 
 
 def shots(count, speeds=(0.8, 4.0), seed=0):
-    """Situations in which the puck will be in the own goal."""
+    """Situations in which the puck is about to enter the own goal."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
         x, y, angle = rng.uniform([0.0, -0.4, -0.5], [0.8, 0.4, 0.5])
@@ -49,14 +49,14 @@ def test_a_block_stands_on_the_way_of_the_puck_and_moves_against_it():
         assert intention.kind == "defend"
         assert isinstance(intention.reference, Rendezvous)
         time, _, velocity, puck = contact(view, intention)
-        # The puck is where it is meant to be met, before the goal.
+        # The puck is at the planned contact, in front of the goal.
         np.testing.assert_allclose(intention.meet[1:], puck[:2], atol=2e-3)
         assert puck.x > -PITCH.goal_line
         motion = np.array([puck.vx, puck.vy])
         stands = intention.reference.state[:2]
         assert PITCH.inside(stands)
         assert stands[0] >= PITCH.home[0] - 1e-9
-        # The craft is in its way: not farther aside than both radii, and beyond it.
+        # The craft is in its path: beyond it, and aside by at most the sum of the radii.
         ahead = stands - np.array(puck[:2])
         assert ahead @ motion > 0
         aside = abs(ahead[0] * motion[1] - ahead[1] * motion[0]) / np.hypot(*motion)
@@ -86,7 +86,7 @@ def test_of_all_places_with_time_enough_a_block_takes_the_nearest():
         outlook = Outlook(view)
         intention = block(view, outlook)
         stands = intention.reference.state[:2]
-        # Every place on the way at which the craft touches the puck, and its distance.
+        # Every place on the path at which the craft can touch the puck, and its distance.
         times = np.arange(view.time + 0.02, outlook.threat, 0.02)
         pucks = outlook.at(times)
         ways = pucks[:, 3:5] / np.hypot(pucks[:, 3], pucks[:, 4])[:, None]
@@ -121,7 +121,7 @@ def test_a_guard_slows_down_what_comes_slowly_and_blocks_what_comes_fast():
     assert decided(Defend(), slow, 1).kind == "prepare"
     fast = view_of((0.3, 0.05, 0, -5.0, 0.0, 0))
     assert decided(Defend(), fast, 1).kind == "defend"
-    # The more time it wants to have left, the sooner it only blocks.
+    # The more time to spare it needs, the more often it only blocks.
     kinds = [decided(Defend(reserve), slow, 1).kind for reserve in (0.05, 0.3, 3.0)]
     assert kinds == sorted(kinds, reverse=True)
     assert kinds[-1] == "defend"
@@ -142,7 +142,7 @@ def test_a_player_that_waits_stands_between_puck_and_goal():
         away = stands - [-PITCH.goal_line, 0.0]
         assert line[0] * away[1] == pytest.approx(line[1] * away[0])
         assert intention.kind == ("home" if x >= 0 else "wait")
-    # Behind the player there is nothing to stand between.
+    # A puck behind the player leaves nothing to stand between.
     assert waiting((-1.05, 0.35, 0, 0.8, 0, 0)).reference == SetPoint(*PITCH.home, 0.0)
 
 
@@ -156,7 +156,7 @@ def test_a_player_that_waits_keeps_off_a_resting_puck():
         assert apart < PITCH.contact_distance + 0.06 or x == -0.6
         np.testing.assert_allclose(intention.avoid[:2], [x, y])
         assert PITCH.contact_distance < intention.avoid[2] < PITCH.contact_distance + 0.05
-    # Of one that is fast, or on the other side, it need not keep off.
+    # It need not avoid a fast puck, or one in the other half.
     for puck in ((-0.5, 0.2, 0, 0.6, 0, 0), (0.2, 0.2, 0, 0.1, 0, 0)):
         assert waiting(puck).avoid is None
 
@@ -166,7 +166,7 @@ def test_blind_it_defends_where_the_puck_would_have_come():
         blind = Blind()
         view = view_of((0.3, y, 0, -1.5, vy, 0))
         blind.seen(view, Outlook(view))
-        # Where it crosses the line of home, by the twin's puck; within the goal.
+        # Where the twin's puck crosses the line through home; within the width of the goal.
         puck = PuckOnTable(PLAY, PuckState(*view.puck.mean.tolist()))
         while puck.state.x > PITCH.home[0]:
             puck.run(puck.time + 1e-3)

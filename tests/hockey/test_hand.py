@@ -32,7 +32,7 @@ def episode(
     hand=ScriptedHand,
     opponent=(0.9, 0.0),
 ):
-    """Let one hand play a puck alone; return its ways and the world."""
+    """Let one hand play a puck alone; return its path and the world."""
     world, player = World(PLAY, puck), hand(PLAY, skill, seed)
     mallet = HandMallet(PLAY.mallet, PLAY.table, *start)
     world.bodies.append(mallet)
@@ -50,7 +50,7 @@ def episode(
 
 
 def test_it_does_not_move_before_it_can_have_seen():
-    # The puck rests aside, and is then shot at the goal.
+    # The puck first rests on one side, and is then shot at the goal.
     hand = ScriptedHand(PLAY, EXACT)
     rests = PuckState(0.5, 0.4)
     shot = PuckState(0.5, 0.15, 0.0, -4.0, 0.0)
@@ -115,7 +115,7 @@ def test_a_guided_hand_waits_where_it_is_until_it_is_moved():
 
 
 def wanted(puck, own=(-0.85, 0.0), skill=EXACT):
-    """Where a hand wants its mallet after it has seen a puck for a while."""
+    """Return a hand's target for its mallet after it has seen a puck for a while."""
     hand = ScriptedHand(PLAY, skill)
     for k in range(40):
         motion = puck._replace(
@@ -126,12 +126,12 @@ def wanted(puck, own=(-0.85, 0.0), skill=EXACT):
 
 
 def test_it_waits_before_its_goal_on_the_side_of_the_puck():
-    # A quarter of a metre from its line, within the goal; the leash is longer than the way.
+    # A quarter of a metre from its line, within the goal's width; the target is within reach.
     half, home = PLAY.table.goal_width_m / 2, 0.25 - PLAY.table.length_m / 2
     for y, waits in ((0.2, 0.1), (-0.1, -0.05), (0.5, half), (-0.5, -half)):
         found = wanted(PuckState(0.5, y))
         np.testing.assert_allclose(found, (home, np.clip(waits, -half, half)))
-    # So it does for one that comes, but will not have come within 0.8 s.
+    # The same for a puck that approaches, but takes longer than 0.8 s.
     np.testing.assert_allclose(wanted(PuckState(0.5, 0.2, 0.0, -0.4, 0.0)), (home, 0.1), atol=1e-3)
 
 
@@ -154,7 +154,7 @@ def test_it_covers_the_place_where_a_fast_puck_will_pass():
     for y, vy in ((0.1, 0.0), (0.0, 0.2), (0.3, -0.7)):
         puck = PuckState(0.3, y, 0.0, -3.0, vy)
         found = wanted(puck)
-        # Straight on from where it is now, at the line of the mallet.
+        # Extrapolated from its present state to the line of the mallet.
         at = y + vy * (0.3 - found[0]) / 3.0
         assert found[1] == pytest.approx(at, abs=0.03)
         assert -PLAY.table.length_m / 2 < found[0] <= -PLAY.table.length_m / 2 + 0.25
@@ -175,7 +175,7 @@ def test_a_stroke_goes_through_the_puck_at_the_goal(y):
     angle = math.atan2(-y, PLAY.table.length_m / 2 - puck.x)
     way = np.array([math.cos(angle), math.sin(angle)])
     together = PLAY.mallet.radius_m + PLAY.puck.radius_m
-    # From where strokes begin, and on the way to the puck.
+    # From the start of a stroke, and on the path to the puck.
     for behind in (0.1, 0.05, 0.02):
         own = np.array(puck[:2]) - (together + behind) * way
         towards = wanted(puck, tuple(own.tolist())) - own
@@ -211,7 +211,7 @@ def test_a_striker_aims_at_the_open_corner_and_a_keeper_does_not_strike(side):
 def test_a_hand_without_delay_acts_on_the_newest_frame():
     hand = Keeper(PLAY, Dexterity(reaction_s=0.0, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0))
     for time, y in ((0.0, 0.1), (0.1, -0.1), (0.2, 0.05)):
-        # It covers the goal on the side of a resting puck, half as far aside.
+        # It covers the goal on the side of a resting puck, at half its distance from the axis.
         assert hand.target(time, (-1.0, 0.0), PuckState(0.5, y), (0.9, 0.0))[1] == y / 2
 
 
@@ -226,7 +226,7 @@ def test_a_hand_that_has_seen_one_frame_acts_on_that():
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_stroke_begins_at_the_border_of_the_hand_s_half_where_there_is_no_room_behind(side):
     reach_x, reach_y = PLAY.table.reach(PLAY.mallet.radius_m)
-    # Behind a puck near the own line the start is on the line, at the side it would be.
+    # Behind a puck near the own line, the start is moved onto the line, on the same side.
     line = wanted(PuckState(-0.93, side * 0.1), own=(-1.04, side * 0.25))
     assert line[0] == -reach_x
     assert 0.1 < side * line[1] < 0.13

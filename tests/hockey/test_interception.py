@@ -1,4 +1,4 @@
-"""Where and when the craft can meet the puck: by hand, by dense grids and by the twin's puck."""
+"""Contacts with the puck: against hand calculations, dense grids and the twin's puck."""
 
 import math
 from dataclasses import replace
@@ -78,7 +78,7 @@ def test_a_contact_happens_at_its_time_with_its_normal():
     meeting = PlannedContact(0.8, 0.3, 1.0)
     reference = meeting.reference(view, view.puck.mean)
     assert isinstance(reference, Rendezvous)
-    # Back from the rendezvous by its velocity: the discs touch when planned.
+    # Extrapolated back from the rendezvous, the discs touch when planned.
     place = reference.state[:2] - (reference.time - 0.8) * reference.state[3:5]
     np.testing.assert_allclose(view.puck.mean[:2] - place, PITCH.contact_distance * unit(0.3))
     np.testing.assert_allclose(reference.state[3:5], unit(0.3))
@@ -103,7 +103,7 @@ def test_a_craft_that_is_thrown_back_has_room_for_it():
     for share, fits in ((0.98, False), (1.02, True)):
         place = np.array([PITCH.fence[0, 0] + share * room, 0.0])
         assert stays_inside(view, place, np.zeros(2), recoil) == fits
-    # A shot at the goal is met with room behind, on the way forwards.
+    # A shot at the goal is met while moving forwards, with room behind.
     view = view_of((0.6, 0.0, 0.0, -5.0, 0.0, 0.0))
     met = Defend().propose(view, Outlook(view)).reference
     assert isinstance(met, Rendezvous)
@@ -159,7 +159,7 @@ def test_a_threat_is_when_the_puck_is_at_the_own_goal():
             assert outlook.threat == pytest.approx(puck.time, abs=0.04)
         elif abs(puck.state.y) > 0.25:
             assert outlook.threat is None
-    # Neither at the other's goal, nor beside the own one, nor when it rests before it.
+    # Not towards the other goal, not beside the own one, and not at rest in front of it.
     for puck in ((0.3, 0, 0, 2.0, 0, 0), (0.3, 0.4, 0, -2.0, 0, 0), (-0.9, 0, 0, 0, 0, 0)):
         assert Outlook(view_of(puck)).threat is None
 
@@ -230,7 +230,7 @@ def test_a_receding_contact_is_aimed_at_a_little_deeper_than_the_discs_touch():
         found = meeting.reference(view, view.puck.mean)
         later = found.time - meeting.time
         assert 0 < later <= 0.03
-        # By then the discs, if they could, would overlap by 6 mm.
+        # By then the discs would overlap by 6 mm if they could.
         closing = speed - np.array(puck[:2]) @ unit(0.3)
         assert later == pytest.approx(min(0.006 / closing, 0.03))
         np.testing.assert_allclose(found.state[3:5], speed * unit(0.3))

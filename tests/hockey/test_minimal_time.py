@@ -1,4 +1,4 @@
-"""Shortest times looked up are those of plans."""
+"""Looked-up shortest times equal those of plans."""
 
 import sys
 import time
@@ -101,7 +101,7 @@ def decisions(player):
         player.measured(Measurement("puck", time, np.array([0.8 - 2.5 * time, 0.0, 0.0])))
         player.step(time)
         kinds.append(player.intention.kind)
-    return set(kinds[8:])  # some frames show the velocity
+    return set(kinds[8:])  # after some frames the velocity is known
 
 
 def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):

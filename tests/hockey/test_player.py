@@ -1,4 +1,4 @@
-"""The player: on both sides, and when the puck is not seen as it should be."""
+"""The player: on both sides, and with missing or wrong poses of the puck."""
 
 import math
 from pathlib import Path
@@ -48,7 +48,7 @@ def twin_of(player, puck, plant, seed=0):
 
 
 class Noted:
-    """A tactic that goes home and keeps what it saw."""
+    """A tactic that goes home and records its views."""
 
     def __init__(self):
         self.views = []
@@ -214,7 +214,7 @@ def test_lists_and_arrays_of_a_tactic_are_turned_on_either_side(side):
     class Plain:
         def decide(self, view):
             given = Intention("home", SetPoint(*view.pitch.home, 0.0))
-            # Without the check of signatures, which only tests have.
+            # Without the checks of signatures, which only tests have.
             object.__setattr__(given, "path", [[0.1, 0.2], [0.3, 0.4]])
             object.__setattr__(given, "meet", np.array([1.0, 0.1, 0.2]))
             object.__setattr__(given, "avoid", np.array([0.1, 0.2, 0.05]))
@@ -244,7 +244,7 @@ def test_the_tactic_of_the_documentation_plays(plant):
 
 
 def test_what_was_really_sent_moves_the_estimate():
-    """Two players see the same poses; only one is told that its propellers run."""
+    """Two players see the same poses; only one receives the commands of running propellers."""
     found = []
     for command in (None, np.full(6, MODEL.vehicle.command_max) * [1, 0, 0, 0, 0, 1]):
         player = Player(MODEL, PLAY, tactic := Noted())
@@ -285,7 +285,7 @@ def test_the_opponents_velocity_is_learned_in_some_frames():
     stepped(player, passing, 20)
     np.testing.assert_allclose(tactic.views[-1].opponent[2:], [0.0, -1.0], atol=0.02)
     np.testing.assert_allclose(tactic.views[-1].opponent[:2], [0.8, 0.3], atol=0.02)
-    # Old poses are left out.
+    # Old poses are ignored.
     player.measured(Measurement("mallet", 0.1, np.array([0.0, 0.0, 0.0])))
     stepped(player, passing, 1, start=0.2)
     assert tactic.views[-1].opponent[0] == 0.8
@@ -304,7 +304,7 @@ def test_a_puck_is_frozen_after_six_repeated_poses():
     stepped(player, frozen, 1, start=0.22)
     assert player.sight == "frozen"
     assert player.predicted is None
-    # One that rested before may do so.
+    # A puck that was at rest may repeat its pose.
     resting = Player(MODEL, PLAY)
     stepped(resting, frozen, 20)
     assert resting.sight == "seen"

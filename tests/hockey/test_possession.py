@@ -1,4 +1,4 @@
-"""Slowing the puck down and freeing it: what becomes of the puck, by the twin's physics."""
+"""Slowing the puck down and freeing it: the effect on the puck, by the twin's physics."""
 
 import math
 
@@ -59,7 +59,7 @@ def test_a_catch_is_kept_while_the_puck_moves_as_foretold(puck):
     strategy, view = Catch(), view_of(puck)
     first = decided(strategy, view, 1)
     for _ in range(10):
-        # The craft is on its way there.
+        # The craft is moving there.
         place = 0.97 * view.craft[:2] + 0.03 * first.reference.state[:2]
         view = later(view, 0.01, craft=[*place, 0, 0, 0, 0])
         found = decided(strategy, view, 1)
@@ -83,7 +83,7 @@ def test_only_what_moves_is_caught_and_only_on_the_own_half():
     assert decided(Catch(slowest=0.5), view_of((-0.3, 0.1, 0, -0.4, 0, 0))) is None
     assert decided(Catch(slowest=0.3), view_of((-0.3, 0.1, 0, -0.4, 0, 0))) is not None
     assert decided(Catch(), view_of((0.3, 0.1, 0, 1.0, 0, 0))) is None
-    # With ever more time to spare there is none.
+    # If it requires ever more time to spare, there is no catch.
     found = [decided(Catch(reserve), view_of(INCOMING[0]), 1) for reserve in (0.0, 0.2, 3.0)]
     assert found[0] is not None
     assert found[-1] is None
@@ -104,7 +104,7 @@ def test_a_good_place_has_room_for_the_craft_on_all_sides():
     back = -PITCH.goal_line + radius + craft
     front = -2 * PITCH.contact_distance
     assert good(-0.5, 0.0) == 1.0
-    # None where the craft does not fit behind it; all of it 12 cm farther; half in the middle.
+    # 0 where the craft does not fit behind it, 1 from 12 cm further on, one half in between.
     for off, expected in ((-0.01, 0.0), (0.06, 0.5), (0.13, 1.0)):
         assert good(-0.5, side - off) == pytest.approx(expected)
         assert good(-0.5, -side + off) == pytest.approx(expected)
@@ -127,7 +127,7 @@ def test_a_stuck_puck_is_pushed_to_a_better_place_and_not_into_the_own_goal(plac
         if intention is not None and intention.avoid is None:
             found = now, intention
             break
-        # The way to where the push begins keeps off the puck.
+        # The path to the start of the push avoids the puck.
         if intention is not None:
             np.testing.assert_allclose(intention.avoid[:2], place)
             goal = np.array([intention.reference.x, intention.reference.y])

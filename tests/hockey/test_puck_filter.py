@@ -1,4 +1,4 @@
-"""The puck's filter and its predictions, against pucks whose truth is known."""
+"""The puck's filter and its predictions, against pucks with known truth."""
 
 import math
 
@@ -22,7 +22,7 @@ from airpuck.physics.puck_on_table import PuckOnTable
 PLAY = AirHockey()
 NOISE = PuckNoise()
 SIGMA = np.array([NOISE.position_m, NOISE.position_m, NOISE.yaw_rad])
-#: All numbers of the puck are known: what is left is noise.
+#: All numbers of the puck are known: only noise remains.
 KNOWN = AirHockey(
     puck=Puck(
         standard_error=dict.fromkeys(
@@ -62,7 +62,7 @@ def test_the_estimate_is_as_good_as_it_says():
         error = watched(found, puck, 0.35, rng, dropped=0.1, jitter=1e-3)[-1]
         normalised.append(error @ np.linalg.solve(found.belief.covariance, error))
         assert not [e for e in found.events if e.kind == "hit"]
-    # The filter allows for air currents that are not there: errors may be smaller.
+    # The filter allows for air currents that the simulation lacks: errors may be smaller.
     assert 1.0 < np.mean(normalised) < 7.5
 
 
@@ -134,7 +134,7 @@ def test_a_prediction_of_what_is_known_exactly_is_the_flight():
 
 
 def test_bands_of_predictions_over_bounces_hold_what_they_should():
-    # Pucks whose numbers are off as `PuckModel` assumes, seen for 0.2 s, predicted for 0.5 s.
+    # Pucks whose numbers deviate as `PuckModel` assumes, seen for 0.2 s, predicted for 0.5 s.
     rng, inside, total, bounces = np.random.default_rng(5), 0, 0, 0
     names = ("drag_1_s", "spin_drag_1_s")
     for _ in range(60):
@@ -224,7 +224,7 @@ def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
         other = predict_crossing(KNOWN, one, 0.8)
         assert other is not None
         drawn.append((other.time, other.state.y))
-    # One bounce is on the way.
+    # There is one bounce on the path.
     assert found.state.vy < 0
     np.testing.assert_allclose(found.covariance, np.cov(np.transpose(drawn)), rtol=0.3, atol=1e-6)
 
@@ -269,7 +269,7 @@ def test_paths_are_those_of_the_twins_puck_into_the_goal_too():
 
 
 def test_predictions_do_not_depend_on_when_time_began():
-    # Stamps count from 1970. Their last digit is longer than a puck is held off a rail.
+    # Stamps count from 1970: their resolution is coarser than the time offset after a bounce.
     random, times = np.random.default_rng(3), np.arange(0.0, 2.0, 0.004)
     began = 1.7e9 + 0.1811554
     for _ in range(40):

@@ -1,4 +1,4 @@
-"""The referee, by sequences made by hand."""
+"""The referee, with sequences made by hand."""
 
 import pytest
 
@@ -91,7 +91,7 @@ def test_a_puck_exactly_on_the_line_is_on_nobodys_side():
     judge = referee(first=1)
     assert judge.judge(0.1, 0.0, 1.0, 0) == []
     assert judge.judge(16.0, 0.0, 1.0, 0) == []
-    # Whose half it comes to next has fifteen seconds again.
+    # The next half again has fifteen seconds.
     assert judge.judge(20.0, 0.2, 1.0, 0) == []
     assert judge.judge(34.9, 0.2, 1.0, 0) == []
     assert judge.judge(35.0, 0.2, 1.0, 0) == [("foul", 1), ("serve", -1)]
@@ -110,7 +110,7 @@ def test_a_game_lasts_five_minutes_and_goals_are_followed_by_a_pause_of_a_second
     assert judge.judge(1.0, 1.13, 3.0, 1) == [("goal", -1)]
     assert judge.judge(1.99, 1.13, 3.0, 1) == []
     assert judge.judge(2.0, 1.13, 3.0, 1) == [("serve", 1)]
-    # By turns, so that there is no foul.
+    # Alternate the sides, so that there is no foul.
     for k in range(3, 300):
         assert judge.judge(float(k), 0.5 * (-1) ** k, 1.0, 0) == []
     assert judge.judge(299.9, 0.5, 1.0, 0) == []

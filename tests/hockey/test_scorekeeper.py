@@ -1,4 +1,4 @@
-"""The score of a puck that is only seen: games whose score is known, and what no goal is."""
+"""The score from poses alone: games with known scores, and events that are not goals."""
 
 import math
 
@@ -19,7 +19,7 @@ FRAME = 1 / 240
 
 
 class Cameras:
-    """Tells a keeper what cameras see, frame by frame."""
+    """Feeds a scorekeeper with camera frames."""
 
     def __init__(self, rules=None, seed=0):
         self.keeper = Scorekeeper(PLAY, rules)
@@ -111,7 +111,7 @@ def test_a_puck_that_rattles_in_the_goal_counts_once():
 
 
 def test_a_shot_that_is_saved_unseen():
-    """A hand covers the puck before the line, for a while, and it comes back."""
+    """A hand covers the puck in front of the line for a while; then the puck reappears."""
     for hidden in (0.1, 0.3, 2.0):
         cameras = Cameras()
         cameras.rest(0.5, 0.0)
@@ -141,7 +141,7 @@ def test_a_puck_that_meets_the_rail_or_a_post_beside_the_goal():
 
 
 def test_poses_that_freeze():
-    """The last pose again and again, wherever that was before the mouth of the goal."""
+    """The last pose is repeated, anywhere in front of the goal."""
     for seconds in (0.02, 0.06, 0.1):
         cameras = Cameras()
         cameras.rest(0.6, 0.0)
@@ -157,7 +157,7 @@ def test_poses_that_freeze():
 
 
 def test_poses_that_freeze_while_the_puck_is_slow():
-    """They are no puck that rests: neither in the mouth of a goal, nor for a foul."""
+    """Repeated poses are not a resting puck: neither for a goal nor for a foul."""
     for x, said in ((1.05, [("goal", -1)]), (0.5, [])):
         cameras = Cameras(Rules(foul_s=2.0))
         cameras.rest(x, 0.0)
@@ -204,7 +204,7 @@ def test_cameras_that_are_blind_when_the_puck_is_about_to_be_in(gap):
     cameras.rest(0.9, 0.0)
     cameras.fly((0.9, 0.0, 3.0, 0.0), 0.0775)
     cameras.time += gap
-    # They see other things before they see the puck again.
+    # The cameras see other objects before they see the puck again.
     cameras.nothing(0.5)
     cameras.rest(0.7, 0.0)
     assert cameras.said == []
@@ -219,7 +219,7 @@ def test_fouls_and_a_puck_that_is_stuck():
     cameras.said.clear()
     cameras.rest(0.0, 0.2, frames=round(3.2 / FRAME))
     assert cameras.said == [("stuck", 0)]
-    # A puck that is taken off the table and returned starts afresh.
+    # A puck that is taken off the table and returned starts a new path.
     cameras.said.clear()
     cameras.rest(0.5, 0.0, frames=round(10 / FRAME))
     cameras.nothing(60.0)

@@ -1,4 +1,4 @@
-"""Planned contacts: how long they are kept, and whose turn it is to search for another."""
+"""Planned contacts: how long they are kept, and which strategy searches next."""
 
 from collections import Counter
 from dataclasses import replace
@@ -43,7 +43,7 @@ def test_every_plan_is_final_in_the_last_0_15_s_and_expires_after_0_03_s(strateg
         made, view = strategy(), view_of(puck)
         found = decided(made, view, 12)
         assert found is not None
-        # Asked all the time, so that it is not interrupted; without a turn to search.
+        # Ask it all the time, so that the plan does not expire; it never gets a turn to search.
         then = on_the_way(view, found, left)
         for time in np.arange(0.12, then.time, 0.01).tolist():
             now = on_the_way(view, found, found.meet[0] - time)
@@ -89,7 +89,7 @@ def test_the_turn_to_search_does_not_depend_on_the_order():
         turns = Turns()
         orders.append([turns.give(view, outlook, searchers).every for _ in range(100)])
     assert all(order == orders[0] for order in orders)
-    # No one waits for ever, and the hurried have more turns.
+    # None waits forever, and shorter intervals get more turns.
     count = Counter(orders[0])
     assert count[1] >= count[2] >= count[3] > count[5] > 10
 

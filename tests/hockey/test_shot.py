@@ -1,4 +1,4 @@
-"""Shots: by hand, by mirror images, against the twin's puck, and by drawing lots."""
+"""Shots: against hand calculations, mirror images, the twin's puck, and random draws."""
 
 import math
 
@@ -17,7 +17,7 @@ from airpuck.twin.play import HandMallet, World
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 PITCH = pitch_of(MODEL, PLAY)
-#: Rails are mirrors, nothing slows down.
+#: Rails are mirrors, and there is no drag.
 MIRRORS = AirHockey(
     puck=Puck(
         drag_1_s=0.0,
@@ -101,7 +101,7 @@ def test_flights_end_as_those_of_the_twins_puck():
     missed = 0
     for k in range(400):
         puck = PuckOnTable(PLAY, PuckState(*place[k].tolist(), 0.0, *motion[k].tolist()))
-        # Until it comes back, or has met more than flights are computed for.
+        # Until it comes back, or has bounced more often than flights are computed for.
         while not puck.goal and puck.state.vx > 0 and puck.time < 20:
             puck.run(puck.next_meeting + 1e-8)
         met = [touch.met for touch in puck.touches]
@@ -164,7 +164,7 @@ def test_an_opponent_counts_where_it_can_be_in_the_way():
 
     assert passes(0.9, 0.0) < 0.1
     assert passes(0.0, 0.4) > 0.95
-    assert passes(0.9, 0.2) < passes(0.3, 0.2)  # later, so that it has time to come
+    assert passes(0.9, 0.2) < passes(0.3, 0.2)  # later, so that the defender has time to arrive
 
 
 class Person:
@@ -189,9 +189,9 @@ class Person:
 
 
 def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] | None:
-    """Shoot at a scripted human; return the chance to get past, and whether it was a goal.
+    """Shoot at a scripted human; return the chance of getting past, and whether it was a goal.
 
-    None: a shot that nobody has to stop.
+    None: the shot would miss the goal anyway.
     """
     place = rng.uniform([-0.8, -0.35], [-0.15, 0.35])
     motion = np.array([*rng.uniform(2.0, 5.0) * unit(rng.uniform(-1.2, 1.2)), 0.0])
@@ -213,7 +213,7 @@ def test_a_person_lets_past_what_is_expected():
     chance, goal = np.array([shot for shot in drawn if shot is not None], float).T
     assert len(chance) > 80
     assert chance.mean() == pytest.approx(goal.mean(), abs=0.1)
-    # They tell a good shot from a poor one.
+    # The chances distinguish a good shot from a poor one.
     good = chance > np.median(chance)
     assert goal[good].mean() > 3 * goal[~good].mean()
 
@@ -232,7 +232,7 @@ def test_the_probability_to_get_past_by_hand(x, aside):
 
 
 def test_a_bank_shot_is_read_by_halves():
-    # A defender in the mouth of the goal: it reads a way over two rails half of the time.
+    # A defender in the mouth of the goal reads a path over two rails half of the time.
     start, reach = np.array([-0.4, 0.1]), PLAY.table.width_m / 2 - RADIUS
     for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
         angle = math.atan2(2 * reach * bounces - start[1], PITCH.goal_line - start[0])

@@ -1,4 +1,4 @@
-"""Skills: starts as published, and a small sibling of the long run."""
+"""Skills: starts as published, and a short version of the long run."""
 
 import math
 
@@ -22,7 +22,7 @@ PLANT = build_plant(MODEL, SETTINGS)
 
 
 def test_the_interval_is_wilsons():
-    # By his formula.
+    # By Wilson's formula.
     n, k, z = 200, 188, 1.959964
     share = k / n
     middle = (share + z * z / (2 * n)) / (1 + z * z / n)
@@ -37,7 +37,7 @@ class Begun(Exception):
 
 
 class Starts(Stage):
-    """A stage on which no episode goes beyond its start."""
+    """A stage whose episodes end at their start."""
 
     def twin(self, puck, seed):
         raise Begun(puck)
@@ -73,7 +73,7 @@ def test_starts_are_the_challenges_on_this_table(name):
 
 
 class Placed(Stage):
-    """A stage on which the puck starts elsewhere."""
+    """A stage with another start of the puck."""
 
     start = PuckState(0.0, 0.0)
 

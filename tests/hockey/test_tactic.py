@@ -1,4 +1,4 @@
-"""Sizes and places that do not change during a game."""
+"""Constants of a game: sizes and positions."""
 
 import numpy as np
 import pytest

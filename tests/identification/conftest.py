@@ -1,4 +1,4 @@
-"""Flights and fits that several files of this folder look at."""
+"""Flights and fits that several files of this folder share."""
 
 from dataclasses import replace
 

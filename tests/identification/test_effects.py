@@ -1,4 +1,4 @@
-"""Effects are found again in flights of a craft that has them."""
+"""Fits recover the effects from flights of a craft that has them."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
         voltage_sag_1_N=0.3,
         tilt_rad=(0.01, -0.006),
     )
-    # Without jitter, which biases what the motors' transients tell.
+    # Without jitter, which biases the information in the motors' transients.
     settings = default_twin_settings().model_copy(
         update={"effects": effects, "radio": Radio(delay_s=5 / 240)}
     )
@@ -48,7 +48,7 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
         entry = labels.index(label)
         error = known.standard_errors[entry]
         # The interaction shows while motors change their speeds. The hold of commands by whole
-        # samples and the smoothing blur these moments, which the standard error does not know.
+        # samples and the smoothing blur these moments, which the standard error does not include.
         reach = 0.3 * value if label == "pair_interaction" else 4 * error
         assert abs(found.to_vector()[entry] - value) < reach, label
         assert error < 0.15 * abs(value) or label.startswith("drag"), label
@@ -71,5 +71,5 @@ def test_the_lag_of_idling_motors_is_told_from_lag_and_delay():
     assert abs(found.idle_lag - 2.0) < 0.2
     assert abs(found.motor_time_constant - lag) < 0.3e-3
     assert abs(found.transport_delay - 5 / 240) < 0.3e-3
-    # Without the term, the lag takes what it can of it.
+    # Without the term, the lag absorbs part of the effect.
     assert identify(flight, "M3").model.parameters.motor_time_constant - lag > 2e-3

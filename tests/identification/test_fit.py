@@ -1,4 +1,4 @@
-"""`identify`, from truth to numbers of the paper."""
+"""`identify`: recovery of a truth, and the paper's numbers."""
 
 from dataclasses import replace
 

@@ -89,7 +89,7 @@ def test_bounds_hold():
 
 
 def test_a_bound_that_holds_is_met_exactly():
-    # A craft that something pushes along has less than no drag.
+    # A craft that something pushes along has negative drag.
     truth = published_model("M3")
     pushed = replace(truth.parameters, drag=np.array([-0.5, 0.0, -0.5, 0.0]))
     loss = noisy_loss(replace(truth, parameters=pushed), noise=1e-4)
@@ -145,7 +145,7 @@ def test_a_cut_is_made_where_the_curve_falls_most():
 
 
 def test_a_curve_that_is_not_free_is_not_cut():
-    """Cutting it would change nothing, again and again."""
+    """A cut would change nothing, so the loop would not end."""
     free = np.array([[False] * 3, [True] * 3])
     falling = np.array([[0.2, -1.0, 1.0], [0.5, 0.5, 0.5]])
     constraints = SlopeConstraints(free)

@@ -26,12 +26,12 @@ ALL_TERMS = "+".join(["M3", *TERMS])
 def windows() -> Windows:
     flight = fly(published_model("M3"), duration=3.0)
     noise = np.random.default_rng(1).normal(size=flight.state.shape)
-    # Plain rollouts cost as much as they have steps.
+    # The cost of a plain rollout is proportional to its steps.
     return make_windows(replace(flight, state=flight.state + 0.01 * noise), 20, 20, stride=11)
 
 
 def plain_residuals(xp, parameters, windows, encoder, frame):
-    """Straight from the paper: encode, roll out, compare; no batching, no sensitivities."""
+    """The loss as the paper defines it: encode, roll out, compare; no batches or sensitivities."""
     dynamics = parameters.dynamics(xp, VEHICLE, frame)
     commands, durations, measured = windows.future()
     state = encoder.encode(xp, dynamics, windows.past())

@@ -31,7 +31,7 @@ def fit():
 
 
 def test_every_packet_is_found_within_its_error(flight):
-    """With the true model: what is left is the noise of the cameras."""
+    """With the true model, only the noise of the cameras remains."""
     known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
     found = packet_delays(flight.trajectory, known)
     assert len(found) > 100
@@ -43,7 +43,7 @@ def test_every_packet_is_found_within_its_error(flight):
 
 
 def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
-    """A model that says of each packet that it came e later finds it e less late."""
+    """If the model's delay is longer by e, each packet's estimated delay is shorter by e."""
     (delays,) = fit.packet_delays
     arrived = retimed(flight.trajectory, delays, fit.model.delay_jitter.standard_deviation_s)
     later = np.random.default_rng(0).normal(0, 1e-4, len(delays))
@@ -59,7 +59,7 @@ def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
 def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
     jitter = fit.model.delay_jitter
     own = flight.delay[fit.packet_delays[0].packet]
-    # That the spread of these packets is not that of all is no error of the estimate.
+    # These packets are a sample; its spread is not an error of the estimate.
     assert jitter.standard_deviation_s == pytest.approx(own.std(), rel=0.08)
     mean, spread = queued_delay(settings(0.007).with_delay(TRUTH.transport_delay).radio, 0.01)
     assert abs(jitter.standard_deviation_s - spread) < 3 * jitter.standard_error_s

@@ -43,7 +43,7 @@ def found(fit, flights, delays=None):
 
 
 def growth_of(fit, mixed, hessian):
-    """By how much standard errors grow."""
+    """Return the factor by which standard errors grow."""
     known = np.isfinite(fit.uncertainty.standard_errors)
     factor = error_growth(mixed, hessian, np.eye(len(known))[:, known], 2)
     covariance = np.where(np.outer(known, known), fit.uncertainty.covariance, 0.0)
@@ -65,7 +65,7 @@ def test_rounds_add_up():
 @pytest.mark.slow
 @pytest.mark.parametrize("entry", [LAG, ANGLE])
 def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
-    """The whole preparation again, with all that it decides anew, two errors away."""
+    """Prepare everything again, with all decisions, two standard errors away."""
     monkeypatch.setattr(retiming, "_DENSITY", 6)
     parameters, windows = fit.model.parameters, fit.objective.windows
     known = np.flatnonzero(np.isfinite(fit.uncertainty.standard_errors))
@@ -97,7 +97,7 @@ def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, mon
 
 @pytest.mark.slow
 def test_it_makes_estimates_less_certain(flight, fit):
-    """Packets that may come when they like explain some of what a wrong lag does."""
+    """Free packet delays explain part of the effect of a wrong lag."""
     growth = growth_of(fit, *found(fit, [flight]))
     assert 1.05 < growth[LAG] < 1.4
     assert (growth > 0.99).all()
@@ -111,7 +111,7 @@ def test_without_packets_only_smoothing_is_left(flight, fit):
 
 @pytest.mark.slow
 def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
-    """Prepared data keep the mean of the packets' delays, whatever is added to all of them."""
+    """Prepared data keep the mean of the packets' delays, whatever constant is added."""
     (own,) = fit.packet_delays
     later = PacketDelays(own.packet, own.deviation + 0.003, own.standard_error)
     one, other = (found(fit, [flight], [delays]) for delays in (own, later))
@@ -120,7 +120,7 @@ def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
 
 @pytest.mark.slow
 def test_a_fit_has_all_of_it(flight, fit):
-    """Blocks, what they share, data prepared with the estimate, and packets that are a sample."""
+    """Blocks, shared samples, data prepared with the estimate, and sampled packets."""
     loss, parameters = fit.objective, fit.model.parameters
     quadratic = loss.quadratic(parameters)
     shared = shared_at_borders(loss)

@@ -22,7 +22,7 @@ OUTAGES = ((2.0, 2.5), (6.0, 6.5), (9.5, 10.0))
 
 @pytest.fixture(scope="module")
 def faulty():
-    """A flight whose motors run down three times, while the log says otherwise."""
+    """A flight whose motors stop three times, unlike in the log."""
     flight = fly(MODEL, duration=12.0)
     heard = flight.command.copy()
     for begin, end in OUTAGES:

@@ -1,4 +1,4 @@
-"""A puck identified from its poses, against pucks whose numbers are known."""
+"""A puck identified from its poses, against pucks with known numbers."""
 
 import math
 
@@ -34,7 +34,7 @@ def shot(rng):
 
 
 def recorded(truth, seed, seconds=20.0, *, scatter=0.0, dropped=0.02, wrong=0.0, spins=True):
-    """A puck that is shot every two seconds; its rails may give back now more, now less."""
+    """A puck that is shot every two seconds; the restitution of its rails may vary."""
     rng = np.random.default_rng(seed)
     puck, time, poses = PuckOnTable(AirHockey(puck=truth), shot(rng)), [], []
     touches = 0

@@ -1,4 +1,4 @@
-"""Packets moved to their arrival, their jitter, velocities that switching motors do not blur."""
+"""Packets moved to their arrival times, their jitter, and velocities smoothed with the model."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def packets(numbers, deviation, error=0.0) -> PacketDelays:
 
 
 def some(deviation, error) -> PacketDelays:
-    """Packets whose numbers do not matter."""
+    """Packets with arbitrary contents."""
     return packets(np.arange(len(deviation)), deviation, error)
 
 
@@ -48,14 +48,14 @@ def sent(count: int = 40) -> Trajectory:
 
 
 def test_known_packets_move_and_take_the_others_along():
-    """Packet 10 comes 15 ms late, 20 as much early: 11 waits for 10, and 19 was there before 20."""
+    """Packet 10 comes 15 ms late, packet 20 15 ms early: 11 waits for 10, and 20 waits for 19."""
     moved = retimed(sent(), packets([10, 20], [0.015, -0.015]), 0.01).command_time
     np.testing.assert_allclose(moved[[9, 10, 11, 12]], [0.09, 0.115, 0.115, 0.12], atol=1e-12)
     np.testing.assert_allclose(moved[[18, 19, 20, 21]], [0.18, 0.185, 0.185, 0.21], atol=1e-12)
 
 
 def test_what_is_hardly_known_hardly_moves():
-    """Half of an estimate whose variance is that of the delays; a fifth where it is four times."""
+    """Half of an estimate with the variance of the delays, a fifth with four times as much."""
     for error, share in ((0.01, 0.5), (0.02, 0.2)):
         moved = retimed(sent(), packets([10, 20], [0.005, -0.005], error), 0.01).command_time
         assert moved[10] - 0.1 == pytest.approx(share * 0.005, abs=1e-12)
@@ -75,7 +75,7 @@ def test_without_jitter_nothing_moves():
 
 
 def test_stretches_too_short_to_smooth_are_left_alone():
-    """Two frames lost, five samples apart: preprocessing has left what lies between out."""
+    """Two frames lost, five samples apart: preprocessing excludes the samples in between."""
     time = np.delete(np.arange(120), [60, 66]) / 240
     state = np.zeros((118, 6))
     state[60:65, 3:] = 7.0
@@ -94,10 +94,10 @@ def test_stretches_too_short_to_smooth_are_left_alone():
 
 
 def test_velocities_are_not_smoothed_across_switches():
-    """With perfect cameras only smoothing errs; the true model removes nearly all of it."""
+    """With perfect cameras the only error is smoothing; the true model removes nearly all of it."""
     flight = flown(0.0, 10.0, noise=False)
     known = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
-    inner = slice(10, -10)  # the ends of a derivative are its own
+    inner = slice(10, -10)  # derivatives differ at the ends
 
     def errors(trajectory):
         return np.std((trajectory.state[:, 3:] - flight.rates)[inner], axis=0)
@@ -107,7 +107,7 @@ def test_velocities_are_not_smoothed_across_switches():
 
 
 def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
-    """Nothing is modelled then: velocities are those of preprocessing, gap or not."""
+    """Without a model, velocities equal those of preprocessing, with or without a gap."""
     rng = np.random.default_rng(0)
     time = np.concatenate([np.arange(60), np.arange(80, 140)]) / 240
     poses = np.cumsum(rng.normal(0, 1e-4, (120, 3)), axis=0)
@@ -130,7 +130,7 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
 
 @pytest.mark.slow
 def test_a_retimed_fit_is_several_times_more_accurate():
-    """Against one that takes every packet to arrive after the mean delay, on the same flight."""
+    """Against a fit on the same flight that assumes the mean delay for every packet."""
     trajectory = flown(0.007, 40.0).trajectory
     retimed_fit = fit_of_flown(0.007, 40.0)
     plain = identify(trajectory, preparation=Preparation(retimings=0))

@@ -1,4 +1,4 @@
-"""A fit that a few bad windows do not move."""
+"""Robust fits: a few bad windows barely change them."""
 
 from dataclasses import replace
 
@@ -103,7 +103,7 @@ def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
 
 
 class Decay:
-    """A nonlinear regression in windows: y = a e^{-bt}, each window off by an error of its own."""
+    """A nonlinear regression in windows: y = a e^{-bt}, with a separate error for each window."""
 
     a, b, time = 1.0, 0.7, np.linspace(0, 4, 960).reshape(120, 8)
 

@@ -1,4 +1,4 @@
-"""The rung that is taken is that of the craft that flew; what is held out is not learned from."""
+"""Selection chooses the rung of the craft that flew, and does not learn from held-out data."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.data.windows import make_windows
 from airpuck.identification.objective import PredictionLoss
 
-# Which windows are held out is seen in no result, and must be known to see that none is learned.
+# No result shows which windows are held out, so the test reads them from the implementation.
 from airpuck.identification.selection import CandidateModel, _HeldOut, select_model
 from airpuck.identification.settings import Loss
 from airpuck.model.model_file import published_model, read_model
@@ -51,7 +51,7 @@ def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
     assert selection.fit.model.name == "M3"
     names = [candidate.name for candidate in selection.candidates]
     assert names == list(SHORT_LADDER)
-    # What the craft has, each rung finds and is the better for; what it lacks changes nothing.
+    # A term that the craft has improves the rung; a term that it lacks changes nothing.
     changes = [candidate.change[-1] for candidate in selection.candidates[1:]]
     assert changes[0] < 0.8 and 0.995 < changes[1] < 1.005
     selection.fit.model.save(tmp_path / "model.toml")
@@ -101,7 +101,7 @@ def test_no_sample_is_both_learned_from_and_predicted(plain, monkeypatch):
         # A window apart, since the smoothed velocities look some samples ahead.
         assert np.abs(known[:, None] - tested[[0, -1]]).min() >= length
         assert not np.isin(known, tested).any()
-    # Each sample of the recording is predicted from by some block, but for those at the borders.
+    # Predictions of some block start from each sample, except at the borders.
     assert len(windows) > 0.9 * len(make_windows(plain, 40, 48, 4))
 
 

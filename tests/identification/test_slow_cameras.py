@@ -1,4 +1,4 @@
-"""Recordings of other laboratories' cameras: few poses a second, and many gaps."""
+"""Recordings with other cameras: few poses a second, and many gaps."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from ..apparatus.synthetic_flights import edited, record
 
 
 def seen_at(recording: Recording, rate: float, gaps: float, seed: int = 0) -> Recording:
-    """Keep poses at a rate [Hz], and leave out some in a row after every few with a probability."""
+    """Keep poses at a rate [Hz], and drop runs of them at random."""
     random = np.random.default_rng(seed)
 
     def edit(stamp, received, values):

@@ -25,7 +25,7 @@ from ..apparatus.synthetic_flights import fly
 VEHICLE = default_vehicle()
 FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")
 TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
-#: Motors have forgotten their first command after so many samples.
+#: Number of samples after which the first command no longer matters.
 LONG = Loss(encoder_time=0.5, spacing=3 / 240)
 
 
@@ -69,7 +69,7 @@ def test_delay_and_lag_are_found_together(applied):
     fit = identify(flown(applied=applied), initial=wrong, loss=LONG)
     found = fit.model.parameters
     assert fit.converged
-    # What the mean over a step leaves: x (1 - x) h² / 2τ of the lag, see `mean_hold`.
+    # Remaining error of the mean over a step: x (1 - x) h² / 2τ of the lag, see `mean_hold`.
     assert fit.model.transport_delay == pytest.approx(TRUTH.transport_delay, abs=8e-5)
     assert found.motor_time_constant == pytest.approx(
         TRUTH.parameters.motor_time_constant, abs=12e-5
@@ -79,7 +79,7 @@ def test_delay_and_lag_are_found_together(applied):
 
 @pytest.mark.slow
 def test_held_by_whole_samples_the_lag_is_biased(flight):
-    """What the continuous delay is for: 5 samples in place of 4.5 make the lag too short."""
+    """Why the delay is continuous: 5 samples instead of 4.5 make the lag too short."""
     fit = identify(flight, preparation=FIXED, loss=LONG)
     assert fit.model.transport_delay == flight.delay
     assert not fit.model.delay_learned
@@ -89,7 +89,7 @@ def test_held_by_whole_samples_the_lag_is_biased(flight):
 
 @pytest.mark.parametrize(("name", "indexing"), [("M0", "end"), ("M3", "start"), ("M3", "end")])
 def test_gradient_by_finite_differences(flight, name, indexing):
-    """Of lag and delay, against a plain rollout."""
+    """Derivatives by lag and delay, against a plain rollout."""
     noise = np.random.default_rng(1).normal(size=flight.state.shape)
     noisy = replace(flight, state=flight.state + 0.01 * noise)
     windows = make_windows(noisy, stride=31)
@@ -118,7 +118,7 @@ def test_gradient_by_finite_differences(flight, name, indexing):
 
 @pytest.mark.slow
 def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
-    """Whatever preprocessing found in the other recording, also from the file."""
+    """A learned delay is used whatever preprocessing found, also after reading it from a file."""
     learned = replace(TRUTH, free=TRUTH.parameters.mask(frozenset({"transport_delay"})))
     other = flown(applied=6 / 240, seed=1)
     exact = evaluate(learned, other).rmse

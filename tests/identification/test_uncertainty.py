@@ -37,7 +37,7 @@ def clustered_loss():
 
 
 def along(quadratic, parameters, free, shared=0.0):
-    """As a fit does: along what holds the estimate."""
+    """As in a fit: along the active constraints."""
     return sandwich(quadratic, parameters, varying(quadratic.hessian, parameters, free), shared)
 
 
@@ -76,7 +76,7 @@ def test_equals_a_dense_computation():
     for cluster in range(count):
         own = clusters == cluster
         without = hessian - np.einsum("wrp,wrq->pq", jacobian[own], jacobian[own])
-        # What leaving the block out does to the estimate, in one Gauss-Newton step.
+        # Change of the estimate when the block is left out, in one Gauss-Newton step.
         score = np.einsum("wrp,wr->p", jacobian[own], residual[own])
         changes.append(np.linalg.solve(without, score))
     dense = (count - 1) / count * np.array(changes).T @ np.array(changes)
@@ -135,7 +135,7 @@ def test_what_is_between_blocks_widens_all():
 
 
 def test_errors_can_grow():
-    """By a factor, and by a matrix that mixes them."""
+    """Multiply by a factor, and by a matrix that mixes parameters."""
     quadratic, parameters, free = quadratic_at_the_truth()
     plain = along(quadratic, parameters, free)
     wide = grown(plain, 1.75 * np.eye(len(free)))
@@ -156,7 +156,7 @@ def test_an_error_of_its_own_widens_one_parameter(fit):
     )
     np.testing.assert_array_equal(after.standard_errors[~lag], known.standard_errors[~lag])
     np.testing.assert_allclose(np.sqrt(np.diag(after.covariance)[lag]), after.standard_errors[lag])
-    # What has no standard error gets none.
+    # Entries without a standard error get none.
     unknown = ~np.isfinite(known.standard_errors)
     assert np.isnan(widened(known, unknown, 4e-6).standard_errors[unknown]).all()
 
@@ -268,12 +268,12 @@ def test_the_gauge_changes_neither_predictions_nor_errors_of_what_can_be_observe
     np.testing.assert_allclose(tame.thrust, start.thrust, rtol=1e-12)
     np.testing.assert_allclose(tame.configuration_matrix, start.configuration_matrix, rtol=1e-12)
     assert loss.quadratic(wild).loss == pytest.approx(loss.quadratic(start).loss, rel=1e-12)
-    # At any scale each gauge direction is one without information.
+    # At any scale the gauge directions contain no information.
     hessian = loss.quadratic(wild).hessian
     for direction in gauge_directions(wild, free).values():
         size = np.abs(direction) @ np.abs(hessian) @ np.abs(direction)
         assert abs(direction @ hessian @ direction) < 1e-12 * size
-    # With the pseudo-inverse, which prefers no scale, as with Newton's: the same errors.
+    # The pseudo-inverse, which prefers no scale, gives the same errors as Newton's scale.
     quadratic = loss.quadratic(tame)
     loose = subspace(quadratic.hessian, free, binding_constraints(tame, free))
     products = np.array([
@@ -422,8 +422,8 @@ def test_intervals_hold_the_truth():
     fleet = fly_fleet(TRUTH, commands, seeds=range(flights), settings=settings)
     held = []
     for craft in range(flights):
-        # A command acts from the next sample on, on average half a sample late: that is in every
-        # flight alike, which no interval knows.
+        # A command acts from the next sample on, on average half a sample late. This error is
+        # common to all flights, so no interval includes it.
         trajectory = preprocess(fleet.recording(craft), delay=delay - 0.5 / 240)
         known = identify(trajectory).uncertainty
         low, high = known.intervals.T

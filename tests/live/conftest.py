@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture
 def pair(domain):
-    """Two who meet on the graph."""
+    """Two participants of a graph."""
     from airpuck.live.graph import Graph
 
     first, second = Graph("first", domain=domain), Graph("second", domain=domain)

@@ -1,4 +1,4 @@
-"""What the live commands refuse, before they join any graph."""
+"""Input that the live commands reject before they join a graph."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_verb_has_only_its_own_options(verb):
 
 
 def a_plan(path, **changes):
-    """Write a plan file that leads nowhere."""
+    """Write a plan file of a craft that stays in place."""
     at = [0.5, 0.0, *[0.0] * 4, *[0.03] * 6]
     content = {
         "format": "airpuck plan 1",

@@ -43,7 +43,7 @@ def store():
 
 
 def values(draw, node, description):
-    """What one field may hold, in plain lists and dictionaries."""
+    """Values that a field may hold, as plain lists and dictionaries."""
     if node == Nodetype.NAME:
         return {name: values(draw, *field) for name, field in TYPES[description][1]}
     if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):

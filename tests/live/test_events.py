@@ -1,4 +1,4 @@
-"""Repeated events are reported once, and the last report is the present state."""
+"""Repeated events are reported once, and the last report is the current state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..apparatus.processes import EVENT
 
 
 class Paper(Graph):
-    """A graph on which everything said is written down."""
+    """A graph that records all messages."""
 
     def __init__(self) -> None:
         self.said: list[str] = []

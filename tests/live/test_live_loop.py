@@ -1,9 +1,9 @@
-"""A quarter of a minute of `studies/live_loop.py`: does the loop hold its rate, beside other tests?
+"""A quarter of a minute of `studies/live_loop.py`: does the loop keep its rate beside other tests?
 
-The study has the strict bounds, for a machine that does nothing else. Here other tests take the
-cores for tens of milliseconds at a time, so percentiles near 100 say little; what a busy machine
-does not excuse is a rate that is not held, a typical latency of a period, or memory that grows
-with the number of messages; half a minute, in which that shows, is itself a study.
+The study has strict bounds, for an otherwise idle machine. Here other tests take the
+cores for tens of milliseconds at a time, so percentiles near 100 mean little. But even on a busy
+machine the loop must keep its rate, have a typical latency below a period, and need no memory for
+past messages. Showing the latter takes half a minute, which is itself a study.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def test_the_rate_is_held(domain, monkeypatch, duration):
     assert figures["pose_to_command_ms"]["p50"] < 5.0
     assert figures["outcomes"].get("unsafe", 0) < 0.05 * periods
     recorded = figures["recorded"]
-    # The recorder heard nearly all: commands while it flew, poses for longer.
+    # The recorder received nearly everything: commands during the flight, poses for longer.
     assert recorded["command"] == pytest.approx(figures["periods"], rel=0.02)
     assert recorded["pose"] > 0.9 * 240 * duration
     for before, after in figures["memory_MB"].values():

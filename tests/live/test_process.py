@@ -66,9 +66,7 @@ def test_nobody_is_there(second):
     second.refuse_second("command", COMMAND.columns, "controller")
     assert second.graph.age >= 0.6
     began = time.monotonic()
-    second.refuse_second(
-        "command", COMMAND.columns, "controller"
-    )  # who has looked around need not again
+    second.refuse_second("command", COMMAND.columns, "controller")  # discovery has already waited
     assert time.monotonic() - began < 0.3
 
 
@@ -93,13 +91,13 @@ def test_a_signal_ends_the_loop_and_not_the_process(second):
     assert signal.getsignal(signal.SIGINT) is before
 
 
-# Streams as numbers, over a graph made up for it --------------------------------------------------
+# Streams as numbers, over a made-up graph ---------------------------------------------------------
 
 POSE = StreamCodec("pose")
 
 
 class FakeGraph(Graph):
-    """Hands out what lies in `waiting`."""
+    """Delivers the messages in `waiting`."""
 
     def __init__(self):
         self.waiting = []
@@ -175,7 +173,7 @@ def test_commands_act_on_arrival_whatever_the_clock_of_their_sender_says(box, ah
 
 def test_commands_that_waited_for_a_process_that_stood_still_are_late(box):
     time.sleep(0.12)
-    for _ in range(2):  # what lay in the system's buffers comes a little later
+    for _ in range(2):  # messages in the system's buffers arrive a little later
         box.graph.waiting = [pose(0)]
         assert box.take_commands() == []
     assert {text for _, text in box.logged} == {"late messages on /pose"}

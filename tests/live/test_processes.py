@@ -1,4 +1,4 @@
-"""The twin, the controller and the recorder as processes that are really killed and stopped.
+"""The twin, the controller and the recorder as real processes that are killed and stopped.
 
 Thresholds leave room for a machine that is busy with other tests; `studies/live_loop.py` has the
 strict ones.
@@ -47,7 +47,7 @@ class Table:
         self._hand = self.watch.graph.publisher(REFERENCES, codec.msgtype, codec.types, STATE)
 
     def fly(self, *arguments: object) -> Process:
-        """A flight, that of before where it goes on; by default to where the graph says."""
+        """Return a flight, the running one if it can be used; by default it follows the graph."""
         if self.pilot is None or not self.pilot.alive:
             self.watch.forget()
             verb = "fly-plan" if "--plan" in arguments else "fly" if arguments else "fly-topic"
@@ -58,23 +58,23 @@ class Table:
         return self.pilot
 
     def until_flying(self, timeout: float = 30.0) -> None:
-        """Wait until the controller says so; again, if it has said so before."""
+        """Wait until the controller reports an event, again if it has reported it before."""
         told = self.watch.events
         self.watch.until(lambda: any(e.startswith("flying") for e in told("fly")), timeout)
 
     def go(self, *pose: float) -> None:
-        """Have the flight go somewhere."""
-        for _ in range(4):  # a flight that has just begun may not have discovered who asks
+        """Move the set point of the flight."""
+        for _ in range(4):  # a new flight may not have discovered the publisher yet
             self._hand.send(CODECS[REFERENCES].encode(0, (*pose, 0.0, 0.0, 0.0)))
             self.watch.run(0.05)
 
     def arrives(self, *pose: float, within: tuple[float, float] = (0.04, 0.25)) -> None:
-        """Wait until the craft has been somewhere for half a second, in the median."""
+        """Wait until the craft's median position over half a second is at a place."""
         self.watch.forget()
         self.stays(*pose, within=within)
 
     def stays(self, *pose: float, within: tuple[float, float]) -> None:
-        """Wait until half a second of the poses heard lies there, in the median."""
+        """Wait until the median of the poses received in half a second is at a place."""
 
         def there() -> bool:
             poses = np.array(self.watch.values(POSES)[-120:])
@@ -86,12 +86,12 @@ class Table:
         self.watch.until(there)
 
     def flies(self) -> bool:
-        """Whether the last commands steer."""
+        """Return whether the last commands steer."""
         commands = self.watch.values(COMMANDS)[-3:]
         return len(commands) == 3 and all((np.abs(c - IDLE) > 1e-9).any() for c in commands)
 
     def idles(self) -> bool:
-        """Whether the last commands idle."""
+        """Return whether the last commands idle."""
         commands = self.watch.values(COMMANDS)[-3:]
         return len(commands) == 3 and all(np.abs(c - IDLE).max() < 1e-9 for c in commands)
 
@@ -122,7 +122,7 @@ def recorded(domain, folder):
 
 
 def until_landing(recording: Recording) -> Recording:
-    """Leave out how the craft coasted after its flight."""
+    """Drop the poses of the craft that coasts after its flight."""
     pose, end = recording["pose"], recording["estimate"].received_ns[-1]
     flown = pose.received_ns <= end
     cut = Stream(pose.stamp_ns[flown], pose.received_ns[flown], pose.values[flown], pose.columns)
@@ -146,7 +146,7 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     assert commands.max() <= 1.0
     np.testing.assert_array_equal(commands[-1], np.full(6, IDLE))
     assert watch.heard["/navigation/state"]
-    assert len(watch.heard["/diagnostics"]) >= 8  # two hearts that beat once a second
+    assert len(watch.heard["/diagnostics"]) >= 8  # two processes with a heartbeat once a second
     figures = json.loads(out)
     assert figures["outcomes"]["exact"] > 350
     assert figures["pose_to_command_ms"]["p50"] < 10
@@ -191,7 +191,7 @@ def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_pa
 
 
 def assert_events_of_all_are_recorded(folder) -> None:
-    """Those of the twin, the controller, and the recorder itself, its first and its last one."""
+    """Heartbeats of the twin, the controller, and the recorder itself, with its first and last."""
     from rosbags.highlevel import AnyReader
 
     with AnyReader([folder]) as reader:
@@ -267,7 +267,7 @@ def test_garbage_is_survived_and_reported(table):
     other[pose.msgtype] = other["std_msgs/msg/String"]
     liar, impostor = (Graph(name, domain=table.domain) for name in ("liar", "impostor"))
     lies = liar.publisher(POSES, pose.msgtype, pose.types, SENSOR)
-    # The right name with another content, and another name.
+    # The right topic with another type, and another topic.
     noise = impostor.publisher(POSES, pose.msgtype, other, SENSOR)
     foreign = StreamCodec("estimate")
     stranger = Graph("stranger", domain=table.domain)

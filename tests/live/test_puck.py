@@ -41,7 +41,7 @@ def test_its_poses_are_on_the_graph_and_a_filter_follows_them(domain):
 
 
 def hear(page, condition, seconds=60.0):
-    """Hear a page's messages until one is as it should be; return it."""
+    """Receive a page's messages until one meets a condition; return it."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         message = page.recv(timeout=seconds)
@@ -89,7 +89,7 @@ def test_the_craft_plays_who_sits_at_the_page(domain):
         for topic in (POSES, MALLET)
     )
     assert np.ptp(crafts[:, :2], axis=0).max() > 0.02
-    # On a machine that is too busy to control it, the craft drifts.
+    # If the machine is too busy to control the craft, it drifts.
     assert np.median(crafts[:, 0]) < -0.05
     assert np.ptp(mallets[:, :2], axis=0).min() > 0.2
     assert mallets[:, 0].min() > 0.0

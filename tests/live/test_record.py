@@ -28,7 +28,7 @@ def test_nothing_is_received_before_it_was_sent_however_slow_the_listener(pair):
         says[FIRST].send(message)
         for one in listener.listen(0.05):
             heard[one.topic].append(one)
-            # While this one is dealt with, the other topic speaks.
+            # While this message is processed, the other topic sends.
             says[SECOND].send(message)
             time.sleep(0.01)
     assert min(map(len, heard.values())) >= 3
@@ -71,13 +71,13 @@ def test_who_offers_less_than_the_first_is_heard_too_and_everybody_once(pair, mo
     weak = speaker.publisher(FIRST, POSE.msgtype, POSE.types, less)
     began = count
     until(lambda: say(strong, 1.0) or say(weak, 2.0) or listen() or 2.0 in known())
-    # The strong one lost no word in the change of subscriptions, and nothing was heard twice.
+    # The change of subscriptions lost no reliable message, and none was received twice.
     time.sleep(0.05)
     listen()
     said = [number for name, number in heard if name == 1.0 and number > began]
     assert said == list(range(began + 1, count, 2))
     assert len(set(heard)) == len(heard)
-    # Nobody speaks: the old subscription does not wake who waits.
+    # No publisher sends: the old subscription does not wake the waiting process.
     started = time.monotonic()
     assert not list(listener.listen(0.08))
     assert time.monotonic() - started > 0.05

@@ -1,4 +1,4 @@
-"""The guard, without a network: what idles the motors, for how long, and what does not."""
+"""The guard, without a network: what idles the motors and for how long, and what does not."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RNG = np.random.default_rng(0)
 
 
 def poses(watched, start, stop, at=(0.1, 0.2, 0.3)):
-    """Good poses, with the noise that every real one has; the time of the last."""
+    """Feed good poses with realistic noise; return the time of the last."""
     times = np.arange(start, stop, FRAME)
     for time in times:
         pose = np.array(at) + 1e-5 * RNG.standard_normal(3)
@@ -150,7 +150,7 @@ def test_the_others_half_is_out_of_bounds(side):
 
 
 class Playing(Pilot):
-    """Gives the command that a test sets."""
+    """A pilot that returns the command set by a test."""
 
     watches = ("puck",)
 

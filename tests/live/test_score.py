@@ -1,4 +1,4 @@
-"""The score on a graph: who flies sees the puck in a goal, and says so."""
+"""The score on a graph: the flying process detects goals and reports them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ FRAME = 1 / 240
 
 
 class Pilot(PulseTest):
-    """Takes poses of the puck, too."""
+    """A pilot that also receives poses of the puck."""
 
     sight = "seen"
     watches = ("puck",)
 
 
 class Table:
-    """Cameras on the graph, which see what is due of a game whenever they are asked."""
+    """Cameras on the graph, which deliver the frames of a game up to the present."""
 
     def __init__(self, domain: int) -> None:
         self.graph, self._clock = Graph("table", domain=domain), Clock()
@@ -47,7 +47,7 @@ class Table:
         self._random, self._frame, self._next = np.random.default_rng(0), 0, 1.0
 
     def look(self, time: float) -> bool:
-        """Send the frames until now; a shot each second, by turns at either goal."""
+        """Send the frames until now; one shot each second, at either goal in alternation."""
         while self._frame * FRAME < self._clock.now:
             now = self._frame * FRAME
             self._puck.run(now)
@@ -85,7 +85,7 @@ def test_goals_are_seen_said_and_counted(domain, monkeypatch, capsys):
         table.graph.close()
     said = [line for line in capsys.readouterr().err.splitlines() if "goal for" in line]
     left, right = figures["score"]
-    # A machine that stands still for a moment does not see all of them.
+    # A machine that stalls for a moment misses some of them.
     assert left + right >= 2
     assert left <= table.shots[1]
     assert right <= table.shots[-1]

@@ -1,4 +1,4 @@
-"""The human at the twin's table, in this process, on a clock of the test's."""
+"""The human at the twin's table, in this process, on the test's own clock."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 class Table:
-    """A twin with a human, and what that says."""
+    """A twin with a human, and its events."""
 
     def __init__(self, process: Process, puck: PuckState, human: str = "easy") -> None:
         self.said: list[str] = []
@@ -79,7 +79,7 @@ def test_a_puck_that_the_craft_leaves_alone_is_the_humans_after_fifteen_seconds(
     assert table.puck.state.x < 0
     table.run(begin + 15.4)
     assert table.said == ["the puck is served on the left", "the puck is served on the right"]
-    # Who only sees the puck calls the same, before the puck is fetched.
+    # A scorekeeper that only sees the puck makes the same call before the puck is put back.
     assert table.called == [("goal", 1), ("foul", -1)]
 
 
@@ -96,7 +96,7 @@ class Guide:
     def lead(
         self, *place: float, seconds: float = 0.6, age: float = 0.0, data: bytes = b""
     ) -> None:
-        """Say it a hundred times a second."""
+        """Publish a target a hundred times a second."""
         begin = self._clock.now
         while (now := self._clock.now) < begin + seconds:
             stamp = self._clock.stamp_ns(now - age)
@@ -104,14 +104,14 @@ class Guide:
             self.wait(0.01)
 
     def wait(self, seconds: float) -> None:
-        """Say nothing; the table's time is the clock's."""
+        """Publish nothing while time passes on the table."""
         time.sleep(seconds)
         self._table.run(self._clock.now)
 
 
 @pytest.fixture(scope="module")
 def guided(domain):
-    # A process of its own: the table catches up with all that the clock has counted.
+    # In a separate process the table catches up with the clock.
     with Process("airpuck twin", LiveSettings(domain=domain, quiet=True)) as process:
         table = Table(process, PuckState(-0.7, 0.4), "page")
         guide = Guide(table, process, domain)
@@ -129,7 +129,7 @@ def test_the_mallet_goes_where_the_graph_wants_it_and_no_faster_than_a_hand(guid
     assert table.mallet == (BEGINS, 0.0)
     guide.lead(0.5, 0.2, 0.0, seconds=0.8)
     assert table.mallet == pytest.approx((0.5, 0.2), abs=1e-3)
-    # Whatever its target, it stays in its half of the table.
+    # The mallet stays in its half of the table, whatever its target.
     guide.lead(-1e300, 1e300, 0.0, seconds=0.8)
     assert table.mallet == pytest.approx((0.04815, 0.55 - 0.04815), abs=1e-3)
     mallet = table.twin.world.mallet

@@ -1,4 +1,4 @@
-"""Model files: what is written is read back, older files are read, mistakes are named."""
+"""Model files: writing and reading back, older files, and errors for mistakes."""
 
 import tomllib
 from dataclasses import fields, replace

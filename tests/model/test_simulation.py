@@ -64,7 +64,7 @@ def test_a_simulation_solves_the_differential_equation(model):
     reference = solve_ivp(
         lambda _, z: model.derivative(z, command), (0, 0.2), state, rtol=1e-10, atol=1e-12
     )
-    # Where the lag depends on the speed, steps of the motors are of second order.
+    # If the lag depends on the speed, the motors' steps are of second order.
     atol = 1e-9 if model.dynamics.idle_lag is None else 1e-6
     np.testing.assert_allclose(simulated[-1], reference.y[:, -1], rtol=0, atol=atol)
 

@@ -1,4 +1,4 @@
-"""Labelled tables of parameters, and how results show in a notebook."""
+"""Labelled tables of parameters, and display of results in a notebook."""
 
 import importlib.util
 from dataclasses import replace

@@ -81,7 +81,7 @@ def test_spin_drag_does_not_push_and_drag_does_not_turn():
 
 
 def test_drag_acts_on_the_center_of_mass():
-    # The spin alone is braked: the middle then moves about the centre of mass, r × ω'.
+    # Only the spin is braked: the geometric centre then accelerates by r × ω'.
     base = replace(BASE, center_of_mass=np.array([0.01, 0.0]))
     found = accelerate((Drag(spin_linear=2.0),), [0.0, 0.0, 0.0, 3.0], base=base)
     np.testing.assert_allclose(found, [0.01 * 9, 0.01 * 6, -6], atol=1e-12)
@@ -106,7 +106,7 @@ def test_a_propeller_that_moves_along_its_thrust_loses_some():
     assert leftward[a_2] == pytest.approx(1.2)
     rightward = inflow.thrust(np, one, felt(left=-2.0))
     assert rightward[a_1] == pytest.approx(1.2)
-    # Across the thrust nothing happens.
+    # Motion across the thrust has no effect.
     assert inflow.thrust(np, one, felt(forward=2.0))[a_1] == pytest.approx(1.0)
 
 
@@ -144,7 +144,7 @@ def test_inflow_damps_any_motion(motion):
 
 
 def test_a_pair_interacts_by_hand():
-    # 0.4 N and 0.1 N with c = 0.5: 0.4 / 1.05 and 0.1 / 1.2; whoever is alone loses nothing.
+    # 0.4 N and 0.1 N with c = 0.5: 0.4 / 1.05 and 0.1 / 1.2; an unpaired propeller loses nothing.
     force = np.array([0.4, 0.1, 0.3, 0.0, 0.0, 0.0])
     found = PairInteraction.of(LAYOUT, 0.5).thrust(np, force, felt())
     np.testing.assert_allclose(found, [0.4 / 1.05, 0.1 / 1.2, 0.3, 0, 0, 0], rtol=1e-14)
@@ -159,7 +159,7 @@ def test_pairs_are_those_of_the_vehicle():
 
 
 def test_a_battery_sags_by_hand():
-    # 4 N in all and c = 1/2: q = 2 / (1 + √9) = 1/2, so that a quarter of each thrust is left. The
+    # 4 N in all and c = 1/2: q = 2 / (1 + √9) = 1/2, so a quarter of each thrust remains. The
     # load at that voltage, 1 N, costs c · 1 N = 1/2 of the voltage: the equation is satisfied.
     force = np.array([1.6, 0.4, 1.0, 0.0, 0.7, 0.3])
     found = VoltageSag.of(LAYOUT, 0.5).thrust(np, force, felt())
@@ -175,7 +175,7 @@ def test_voltage_and_load_of_a_battery_agree(coefficient, thrusts):
 
 
 def test_effects_act_one_after_the_other():
-    # The pair sees the thrusts that the inflow has left.
+    # The pair interaction acts on the thrusts after the inflow effect.
     speed, motion = np.linspace(0.2, 0.9, 6), [0.0, 0.0, 2.0, 0.0]
     forces = thrust(BASE.thrust, speed) * (1 - 0.1 * VEHICLE.directions[:, 1] * 2.0)
     partner = forces[[1, 0, 3, 2, 5, 4]]

@@ -65,7 +65,7 @@ def test_sigma_and_time_are_inverse(drag, duration):
 
 
 def test_a_puck_that_stops_first_never_arrives():
-    # It gets as far as v / k = 5 m.
+    # It stops after v / k = 5 m.
     assert time_of(0.2, 5.0 / 1.0) == math.inf
     assert time_of(0.2, 4.999) < math.inf
 
@@ -87,7 +87,7 @@ def test_the_first_meeting_with_a_circle(x, y, vx, vy, radius):
 @pytest.mark.parametrize(
     ("start", "sigma", "boundary", "normal"),
     [
-        # The middle of the puck gets as far as its radius before a rail.
+        # The centre of the puck gets within a radius of a rail.
         ((0.0, 0.3, 0, 1.0, 0.0), 1.0 - RADIUS, "rail", (-1, 0)),
         ((0.0, 0.3, 0, -2.0, 0.0), (1.0 - RADIUS) / 2, "rail", (1, 0)),
         ((0.0, 0.0, 0, 0.0, 1.0), 0.5 - RADIUS, "rail", (0, -1)),
@@ -95,7 +95,7 @@ def test_the_first_meeting_with_a_circle(x, y, vx, vy, radius):
         # All of the puck must be behind the line.
         ((0.0, 0.1, 0, 1.0, 0.0), 1.0 + RADIUS, "goal", (0, 0)),
         ((0.0, -0.16, 0, -1.0, 0.0), 1.0 + RADIUS, "goal", (0, 0)),
-        # Half a radius beside the post: at 30° from the rail's direction.
+        # Half a radius beside the post: the normal is at 30° to the rail.
         (
             (0.0, 0.2 - RADIUS / 2, 0, 1.0, 0.0),
             1.0 - RADIUS * math.cos(math.pi / 6),
@@ -140,7 +140,7 @@ def test_a_smooth_elastic_rail_is_a_mirror(angle):
 
 
 def test_the_published_rail():
-    # 0.79 of the speed across the rail, 0.84 along it; the lost momentum turns the puck.
+    # It keeps 0.79 of its speed across the rail and 0.84 along it; the lost momentum turns it.
     body = disc(vx=1.0, vy=-2.0)
     strike(body, Disc(0.0, 0.0), 0.0, 1.0, Puck().rail)
     assert body.vy == pytest.approx(0.79 * 2.0)
@@ -162,7 +162,7 @@ def test_equal_elastic_discs_exchange_their_speeds():
 
 
 def test_a_mallet_that_gives_no_way():
-    # In its own frame it is a rail: v' = w + e (w - v).
+    # In its own frame the disc is a rail: v' = w + e (w - v).
     body = disc(vx=-2.0)
     strike(body, Disc(0.0, 0.0, vx=3.0, radius=0.05), 1.0, 0.0, Contact(restitution=0.8))
     assert body.vx == pytest.approx(3.0 + 0.8 * 5.0)
@@ -176,7 +176,7 @@ def test_momentum_angular_momentum_and_energy(one, other, angle, law, mass, offs
     nx, ny = math.cos(angle), math.sin(angle)
     first = disc(0.3, 0.1, *one)
     second = disc(0.3 - 0.1 * nx, 0.1 - 0.1 * ny, *other, radius=0.1 - RADIUS, mass=mass)
-    # Kane and Levinson: with an offset, Newton's law needs the guard of its energy.
+    # Kane and Levinson: with an offset, Newton's law needs a check of the energy.
     second.offset = (offset * 3e-3, -offset * 2e-3)
     if (first.vx - second.vx) * nx + (first.vy - second.vy) * ny >= 0:
         first.vx, second.vx = second.vx, first.vx
@@ -203,7 +203,7 @@ def test_momentum_angular_momentum_and_energy(one, other, angle, law, mass, offs
 
 
 def bounced(first, second, law, normal):
-    """What pymunk makes of two discs that touch; a second of infinite mass is a wall's segment."""
+    """Collide two discs in pymunk; a second disc of infinite mass becomes a wall segment."""
     space = pymunk.Space()
     space.iterations = 50
     bodies = []
@@ -218,7 +218,7 @@ def bounced(first, second, law, normal):
             body.position, body.velocity, body.angular_velocity = (d.x, d.y), (d.vx, d.vy), d.spin
             shape = pymunk.Circle(body, d.radius)
             space.add(body)
-        # Products of both shapes' numbers count.
+        # pymunk multiplies the coefficients of both shapes.
         shape.elasticity, shape.friction = math.sqrt(law.restitution), math.sqrt(law.friction)
         space.add(shape)
         bodies.append(body)
@@ -245,7 +245,7 @@ def test_bounces_are_those_of_pymunk(seed, walled):
     closing = -((first.vx - second.vx) * nx + (first.vy - second.vy) * ny)
     if closing < 0:
         first.vx, first.vy = first.vx + 2 * closing * nx, first.vy + 2 * closing * ny
-    # A micrometre before the contact, so that pymunk sees them come.
+    # Start a micrometre before the contact, so that pymunk detects it.
     first.x, first.y = first.x + 1e-6 * nx, first.y + 1e-6 * ny
     theirs = bounced(first, second, law, (nx, ny))
     strike(first, second, nx, ny, law)

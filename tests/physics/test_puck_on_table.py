@@ -42,7 +42,7 @@ def kinetic(puck, state):
 
 
 def folded(way, reach):
-    """Where a mirror between ±reach puts a straight way."""
+    """Fold a straight path into ±reach, by mirrors at both ends."""
     phase = (way + reach) % (4 * reach)
     return min(phase, 4 * reach - phase) - reach
 
@@ -67,7 +67,7 @@ def test_with_drag_the_time_of_the_first_bounce_is_closed():
     puck.run(2.0)
     x = PLAY.table.reach(PLAY.puck.radius_m)[0]
     assert puck.touches[0].time == pytest.approx(-math.log(1 - 0.2 * x / 1.5) / 0.2, rel=1e-12)
-    # From there it goes back with 0.79 of the speed left, v exp(-k t) = v - k x.
+    # From there it returns with 0.79 of its speed v exp(-k t) = v - k x.
     assert puck.state.vx == pytest.approx(
         -0.79 * (1.5 - 0.2 * x) * math.exp(-0.2 * (2.0 - puck.touches[0].time)), rel=1e-9
     )
@@ -98,7 +98,7 @@ def test_a_puck_in_a_goal_stays_there_until_it_is_placed():
 
 
 def test_posts_keep_out_what_does_not_fit():
-    # At every distance from the middle line: inside the opening less a radius it goes in.
+    # At every distance from the long axis: it enters within the opening minus a radius.
     half, radius = PLAY.table.goal_width_m / 2, PLAY.puck.radius_m
     for beside in np.linspace(0.001, 0.4, 81):
         puck = PuckOnTable(PLAY, PuckState(0.8, float(beside), 0.0, 5.0, 0.0))
@@ -127,7 +127,7 @@ def test_no_speed_tunnels_through_a_disc(speed, give_way):
 
 
 def test_a_moving_mallet_is_met_on_the_way():
-    # They close in with 7 m/s; the puck leaves with 2 · 4 + 3.
+    # They approach at 7 m/s; the puck leaves at 2 · 4 + 3.
     puck = PuckOnTable(BILLIARD, PuckState(-0.5, 0.0, 0.0, 3.0, 0.0))
     puck.run(0.1, [mallet(0.1, 0.0, vx=-4.0, duration=0.1)])
     assert puck.touches[0].time == pytest.approx((0.6 - R - 0.05) / 7)
@@ -135,7 +135,7 @@ def test_a_moving_mallet_is_met_on_the_way():
 
 
 def test_contacts_name_the_disc_and_the_motion_before_them():
-    # Between two mallets, nearer to the first in the end: right, left, right.
+    # Between two mallets, finally nearer to the first: right, left, right.
     puck = PuckOnTable(BILLIARD, PuckState(0.0, 0.0, 0.0, 4.0, 0.0))
     puck.run(0.16, [mallet(-0.2, 0.0), mallet(0.2, 0.0)])
     assert [touch.disc for touch in puck.touches] == [1, 0, 1]
@@ -147,7 +147,7 @@ def test_contacts_name_the_disc_and_the_motion_before_them():
 
 
 def test_a_craft_that_pushes_takes_the_puck_along():
-    # Thrust of 8 m/s² for half a second, in steps of a millisecond: both as one body.
+    # 8 m/s² of thrust for half a second in steps of a millisecond: both move as one body.
     play = AirHockey.model_construct(table=CLOSED, puck=Puck(drag_1_s=0.0))
     puck, x, v, h = PuckOnTable(play, PuckState(-0.5 + R + 0.07, 0.0)), -0.5, 0.0, 1e-3
     for k in range(500):
@@ -170,20 +170,20 @@ def test_a_wedged_puck_stops_and_holds_what_presses_it(give_way):
     play = AirHockey.model_construct(table=CLOSED, puck=Puck())
     puck, x = PuckOnTable(play, PuckState(reach - 0.01, 0.2)), 0.6
     for k in range(300):
-        # A hand, or a thrust, that pushes on and on.
+        # A hand, or a thrust, that keeps pushing.
         end, v = (k + 1) / 240, 1.0
         while puck.time < end:
             left = end - puck.time
             way = (craft if give_way else mallet)(x, 0.2, vx=v, duration=left)
             puck.run(end, [way])
             x, v = way.x, way.vx
-    # A craft that takes a run of 4 ms bounces by a millimetre.
+    # A craft that accelerates for 4 ms bounces by a millimetre.
     near = 2e-3 if give_way else 1e-6
     assert x == pytest.approx(reach - R - way.radius, abs=near)
     assert puck.state.x == pytest.approx(reach, abs=near)
-    # Some bounces a step, not the endless ones of a shrinking gap.
+    # A few bounces per step, not the endless ones of a shrinking gap.
     assert len(puck.touches) <= 300 * MOST
-    # Let go, it can be played again.
+    # Once released, it can be played again.
     puck.run(puck.time + 0.1)
     puck.run(puck.time + 0.05, [mallet(reach, 0.5, vy=-8.0, duration=0.05)])
     assert puck.state.vy < -6
@@ -243,7 +243,7 @@ def test_a_whole_flight_is_that_of_pymunk(seed):
         space.step(5e-5)
     ours.run(1.0)
     assert len(ours.touches) >= 2
-    # A step of theirs is 0.3 mm of way, at each bounce.
+    # Their step covers 0.3 mm, at each bounce.
     assert ours.state[:2] == pytest.approx(tuple(body.position), abs=3e-3)
     assert ours.state[3:5] == pytest.approx(tuple(body.velocity), abs=0.02)
     assert ours.state.spin == pytest.approx(body.angular_velocity, abs=0.5)

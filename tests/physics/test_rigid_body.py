@@ -1,4 +1,4 @@
-"""The planar rigid body, against physics and other people's formulas."""
+"""The planar rigid body, against physics and independent formulas."""
 
 from dataclasses import replace
 
@@ -117,7 +117,7 @@ def test_numpy_and_jax_agree(speed, motion, command):
 
 
 def test_coasting_conserves_momentum():
-    # No thrust: the centre of mass moves straight, whatever the craft's spin.
+    # Without thrust the centre of mass moves straight, whatever the craft's spin.
     dynamics = general_parameters().dynamics(np, default_vehicle())
     motion = np.array([0.3, 0.5, -0.2, 5.0])
     ax, ay, spin_rate = acceleration(np, dynamics, motion, np.zeros(6))

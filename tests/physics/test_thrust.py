@@ -50,7 +50,7 @@ def test_slope_is_the_derivative(curve, speed):
 @given(cubic)
 def test_monotone_is_proposition_1(curve):
     slope, _ = lowest_slope(curve)
-    # At the very edge rounding decides.
+    # At the limit itself, rounding decides.
     if abs(slope[0]) > 1e-9:
         assert bool(is_monotone(curve)[0]) == proposition(*curve[0])
 

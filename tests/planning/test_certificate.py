@@ -60,7 +60,7 @@ def test_motors_cannot_have_other_speeds():
 
 @pytest.mark.parametrize("seed", range(0, 1000, 25))
 def test_no_flight_is_refuted(seed):
-    """Of craft of three to eight propellers with every effect; studies/bounds.py has more."""
+    """Craft with three to eight propellers and every effect; studies/bounds.py has more cases."""
     _, asked, weight, time = case(seed)
     needed, most, scale = missing_at(asked, weight, time)
     assert needed <= most
@@ -94,7 +94,7 @@ def along_x(duration):
 
 
 def test_a_bound_does_not_depend_on_the_time_of_a_plan():
-    """Not even where a plan claims to be faster than anything can be."""
+    """The bound stays valid even if a plan claims an impossible duration."""
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
     found = [lower_bound(asked, along_x(time), time) for time in (0.4, 0.6)]
     assert found[0] == pytest.approx(found[1], rel=5e-3)
@@ -121,7 +121,7 @@ def test_parts_of_plans_are_not_faster_than_their_bounds():
 
 @pytest.mark.slow
 def test_a_craft_that_moves_at_both_ends_has_a_bound_near_its_plan():
-    # Short durations, too, have to be refuted here: nobody can wait.
+    # The craft cannot wait here, so short durations must be refuted as well.
     start, goal = (-0.77, 0.11, 1.65, -0.08, 0.57, -3.26), (0.73, -0.35, -0.22, -0.59, -0.06, 2.9)
     found = airpuck.plan(M3, start, goal, table=Table())
     assert 0.93 * found.duration < found.lower_bound <= found.duration
@@ -140,7 +140,7 @@ def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
     point = (0.5, 0.25)
     asked = checked_request(M3, (0, 0, 0), (0, 0, 0), (point, (-0.5, 0.25)), None, (), WIDE)
     bound = lower_bound_through(asked, np.array([0.7, 1.5, 0.7]))
-    # All motors that push one way at once, at any yaw, without lag: each way takes √(2d/a).
+    # With all motors that push one way, at any yaw and without lag, each half takes √(2d/a).
     full = np.asarray(M3.propeller_effects)[:2] * M3.dynamics.thrust.sum(axis=1)
     along = np.exp(1j * np.linspace(0, 2 * np.pi, 721))
     pushed = np.maximum(np.outer(along.real, full[0]) + np.outer(along.imag, full[1]), 0)

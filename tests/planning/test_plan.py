@@ -1,4 +1,4 @@
-"""Plans against what is known by hand, and against an independent integrator."""
+"""Plans, against hand calculations and an independent integrator."""
 
 from dataclasses import replace
 
@@ -149,7 +149,7 @@ def test_a_low_limit_of_spin_sets_the_time(propellers, goal, spin):
 
 @pytest.mark.slow
 def test_of_all_final_yaws_the_search_finds_one_of_the_best():
-    """A flight that was beaten by 3 % when the search began with the yaw of the start alone."""
+    """With the start's yaw as the only initial guess, this plan was 3 % slower than the best."""
     asked = checked_request(M3, (0, 0, 0.4), Goal(0.3, 0.0, None), (), None, (), Limits())
     found, tried = search(asked, 20)
     times = [start.time_s for start in tried if start.time_s is not None]
@@ -241,7 +241,7 @@ def test_gentle_switches_cost_little_time(metre):
     assert metre.duration < gentle.duration < 1.02 * metre.duration
     hardest = [np.abs(np.diff(p.commands, axis=0)).max() for p in (metre, gentle)]
     assert hardest[1] < 0.6 * hardest[0]
-    # In any grid the same.
+    # The same on any grid.
     finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), table=Table(), limits=limits, intervals=80)
     assert finer.duration == pytest.approx(gentle.duration, rel=5e-3)
 
@@ -263,7 +263,7 @@ def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
 
 @pytest.mark.slow
 def test_what_did_not_converge_is_refused():
-    # From rail to rail there is no way past it.
+    # The disc blocks the table from rail to rail.
     with pytest.raises(InputError, match="no plan was found"):
         airpuck.plan(M3, (-0.9, 0, 0), (0.9, 0, 0), keep_out=[(0, 0, 0.6)], table=Table())
 
@@ -272,7 +272,7 @@ def test_what_did_not_converge_is_refused():
 @pytest.mark.parametrize(
     ("start", "goal", "found"),
     [
-        # The best of eight random starts; without turning the other way first 1.0 and 1.3 % slower.
+        # The best of eight random starts; 1.0 and 1.3 % slower without first turning the other way.
         ((0, 0, 0.522, -0.41, -0.397, 1.483), (0.56589, -0.8585), 0.7672),
         ((0, 0, -3.009, 0.447, 0.166, -0.482), (0.0729, 0.32041), 0.4311),
     ],
@@ -284,7 +284,7 @@ def test_a_free_yaw_is_not_beaten_by_random_starts(start, goal, found):
 
 @pytest.mark.slow
 def test_a_craft_that_pushes_one_way_turns_round_to_brake():
-    # Three propellers, and a spin of 4.6 rad/s at most: there and back take two half turns.
+    # Three propellers, and at most 4.6 rad/s of spin: start and stop each need half a turn.
     model = craft_of_three()
     goal = Goal(0.03, 0.05, -0.3, turn="exact")
     request = checked_request(model, (0, 0, 0), goal, (), None, (), Limits(spin=4.6))
@@ -294,7 +294,7 @@ def test_a_craft_that_pushes_one_way_turns_round_to_brake():
 
 
 def craft_of_three():
-    """A ring of three propellers with alternating tilt; without a moment they push one way."""
+    """A ring of three skewed propellers, which push in one direction only without a moment."""
     return nominal_model(
         Vehicle(
             name="three",

@@ -1,4 +1,4 @@
-"""What cannot be planned is refused in one line that says which and why."""
+"""Infeasible requests are rejected in one line that names the field and the reason."""
 
 import numpy as np
 import pytest

@@ -48,7 +48,7 @@ def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(plan
 def test_a_craft_that_does_not_rest_does_not_depart(planned):
     pilot = Departing(plan_tracker(planned, default_tuning()), planned)
     rng, start = np.random.default_rng(0), planned.states[0, :3]
-    # As before a live flight, at rest, but not for a second; then somewhere else.
+    # At rest as before a live flight, but for less than a second; then somewhere else.
     for k in range(300):
         away = np.array([0.0 if k < 90 else 0.05, 0.0, 0.0])
         pilot.pose(0.01 * k, start + away + rng.normal(0, 5e-5, 3))
@@ -75,7 +75,7 @@ def test_corrections_are_the_bounded_least_squares_of_scipy():
 
 @pytest.mark.slow
 def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
-    """Late packets, and 8 mm and 0.03 rad that the plan knows nothing of."""
+    """Late packets, and an initial error of 8 mm and 0.03 rad."""
     tuning, table = default_tuning(), Table()
     flight = planned.starting(0.1)
     for seed in range(3):

@@ -23,7 +23,7 @@ def stream(
     offset: float = 0.0,
     drift: float = 0.0,
 ) -> Stream:
-    """Sent evenly by a clock that shows offset + (1 + drift) t; latency falls on the recorder."""
+    """Evenly sent messages of a clock that shows offset + (1 + drift) t, received with latency."""
     time = np.arange(count) / rate
     late = latency + np.random.default_rng(0).exponential(jitter, count)
     stamp, received = (
@@ -77,7 +77,7 @@ def test_both_clocks_may_drift():
 
 
 def test_latencies_that_vary_are_no_drift():
-    # Even if the recorder is ever busier: the shortest latencies stay.
+    # Even if the recorder becomes busier, the shortest latencies stay the same.
     growing = stream(2400, 240.0, jitter=5e-3)
     late = growing.received_ns + (np.arange(2400) % 7 > 0) * np.arange(2400) * 20_000
     busy = Stream(growing.stamp_ns, late, growing.values, growing.columns)
@@ -110,7 +110,7 @@ def test_commands_of_another_clock_are_moved_to_the_poses(offset):
     ("pose", "command", "ahead"),
     [
         (0.0, 0.0, 0.0),
-        (0.05, 0.05, 0.0),  # no more than latencies may explain: left alone
+        (0.05, 0.05, 0.0),  # latencies may explain this: not corrected
         (7.3, 0.0, 7.3),
         (-7.3, 0.0, -7.3),
         (0.0, 7.3, 0.0),

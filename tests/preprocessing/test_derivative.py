@@ -71,7 +71,7 @@ def test_alternating_steps_leave_velocity_and_acceleration_as_they_are():
 
 def test_the_usual_period_of_alternating_steps_is_their_mean():
     assert usual_period(thinned_times(3.0)) == pytest.approx(0.01, rel=2e-3)
-    # Frames that are missing are pauses, not steps.
+    # Missing frames are pauses, not steps.
     some = np.delete(np.arange(1000) / 240, np.arange(5, 1000, 12))
     assert usual_period(some) == pytest.approx(1 / 240, rel=1e-9)
 

@@ -1,4 +1,4 @@
-"""`preprocess`: against the authors' own file, and on everything that a lab can do wrong."""
+"""`preprocess`: against the authors' own file, and with all kinds of wrong input."""
 
 from dataclasses import replace
 
@@ -66,7 +66,7 @@ def test_a_gap_is_found_and_no_window_spans_it(recording):
     assert span.stop - span.start == pytest.approx(0.1, abs=0.01)
     for start in make_windows(trajectory, 20, 50).starts:
         assert np.diff(trajectory.time[start : start + 70]).max() < 1.5 / RATE
-    # Derivatives beside the gap do not look across it.
+    # Derivatives beside the gap do not use samples across it.
     truth = preprocess(recording)
     far = np.abs(trajectory.state[:, 3]).max()
     assert far < 1.5 * np.abs(truth.state[:, 3]).max()
@@ -103,7 +103,7 @@ def test_a_frozen_pose_is_found(recording):
         return stamp, received, values
 
     trajectory = preprocess(edited(recording, "pose", edit))
-    # When it thaws, the pose leaps to where the craft is by then.
+    # After freezing, the pose jumps to where the craft is by then.
     span, leap = trajectory.excluded
     assert span.cause == "frozen pose"
     assert leap.cause == "jumping pose"
@@ -127,7 +127,7 @@ def test_clocks_that_differ_are_aligned(recording):
 
     trajectory = preprocess(edited(recording, "command", edit))
     assert any("clocks" in warning for warning in trajectory.warnings)
-    # What is left is the difference of the two latencies: 1 ms against 0.1 ms.
+    # The remainder is the difference of the two latencies: 1 ms against 0.1 ms.
     straight = preprocess(recording)
     assert trajectory.delay == pytest.approx(straight.delay, abs=2 / RATE)
 

@@ -1,4 +1,4 @@
-"""Checks of raw streams at their limits; what they do to a whole flight is in test_pipeline."""
+"""Checks of raw streams at their limits; test_pipeline tests their effect on a whole flight."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_degrees_that_wrap_are_told_by_their_jumps():
 
 
 def test_within_one_turn_fast_noise_is_not_called_degrees():
-    # 0.9 rad to and fro between frames: nonsense, but not of another unit.
+    # 0.9 rad back and forth between frames: nonsense, but not due to another unit.
     check(0.45 * (-1.0) ** np.arange(2400))
 
 
@@ -91,7 +91,7 @@ def test_one_pose_has_no_speed():
 
 
 def moving(seed: int = 0, rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
-    """10 s of a craft that goes around fast, with the noise of cameras, and its times."""
+    """10 s of a fast craft with camera noise, and its times."""
     time = np.arange(round(10 * rate)) / rate
     path = np.column_stack([0.5 * np.sin(2 * time), 0.3 * np.cos(3 * time), 10 * np.sin(time)])
     noise = np.random.default_rng(seed).normal(size=path.shape) * [5e-5, 5e-5, 7e-4]
@@ -105,7 +105,7 @@ def test_poses_that_leap_are_marked_around_the_leap():
     spans = find_jumps(time, poses)
     assert [span.cause for span in spans] == ["jumping pose"] * 3
     for span, leap in zip(spans, (1200, 1300, 2000), strict=True):
-        # Smoothing looks seven samples to both sides.
+        # Smoothing uses seven samples on both sides.
         assert time[leap - 8] < span.start <= time[leap - 7] < time[leap + 6] <= span.stop
         assert span.stop < time[leap + 8]
 
@@ -129,7 +129,7 @@ def test_leaps_are_found_at_every_rate(rate):
     spans = find_jumps(time, poses)
     assert len(spans) == 2
     for span, leap in zip(spans, (middle, late), strict=True):
-        # Smoothing for accelerations looks 31 ms to both sides.
+        # Smoothing for accelerations uses 31 ms on both sides.
         assert span.start < time[leap] <= span.stop
         assert span.stop - span.start < 0.08 + 1 / rate
 
@@ -138,7 +138,7 @@ def test_leaps_are_found_at_every_rate(rate):
 @pytest.mark.parametrize("seed", range(5))
 def test_motion_noise_and_blows_are_no_jumps(seed, rate):
     time, poses = moving(seed, rate)
-    # A rail turns 1.2 m/s around within one frame, and the spin by 20 rad/s.
+    # A rail reverses 1.2 m/s within one frame, and changes the spin by 20 rad/s.
     after = np.clip(time - 5.001, 0, None)
     poses[:, 0] -= 2.4 * after
     poses[:, 2] += 20 * after
@@ -147,7 +147,7 @@ def test_motion_noise_and_blows_are_no_jumps(seed, rate):
 
 @pytest.mark.parametrize("count", [10, 11, 12, 40_000])
 def test_neighbours_are_those_of_a_running_median(count):
-    """Leaps at the limit, and whether SciPy's median filter finds them there."""
+    """Jumps at the limit, and whether SciPy's median filter finds them."""
     time = np.arange(count) / RATE
     rng = np.random.default_rng(2)
     poses = np.cumsum(rng.standard_t(1.5, size=(count, 3)), axis=0) * [1e-4, 1e-4, 1e-2]
@@ -198,6 +198,6 @@ def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
         check_commands(stream, time, "flight")
     assert caught.value.field == "time"
     assert advice in str(caught.value)
-    # A few that were logged as they changed are no such sign.
+    # A few commands that were logged only when they changed do not indicate a wrong unit.
     few = Stream(stamp[:9], stamp[:9], stream.values[:9], stream.columns)
     check_commands(few, np.arange(9) * 30.0, "flight")

@@ -444,7 +444,7 @@ def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
 
     rosbags_folder(tmp_path / "bag")
     with sqlite3.connect(tmp_path / "bag" / "bag.db3") as database:
-        # The names of SQLite's own columns are the file's business, their content anyone's.
+        # The schema must be right, but the content may be anything.
         database.execute("PRAGMA ignore_check_constraints = ON")
         database.execute("PRAGMA writable_schema = ON")
         database.execute("UPDATE sqlite_master SET sql = replace(sql, ' NOT NULL', '')")

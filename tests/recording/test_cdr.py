@@ -91,7 +91,7 @@ def test_numbers_between_strings_that_change():
 def test_messages_of_both_byte_orders():
     fields = {"header": {"stamp": {"sec": 3}}, "pose": {"position": {"y": 0.25}}}
     messages = [serialise(POSE, fields, little_endian=order) for order in (True, False)]
-    # Without a string's length to give it away.
+    # Without a string whose length would reveal it.
     types = get_types_from_msg("float64 x", "a/msg/A")
     plain = [b"\x00\x01\x00\x00" + struct.pack("<d", 1.5), bytes(4) + struct.pack(">d", 2.5)]
     assert decode(messages, STORE.fielddefs, POSE, ["pose.position.y"])[

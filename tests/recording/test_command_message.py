@@ -64,7 +64,7 @@ def joints(names, *, late: int = 7, **columns) -> Topic:
 
 
 def own(text: str, rows, *, stamped: bool = True) -> Topic:
-    """A message type of a lab's own."""
+    """A lab's own message type."""
     name = "lab_msgs/msg/Motors"
 
     def make(index_and_row):

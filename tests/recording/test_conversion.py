@@ -36,7 +36,7 @@ def random_rotations(n: int = 50) -> Rotation:
 def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
     renaming, rotations = RENAMINGS[axes], random_rotations()
     positions = np.random.default_rng(1).normal(size=(50, 3))
-    # The axis of each rotation is renamed; its sense about that axis stays, in a mirror as well.
+    # The axis of each rotation is renamed; the sense about it stays the same, even in a mirror.
     turned = Rotation.from_rotvec(rotations.as_rotvec() @ renaming.T).as_matrix()
     yaw = np.arctan2(turned[:, 1, 0], turned[:, 0, 0])
     for kind, numbers in (

@@ -142,7 +142,7 @@ def test_a_wrong_checksum_is_noticed(tmp_path: Path):
     whole = read_recording(path)
     content = bytearray(path.read_bytes())
     lost = chunks_of(path)[2]
-    # A bit of one number: only the checksum can tell.
+    # A flipped bit in a number: only the checksum reveals it.
     content[lost.chunk_start_offset + lost.chunk_length - 3] ^= 1
     path.write_bytes(content)
     recording = read_recording(path)
@@ -164,7 +164,7 @@ def test_messages_without_chunks_are_salvaged_one_by_one(tmp_path: Path):
 
 
 def test_messages_that_the_recorder_wrote_late(tmp_path: Path, complete: Recording):
-    """They are put where readers of whole files put them."""
+    """They are ordered as by readers of whole files."""
     topics = foreign_topics()
     messages = topics["/optitrack/drone/pose"][2]
     messages[10], messages[30] = messages[30], messages[10]
@@ -207,7 +207,7 @@ def test_only_the_last_file_of_a_split_bag_is_cut(tmp_path: Path):
 
 
 def read_damaged(content: bytes) -> Recording | None:
-    """Read a damaged file; None where it says in one line that it cannot."""
+    """Read a damaged file; return None if it is rejected in one line."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "damaged.mcap"
         path.write_bytes(content)

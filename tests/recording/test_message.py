@@ -34,7 +34,7 @@ def test_a_command_on_the_wire():
     command = np.array([0.03, 0.5, 1.0, 0.25, 0.0, 0.75])
     expected = stamped(12_000_000_345, "body", command)
     assert codec.encode(12_000_000_345, command) == expected
-    # Nothing of the message before is left.
+    # Nothing of the previous message remains.
     codec.encode(99, np.ones(6))
     assert codec.encode(12_000_000_345, command) == expected
     both = codec.encode_all(np.array([99, 12_000_000_345]), np.stack([np.ones(6), command]))

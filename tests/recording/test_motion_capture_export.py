@@ -1,4 +1,4 @@
-"""Exports are written here from a known motion, in the layouts that both makers document."""
+"""Exports of a known motion, written in the layouts that both makers document."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_qualisys(tmp_path: Path):
 
 
 def test_the_mapping_overrules_what_an_export_says(tmp_path: Path):
-    # Exported with z up, as one can choose: Motive's header does not say so.
+    # Exported with z up, which is an option; Motive's header does not state it.
     keys = {"axes": "Z-up", "units": ("cm",), "start_s": 5.0}
     found = read(tmp_path, "take.csv", motive(unit="Meters"), **keys)
     pose = found["pose"]

@@ -63,7 +63,7 @@ def test_rows_of_nan_are_no_measurements():
     poses[6, 1] = np.nan
     found = Recording.from_arrays(TIME, poses, TIME[::2], COMMANDS)
     assert len(found["pose"]) == 17
-    # What is half there is not judged here.
+    # Rows with some numbers are not judged here.
     assert np.isnan(found["pose"].values).sum() == 1
     assert found.warnings == ("3 blank poses are left out",)
 

@@ -233,7 +233,7 @@ def run(argument: str) -> str:
 
 
 class Calls:
-    """Pickles as a call of whatever it is given."""
+    """Pickles as a call of a given function."""
 
     def __init__(self, function, *arguments) -> None:
         self.call = function, arguments
@@ -328,7 +328,7 @@ def test_what_is_refused_says_why(data: bytes, says: str):
     "target", [b"cnumpy\ndtype\n", b"c_codecs\nencode\n", b"cnumpy\ndtype\n)R", b"}"]
 )
 def test_nothing_can_be_filled(target: bytes):
-    """BUILD sets attributes of whatever is there: here it must reach no function of ours."""
+    """BUILD sets attributes of the object on the stack; it must not reach our functions."""
     fill = dictionary({"__doc__": text("hostile"), "__defaults__": b"(K\x01t"})
     for state in (fill, b"N" + fill + b"\x86"):
         try:
@@ -353,7 +353,7 @@ def test_nothing_can_be_filled(target: bytes):
         + b"q\x02\x86R" + b"h\x01h\x00h\x02\x86R\x86" * 6000 + b".",
         b"c_codecs\nencode\nq\x01" + text("a" * 1900) + b"q\x00" + text("latin1")
         + b"q\x02\x86R" + b"h\x01h\x00h\x02\x86R\x86" * 10000 + b".",
-        # Many arguments, again and again.
+        # Many arguments, repeatedly.
         b"cnumpy\ndtype\nq\x01(" + b"N" * 40000 + b"tq\x02" + b"h\x01h\x02R0" * 1 + b".",
         b"cnumpy\ndtype\nq\x01(" + b"N" * 30000 + b"tq\x02" + b"h\x01h\x02R" * 13000 + b".",
         b"(" * 99000,

@@ -1,4 +1,4 @@
-"""Studies to draw: two craft that are made up, and the paper's."""
+"""Studies to draw: of two made-up craft, and the paper's."""
 
 from __future__ import annotations
 

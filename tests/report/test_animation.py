@@ -1,4 +1,4 @@
-"""Animations as files: what they show, how large they are, and what is refused."""
+"""Animation files: their contents, their size, and rejected input."""
 
 import json
 import re
@@ -49,7 +49,7 @@ def table_pixels(path, k) -> np.ndarray:
 
 
 def test_the_craft_is_drawn_where_it_was(tmp_path):
-    """A craft with one unmistakable propeller in its middle: find its colour in the picture."""
+    """A craft with a distinctive propeller in its centre: find its colour in the picture."""
     vehicle = Vehicle.model_validate(
         {
             "name": "one",

@@ -47,7 +47,7 @@ def test_each_cause_has_a_row_and_each_span_its_place(figure):
         x, y = path.vertices[:, 0], path.vertices[:, 1]
         assert (x.min(), x.max()) == pytest.approx((span.start, span.stop))
         assert np.mean([y.min(), y.max()]) == pytest.approx(rows.index(span.cause))
-    # The less sure, the paler.
+    # Less certain faults are paler.
     assert bars[1].get_alpha() < bars[3].get_alpha() < bars[2].get_alpha() == 1
     assert {text.get_text() for text in top.texts} == {"0.99", "0.60", "0.97"}
 

@@ -1,4 +1,4 @@
-"""Every figure: it is drawn, its axes have labels with units, it leaves no trace behind."""
+"""Every figure can be drawn, labels its axes with units, and leaves no global state."""
 
 import io
 import re
@@ -46,7 +46,7 @@ UNIT = re.compile(r"\[.+\]$")
 
 
 def unlabelled(figure: Figure) -> list[str]:
-    """Axes that show numbers without saying of what and in which unit."""
+    """Return axes that show numbers without a label and a unit."""
     figure.draw_without_rendering()
     missing = []
     for number, axes in enumerate(figure.axes):

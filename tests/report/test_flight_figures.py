@@ -1,4 +1,4 @@
-"""What is drawn of a flight: measured and predicted poses, the typical seconds, the way."""
+"""Figures of a flight: measured and predicted poses, a typical stretch, the path."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_the_seconds_shown_have_errors_of_the_usual_size(judged):
     windows = 400
     start = 0.3 * np.arange(windows)
     errors = np.ones((len(found.errors), 3, windows))
-    errors[:, :, start > 60] = 20.0  # most of the second half is wild
+    errors[:, :, start > 60] = 20.0  # large errors in most of the second half
     errors[:, :, start > 100] = 400.0
     begin, stop = typical_stretch(replace(found, errors=errors, start=start))
     assert stop - begin == SHOWN_S

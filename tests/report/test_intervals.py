@@ -47,7 +47,7 @@ def test_ratios_have_intervals_where_they_are_known(known):
         segments = [c.get_segments() for c in axes.collections if isinstance(c, LineCollection)]
         return np.ptp(np.array(segments[0])[:, :, 0], axis=1)
 
-    # 2.0 errors of 1 % of each coefficient to both sides, in percent of the sum.
+    # 2.0 errors of 1 % of each coefficient on both sides, in percent of the sum.
     curves = np.asarray(PLAIN.parameters.thrust)
     expected = 2 * 2.0 * np.linalg.norm(curves, axis=1) / curves.sum(axis=1)
     np.testing.assert_allclose(widths(known), expected, rtol=1e-4)

@@ -1,4 +1,4 @@
-"""The page that compares laws: its figures are those of the flights, plans lead where they do."""
+"""The page that compares laws shows the figures of the flights, and plans where they lead."""
 
 import json
 import re
@@ -34,7 +34,7 @@ PLANS = {
 
 
 def flown(law: str, plans: dict[int, Prediction] | None = None) -> Tracked:
-    """A spiral of 2 s from the middle outwards, its first motor at full command for a tenth."""
+    """A spiral of 2 s from the centre outwards, with motor 1 at full command for a tenth of it."""
     recording = flight()
     time = 0.01 * np.arange(190)
     command = np.full((190, 6), 0.5)

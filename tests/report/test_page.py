@@ -1,4 +1,4 @@
-"""The page: one file, nothing from outside, whole or not there at all."""
+"""The page: one self-contained file, complete or absent."""
 
 from dataclasses import replace
 

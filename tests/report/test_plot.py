@@ -1,4 +1,4 @@
-"""`airpuck.plot`: the report's pictures in a user's axes."""
+"""`airpuck.plot`: the report's figures in a user's axes."""
 
 import matplotlib as mpl
 import numpy as np

@@ -1,4 +1,4 @@
-"""How much of the squared error a few windows hold."""
+"""The share of the squared error in a few windows."""
 
 import numpy as np
 

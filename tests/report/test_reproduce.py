@@ -20,7 +20,7 @@ from ..apparatus.public_recordings import VALIDATION as VALIDATION_NAME
 
 @pytest.fixture(scope="module")
 def figures(reproduction):
-    """What was written, read back."""
+    """Read back the written files."""
     return json.loads((reproduction.page.parent / "reproduce.json").read_text())
 
 

@@ -1,4 +1,4 @@
-"""What the page of `airpuck resid` draws of predictions."""
+"""Figures of predictions on the page of `airpuck resid`."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from airpuck.report.residual_report import prediction_bands_figure
 
 
 def bands(starts: list[float], horizon: float, error: float, half: float) -> PredictionBands:
-    """A craft that stands at (0, 0, 0), with errors and bands that grow evenly to these."""
+    """A craft at rest at (0, 0, 0), with errors and bands that grow evenly to given values."""
     growth = np.linspace(0.05, 1, 20)[:, None, None] * np.ones((1, 3, len(starts)))
     start, time = np.array(starts), np.array(starts) + horizon * growth[:, 0]
     measured = np.zeros_like(growth)
@@ -26,7 +26,7 @@ def test_a_band_that_would_hide_its_errors_is_cut_off():
     expected = 5 * 0.1 * np.array([1e3, 1e3, 1.0])[:, None] * [-1, 1]
     np.testing.assert_allclose(limits(cut, 2), expected)
     np.testing.assert_allclose(limits(cut, 0), np.tile([-0.1 - 0.25, 0.25], (3, 1)))
-    # What fits is shown whole: the bands of 0.2 s, and those of a simulation that are narrower.
+    # Bands that fit are shown in full: those of 0.2 s, and narrower ones of a simulation.
     assert limits(cut, 1)[0] == pytest.approx([-2.0, 2.0], rel=0.15)
     whole = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 0.4))
     assert (np.abs(limits(whole, 2)) >= 0.4 * np.array([1e3, 1e3, 1.0])[:, None]).all()

@@ -1,4 +1,4 @@
-"""Frames of an animation are the recording's, nothing is made up; arrows, propellers, names."""
+"""Frames of an animation show only recorded data; arrows, propellers, names."""
 
 from dataclasses import replace
 

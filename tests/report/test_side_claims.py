@@ -97,7 +97,7 @@ def test_all_side_claims(data, tmp_path, monkeypatch):
 
     for kind in ("published", "fitted"):
         thrusts = {name: np.array(v) for name, v in numbers["largest_thrusts"][kind].items()}
-        # Published thrusts have any scale; that of our own fits is Newton's.
+        # Published thrusts have an arbitrary scale; our own fits have Newton's.
         ratio = np.mean(thrusts["M4_as_learned_N"] / thrusts["M3_N"])
         assert ratio > 1.2 if kind == "published" else abs(ratio - 1) < 0.06
         assert np.abs(thrusts["M4_scaled_N"] / thrusts["M3_N"] - 1).max() < 0.06

@@ -1,4 +1,4 @@
-"""Experiments on the twin: excitation, identification of the truth, and set points."""
+"""Experiments on the twin: excitation, recovery of the truth, and set points."""
 
 import subprocess
 import sys

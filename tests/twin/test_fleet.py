@@ -52,7 +52,7 @@ BAD_DAY = TwinSettings(
         battery_sag_1_s=0.05,
     ),
 )
-#: Towards the rails, within a second: bounces are part of the comparison.
+#: Fast enough to reach the rails within a second: the comparison includes bounces.
 COMMAND = np.repeat([[0.9, 0.2, 0.1, 0.8, 0.5, 0.05], [0.03, 0.6, 0.7, 0.2, 0.1, 0.9]], 60, axis=0)
 QUIET = BAD_DAY.model_copy(
     update={
@@ -122,7 +122,7 @@ def test_a_radio_without_a_delay_has_that_of_each_model():
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
 def test_the_number_of_craft_is_not_mistaken_for_another_axis(count, monkeypatch):
-    # Axes of the coefficients have 2, 3 and 6 entries; batches of two do not always come out even.
+    # Axes of the coefficients have 2, 3 and 6 entries; some fleets do not fill batches of two.
     monkeypatch.setattr(fleet_module, "BATCH", 2)
     seeds = range(10, 10 + count)
     flight = fly_fleet(MODEL, COMMAND, seeds=seeds, settings=BAD_DAY)

@@ -66,7 +66,7 @@ def craft(x=0.0, y=0.0, yaw=0.0, vx=0.0, vy=0.0, spin=0.0):
 
 
 def hit(state, table, center_of_mass=(0.0, 0.0)):
-    """One step; the state must be one that meets a rail."""
+    """Take one step from a state that meets a rail."""
     before = state[3:6].copy()
     after = advance(np, Plant(coasting(center_of_mass), DISC, table), state, IDLE, 1e-4)
     assert not np.allclose(after[3:6], before, atol=1e-6)
@@ -115,7 +115,7 @@ def test_elastic_rails_without_friction_conserve_energy():
     r, table = (3e-3, -2e-3), Table(restitution=1.0, friction=0.0)
     state = crafts(np.random.default_rng(1), 20)
     first, hits = energy(state, r), np.zeros(20)
-    # At the longest step the spins above 20 rad/s that come about cost 1e-8 between the rails.
+    # At the longest step, spins above 20 rad/s cause errors of 1e-8 between the rails.
     for _ in range(10 * 480):
         new = advance(
             np, Plant(coasting(r), DISC, table), state, np.zeros((6, 20)), LONGEST_STEP / 2
@@ -212,7 +212,7 @@ fraction = st.floats(0, 1)
 
 
 def gained(motion, position, restitution, friction, r):
-    """Share of its energy that a craft gains at a rail."""
+    """Return the fraction of its energy that a craft gains at a rail."""
     yaw, vx, vy, spin = np.array(motion) * [3, 2, 2, 20]
     table = Table(restitution=restitution, friction=friction)
     state = craft(*position, yaw, vx, vy, spin)
@@ -325,7 +325,7 @@ def test_thrust_scales(plant):
 
 
 def newton_euler(_, z, command):
-    """The craft with all effects, propeller by propeller, as the textbook has it."""
+    """The craft with all effects, propeller by propeller, as in textbooks."""
     vehicle, parameters = MODEL.vehicle, MODEL.parameters
     mass, inertia, tau = vehicle.mass_kg, parameters.inertia, parameters.motor_time_constant
     velocity, yaw, spin, speed = z[3:5], z[2], z[5], z[6:]
@@ -382,7 +382,7 @@ def flown(plant, steps):
 
 
 def test_a_powered_flight_with_all_effects_is_that_of_scipy(plant_with_effects, exact):
-    assert np.abs(exact - START)[:6].min() > 0.03  # it goes somewhere
+    assert np.abs(exact - START)[:6].min() > 0.03  # it moves
     np.testing.assert_allclose(flown(plant_with_effects, 200), exact, rtol=1e-9, atol=1e-9)
 
 

@@ -189,7 +189,7 @@ def two_crafts(plant, poses, *puck):
 
 
 def momentum(plant, twin):
-    """Of the centre of mass, and angular momentum about the origin."""
+    """Return momentum, and angular momentum about the origin."""
     disc, (x, y, yaw, vx, vy, spin) = plant.disc, twin.state[:6]
     rx, ry = plant.dynamics.center_of_mass
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -216,7 +216,7 @@ def test_crafts_that_meet_keep_momentum_and_do_not_tunnel(plant, speed):
         met = met or twins[0].state[3] < 0.9 * speed
     assert met
     after = sum(momentum(plant, twin) for twin in twins)
-    # Nothing drives them, no rail is near; where they are moved apart, they are moved by little.
+    # No thrust acts and no rail is near; separating overlaps moves them only a little.
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-3 * plant.disc.mass * speed)
     assert abs(after[2] - before[2]) < 2e-3 * plant.disc.mass * speed
     assert after[3] < before[3]
@@ -230,7 +230,7 @@ def test_a_puck_between_two_crafts_gives_each_what_it_takes_from_the_other(plant
     assert [touch.met for touch in world.puck.touches][:2] == ["craft", "craft"]
     given = sum(momentum(plant, twin)[:2] for twin in twins)
     kept = 0.010 * np.array([world.puck.state.vx, world.puck.state.vy])
-    # The drag m k v takes the rest: m k times the way.
+    # The drag m k v takes the rest: m k times the distance.
     way = np.array([world.puck.state.x, world.puck.state.y - 0.001])
     taken = np.array([0.04, 0.0]) - 0.010 * 0.2 * way
     np.testing.assert_allclose(given + kept, taken, atol=2e-5)

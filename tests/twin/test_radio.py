@@ -54,7 +54,7 @@ def test_without_jitter_a_packet_acts_exactly_after_its_delay():
 
 
 def test_queued_delays_are_those_of_the_link():
-    """Of the same random numbers; a packet that one saw nothing of came with the next one seen."""
+    """With the same random numbers; a packet that was not seen arrived together with the next."""
     settings = Radio(delay_s=0.02, jitter_s=0.008)
     sent = PERIOD * np.arange(2000)
     times, numbers = received(flown(link(jitter_s=0.008), 2000))
@@ -73,7 +73,7 @@ def test_packets_in_flight_arrive_one_after_the_other():
 
 
 def test_delays_have_mean_and_spread_as_set():
-    # So little jitter that no packet meets another, and none goes below zero.
+    # The jitter is so small that no packet waits for another, and no delay is negative.
     times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.001), 5000))
     late = times - PERIOD * (numbers - 1)
     assert len(late) == 5000
@@ -85,7 +85,7 @@ def test_much_jitter_never_changes_the_order_nor_goes_back_in_time():
     times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.06), 5000))
     assert (np.diff(numbers) > 0).all()
     assert (times >= PERIOD * (numbers - 1)).all()
-    # Packets that caught up arrive together, and only the last of them is seen.
+    # Packets that caught up arrive together, and only the last one has an effect.
     assert len(numbers) < 3000
 
 
@@ -123,7 +123,7 @@ def test_nothing_arrives_during_an_outage_and_the_last_command_holds():
     seen = flown(link(delay_s=0.02, outages_s=((0.503, 0.603),)), 100)
     times, numbers = received(seen)
     assert not ((times >= 0.503) & (times < 0.603)).any()
-    # What would arrive at 0.51 … 0.60 s, the packets sent 20 ms earlier, is gone for good.
+    # Packets that would arrive at 0.51 … 0.60 s, sent 20 ms earlier, are lost.
     lost = set(range(1, 101)) - set(numbers)
     assert lost == set(range(50, 60))
     assert 0 not in seen[1:-1, 1]
@@ -195,7 +195,7 @@ def test_the_next_change_is_never_past_and_nothing_changes_before_it(
             assert change > now
             if change >= due:
                 break
-            # Up to the moment before, the same command is in force.
+            # Until just before, the same command is in force.
             assert radio.command(np.nextafter(change, 0))[0] == command
             now = change
         assert radio.command(np.nextafter(due, 0))[0] == command
@@ -224,7 +224,7 @@ def test_every_craft_hears_what_a_single_one_would(radio, unarmed):
     motors = default.motors.model_copy(update={"unarmed_s": unarmed})
     flown = default.model_copy(update={"radio": radio, "motors": motors})
     sent = 0.01 * np.arange(120)
-    # More than are handled at once.
+    # More craft than a batch holds.
     seeds = range(600)
     delays = [DELAYS[seed % 4] for seed in seeds]
     times, heard = heard_commands(flown, sent, seeds, delays)

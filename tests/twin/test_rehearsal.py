@@ -1,4 +1,4 @@
-"""Flights before a verdict: craft that a controller brings to rest, and others."""
+"""Simulated flights for a verdict: craft that a controller brings to rest, and others."""
 
 from dataclasses import replace
 

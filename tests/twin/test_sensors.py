@@ -45,7 +45,7 @@ def test_noise_is_white_normal_and_of_the_size_set():
     for channel in errors.T:
         assert kstest(channel, "norm").pvalue > 1e-3
     np.testing.assert_allclose(errors.std(axis=0), 1, rtol=0.04)
-    # Neither from sample to sample nor between channels is there any correlation.
+    # There is no correlation between samples or between channels.
     assert np.abs((errors[1:] * errors[:-1]).mean(axis=0)).max() < 4 / math.sqrt(8000)
     assert np.abs(np.corrcoef(errors.T) - np.eye(3)).max() < 4 / math.sqrt(8000)
 

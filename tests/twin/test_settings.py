@@ -84,7 +84,7 @@ def test_settings_survive_a_file(tmp_path, settings):
 
 
 def test_every_field_of_the_full_example_differs_from_its_default():
-    # Otherwise a field that is not written would not be missed.
+    # Otherwise the test would not notice a field that is not written.
     for name in TwinSettings.model_fields:
         section = getattr(EVERYTHING, name)
         for key, info in type(section).model_fields.items():

@@ -23,7 +23,7 @@ def test_a_study_without_its_data_ends_with_one_line():
     assert process.returncode == 2
     assert len(process.stderr.strip().splitlines()) == 1
     texts = {script.name: script.read_text() for script in STUDIES.glob("*.py")}
-    # Studies without airpuck, which raise no InputError, end as they like.
+    # Studies without airpuck raise no InputError and may end in any way.
     studies = {name: text for name, text in texts.items() if "\nfrom airpuck" in text}
     assert len(studies) > 10
     ends = [name for name, text in studies.items() if not text.endswith("    run(main)\n")]
@@ -46,7 +46,7 @@ def test_the_truth_is_recovered():
     rows = [recovery.recovered(truth, plant, seed) for seed in range(20)]
     for name, bound in recovery.BOUNDS.items():
         values = np.array([row[name] for row in rows])
-        # Single seeds may lie a little above; their mean and most of them may not.
+        # Single seeds may be a little above the limit; their mean and most of them may not.
         assert abs(values.mean()) < bound
         assert np.mean(np.abs(values) <= bound) >= 0.9
 

@@ -1,4 +1,4 @@
-"""The tracking study: what it reports, and how it imitates a flight."""
+"""The tracking study: its reports, and its reproduction of a flight."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_a_flight_is_imitated_from_where_it_began(imitated):
     np.testing.assert_allclose(twin.set_points.times, real.set_points.times, atol=0.011)
     np.testing.assert_array_equal(twin.set_points.poses, real.set_points.poses)
     assert twin.time[-1] == pytest.approx(real.time[-1], abs=0.02)
-    # Only noise and the fitted gains tell them apart.
+    # They differ only by noise and the fitted gains.
     assert (imitated.rmse < [0.02, 0.02, 0.1]).all()
 
 

@@ -125,7 +125,7 @@ def test_a_command_acts_exactly_after_its_delay(quiet):
 
 
 def test_a_delay_between_two_frames_is_not_rounded(plant):
-    # One motor at full power: its speed says for how long it has been running.
+    # One motor at full power: its speed shows how long it has been running.
     settings = QUIET.model_copy(update={"radio": Radio(delay_s=0.0231, timeout_s=5.0)})
     command = np.array([1.0, 0, 0, 0, 0, 0])
     twin, _ = flown(settings, [command], plant, stop=0.05)
@@ -155,7 +155,7 @@ def test_battery_sag_takes_its_share_of_the_thrust():
 
 
 def test_an_accelerometer_feels_what_pushes_and_no_more():
-    # On a table that falls along x, one motor runs while the battery loses its power.
+    # On a table that slopes along x, one motor runs while the battery empties.
     on_board = QUIET.on_board.model_copy(update={"rate_hz": 100.0})
     changes = {"on_board": on_board, "radio": Radio(delay_s=0, timeout_s=9)}
     effects = Effects(battery_sag_1_s=0.4, tilt_rad=(0.01, 0.0))
@@ -175,7 +175,7 @@ def test_an_accelerometer_feels_what_pushes_and_no_more():
         MODEL.dynamics.thrust[0] @ [0.5, 0.25, 0.125] * (1 - 0.4 * felt[0.4].stamp)
     )
     assert np.hypot(*push) > 0.1
-    # What is left is the pull of the centre of mass, off the centre, of a craft that turns.
+    # The remainder is the acceleration of the centre about the offset centre of mass.
     spin = twin.state[5]
     assert np.hypot(*felt[0.4].values[:2]) == pytest.approx(
         np.hypot(*push), abs=2e-3 * (spin**2 + abs(spin) * 20)
@@ -219,7 +219,7 @@ def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(qui
     values = np.array([m.values for m in imu])
     np.testing.assert_allclose(values[:, 5], path(stamps, 1)[:, 2], atol=2e-2)
     np.testing.assert_array_equal(values[:, 2:5], np.tile([9.81, 0, 0], (len(values), 1)))
-    # Thrust has a kink wherever a command changes; half a frame later it is smooth again.
+    # Thrust has a kink when a command changes; half a frame later it is smooth again.
     smooth = (np.rint(stamps * 100) % 10 >= 4) & (stamps > 0.1) & (stamps < 1.5)
     found = body(stamps, path(stamps, 2)[:, :2])
     np.testing.assert_allclose(values[smooth, :2], found[smooth], atol=0.02)
@@ -296,7 +296,7 @@ def test_contacts_with_a_rail_are_noted(plant):
     twin, _ = flown(QUIET, push, plant, pose=(0.0, reach - 0.02, 0.0))
     assert twin.contacts
     time, state = twin.truth
-    # Up to then it had speed towards the rail, afterwards away from it.
+    # Before, it moves towards the rail, afterwards away from it.
     first = np.searchsorted(time, twin.contacts[0])
     assert state[first - 2, 4] > 0 > state[first + 1, 4]
     assert twin.contacts == sorted(twin.contacts)

@@ -1,4 +1,4 @@
-"""Whether a model can be trusted: shares and limits against what is known by hand."""
+"""Whether a model can be trusted: errors and limits, against hand calculations."""
 
 from dataclasses import replace
 
@@ -138,7 +138,7 @@ def test_commands_that_reach_half_of_their_range_leave_the_rest_to_guess():
     assert found.outcome == "not_enough_excitation"
     assert "reach only 45 % of the range" in found.sentences[1]
     assert "unit" in found.sentences[1]
-    # The same craft, if its motors go no further.
+    # The same craft, if its motors have a lower limit.
     vehicle = model.vehicle.model_copy(update={"command_max": 0.5})
     assert judged(replace(model, vehicle=vehicle), halved).trusted
 
@@ -248,7 +248,7 @@ def test_a_fit_that_did_not_end_is_not_trusted():
 
 
 def test_errors_of_other_parameters_are_nobodys():
-    """A model that was changed after its fit has none, rather than errors that are unbounded."""
+    """A model that was changed after its fit has no errors, instead of infinite ones."""
     found = verdict(known().with_delay(0.03))
     assert found.outcome == "not_judged"
     assert found.acceleration_errors is None

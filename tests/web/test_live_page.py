@@ -1,4 +1,4 @@
-"""The page of a game on the graph: the test is the server of its pages, and the table."""
+"""The page of a game on the graph; the test plays the page server and the table."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ IDLE = np.full(6, 0.03)
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    """One of this module's own."""
+    """A domain for this module."""
     pytest.importorskip("cyclonedds")
     return 201 + os.getpid() % 30
 
@@ -48,7 +48,7 @@ def player() -> Player:
 
 
 class Flight:
-    """What a flight does with its page, step by step."""
+    """A flight with its page, step by step."""
 
     def __init__(self, domain: int, player: Player) -> None:
         self.near, self.far = multiprocessing.Pipe()
@@ -59,7 +59,7 @@ class Flight:
         self.time = 0.0
 
     def step(self, **poses: tuple[float, float, float]) -> None:
-        """A period, in which bodies are seen somewhere."""
+        """Advance by a period in which bodies are seen at given places."""
         self.time += 0.01
         for kind, pose in poses.items():
             kind = "pose" if kind == "craft" else kind
@@ -68,7 +68,7 @@ class Flight:
         self.page.after(Action(self.time, self.time, step, np.zeros(6), 0.0))
 
     def ask(self, do: str, **more: object) -> None:
-        """Ask as a page does."""
+        """Send a request as a page does."""
         self.far.send_bytes(ORDER + json.dumps({"do": do, "level": "", **more}).encode())
 
     def wish(self, x: float, y: float) -> None:
@@ -76,7 +76,7 @@ class Flight:
         self.far.send_bytes(WISH + packed_wish(Wish(1, x, y)))
 
     def said(self) -> dict[bytes, list]:
-        """Messages to pages since the last call, by kind."""
+        """Return messages to pages since the last call, by kind."""
         found: dict[bytes, list] = {STATE: [], EVENT: [], SCENE: [], THOUGHT: []}
         while self.far.poll():
             message = self.far.recv_bytes()
@@ -113,7 +113,7 @@ class Table:
             )
 
     def wanted(self) -> list:
-        """Where the page has wanted the mallet since the last call."""
+        """Return the page's targets for the mallet since the last call."""
         return [self._codec.decode(one.data)[1][:2].tolist() for one in self._heard.take()]
 
 
@@ -128,7 +128,7 @@ def until(flight: Flight, condition, timeout: float = 10.0):
 
 
 def phase_of(flight: Flight, wanted: str) -> bool:
-    """Whether that phase was reported since the last call."""
+    """Return whether a phase was reported since the last call."""
     return any(one.get("phase") == wanted for one in flight.said()[SCENE])
 
 
@@ -189,7 +189,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
         assert table.wanted() == []
         flight.wish(0.5, 0.25)
         assert until(flight, table.wanted)[-1] == pytest.approx((0.5, 0.25))
-        # It keeps repeating this, whether the pointer moves or not.
+        # It repeats the target, whether the pointer moves or not.
         assert until(flight, table.wanted)[-1] == pytest.approx((0.5, 0.25))
         flight.ask("leave")
         until(flight, lambda: phase_of(flight, "waiting"))
@@ -203,7 +203,7 @@ def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
 
 
 def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
-    """A recorder hears everything, but sends no poses of a mallet."""
+    """A recorder receives everything, but sends no poses of a mallet."""
     table, recorder = Table(domain, guided=False), Table.__new__(Table)
     recorder.graph, recorder._codec = Graph("recorder", domain=domain), StreamCodec("mallet_target")
     codec = recorder._codec
@@ -227,7 +227,7 @@ def test_pages_only_show_where_the_human_is_at_the_table(flight, domain):
 
 
 def test_a_flight_waits_for_no_page(flight):
-    """The server stands still: it reads nothing, for as long as a minute takes."""
+    """The server stalls: it reads nothing for a minute."""
     begin = time.monotonic()
     for _ in range(6000):
         flight.step(craft=(-0.8, 0.1, 0.2))

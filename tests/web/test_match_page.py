@@ -1,4 +1,4 @@
-"""A match in the page: a page that watches hears all of it, from its beginning to its end."""
+"""A match on a page: a spectator receives all of it, from beginning to end."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):
     assert news[-1] == {"is": "event", "kind": "over", "side": 0}
     seen = [struct.unpack("<dIB3x10f", state) for state in states]
     assert seen[-1][0] == pytest.approx(1.0)
-    # Places of both mallets as in the game at its end.
+    # The positions of both mallets equal those at the end of the game.
     left, right = game.sides
     assert seen[-1][6:8] == pytest.approx(right.state[:2], abs=1e-6)
     assert seen[-1][10:12] == pytest.approx(left.state[:2], abs=1e-6)

@@ -1,4 +1,4 @@
-"""What a page may send: its own messages and nothing else."""
+"""Messages that a page may send, and rejection of all others."""
 
 import json
 import math
@@ -38,7 +38,7 @@ def test_orders(order, meant):
         "go",
         "[]",
         "null",
-        '{"do": "leave"}',  # that is for the server to say
+        '{"do": "leave"}',  # only the server may send this
         '{"do": ["go"]}',
         '{"do": {"do": "go"}}',
         '{"do": "level", "level": 3}',

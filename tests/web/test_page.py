@@ -54,7 +54,7 @@ def arena() -> Iterator[Arena]:
 
 
 class Page:
-    """A page of a game whose states are the test's."""
+    """A page of a game whose states the test sets."""
 
     def __init__(self, browser: Any, arena: Arena, **look: Any) -> None:
         self._arena, self._time = arena, 0.0
@@ -68,7 +68,7 @@ class Page:
         self.until("table && table.scale > 0")
 
     def until(self, condition: str) -> None:
-        """Wait until something is so; the page's policy forbids the browser's own way."""
+        """Wait until a condition holds; the page's policy forbids the browser's own function."""
         for _ in range(200):
             if self.tab.evaluate(condition):
                 return
@@ -84,7 +84,7 @@ class Page:
         )
 
     def show(self, puck=(0.3, 0.2, 0.0), mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0)) -> None:
-        """Let everything stand somewhere, and be drawn."""
+        """Place everything, and wait until it is drawn."""
         for _ in range(20):
             self._time += 0.01
             places = puck, (*mallet, 0.0, 0.0), craft
@@ -98,7 +98,7 @@ class Page:
         time.sleep(0.01)
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
-        """Where a place of the table is on the screen."""
+        """Return the screen position of a point on the table."""
         return tuple(
             self.tab.evaluate(
                 f"""(() => {{ const [px, py] = table.toPixels({x}, {y});
@@ -108,7 +108,7 @@ class Page:
         )
 
     def color(self, x: float, y: float) -> np.ndarray:
-        """Its colour, of the middle of 5 × 5 points."""
+        """Return its colour, the median of 5 × 5 points."""
         image = Image.open(io.BytesIO(self.tab.screenshot())).convert("RGB")
         sharp = image.width / self.tab.viewport_size["width"]
         px, py = (round(sharp * value) for value in self.pixel(x, y))
@@ -130,7 +130,7 @@ def test_everything_is_where_the_state_says(browser, arena, width, height, tall)
     page.show(mallet=(0.4, -0.3))
     np.testing.assert_allclose(page.color(0.4, -0.3), VERMILLION, atol=12)
     np.testing.assert_allclose(page.color(0.8, -0.12), floor, atol=6)
-    # The person's goal is to the right, or at the bottom; all of the table is seen.
+    # The person's goal is on the right, or at the bottom; the whole table is visible.
     assert page.tab.evaluate("table.tall") == tall
     (x0, y0), (x1, y1) = page.pixel(-1.1, 0.55), page.pixel(1.1, -0.55)
     assert (y1 > y0) if tall else (x1 > x0)
@@ -179,7 +179,7 @@ def test_a_finger_moves_the_mallet_before_it(browser, arena):
     page.tab.touchscreen.tap(*page.pixel(0.6, 0.1))
     _, (_, x, y, _) = arena.heard()
     assert y == pytest.approx(0.1, abs=0.01)
-    # Towards the craft, which is up.
+    # Upwards, towards the craft.
     assert 0.3 < x < 0.5
 
 
@@ -249,7 +249,7 @@ def test_thoughts_are_drawn_on_request(browser, arena):
         "is": "thought",
         "words": "strike 64 %",
         "said": "strike 64 %, in 0.21 s",
-        # The first dash of a puck's ring goes through where we look.
+        # The first dash of the puck's ring covers the sampled point.
         "meet": [-0.4 - 0.03165 * math.cos(0.18), 0.2 + 0.03165 * math.sin(0.18)],
         "path": [[-0.3, 0.2], [1.1, 0.0]],
         "predicted": [[0.3, 0.2], [-0.3, 0.2]],
@@ -278,7 +278,7 @@ def test_the_second_page_watches_and_may_sit_down(browser, arena):
     second.tab.wait_for_timeout(200)
     assert arena.silent()
     first.tab.close()
-    arena.hears("pause", "leave")  # who closes a page hides it first
+    arena.hears("pause", "leave")  # closing a page hides it first
     second.status("waiting")
     assert second.tab.locator("#title").inner_text() == "The seat is free"
     second.tab.click("#go")
@@ -313,7 +313,7 @@ def test_a_game_on_a_graph_cannot_be_paused_and_shows_what_is_seen(browser, grap
     page.show(mallet=nowhere[:2], craft=nowhere)
     np.testing.assert_allclose(page.color(0.8, -0.1), floor, atol=6)
     np.testing.assert_allclose(page.color(0.29, 0.2), (34, 34, 34), atol=12)
-    # The human is at the table: no pointer moves the mallet.
+    # With the human at the table, no pointer moves the mallet.
     page.tab.mouse.move(*page.pixel(0.5, 0.25))
     page.tab.keyboard.press("t")
     assert graph.heard()[1]["do"] == "think"
@@ -367,7 +367,7 @@ def test_a_page_says_that_the_game_has_gone(browser, arena):
 
 
 def test_a_real_game_at_sixty_frames_a_second(chromium):
-    """The study, for some seconds: pointer to pixel goes over the server."""
+    """Run the study for some seconds; pointer-to-pixel latency includes the server."""
     command = [sys.executable, "studies/play_page.py", "--duration", "8"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     figures = json.loads(done.stdout)

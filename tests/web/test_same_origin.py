@@ -38,7 +38,7 @@ PORT = "8080"
         ("localhost.evil.example", None, "127.0.0.1", False),
         ("", None, "0.0.0.0", False),
         ("[::1", None, "127.0.0.1", False),
-        # What only begins like an address, or hides one.
+        # Names that only begin like an address, or contain one.
         ("[::1].evil", None, "127.0.0.1", False),
         ("[::1].evil.example:8080", "http://[::1].evil.example:8080", "127.0.0.1", False),
         ("[::1]evil.example", None, "127.0.0.1", False),

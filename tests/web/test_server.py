@@ -1,4 +1,4 @@
-"""The page's server against hostile pages; the test is the game at the other end of its pipe."""
+"""The page server against hostile pages; the test plays the game at the other end of its pipe."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HELLO = {"names": ["airpuck", "you"]}
 
 @pytest.fixture
 def arena() -> Iterator[Arena]:
-    """A server of its own for each test: some end a connection with prejudice."""
+    """A separate server for each test: some abort connections."""
     made = Arena(HELLO)
     try:
         yield made
@@ -38,7 +38,7 @@ def arena() -> Iterator[Arena]:
 
 
 def news(page, kind: str) -> dict:
-    """The next news of a kind."""
+    """Return the next message of a kind."""
     while True:
         message = page.recv(timeout=5)
         if isinstance(message, str) and (found := json.loads(message))["is"] == kind:
@@ -61,7 +61,7 @@ def test_the_files_and_nothing_else(arena):
         assert kind in answer.headers["Content-Type"]
         assert len(answer.headers.get_all("Content-Length")) == 1
         assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
-        # Nothing is asked of another host.
+        # No request goes to another host.
         assert b"//" not in answer.body.replace(b"http://www.w3.org/2000/svg", b"") or path != "/"
     assert b"class TableCanvas" in get("/table_canvas.js").body
     for path in ("/../pyproject.toml", "/paper.toml", "/%2e%2e/x", "//", "/x" * 500):
@@ -171,7 +171,7 @@ def test_garbage_ends_the_connection_and_nothing_else(arena, garbage):
 
 def test_an_endless_message_ends_the_connection(arena):
     with arena.page() as bad, contextlib.suppress(exceptions.ConnectionClosed, OSError):
-        # Never whole: a fragment after the other.
+        # Never complete: one fragment after the other.
         bad.send(b"\0" * 1000 for _ in range(10_000))
         while True:
             bad.recv(timeout=5)
@@ -236,7 +236,7 @@ def test_a_slow_page_gets_the_newest_state_not_a_queue(arena):
         while not late or late[-1] < count - 1:
             late.append(struct.unpack_from("<I", slow.recv(timeout=5))[0])
         assert late == sorted(late)
-        # What the system and the client hold are some megabytes; all else was left out.
+        # System and client buffer a few megabytes; everything else was dropped.
         assert len(late) < count / 4
 
 
@@ -253,7 +253,7 @@ def asleep(port: int) -> socket.socket:
 
 @pytest.mark.parametrize("busy", [False, True], ids=["paused", "playing"])
 def test_a_page_that_falls_asleep_loses_its_seat(busy):
-    """Whether its buffer is full, so that no ping gets through, or it only answers none."""
+    """Either its buffer is full, so that no ping arrives, or it does not answer pings."""
     arena = Arena(HELLO, patience=0.3)
     try:
         with asleep(arena.port), arena.page() as awake:
@@ -275,7 +275,7 @@ def test_a_page_that_falls_asleep_loses_its_seat(busy):
 def test_it_ends_with_the_game(arena):
     with arena.page() as page:
         news(page, "role")
-        os.kill(arena.process.pid, signal.SIGINT)  # of Ctrl-C only the game takes note
+        os.kill(arena.process.pid, signal.SIGINT)  # only the game reacts to Ctrl-C
         page.send('{"do": "pause"}')
         arena.hears("sit", "pause")
         arena.pipe.close()
@@ -296,5 +296,5 @@ def test_orders_are_kept_while_the_game_stands_still_and_of_wishes_the_newest(ar
         news(page, "status")
         time.sleep(0.2)
         arena.hears("sit", "level", "think")
-        # The pipe was full of wishes before it; the newest comes after all.
+        # The pipe was full of older wishes; the newest arrives nevertheless.
         assert arena.heard() == (WISH, (449, 0.5, 0.5, 0.0))

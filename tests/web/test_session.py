@@ -1,4 +1,4 @@
-"""A game in real time: seat, pause, levels, a player who leaves; the test is the server."""
+"""A game in real time: seat, pause, levels, a leaving player; the test plays the server."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class State:
 
 @dataclass
 class Table:
-    """A session, and what it said."""
+    """A session, and its messages."""
 
     session: Session
     pipe: object
@@ -57,7 +57,7 @@ class Table:
     thoughts: list[dict] = field(default_factory=list)
 
     def order(self, do: str, **more) -> None:
-        """Ask for something, as the server does."""
+        """Send a request, as the server does."""
         order = {"do": do, "level": "", "on": False, **more}
         self.pipe.send_bytes(ORDER + json.dumps(order).encode())
 
@@ -88,13 +88,13 @@ class Table:
 
     @property
     def phases(self) -> list[str]:
-        """The phases that it said."""
+        """Return the phases that it reported."""
         return [one["phase"] for one in self.news if one["is"] == "status"]
 
 
 @pytest.fixture(scope="module")
 def table() -> Iterator[Table]:
-    """One for all tests, since a player takes a while to make; each begins a new game."""
+    """One session for all tests, since making a player takes a while; each starts a new game."""
     near, far = multiprocessing.Pipe()
     pytest.MonkeyPatch().setattr(session_module, "prioritize", lambda **_: None)
     session = Session(
@@ -134,9 +134,9 @@ def test_nothing_moves_before_the_player_says_so(table):
 def test_time_passes_no_faster_than_on_the_clock(begun):
     figures = begun.run(1.0)
     times = [state.time for state in begun.states]
-    # How much slower depends on what else the machine does; the study measures it.
+    # The slowdown depends on the load of the machine; the study measures it.
     assert 0.1 < times[-1] - times[0] < figures["duration_s"] + 0.01
-    # A state each control period, as of its last event; none is left out.
+    # One state per control period, as of its last event, without omissions.
     steps = [after - before for before, after in itertools.pairwise(times)]
     assert steps == pytest.approx([0.01] * len(steps), abs=5e-3)
 
@@ -150,7 +150,7 @@ def test_the_mallet_goes_where_the_pointer_is_as_fast_as_a_hand(begun):
     assert max(speeds) <= 4.0 + 1e-4
     gained = [abs(b - a) for a, b in itertools.pairwise(speeds)]
     assert max(gained) <= 40.0 * 0.015 + 1e-4
-    # The own half ends at the line, whatever the pointer says.
+    # The mallet stops at the centre line, wherever the pointer is.
     begun.wish(8, -1e30, 1e30)
     begun.run(1.5)
     x, y = begun.states[-1].mallet[:2]
@@ -236,7 +236,7 @@ def test_a_flood_of_restarts_starts_few_games(begun):
         begun.order("restart")
     figures = begun.run(1.0)
     assert figures["games"] - games <= 4
-    # Time on the table is not at a standstill meanwhile.
+    # Time on the table does not stop meanwhile.
     begun.run(1.0)
     assert begun.states[-1].time > 0.2
 

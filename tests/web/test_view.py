@@ -1,4 +1,4 @@
-"""The live view: what the user may wish for; and, in a real browser, that the craft obeys."""
+"""The live view: valid set points; and, in a real browser, that the craft follows them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_set_point_stays_inside_the_rails():
 
 @pytest.fixture(scope="module")
 def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
-    """A twin, a controller that follows the graph, a view: who watches, the port, the view."""
+    """A twin, a controller that follows the graph, and a view: the watcher, the port, the view."""
     pytest.importorskip("websockets")
     watch = Watch(domain)
     with socket.socket() as free:
@@ -52,19 +52,19 @@ def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
 
 @dataclass
 class Page:
-    """The page in headless Chromium, beside who watches the graph."""
+    """The page in headless Chromium, and a watcher of the graph."""
 
     page: Any
     watch: Watch
     asked: list[str]
 
     def picture(self) -> np.ndarray:
-        """What is on the screen now, red, green, blue."""
+        """Return the current screen: red, green, blue."""
         image = Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
         return np.array(image).astype(int)
 
     def pixel(self, point) -> tuple[float, float]:
-        """Where a point of the table is on the screen."""
+        """Return the screen position of a point on the table."""
         x, y = map(float, point)
         return tuple(
             self.page.evaluate(
@@ -75,12 +75,12 @@ class Page:
         )
 
     def around(self, picture: np.ndarray, point, size: int = 6) -> np.ndarray:
-        """The part of a picture around a point of the table."""
+        """Return the part of a picture around a point on the table."""
         x, y = map(round, self.pixel(point))
         return picture[y - size : y + size, x - size : x + size]
 
     def shows_set_point(self, pose) -> bool:
-        """Whether its colour is where its ring shows around the craft."""
+        """Return whether the ring's colour is visible around the craft."""
         red, _, blue = self.around(self.picture(), (pose[0], pose[1] - 0.085)).mean(axis=(0, 1))
         return bool(red - blue > 25)
 
@@ -97,12 +97,12 @@ class Page:
 
     @property
     def pose(self) -> np.ndarray:
-        """Where the craft is."""
+        """Return the position of the craft."""
         return self.watch.newest(POSES)
 
     @property
     def wish(self) -> np.ndarray:
-        """What the page asks for."""
+        """Return the set point that the page requests."""
         return self.watch.newest(REFERENCES)
 
     def ask(self, **numbers: float) -> None:
@@ -115,7 +115,7 @@ class Page:
 
     def enter(self, x: float, y: float, yaw: float) -> None:
         """Enter a set point as numbers, and wait until the craft is there."""
-        # A page that lags by seconds, on a busy machine, writes an older set point over a newer.
+        # On a busy machine a page that lags by seconds may overwrite a new set point with an old one.
         for _ in range(5):
             self.ask(x=x, y=y, yaw=yaw)
             self.watch.run(1.5)
@@ -124,7 +124,7 @@ class Page:
         self.arrives((x, y), yaw)
 
     def arrives(self, place, yaw: float | None = None) -> None:
-        """Wait until the craft rests somewhere."""
+        """Wait until the craft rests at a place."""
 
         def there() -> bool:
             poses = np.array(self.watch.values(POSES)[-60:])
@@ -171,7 +171,7 @@ def test_entering_a_set_point_moves_the_craft_on_the_page(page, flight):
         assert np.abs(changed).max() > 150  # the craft's dark outline and mark
     unchanged = np.abs(page.around(after, (0.9, -0.4)) - page.around(before, (0.9, -0.4)))
     assert unchanged.mean() < 5
-    # Nothing is fetched from elsewhere.
+    # The page fetches nothing from other hosts.
     _, port, _ = flight
     ours = (f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}", "data:", "blob:")
     assert [url for url in page.asked if not url.startswith(ours)] == []
@@ -181,7 +181,7 @@ def test_entering_a_set_point_moves_the_craft_on_the_page(page, flight):
 def test_dragging_the_set_point_moves_the_craft(page):
     start, goal = np.array([-0.6, -0.2]), np.array([0.4, 0.15])
     page.enter(*start, 0.0)
-    # Not in the middle: what is grabbed stays under the pointer.
+    # Grab it off-centre: the grabbed point stays under the pointer.
     grip = np.array([-0.03, -0.08])
     page.drag(start + grip, goal + grip)
     page.watch.run(0.5)
@@ -201,7 +201,7 @@ def test_dragging_the_knob_turns_the_craft(page):
 
 @pytest.mark.browser
 def test_a_picture_for_the_documents(page, flight, request):
-    """In flight, with the set point ahead; kept where ``--screenshot FILE`` says."""
+    """Take a picture in flight, with the set point ahead; store it as ``--screenshot FILE``."""
     view = flight[2]
 
     def stop_on_the_way() -> None:
@@ -211,7 +211,7 @@ def test_a_picture_for_the_documents(page, flight, request):
     page.enter(-0.7, -0.25, 0.0)
     page.watch.forget()
     page.watch.until(lambda: page.watch.heard[POSES])
-    # Entering and taking a picture take longer than the craft: what is shown stands still.
+    # Entering numbers and taking a picture take longer than the flight, so freeze the display.
     stopping = Thread(target=stop_on_the_way)
     stopping.start()
     try:
