@@ -115,7 +115,7 @@ class Page:
 
     def enter(self, x: float, y: float, yaw: float) -> None:
         """Enter a set point as numbers, and wait until the craft is there."""
-        # On a busy machine a page that lags by seconds may overwrite a new set point with an old one.
+        # On a busy machine a page that lags may overwrite a new set point with an old one.
         for _ in range(5):
             self.ask(x=x, y=y, yaw=yaw)
             self.watch.run(1.5)
