@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss, Quadratic
+from airpuck.identification.uncertainty import scaling
 from airpuck.model.parameters import Parameters
 from airpuck.physics.thrust import lowest_slope, slope_rows
 
@@ -117,9 +118,7 @@ class _StepProgram:
         """Solve min g'd + d'(H + λ diag H)d/2."""
         free, n = self._free, self._n_thrust
         gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
-        curvature = np.diag(hessian)
-        # A parameter without influence has no curvature: leave it where it is.
-        scale = 1 / np.sqrt(np.where(curvature > 0, curvature, 1.0))
+        scale = scaling(here.hessian, free)[free]
         damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
         lower, upper = ((bound - point)[free] for bound in self._bounds)
         step = np.zeros_like(point)

@@ -26,6 +26,9 @@ from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 #: Eigenvalue of the information matrix, scaled to a unit diagonal and relative to the largest,
 #: below which its direction is undetermined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
+#: Curvature of the loss, relative to the largest, below which a parameter has no influence. Units
+#: differ by less; a lag that is much shorter than the samples' distance leaves 1e-200.
+_INFLUENCE = 1e-24
 #: Largest leverage of a block; a block that alone determines a direction has leverage 1.
 _LEVERAGE = 0.999
 #: Length of a block [s]. Neighbouring blocks share the windows that cross their border
@@ -131,9 +134,13 @@ def subspace(
 def scaling(
     hessian: Float[np.ndarray, "P P"], free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, " P"]:
-    """Return the scale of each parameter, chosen so that all have the same effect on the loss."""
+    """Return the scale of each parameter, chosen so that all have the same effect on the loss.
+
+    A parameter without influence keeps its unit.
+    """
     diagonal = np.diag(hessian)
-    return np.where(free, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    least = _INFLUENCE * diagonal[free].max(initial=0.0)
+    return np.where(free, 1 / np.sqrt(np.where(diagonal > least, diagonal, 1.0)), 0.0)
 
 
 def binding_constraints(
@@ -142,7 +149,9 @@ def binding_constraints(
     """Return the rows of the active constraints: bounds, and rising thrust."""
     vector = parameters.to_vector()
     lower, upper = parameters.bounds()
-    at_bounds = np.eye(len(vector))[free & ((vector <= lower) | (vector >= upper))]
+    # A step onto a bound may miss it by a rounding error.
+    at_bound = np.isclose(vector, lower, 1e-9, 0) | np.isclose(vector, upper, 1e-9, 0)
+    at_bounds = np.eye(len(vector))[free & (at_bound | (vector < lower) | (vector > upper))]
     curves = np.asarray(parameters.thrust, dtype=float)
     points = [(k, speed) for k in range(len(curves)) for speed in _flat_speeds(curves[k : k + 1])]
     rows = slope_rows(free[: curves.size].reshape(curves.shape), points)
