@@ -109,6 +109,9 @@ class Vehicle(Section):
         content = dump(self)
         if self.actuators == Propellers():
             del content["actuators"]
+        else:  # TOML has no null
+            kept = {k: v for k, v in content["actuators"].items() if v is not None}
+            content["actuators"] = kept
         return content
 
     @pydantic.model_validator(mode="after")
