@@ -42,6 +42,7 @@ def main(folder, whole, start):
     """Print both tables."""
     model = airpuck.read_model(whole)
     forces = model.parameters.thrust[:, 0]
+    assert model.known is not None  # since identify wrote it
     errors = model.known.standard_errors[: len(forces)]
     print("thruster | load cell N | identified N")
     for k, (force, scatter) in load_cell(folder).items():

@@ -85,6 +85,13 @@ def test_commands_at_another_pace_act_by_their_mean() -> None:
         assert drive is duty
 
 
+def test_switches_survive_a_file(tmp_path: Path) -> None:
+    vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
+    switches = vehicle.model_copy(update={"actuators": OnOff(kind="on_off", rise_s=0.01)})
+    switches.save(tmp_path / "again.toml")
+    assert read_vehicle(tmp_path / "again.toml").actuators == switches.actuators
+
+
 def test_switches_open_from_one_half_on() -> None:
     _, drive = OnOff(kind="on_off").drive(np.zeros(1), np.array([[0.0, 0.4, 0.5, 1.0]]))
     assert drive.tolist() == [[0, 0, 1, 1]]

@@ -197,11 +197,23 @@ def test_twice_the_data_have_smaller_errors(fit):
     assert np.nanmedian(twice / once) == pytest.approx(1 / np.sqrt(2), abs=0.15)
 
 
-def test_parameters_at_a_constraint_have_no_standard_error():
+def test_a_parameter_without_influence_is_unknown():
+    # What a lag of 0.1 ms leaves at 17 Hz; scaled to one, it would look as well known as others.
+    hessian = np.array([[4.0, 1e-126, 1.0], [1e-126, 1e-250, 1e-126], [1.0, 1e-126, 1e8]])
+    free = np.ones(3, dtype=bool)
+    space = subspace(hessian, free, np.zeros((0, 3)))
+    assert space.unknown.tolist() == [False, True, False]
+    known = np.linalg.inv(hessian[np.ix_([0, 2], [0, 2])])
+    np.testing.assert_allclose((space.basis @ space.basis.T)[np.ix_([0, 2], [0, 2])], known)
+    assert np.abs(space.basis).max() < 1
+
+
+@pytest.mark.parametrize("lag", [1e-4, 1e-4 + 3e-18])  # a step onto the bound may miss it
+def test_parameters_at_a_constraint_have_no_standard_error(lag):
     parameters = replace(
         TRUTH.parameters,
         thrust=np.array([[1e-6, 0.5, 0.1], *TRUTH.parameters.thrust[1:]]),
-        motor_time_constant=1e-4,
+        motor_time_constant=lag,
     )
     free = RUNGS["M3"].mask(parameters)
     rows = binding_constraints(parameters, free)

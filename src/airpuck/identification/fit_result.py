@@ -204,7 +204,7 @@ def _other_delays(model: Model, trajectories: Sequence[Trajectory]) -> list[str]
     if not model.delay_learned:
         return []
     return [
-        f"{t.source}: preprocessing found a delay of {1e3 * t.delay:.1f} ms, the fit "
+        f"{t.source}: preprocessing used a delay of {1e3 * t.delay:.1f} ms, the fit "
         f"{1e3 * model.transport_delay:.1f} ms for all recordings; check clocks and nominal lag"
         for t in trajectories
         if t.delay_known and abs(t.delay - model.transport_delay) > max(_FAR, t.sample_period)
