@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.examples.test_extensions import example
+TABLE = Path(__file__).parents[2] / "examples/air_bearing_satellite/table.py"
 
 
 def test_the_force_on_the_load_cell_is_the_settled_weight_above_the_one_before(tmp_path: Path):
@@ -20,9 +21,8 @@ def test_the_force_on_the_load_cell_is_the_settled_weight_above_the_one_before(t
             rows.append(f"{start + 1 + t:.2f},{weight:.3f},4,{pulse},firing")
         rows += [f"{start + 11 + t:.2f},9.0,0,{pulse},post_pulse" for t in np.arange(0, 1, 0.1)]
     (folder / "test.csv").write_text("\n".join(rows) + "\n")
-    ((thruster, (force, scatter)),) = (
-        example("air_bearing_satellite/table.py").load_cell(tmp_path).items()
-    )
+    found = runpy.run_path(str(TABLE))["load_cell"](tmp_path)
+    ((thruster, (force, scatter)),) = found.items()
     assert thruster == 3
     assert force == pytest.approx(0.051 * 9.81, abs=1e-4)
     assert scatter == pytest.approx(0.001 * 9.81, abs=1e-4)

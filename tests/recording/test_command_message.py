@@ -46,6 +46,15 @@ def array(kind: str, values=VALUES, dimensions: int = 0) -> Topic:
     return ros_topic(f"std_msgs/msg/{kind}MultiArray", map(make, values))
 
 
+def test_a_message_may_hold_a_bit_mask(tmp_path: Path):
+    switches = np.random.default_rng(6).integers(0, 2, (N, 4))
+    masks = (switches @ [1, 2, 4, 128])[:, None]
+    command = CommandMapping(bits=(0, 1, 2, 7), propellers=NAMES)
+    found = read(tmp_path, array("UInt8", masks), command=command)["command"]
+    assert found.columns == NAMES
+    np.testing.assert_array_equal(found.values, switches)
+
+
 def joints(names, *, late: int = 7, **columns) -> Topic:
     """JointState; `names` of each message, columns (N, n)."""
 
