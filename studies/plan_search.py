@@ -1,4 +1,4 @@
-"""Whether the search finds a plan for hard limits, and the fastest where the yaw is free.
+"""Does the search find plans within hard limits, and the fastest with a free yaw? Random cases.
 
     python studies/plan_search.py limits --cases 40 -o limits.json
     python studies/plan_search.py free-yaw --goals 16 --starts 8 -o free_yaw.json

@@ -115,7 +115,7 @@ def test_from_the_command_line(tmp_path):
 
 
 def test_the_last_seed_of_a_match_has_a_limit():
-    with pytest.raises(InputError, match=r"4\.61e18: either side has a seed of its own"):
+    with pytest.raises(InputError, match=r"4\.61e18: each side has its own 64-bit seed"):
         match("human", "human", 2, seed=2**62 - 1, workers=1)
 
 

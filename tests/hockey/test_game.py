@@ -227,7 +227,7 @@ def test_who_only_stops_a_shot_that_goes_in_anyway_made_no_own_goal():
 
 
 def test_a_seed_too_large_for_two_sides_is_told():
-    with pytest.raises(InputError, match=r"seed.*4\.61e18: either side has a seed of its own"):
+    with pytest.raises(InputError, match=r"seed.*4\.61e18: each side has its own 64-bit seed"):
         Game(HARD, EASY, seed=2**62)
     assert Game(HARD, EASY, seed=2**62 - 1).step() is not None
 

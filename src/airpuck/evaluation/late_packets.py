@@ -189,7 +189,7 @@ def _most_likely(
 def _passed(
     ratios: Float[np.ndarray, "C 3 3"], lag: float, period: float, given: tuple[np.ndarray, ...]
 ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"], Float[np.ndarray, "N 3 s"] | None]:
-    """Return sums of squares and of logarithms, and the innovations if there is one candidate."""
+    """Return sums of squares and of logarithms, and the innovations of a single candidate."""
     ratios, signals = ratios.reshape(-1, 3), given[1].shape[2]
     none, start = np.zeros(len(ratios)), np.zeros((len(ratios), 4, 4))
     start[:, :3, :3] = initial_covariance(np, none + 1, ratios[:, 1], period)

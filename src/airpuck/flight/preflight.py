@@ -54,7 +54,7 @@ _FRAMES = (
 )
 #: Fraction of the modelled effect below which a motor counts as dead.
 _SILENT = 0.15
-#: A pulse that fits this many times worse than the best of its motor was disturbed.
+#: A pulse counts as disturbed if it fits this many times worse than the best of its motor.
 _DISTURBED = 5.0
 #: The test never turns the craft this far: such a yaw is in degrees.
 _MOST_TURNS = 2

@@ -193,7 +193,7 @@ def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
 
 
 class MessageCodec:
-    """Between CDR bytes and message objects of one type, through rosbags."""
+    """Converts between CDR bytes and message objects of one type, through rosbags."""
 
     def __init__(self, msgtype: str, types: Types | None = None) -> None:
         self.msgtype = msgtype
@@ -237,7 +237,7 @@ class MessageCodec:
 
 
 class StreamCodec:
-    """Between CDR bytes and the numbers of a stream; `stamped` asks for a type with a header."""
+    """Converts between CDR bytes and numbers of a stream; `stamped` requests a header."""
 
     def __init__(self, stream: str, motors: tuple[str, ...] = (), *, stamped: bool = False) -> None:
         self._stream = stream
