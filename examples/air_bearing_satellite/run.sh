@@ -1,6 +1,6 @@
 #!/bin/sh
 # From the download to a report page: sh run.sh [OUTPUT] [FOLDER]
-# FOLDER holds the dataset, or takes it; what is there and intact is not downloaded.
+# FOLDER is the dataset's folder; intact files in it are not downloaded again.
 set -eu
 here=$(cd "$(dirname "$0")" && pwd)
 out=${1:-air_bearing_satellite}
@@ -9,10 +9,10 @@ airpuck fetch air-bearing-satellite -o "$data"
 
 flight="$data/Data/Real_Test/Test/real_test_data.csv"
 set -- --vehicle "$data/vehicle.toml" --mapping "$data/mapping.toml"
-# Its status is 2: the recording disagrees with the vehicle file about a thruster.
+# The exit status is 2, because the recording disagrees with the vehicle file about a thruster.
 airpuck check "$flight" "$@" || true
 
-# 0.02 m/s² need a second to show: the usual 0.2 s are for craft that accelerate at 5 m/s².
+# An acceleration of 0.02 m/s² takes a second to show; the default of 0.2 s suits 5 m/s².
 set -- "$@" --encoder-time 1 --prediction-time 1
 airpuck identify "$flight" "$@" --report "$out/report" -o "$out/whole.toml"
 airpuck identify "$flight" "$@" --span 0 0.6 --quiet -o "$out/start.toml"

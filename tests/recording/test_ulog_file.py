@@ -40,7 +40,7 @@ def test_a_mapping_names_other_topics(tmp_path):
     recording = read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
     np.testing.assert_allclose(recording["pose"].values[8], (0.8, 0.0, -0.5), atol=1e-6)
     np.testing.assert_array_equal(recording["command"].values[0], (0.5, 0.25))
-    with pytest.raises(InputError, match="actuator_motors: there is no such topic; choose out of"):
+    with pytest.raises(InputError, match="actuator_motors: there is no such topic; choose from"):
         read_recording(path)
 
 

@@ -1,7 +1,7 @@
-"""Modulation: from duty cycles, with which the laws work, to pulses that valves can follow.
+"""Modulation: converts the duty cycles of a law to pulses that valves can follow.
 
-A modulator keeps the difference between the on-time that was requested and the on-time that it
-gave, so that the mean is right over periods.
+A modulator carries over the difference between the requested on-time and the on-time that it gave,
+so the mean over several periods is right.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from airpuck.control.tuning import Tuning
 from airpuck.craft.actuators import OnOff
 from airpuck.model.model_file import Model
 
-#: Relative difference up to which a controller's period is the craft's PWM period.
+#: Relative difference up to which a controller's period counts as the craft's PWM period.
 _SAME = 1e-3
 
 
 class Modulator:
-    """Sends the law's command as it is: the modulator of propellers."""
+    """Sends the law's command unchanged: the modulator of propellers."""
 
     def reset(self) -> None:
         """Forget the past."""
 
     def command(self, now: float, duty: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Return the command to send now for the duty cycles wanted from now on."""
+        """Return the command to send now, for the duty cycles requested from now on."""
         return duty
 
 
@@ -71,7 +71,7 @@ class PulseWidth(Modulator):
 
 
 class SigmaDelta(Modulator):
-    """Pulses of the least on-time or longer, as soon as enough on-time is owed."""
+    """Starts a pulse as soon as the accumulated on-time reaches the least on-time."""
 
     def __init__(self, kind: OnOff, tuning: Tuning) -> None:
         if kind.pwm_period_s is not None:
@@ -120,7 +120,7 @@ def of_means(model: Model) -> Model:
 
 
 def stage_of_means(model: Model, stage: Callable[..., Any] | None) -> Callable[..., Any] | None:
-    """Hide from a law's stage which valves are open now: that says nothing of the mean."""
+    """Hide from a law's stage which valves are open now: it plans with the mean."""
     if stage is None or not model.vehicle.actuators.pulsed:
         return stage
 

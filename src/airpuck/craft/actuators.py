@@ -1,7 +1,7 @@
 """Kinds of actuators: how commands drive them, and how their force follows.
 
 The force of every kind is a thrust curve of a state that follows its drive in [0, 1] with a
-first-order lag, a transport delay after the command. The physics therefore knows no kinds.
+first-order lag, a transport delay after the command. So the physics is the same for all kinds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.files import NonNegative, Section
 
-#: Packets start one PWM period each if their usual distance is this close to it, relatively.
+#: Each packet starts a PWM period if the usual interval is this close to it [relative].
 _SAME_PERIOD = 0.1
 #: Edges of pulses that are closer than this are one event [s].
 _ONE_EVENT = 1e-9
@@ -41,13 +41,13 @@ class Propellers(Section):
         """Raise ValueError for a thrust curve of a degree that this kind does not have."""
 
     def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Return the nearest command that acts as it says."""
+        """Return the nearest command that the actuators can follow exactly."""
         return command
 
     def drive(
         self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
     ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
-        """Return the drives that commands cause, and when each begins to be in force."""
+        """Return the drives that commands cause, and their start times."""
         return time, command
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
@@ -92,7 +92,7 @@ class OnOff(Section):
             )
 
     def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Return open or shut for switches, else duty cycles without pulses that are too short."""
+        """Return open or shut for switches, otherwise duty cycles without too short pulses."""
         if self.pwm_period_s is None:
             return np.where(command >= 0.5, 1.0, 0.0)
         least = self.least_on_s / self.pwm_period_s
@@ -101,10 +101,10 @@ class OnOff(Section):
     def drive(
         self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
     ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
-        """Return when the valves are open, or the mean where no pulse's time is known.
+        """Return when the valves are open, or the mean if the times of the pulses are unknown.
 
-        Packets at the PWM period's pace begin one pulse each. The phase of faster or slower ones is
-        unknown: they act by their mean.
+        Packets at the rate of the PWM begin one pulse each. At other rates the phase of pulses is
+        unknown, so commands act by their mean.
         """
         period = self.pwm_period_s
         if period is None:
@@ -124,7 +124,7 @@ class OnOff(Section):
         return times, np.where(still | (command[packet] >= 1), 1.0, 0.0)
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
-        """Return a lag for each valve: it opens and closes at different paces."""
+        """Return a lag for each valve, which opens and closes at different rates."""
         mean = (self.rise_s + self.fall_s) / 2
         if mean == 0:
             return time_constant

@@ -27,7 +27,7 @@ from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 #: below which its direction is undetermined: rounding leaves about 1e-15.
 UNDETERMINED = 1e-11
 #: Curvature of the loss, relative to the largest, below which a parameter has no influence. Units
-#: differ by less; a lag that is much shorter than the samples' distance leaves 1e-200.
+#: differ by less; a lag much shorter than the sample period leaves 1e-200.
 _INFLUENCE = 1e-24
 #: Largest leverage of a block; a block that alone determines a direction has leverage 1.
 _LEVERAGE = 0.999

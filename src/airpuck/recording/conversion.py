@@ -19,7 +19,7 @@ _ORTHOGONAL = 1e-2
 #: A third coordinate that varies by more than the first number is not a height above the table [m].
 #: The true height varies by at most the second number, as a fraction of the third coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
-#: What is said of a number that is no bit mask.
+#: Problem of a number that is not a bit mask.
 NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
 #: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9

@@ -22,7 +22,7 @@ from airpuck.recording.mapping import MASK_BITS
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"
-#: What separates the entries of a list in a cell, and what may stand around them.
+#: Separators of the entries of a list in a cell, and its delimiters.
 _BETWEEN, _AROUND = re.compile(r"\s*[,;]\s*|\s+"), "[]() \t"
 #: Switches as programs print them.
 _SWITCH = {"true": 1.0, "false": 0.0}
@@ -118,7 +118,7 @@ def is_list(text: str) -> bool:
 
 
 def _entries(text: str) -> list[str]:
-    """Split a list in a cell; one that is too long keeps an entry too many."""
+    """Split a list in a cell; a list that is too long keeps one extra entry."""
     inside = text.strip(_AROUND) if is_list(text) else ""
     return _BETWEEN.split(inside, PROPELLERS) if inside else []
 

@@ -25,9 +25,9 @@ _LENGTH = struct.Struct("<I")
 _TIME = struct.Struct("<II")
 #: Maximum length of a record's header [bytes]; that of a message has 40.
 _HEADER_BYTES = 4096
-#: ROS 2's names of compressions.
+#: ROS 2's names of the compression methods.
 _COMPRESSIONS = {"none": "", "bz2": "bz2", "lz4": "lz4"}
-#: Counter in the headers of ROS 1 that ROS 2 does without; rosbags leaves it out of messages.
+#: Counter in the headers of ROS 1, absent in ROS 2; rosbags drops it.
 _COUNTER = re.compile(r"^uint32 seq\b.*\n", re.MULTILINE)
 #: ROS 1 has time and duration as numbers, ROS 2 as messages.
 _TIMES = "".join(
@@ -36,11 +36,11 @@ _TIMES = "".join(
 )
 
 
-class _Damaged(ValueError):
+class _MalformedRecord(ValueError):
     """A record is malformed."""
 
 
-class _Sink:
+class _BagRecords:
     """Processes records in the order of the file."""
 
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
@@ -59,7 +59,7 @@ class _Sink:
         if len(self.log.topics) > TOPICS:
             raise refused("holds too many topics", TOPICS, "split it", file=self.path)
         if known.msgtype != topic.msgtype:
-            raise _Damaged("a topic has two types")
+            raise _MalformedRecord("a topic has two types")
         self._topics[number] = known
 
     def message(self, header: dict[str, bytes], content: bytes) -> None:
@@ -106,13 +106,13 @@ class _Sink:
 def _field(fields: dict[str, bytes], name: str, size: int) -> bytes:
     value = fields.get(name, b"")
     if len(value) != size:
-        raise _Damaged(f"a record has no {name}")
+        raise _MalformedRecord(f"a record has no {name}")
     return value
 
 
 def _text(fields: dict[str, bytes], name: str) -> str:
     if name not in fields:
-        raise _Damaged(f"a record has no {name}")
+        raise _MalformedRecord(f"a record has no {name}")
     return fields[name].decode(errors="replace")
 
 
@@ -123,17 +123,17 @@ def _fields(data: bytes) -> dict[str, bytes]:
         text, start = _counted(data, start)
         name, equals, value = text.partition(b"=")
         if not equals:
-            raise _Damaged("a record has a field without a value")
+            raise _MalformedRecord("a record has a field without a value")
         found[name.decode(errors="replace")] = value
     return found
 
 
 def _counted(data: bytes, start: int) -> tuple[bytes, int]:
-    """Return the bytes whose length stands at `start`, and where they end."""
+    """Read a length at `start` and as many bytes; return them and their end."""
     begin = start + _LENGTH.size
     end = begin + (_LENGTH.unpack_from(data, start)[0] if begin <= len(data) else 0)
     if max(begin, end) > len(data):
-        raise _Damaged("a record is longer than what holds it")
+        raise _MalformedRecord("the length of a record is impossible")
     return data[begin:end], end
 
 
@@ -151,7 +151,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
     """Yield header and content of the records of a file."""
     position = len(_MAGIC)
     if file.read(position) != _MAGIC:
-        raise InputError("is no ROS 1 bag of format 2.0", file=path)
+        raise InputError("is not a ROS 1 bag of format 2.0", file=path)
     while position < size:
         parts = []
         for most in (_HEADER_BYTES, CHUNK_BYTES):
@@ -159,7 +159,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
             position += _LENGTH.size
             length = _LENGTH.unpack(start)[0] if len(start) == _LENGTH.size else size
             if length > size - position:
-                raise _Damaged(f"it is cut short after {size} bytes")
+                raise _MalformedRecord(f"it is cut short after {size} bytes")
             if length > most:
                 remedy = "record smaller chunks"
                 raise refused("holds too large a record", most, remedy, file=path)
@@ -170,7 +170,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
 
 def read_ros1(path: Path, wanted: Collection[str]) -> Log:
     """Read the wanted messages up to the damage, if any, and convert them to CDR."""
-    sink, lost = _Sink(path, wanted), 0
+    sink, lost = _BagRecords(path, wanted), 0
     try:
         with path.open("rb") as file:
             for header, content in _headed(file, path.stat().st_size, path):
@@ -180,7 +180,7 @@ def read_ros1(path: Path, wanted: Collection[str]) -> Log:
                     raise
                 except ValueError:
                     lost += 1
-    except _Damaged as error:
+    except _MalformedRecord as error:
         sink.log.damage.append(str(error))
     if lost:
         number = f"{lost} damaged record{'s' if lost > 1 else ''}"

@@ -213,7 +213,7 @@ def stream_of(
     received: Int64[np.ndarray, " N"],
     mapping: RecordingMapping,
 ) -> tuple[Stream, bool]:
-    """Turn what `read` decodes into a stream, and report whether messages carry their times."""
+    """Convert the fields that `read` decodes to a stream; report whether messages carry times."""
     own = _own(stream, msgtype, mapping)
     usual = PATHS.get(stream, {}).get(msgtype, ())
     if isinstance(own, PoseMapping):
@@ -249,7 +249,7 @@ def _is_number(name: str, codes: Mapping[str, str]) -> bool:
 
 
 def _own(stream: str, msgtype: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
-    """Return the mapping's section for a stream, with what its type says; all poses share one."""
+    """Return the mapping's section for a stream, completed by its type; all poses share one."""
     section = CommandMapping()
     if stream in POSES:
         section = mapping.pose

@@ -1,7 +1,7 @@
 """Reading a PX4 log (ULog) through pyulog, the extra `px4`.
 
-A format may nest others and name arrays of any length, which pyulog unrolls field by field. So the
-formats are counted before it sees them.
+A format may nest others and declare arrays of any length, which pyulog unrolls field by field. So
+the fields are counted first.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topic_stream import stream_of
 
 ULOG = ".ulg"
-#: Topics where the mapping names none; the first that the log has. Motion capture comes before what
-#: PX4 made of it.
+#: Default topics: the first one that the log has. Motion capture comes before PX4's own estimates.
 _USUAL = {
     "pose": (
         "vehicle_visual_odometry",
@@ -37,7 +36,7 @@ _USUAL = {
     ),
     "command": ("actuator_motors",),
 }
-#: The log's names of topics -> types of their messages; others are their own type.
+#: Topic in the log -> message type; for other topics both are the same.
 _TYPES = {
     **dict.fromkeys(_USUAL["pose"], "px4_msgs/msg/VehicleOdometry"),
     "vehicle_local_position": "px4_msgs/msg/VehicleLocalPosition",
@@ -78,14 +77,16 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
         named = named if stream in mapping.topics.model_fields_set else _USUAL.get(stream, named)
         topic = next((topic for topic in named if topic in topics), "")
         if not topic:
-            problem = f"there is no such topic; choose out of {listing(sorted(topics))}"
+            problem = f"there is no such topic; choose from {listing(sorted(topics))}"
             raise InputError(problem, file=path, field=named[0])
         try:
             streams[stream] = _stream(stream, topic, topics[topic], mapping)
         except (ValueError, OverflowError) as error:
             problem = error.problem if isinstance(error, InputError) else str(error)
             raise InputError(problem, file=path, field=topic) from error
-    damage = (f"{path.name} is damaged; what could be read is used",) if log.file_corruption else ()
+    damage = (
+        (f"{path.name} is damaged; only the intact part is used",) if log.file_corruption else ()
+    )
     return Recording(streams, str(path), {path.name: sha256(path)}, damage)
 
 
@@ -119,7 +120,7 @@ def _chosen(found: Mapping[str, np.ndarray], paths: Sequence[str]) -> dict[str, 
 
 
 def _check_formats(content: bytes, path: Path) -> None:
-    """Refuse formats that unroll to too many fields."""
+    """Reject formats that unroll to too many fields."""
     formats, place = dict[str, list[tuple[str, int]]](), _HEADER_BYTES
     while place + _HEAD.size <= len(content):
         length, kind = _HEAD.unpack_from(content, place)
@@ -138,7 +139,7 @@ def _check_formats(content: bytes, path: Path) -> None:
         if name not in formats:
             return 1
         if name not in sizes:
-            # A format within itself never ends.
+            # A format that contains itself would never end.
             total = DEFINITION_SIZE + 1 if depth > len(formats) else 0
             for of, count in formats[name] if not total else ():
                 total += count * size(of, depth + 1)
