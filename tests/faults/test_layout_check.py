@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
+from airpuck.data.trajectory import Trajectory
 from airpuck.faults.layout_check import check_layout, match_effects, rotation, turned
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
@@ -197,13 +198,75 @@ def test_mass_thrust_and_inertia_need_not_be_right(flight):
     assert check_layout(flight, rough).agrees
 
 
-def test_noise_is_not_conclusive(flight):
-    rng = np.random.default_rng(0)
-    noise = replace(flight, acceleration=rng.normal(size=flight.acceleration.shape))
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_is_not_conclusive(flight, seed):
+    rng = np.random.default_rng(seed)
+    state = 1e-4 * rng.normal(size=flight.state.shape)
+    noise = replace(flight, state=state, acceleration=rng.normal(size=flight.acceleration.shape))
     check = check_layout(noise, default_vehicle())
     assert not check.conclusive
     assert not check.agrees
     assert "too little" in check.remarks[0]
+
+
+@pytest.mark.parametrize("moved", [1, 2, 3, 4, 5, 6])
+def test_commands_of_another_time_explain_nothing(flight, moved):
+    """The motion is smooth, and far from white: that alone must not look like an explanation."""
+    elsewhere = np.roll(flight.command, moved * len(flight.command) // 7, axis=0)
+    assert not check_layout(replace(flight, command=elsewhere), default_vehicle()).conclusive
+
+
+def slow(seconds: float, seed: int = 0, noise: float = 3e-4):
+    """A craft of 0.02 m/s² per motor at 16 Hz, blown by white accelerations."""
+    rng = np.random.default_rng(seed)
+    vehicle = default_vehicle()
+    vehicle = vehicle.model_copy(update={"mass_kg": 30.0})
+    vehicle = vehicle.model_copy(
+        update={"nominal": vehicle.nominal.model_copy(update={"inertia_kg_m2": 0.08})}
+    )
+    time = np.arange(0, seconds, 0.06)
+    command = np.repeat(rng.integers(0, 2, (len(time) // 10 + 1, 6)), 10, axis=0)[: len(time)]
+    full = nominal_model(vehicle).vehicle.nominal_thrust.sum(axis=1)
+    effect = np.asarray(nominal_model(vehicle).dynamics.configuration) * full
+    state = np.zeros((len(time), 6))
+    for k in range(1, len(time)):
+        x, y, turn = effect @ command[k - 1]
+        yaw = state[k - 1, 2]
+        acceleration = [
+            np.cos(yaw) * x - np.sin(yaw) * y,
+            np.sin(yaw) * x + np.cos(yaw) * y,
+            turn,
+        ] + rng.normal(size=3) * [0.02, 0.02, 0.2]
+        state[k, 3:] = state[k - 1, 3:] + 0.06 * np.array(acceleration)
+        state[k, :3] = state[k - 1, :3] + 0.03 * (state[k - 1, 3:] + state[k, 3:])
+    state[:, :3] += noise * rng.normal(size=(len(time), 3))
+    flight = Trajectory(
+        time=time,
+        state=state,
+        acceleration=np.gradient(np.gradient(state[:, :3], time, axis=0), time, axis=0),
+        command_time=time,
+        command=command.astype(float),
+        propellers=vehicle.propeller_names,
+    )
+    return flight, vehicle
+
+
+def test_a_slow_and_noisy_craft_is_judged():
+    flight, vehicle = slow(200.0)
+    check = check_layout(flight, vehicle)
+    # Motors give 0.05 m/s²: of the variance of raw accelerations, a few percent.
+    raw = np.diff(flight.state[:, 0], n=2) / 0.06**2
+    assert 0.07 * np.var(raw) > 0.05**2
+    assert check.agrees
+    for propeller in check.propellers:
+        assert abs(propeller.strength - 1) < 4 * propeller.strength_error
+
+
+def test_a_short_flight_of_a_slow_craft_says_how_much_longer_to_fly():
+    flight, vehicle = slow(9.0, noise=1e-2)
+    check = check_layout(flight, vehicle)
+    assert not check.conclusive
+    assert "would be seen in about" in check.remarks[0]
 
 
 def test_the_delay_is_found(flight):

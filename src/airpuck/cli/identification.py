@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from airpuck.identification.selection import Selection
     from airpuck.model.model_file import Model
     from airpuck.model.rungs import Rung
-    from airpuck.twin.verdict import Verdict
 
 PANEL = "From a recording to a validated model"
 
@@ -192,18 +191,23 @@ def identify(
     said, judged, figures = _judged(fit, trajectories, other, found)
     tried = _ladder_summary(selection) if selection else ()
     figures.update({"selection": selection.to_json()} if selection else {})
-    told = *tried, *said.sentences, *judged, *_fit_summary(fit, verbose), output
+    told = *tried, *said, *judged, *_fit_summary(fit, verbose), output
     report(figures, json_file, *told, quiet=quiet)
 
 
 def _judged(
     fit: Fit, training: Sequence[Trajectory], other: Trajectory | None, found: Evaluation | None
-) -> tuple[Verdict, list[Table], dict[str, Any]]:
-    """Judge a fit: the verdict, tables, and figures for JSON."""
+) -> tuple[list[str], list[Table], dict[str, Any]]:
+    """Judge a fit: lines, tables, and figures for JSON."""
+    from airpuck.faults.strengths import actuator_strengths
     from airpuck.twin.verdict import verdict
 
-    said = verdict(fit.model, other or training[0], found)
-    figures = {**fit.to_json(), "verdict": said.to_json()}
+    judged, strengths = (
+        verdict(fit.model, other or training[0], found),
+        actuator_strengths(fit.model, training[0]),
+    )
+    said = [*judged.sentences, *strengths.sentences]
+    figures = {**fit.to_json(), "verdict": judged.to_json(), "strengths": strengths.to_json()}
     if found is None or other is None:
         return said, [], figures
     figures["validation"] = found.to_json()

@@ -123,6 +123,7 @@ def faults(
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
     from airpuck.data.trajectory import left_out_words
+    from airpuck.faults.strengths import actuator_strengths
 
     healthy = read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else vehicle
@@ -132,7 +133,7 @@ def faults(
         warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
         healthy = fit.model
     found = airpuck.find_faults(trajectory, healthy)
-    page = None
+    strengths, page = actuator_strengths(healthy, trajectory), None
     if output is not None:
         from airpuck.report.fault_report import fault_report
 
@@ -146,14 +147,17 @@ def faults(
         "duration_s": trajectory.duration,
         "usable": usable,
         "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
+        "strengths": strengths.to_json(),
     }
     rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in spans]
     headings = ("from s", "to s", "cause", "confidence")
     shown = table(headings, rows[:_MOST_SPANS], left=("cause",)) if spans else None
     more = len(rows) - _MOST_SPANS
     folded = f"and {more} more; --json has all" if more > 0 else None
-    share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without any fault"
-    report(figures, json_file, shown, folded, left_out_words(healthy_part), share, page)
+    what = "passing faults" if strengths.remarkable else "any fault"
+    share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without {what}"
+    left, throughout = left_out_words(healthy_part), strengths.sentences
+    report(figures, json_file, shown, folded, left, share, *throughout, page)
 
 
 @app.command(rich_help_panel=PANEL)

@@ -13,8 +13,9 @@ yaw, both, or none) one leaves forces that the commands explain. A wrong sign of
 of y, turned by 180°.
 
 Measured and expected effects of propellers (two forces, a moment) are matched by direction. Effects
-are columns; forces rotate with the frame, moments do not. Magnitudes are ignored, so thrust, mass
-and inertia need not be right.
+are columns; forces rotate with the frame, moments do not. Magnitudes are compared with each other
+only, so thrust, mass and inertia need not be right. Effects come with standard errors
+(`window_regression`): nothing is said of a propeller whose effect these leave open.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from jaxtyping import Float, Int
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers, hold
+from airpuck.faults.window_regression import LEVEL, regress_windows
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
@@ -43,8 +45,10 @@ _MARGIN = 0.15
 _LONGEST_DELAY = 0.1
 #: Rotation of the whole layout that is worth mentioning [rad].
 _TURNED = 0.3
-#: Fraction of the variance that the commands must explain before anything is concluded.
-_EXPLAINED = 0.3
+#: Standard error of the effect of a motor that never ran [1/kg].
+_UNKNOWN = 1e9
+#: Nobody flies this many times longer: the motors were hardly used.
+_TOO_LONG = 100.0
 #: Shortest usable recording from which anything is concluded [s].
 _SHORTEST = 2.0
 #: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
@@ -55,6 +59,16 @@ _WRONG_UNIT = 5.0
 _BETTER = 0.02
 #: Verdict on a propeller that agrees once the layout is rotated back.
 _TURNS = "turned with the whole layout"
+#: Effect, relative to the others, above which a propeller's direction is judged, and standard error
+#: up to which the direction is known, relative to the effect.
+_SEEN, _DIRECTION_LIMIT = 0.3, 0.25
+#: Effect relative to the others that a propeller without thrust stays below, and standard errors
+#: that make this certain.
+_DEAD, _CERTAIN = 0.5, 2.6
+#: Effect relative to the others below which a propeller may give nothing, beside errors of curves.
+_NOTHING = 0.15
+#: Verdicts on propellers that give no thrust, and on those of which too little is known.
+DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
 #: Cosine above which a measured and an expected effect agree (26 degrees apart).
 AGREES = 0.9
 #: An opposite effect is more likely another propeller's effect: cables are swapped more often than
@@ -171,6 +185,9 @@ class PropellerCheck:
     behaves_like: str
     #: ``agrees``, or the problem in words.
     verdict: str
+    #: Its force along the stated direction, over the nominal one, and the standard error.
+    strength: float = np.nan
+    strength_error: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -178,14 +195,16 @@ class LayoutCheck(Result):
     """Result of `check_layout`."""
 
     JSON = (
-        "agrees conclusive explained delay_s=delay rotation_rad=rotation length_ratio mirrored "
-        "flipped=signs.flipped propellers"
+        "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
+        "mirrored flipped=signs.flipped propellers"
     )
 
     #: One for each propeller.
     propellers: tuple[PropellerCheck, ...]
-    #: Fraction of the acceleration's variance that the commands explain.
+    #: Fraction of the variance of mean accelerations that the commands explain.
     explained: float
+    #: Probability that chance explains as much.
+    p_value: float
     #: Transport delay at which they explain most [s].
     delay: float
     #: Angle by which the whole layout seems rotated against the measured yaw [rad].
@@ -198,6 +217,10 @@ class LayoutCheck(Result):
     usable: float = np.inf
     #: Our x, y, z in terms of the file's axes, as in the mapping.
     axes: tuple[str, ...] = AXES
+    #: Duration at which nominal motors would be seen, over that of the recording.
+    longer: float = np.inf
+    #: Length of the windows over which accelerations are averaged [s].
+    window: float = np.nan
 
     @property
     def mirrored(self) -> bool:
@@ -207,12 +230,18 @@ class LayoutCheck(Result):
     @property
     def conclusive(self) -> bool:
         """Whether the commands explain enough of the motion for a verdict."""
-        return self.explained >= _EXPLAINED and self.usable >= _SHORTEST
+        return bool(self.p_value < LEVEL and self.usable >= _SHORTEST)
 
     @property
     def agrees(self) -> bool:
         """Whether order and signs of all propellers agree with the recording."""
         return self.conclusive and not self.wrong
+
+    @property
+    def untouched(self) -> int:
+        """Number of propellers that agree, less the number of axes with the wrong sign."""
+        fine = sum(one.verdict in ("agrees", _TURNS) for one in self.propellers)
+        return fine - len(self.signs.flipped)
 
     @property
     def wrong(self) -> tuple[str, ...]:
@@ -221,7 +250,7 @@ class LayoutCheck(Result):
             *self.signs.names,
             *(("the unit of length",) if self.length_ratio != 1 else ()),
             *(("the yaw's zero",) if any(p.verdict == _TURNS for p in self.propellers) else ()),
-            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS)),
+            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS, UNCLEAR)),
         )
 
     @property
@@ -231,6 +260,11 @@ class LayoutCheck(Result):
             return (
                 f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
                 f" s, but {_SHORTEST:g} s are needed; check the clocks and gaps of both",
+            )
+        if not self.conclusive and 1 < self.longer < _TOO_LONG:
+            return (
+                "too little to judge: motors of nominal thrust would be seen in about "
+                f"{self.usable * self.longer:.0f} s; this recording has {self.usable:.0f} s",
             )
         if not self.conclusive:
             return (
@@ -259,11 +293,11 @@ def check_layout(
 ) -> LayoutCheck:
     """Measure each motor's effect, and compare it with the vehicle file.
 
-    The measured accelerations, rotated into the body frame, are regressed on the nominal thrusts of
-    all motors. Each column of the result is one motor's effect (two forces and a moment). Its
-    direction is compared with the columns of the vehicle's configuration matrix, so the nominal
-    thrust, mass and inertia need not be right. Transport delays up to 0.1 s are tried, since the
-    one found by correlation relies on the layout in question.
+    Mean accelerations over windows are regressed on the nominal thrusts of all motors
+    (`window_regression`). Each column of the result is one motor's effect (two forces and a
+    moment). Its direction is compared with the columns of the vehicle's configuration matrix, so
+    the nominal thrust, mass and inertia need not be right. Transport delays up to 0.1 s are tried,
+    since the one found by correlation relies on the layout in question.
 
     Parameters
     ----------
@@ -281,70 +315,127 @@ def check_layout(
         A verdict for each propeller, and for the layout as a whole.
     """
     check_propellers(vehicle, trajectory)
-    # Express forces and moments in one unit: moments as forces at the radius of gyration.
-    nominal = nominal_model(vehicle)
-    stated = nominal.propeller_effects
-    forces = _nominal_thrusts(trajectory, vehicle)
+    stated, forces = nominal_model(vehicle).propeller_effects, _nominal_thrusts(trajectory, vehicle)
     signs = find_axis_signs(trajectory, stated @ forces, _LONGEST_DELAY)
-    accelerations = body_acceleration(signs.undone(trajectory))
-    accelerations[2] *= nominal.radius_of_gyration
-    period = trajectory.sample_period
-    used = float(np.sum(trajectory.usable)) * period
-    fits = []
-    for shift in range(round(_LONGEST_DELAY / period) + 1):
-        # The motion at sample k is explained by the thrusts `shift` samples before.
-        usable = trajectory.usable[shift:]
-        cause = forces[:, : len(trajectory) - shift][:, usable]
-        effect, explained = _regress(accelerations[:, shift:][:, usable], cause)
-        fits.append((explained, shift * period, effect))
-    explained, delay, measured = max(fits, key=lambda fit: fit[0])
+    tried = [
+        _with_signs(trajectory, vehicle, forces, one, tuple(axes))
+        for one in dict.fromkeys((signs, AxisSigns()))
+    ]
+    # A reversed propeller of few mirrors the craft, too: prefer what leaves most propellers alone.
+    return max(tried, key=lambda one: one.untouched)
 
-    ratio = _length_ratio(measured, stated)
+
+def _with_signs(
+    trajectory: Trajectory,
+    vehicle: Vehicle,
+    forces: Float[np.ndarray, "n N"],
+    signs: AxisSigns,
+    axes: tuple[str, ...],
+) -> LayoutCheck:
+    """Compare effects that are measured with these signs of the axes."""
+    nominal, names = nominal_model(vehicle), vehicle.propeller_names
+    stated = nominal.propeller_effects
+    used = float(np.sum(trajectory.usable)) * trajectory.sample_period
+    effects = np.asarray(nominal.dynamics.configuration)
+    found = regress_windows(signs.undone(trajectory), forces, effects, _LONGEST_DELAY)
+    if found is None:
+        unknown = tuple(PropellerCheck(name, 0.0, name, "not judged") for name in names)
+        return LayoutCheck(unknown, 0.0, 1.0, 0.0, 0.0, signs, usable=used, axes=axes)
+    # Express forces and moments in one unit: moments as forces at the radius of gyration.
+    rows = np.array([1.0, 1.0, nominal.radius_of_gyration])[:, None]
+    measured, error = rows * found.effect, rows * np.minimum(found.error, _UNKNOWN)
+    ratio = _length_ratio(measured, error, stated)
     measured[:2] /= ratio
-    found = LayoutCheck(
-        (), explained, delay, rotation(measured, stated), signs, ratio, used, tuple(axes)
+    error[:2] /= ratio
+    check = LayoutCheck(
+        propellers=(),
+        explained=found.explained,
+        p_value=found.p_value,
+        delay=found.delay,
+        rotation=rotation(measured, stated),
+        signs=signs,
+        length_ratio=ratio,
+        usable=used,
+        axes=axes,
+        longer=found.longer,
+        window=found.length,
     )
-    checks = _propeller_checks(measured, stated, vehicle.propeller_names, found)
-    return replace(found, propellers=checks)
+    return replace(check, propellers=_propeller_checks(measured, error, stated, names, check))
 
 
-def _length_ratio(measured: Float[np.ndarray, "3 n"], stated: Float[np.ndarray, "3 n"]) -> float:
+def _length_ratio(
+    measured: Float[np.ndarray, "3 n"],
+    error: Float[np.ndarray, "3 n"],
+    stated: Float[np.ndarray, "3 n"],
+) -> float:
     """Return by what power of ten forces are too large for the moments."""
-    sizes = [[np.linalg.norm(part[:2]), np.linalg.norm(part[2])] for part in (measured, stated)]
-    if np.min(sizes) == 0:
+    # Noise adds its variance to measured sizes.
+    noise = [np.sum(part**2) for part in (error[:2], error[2])]
+    size, expected = ([np.sum(p[:2] ** 2), np.sum(p[2] ** 2)] for p in (measured, stated))
+    size = np.array(size) - noise
+    if min(*size, *expected) <= 0:
         return 1.0
-    (force, moment), (stated_force, stated_moment) = sizes
-    ratio = float(force / stated_force * stated_moment / moment)
-    wrong = max(ratio, 1 / ratio) > _WRONG_UNIT
-    return 10.0 ** round(np.log10(ratio)) if wrong else 1.0
+    force, moment = np.sqrt(size / np.array(expected))
+    wrong = max(force / moment, moment / force) > _WRONG_UNIT
+    return 10.0 ** round(np.log10(force / moment)) if wrong else 1.0
 
 
 def _propeller_checks(
     measured: Float[np.ndarray, "3 n"],
+    error: Float[np.ndarray, "3 n"],
     stated: Float[np.ndarray, "3 n"],
     names: tuple[str, ...],
     found: LayoutCheck,
 ) -> tuple[PropellerCheck, ...]:
     """Judge each propeller, in a rotated layout if that explains more."""
-    every = np.arange(len(names))
     likeness = seen = cosines(measured, stated)
-    matches = match_effects(measured, stated, every)
-    agrees = "agrees"
+    back, agrees = measured, "agrees"
+    size, spread = np.linalg.norm(measured, axis=0), np.linalg.norm(error, axis=0)
+    usual = float(np.median(size))
+    clear = np.flatnonzero((size > _SEEN * usual) & (spread < _DIRECTION_LIMIT * size))
+    matches = match_effects(measured[:, clear], stated, clear)
     if abs(found.rotation) > _TURNED:
         back = turned(measured, -found.rotation)
-        others, upright = match_effects(back, stated, every), cosines(back, stated)
+        others, upright = match_effects(back[:, clear], stated, clear), cosines(back, stated)
         if _worth(others, upright) > _worth(matches, likeness) + _BETTER:
             matches, seen, agrees = others, upright, _TURNS
-    verdicts = [_verdict(matches[k], k, names, agrees) for k in range(len(names))]
+        else:
+            back = measured
+    verdicts = _unclear(back, error, stated, agrees)
+    verdicts |= {k: _verdict(match, k, names, agrees) for k, match in matches.items()}
+    force, full = stated[:2], np.linalg.norm(stated[:2], axis=0)
+    strength = np.sum(force * back[:2], axis=0) / full**2
+    deviation = np.sqrt(np.sum((force * error[:2]) ** 2, axis=0)) / full**2
     return tuple(
         PropellerCheck(
             name=name,
             agreement=float(likeness[k, k]),
             behaves_like=names[int(np.argmax(seen[k]))],
             verdict=verdicts[k] if found.conclusive else "not judged",
+            strength=float(strength[k]),
+            strength_error=float(deviation[k]),
         )
         for k, name in enumerate(names)
     )
+
+
+def _unclear(
+    measured: Float[np.ndarray, "3 n"],
+    error: Float[np.ndarray, "3 n"],
+    stated: Float[np.ndarray, "3 n"],
+    agrees: str,
+) -> dict[int, str]:
+    """Judge propellers by their effect along the stated one alone."""
+    unit = _unit(stated)
+    size = np.linalg.norm(stated, axis=0)
+    along = np.sum(unit * measured, axis=0) / size
+    reach = _CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
+    usual = float(np.median(along))
+    verdicts = {}
+    for k, (middle, half) in enumerate(zip(along / usual, reach / abs(usual), strict=True)):
+        dead = middle + half < _DEAD and middle - half < _NOTHING
+        verdicts[k] = DEAD if dead else agrees if middle - half > 0 else UNCLEAR
+    return verdicts
 
 
 def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) -> float:
@@ -354,7 +445,7 @@ def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) 
         for k, match in matches.items()
         if match.acts_as is not None
     ]
-    return float(np.sum(found) / len(matches))
+    return float(np.sum(found) / max(len(matches), 1))
 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
@@ -362,18 +453,6 @@ def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarr
     command = hold(trajectory.command_time, trajectory.command, trajectory.time)
     speed = motor_speeds(trajectory.time, command, vehicle.nominal.motor_time_constant_s)
     return thrust(vehicle.nominal_thrust, speed.T)
-
-
-def _regress(
-    measured: Float[np.ndarray, "3 M"], forces: Float[np.ndarray, "n M"]
-) -> tuple[Float[np.ndarray, "3 n"], float]:
-    """Least squares for the effect of each force, and the fraction of variance explained."""
-    effect = np.linalg.lstsq(forces.T, measured.T, rcond=None)[0].T
-    residual = measured - effect @ forces
-    total = np.sum(measured**2, axis=1)
-    shares = 1 - np.sum(residual**2, axis=1) / np.where(total > 0, total, np.inf)
-    shares = np.where(total > 0, shares, 0.0)
-    return effect, float(np.mean(shares))
 
 
 def _verdict(match: EffectMatch, k: int, names: tuple[str, ...], agrees: str) -> str:

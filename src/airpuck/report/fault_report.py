@@ -13,6 +13,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
+from airpuck.faults.strengths import STRENGTH_HEADINGS, actuator_strengths, strength_rows
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
@@ -32,7 +33,7 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
     """Show when and why a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     if not spans:
-        words = f"{model.name} shows no faults in {trajectory.duration:.1f} s."
+        words = f"{model.name} shows no passing faults in {trajectory.duration:.1f} s."
         return PageSection("faults", "Faults", (Text([words]),))
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
@@ -69,10 +70,23 @@ def fault_report(
     usable = trajectory.leave_out(faults).usable.mean()
     lead = (
         f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "
-        f"{100 * usable:.1f} % of them without faults."
+        f"{100 * usable:.1f} % of them without passing faults."
     )
-    section = fault_section(trajectory, faults, model)
-    return write_page(out, "Faults of a recording", lead, [section], origin)
+    sections = [fault_section(trajectory, faults, model), strength_section(model, trajectory)]
+    return write_page(out, "Faults of a recording", lead, sections, origin)
+
+
+def strength_section(model: Model, trajectory: Trajectory) -> PageSection:
+    """Set the strength of each actuator beside the vehicle file's."""
+    strengths = actuator_strengths(model, trajectory)
+    caption = (
+        "Thrust at the largest command, with 95 % intervals. An actuator is judged in comparison "
+        "with the others: it is weak if it certainly gives less than 80 % of the median, over all "
+        "actuators, of identified over nominal strength."
+    )
+    table = PageTable(caption, STRENGTH_HEADINGS, strength_rows(strengths))
+    words = [Text(list(strengths.sentences))] if strengths.sentences else []
+    return PageSection("strengths", "Strength of each actuator", (*words, table))
 
 
 def fault_color(cause: str) -> str:

@@ -33,7 +33,7 @@ from airpuck.report.evaluation_report import (
     sources_section,
     verdict_section,
 )
-from airpuck.report.fault_report import fault_section
+from airpuck.report.fault_report import fault_section, strength_section
 from airpuck.report.fit_figures import (
     loss_history_figure,
     packet_delay_figure,
@@ -294,7 +294,8 @@ def fit_report(
         sections.append(path_section(training, vehicle))
     else:
         sections += judged_sections(judged, vehicle)
-    sections += [*study_sections(study), craft_section(vehicle)]
+    strengths = strength_section(last.model, training)
+    sections += [*study_sections(study), strengths, craft_section(vehicle)]
     if last.packet_delays and len(last.packet_delays[0]):
         sections.append(_delay_section(last, training))
     if last.exclusion is not None:

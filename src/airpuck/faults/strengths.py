@@ -1,0 +1,209 @@
+"""Which actuator is weak, dead, reversed or swapped throughout a recording.
+
+`find_faults` compares a recording with a model of the healthy craft. A fit to a recording in which
+an actuator never works describes that craft as healthy. So identified strengths are compared with
+the vehicle file here, and with each other: an error of the file's mass, or a weak supply, changes
+all strengths alike and is no actuator's fault.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.numbers import percent
+from airpuck.boundary.results import Result
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.faults.layout_check import PropellerCheck, check_layout
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.physics.thrust import thrust
+
+#: Strength relative to the others below which an actuator is weak, and above which it is strong.
+#: Propellers and valves of one make differ by 10 %.
+_WEAK, _STRONG = 0.8, 1.25
+#: An actuator that may give nothing, and certainly gives less than this, is dead.
+_DEAD = 0.5
+#: An effect that certainly lies below this fraction of the nominal one is reversed.
+_REVERSED = -0.2
+#: Deviation of all strengths alike that is worth mentioning.
+_SCALE = 0.1
+#: Fewest actuators whose median tells a common error from one actuator's.
+_FEWEST = 3
+#: Half the 95 % interval of a normal distribution, in standard deviations.
+_NORMAL = 1.96
+#: Level of all verdicts on a craft together.
+_LEVEL = 0.05
+
+
+@dataclass(frozen=True)
+class Strength(Result):
+    """Strength of one actuator over a whole recording."""
+
+    JSON = "name nominal_N=nominal strength_N=value interval_95 of_nominal verdict"
+
+    name: str
+    #: Full thrust in the vehicle file, and as identified along the stated direction [N].
+    nominal: float
+    value: float
+    #: Ends of the 95 % interval; None if unknown.
+    interval_95: tuple[float, float] | None
+    #: ``sound``, ``weak``, ``dead``, ``strong``, ``reversed``, ``acts like NAME`` or ``unknown``.
+    verdict: str
+
+    @property
+    def of_nominal(self) -> float:
+        """Identified strength over the nominal one."""
+        return self.value / self.nominal
+
+    @property
+    def remarkable(self) -> bool:
+        """Whether it is named."""
+        return self.verdict not in ("sound", "unknown")
+
+    @property
+    def sentence(self) -> str:
+        """The finding in words."""
+        if self.verdict.startswith("acts like"):
+            return f"{self.name} {self.verdict}"
+        if self.interval_95 is None:
+            return f"{self.name} is {self.verdict}"
+        low, high = (percent(end / self.nominal) for end in self.interval_95)
+        return f"{self.name} is {self.verdict} ({low} to {high} of its nominal strength)"
+
+
+@dataclass(frozen=True)
+class Strengths(Result):
+    """Strengths of all actuators."""
+
+    JSON = "of_nominal=common actuators sentences"
+
+    actuators: tuple[Strength, ...]
+    #: Median of the strengths over their nominal ones.
+    common: float
+
+    @property
+    def remarkable(self) -> tuple[Strength, ...]:
+        """The actuators that are not sound."""
+        return tuple(one for one in self.actuators if one.remarkable)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What is remarkable."""
+        found = [one.sentence for one in self.remarkable]
+        lines = [f"Throughout the recording: {'; '.join(found)}."] if found else []
+        alone = self.remarkable or abs(self.common - 1) <= _SCALE
+        if not alone and all(one.verdict == "sound" for one in self.actuators):
+            lines.append(
+                f"All actuators give about {percent(self.common)} of their nominal strength: check "
+                "mass, supply and nominal thrust in the vehicle file."
+            )
+        return tuple(lines)
+
+
+def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> Strengths:
+    """Compare identified strengths with the vehicle file, and with each other.
+
+    Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
+    effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
+    fit is spoilt, and all strengths are those of the check.
+    """
+    vehicle = model.vehicle
+    stated = _full_thrust(nominal_model(vehicle))
+    value, error = _full_thrust(model), np.asarray(model.standard_error(_full_thrust))
+    quantile, wrong = (model.known.quantile if model.known else _NORMAL), {}
+    if trajectory is not None:
+        check = check_layout(trajectory, vehicle)
+        wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
+        # Strengths that a constraint holds have no error of their own.
+        held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
+        if check.conclusive:
+            seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
+            value, error = (
+                np.where(held, stated * seen, value),
+                np.where(held, stated * spread, error),
+            )
+    ratio, deviation = value / stated, error / stated
+    common = float(np.median(np.delete(ratio, list(wrong)) if len(wrong) < len(ratio) else ratio))
+    reference = common if len(ratio) >= _FEWEST and common > 0 else 1.0
+    verdicts = _verdicts(ratio / reference, deviation / reference, quantile)
+    return Strengths(
+        tuple(
+            Strength(
+                name,
+                float(stated[k]),
+                float(value[k]),
+                _interval(float(value[k]), float(quantile * error[k])),
+                wrong.get(k, verdicts[k]),
+            )
+            for k, name in enumerate(vehicle.propeller_names)
+        ),
+        common,
+    )
+
+
+def _wrong_way(one: PropellerCheck) -> str:
+    """Return the verdict on an actuator that is reversed or swapped; empty if it is not."""
+    if one.verdict.startswith("behaves like"):
+        return f"acts like {one.behaves_like}"
+    reversed_ = one.strength + _simultaneous(1, np.inf) * one.strength_error < _REVERSED
+    return "reversed" if one.verdict.startswith("pushes the other way") and reversed_ else ""
+
+
+def _full_thrust(model: Model) -> Float[np.ndarray, " n"]:
+    """Return the thrust of each actuator at the largest command [N]."""
+    coefficients = physical_thrust(model)
+    return thrust(coefficients, np.full(len(coefficients), model.vehicle.command_max))
+
+
+def _simultaneous(count: int, degrees: float) -> float:
+    """Return half the width of intervals that hold for all actuators at once [errors]."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(min(degrees, 1e6), 1 - _LEVEL / 2 / count))
+
+
+def _verdicts(
+    relative: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], quantile: float
+) -> list[str]:
+    """Judge strengths relative to their reference."""
+    reach = _simultaneous(len(relative), _degrees(quantile)) * error
+    judged = []
+    for middle, half in zip(relative, reach, strict=True):
+        if not half > 0:
+            judged.append("unknown")
+        elif middle + half < _DEAD and middle - half <= 0:
+            judged.append("dead")
+        elif middle + half < _WEAK:
+            judged.append("weak")
+        else:
+            judged.append("strong" if middle - half > _STRONG else "sound")
+    return judged
+
+
+def _degrees(quantile: float) -> float:
+    """Return the degrees of freedom of Student's distribution with this 97.5 % quantile."""
+    from scipy.special import stdtridf
+
+    return float(stdtridf(0.975, quantile)) if quantile > _NORMAL else np.inf
+
+
+def _interval(value: float, reach: float) -> tuple[float, float] | None:
+    """Return the ends of an interval; None if its width is unknown."""
+    return (float(value - reach), float(value + reach)) if reach > 0 else None
+
+
+#: Headings of `strength_rows`.
+STRENGTH_HEADINGS = ("actuator", "nominal [N]", "identified [N]", "95 %", "of nominal", "verdict")
+
+
+def strength_rows(strengths: Strengths) -> list[list[str]]:
+    """Return a row of texts for each actuator: a table for people."""
+    rows = []
+    for one in strengths.actuators:
+        ends = one.interval_95 and " … ".join(f"{end:.3g}" for end in one.interval_95)
+        numbers = [f"{one.nominal:.3g}", f"{one.value:.3g}", ends or "unknown"]
+        rows.append([one.name, *numbers, percent(one.of_nominal), one.verdict])
+    return rows

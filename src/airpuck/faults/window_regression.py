@@ -1,0 +1,236 @@
+"""Regression of mean accelerations over windows on the thrusts of all motors.
+
+Raw accelerations of a slow craft are nearly all noise. The mean acceleration over a window is the
+curvature of the parabola through its poses, whose noise falls with the window's length to the power
+2.5. Windows do not overlap, and poses are not smoothed, so their noise is independent: an F test
+tells whether the commands explain anything, however small their fraction of the variance. Slow
+disturbances make neighbours alike; as many fewer windows then count as an autoregression needs.
+
+The curvature of a motion is its acceleration, averaged with the weight (1 - u²)², where u runs from
+-1 to 1 over the window. Constant accelerations of the table frame, such as a slope, are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.data.trajectory import Trajectory
+
+#: Shortest and longest window [s]; the length that explains most clearly is used.
+_SHORTEST, _LONGEST = 0.05, 3.2
+#: Fewest samples of a window.
+_FEWEST = 5
+#: Fewest windows per motor.
+_PER_MOTOR = 4
+#: Largest number of delays to try.
+_DELAYS = 7
+#: Eigenvalue of XᵀX, relative to the largest, below which a direction is undetermined.
+_RANK = 1e-12
+#: Probability of a wrong claim that commands explain the motion, over all that was tried.
+LEVEL = 1e-3
+#: All windows but the last, and all but the first.
+_FIRST, _LATER = slice(-1), slice(1, None)
+#: Power at which more flying is recommended: the normal quantile of 90 %.
+_POWER = 1.2816
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """One regression and its F test."""
+
+    slope: Float[np.ndarray, " k"]
+    error: Float[np.ndarray, " k"]
+    explained: float
+    #: Logarithm of the p-value.
+    log_p: float
+    #: Noncentrality of F if the slopes are as stated.
+    stated: float
+
+    @classmethod
+    def of(
+        cls,
+        columns: Float[np.ndarray, "M k"],
+        values: Float[np.ndarray, " M"],
+        nuisance: Float[np.ndarray, "M c"],
+        stated: Float[np.ndarray, " k"],
+    ) -> _Regression:
+        """Regress values on columns, besides nuisance columns; test the columns."""
+        basis = np.linalg.qr(nuisance)[0]
+        columns = columns - basis @ (basis.T @ columns)
+        values = values - basis @ (basis.T @ values)
+        size, directions = np.linalg.eigh(columns.T @ columns)
+        known = size > _RANK * max(size[-1], np.finfo(float).tiny)
+        rank, directions = int(known.sum()), directions[:, known] / np.sqrt(size[known])
+        slope = directions @ (directions.T @ (columns.T @ values))
+        left = values - columns @ slope
+        fitted = columns @ slope
+        alike = _alike(left, basis) * _alike(fitted, basis)
+        alike = max(alike, _alike(left * fitted, basis))
+        grown = (1 + alike) / (1 - alike)
+        degrees = len(values) / grown - basis.shape[1] - rank
+        total, rest = float(values @ values), float(left @ left)
+        variance = max(rest / max(degrees, 1.0), np.finfo(float).tiny)
+        ratio = float(max(total - rest, 0.0) / max(rank, 1) / variance) if degrees > 0 else 0.0
+        spread = variance * np.sum(directions**2, axis=1)
+        # A motor that never ran has no effect to estimate.
+        error = np.where(np.abs(columns).max(axis=0) > 0, np.sqrt(spread), np.inf)
+        free = len(values) - basis.shape[1]
+        share = 1 - rest / max(free - rank, 1) / (total / free) if total > 0 else 0.0
+        log_p = _log_p(ratio, rank, degrees) if rank and degrees > 0 else 0.0
+        size = float(np.sum((columns @ stated) ** 2)) / variance
+        return cls(slope, error, max(share, 0.0), log_p, size)
+
+
+def _alike(values: Float[np.ndarray, " N"], channels: Float[np.ndarray, "N c"]) -> float:
+    """Return the correlation of neighbouring windows, which slow disturbances leave."""
+    parts = np.split(values, channels.shape[1])
+    before, after = (np.concatenate([part[end] for part in parts]) for end in (_FIRST, _LATER))
+    size = float(values @ values)
+    return float(np.clip(before @ after / size, 0.0, 0.9)) if size > 0 else 0.0
+
+
+def _log_p(ratio: float, above: int, below: float) -> float:
+    """Return the logarithm of the p-value of an F ratio, also where the p-value underflows.
+
+    The tail is an incomplete beta integral; its leading term is exact in the limit.
+    """
+    from scipy.special import betaln, fdtrc
+
+    p_value = float(fdtrc(above, below, ratio))
+    if p_value > 1e-300:
+        return float(np.log(p_value))
+    a, b, rest = above / 2, below / 2, 1 / (1 + above * ratio / below)
+    return float(b * np.log(max(rest, 1e-300)) - np.log(b) - betaln(a, b))
+
+
+@dataclass(frozen=True, eq=False)
+class WindowRegression:
+    """The effects of thrusts that explain the motion best."""
+
+    #: Acceleration in the body frame per newton of each motor: forward, left [1/kg], yaw
+    #: [1/(kg m)]; and standard errors.
+    effect: Float[np.ndarray, "3 n"]
+    error: Float[np.ndarray, "3 n"]
+    #: Fraction of the variance that thrusts explain, beyond chance: mean of forces and moments.
+    explained: float
+    #: Probability that chance explains as much, over all delays and windows that were tried.
+    p_value: float
+    #: Transport delay at which thrusts explain most [s].
+    delay: float
+    #: Length of the windows [s].
+    length: float
+    #: Logarithm of the probability that chance explains forces and moments as well.
+    evidence: float
+    #: The regression, of forces or moments, that would show the stated effects more clearly.
+    clearer: _Regression
+    #: Factor by which the recording must be longer if the motors have the stated effects.
+    longer: float = np.inf
+
+
+def regress_windows(
+    trajectory: Trajectory,
+    forces: Float[np.ndarray, "n N"],
+    stated: Float[np.ndarray, "3 n"],
+    longest_delay: float,
+) -> WindowRegression | None:
+    """Regress the motion on thrusts, with the delay and windows that explain it most clearly.
+
+    Returns None if the recording has too few windows.
+    """
+    period = trajectory.sample_period
+    last = round(longest_delay / period)
+    step = -(-(last + 1) // _DELAYS)
+
+    def of(lengths: list[int], shifts: list[int]) -> list[WindowRegression]:
+        return [
+            found
+            for samples in lengths
+            for found in _of_length(trajectory, forces, stated, samples, shifts, last)
+        ]
+
+    tried = of(_window_lengths(period), list(range(0, last + 1, step)))
+    if not tried:
+        return None
+    best = min(tried, key=lambda one: one.evidence)
+    near = round(best.delay / period)
+    tried += of([round(best.length / period)], list(range(max(near - step + 1, 0), near + step)))
+    best = min(tried, key=lambda one: one.evidence)
+    longer = _longer(best.clearer, LEVEL / len(tried))
+    return replace(best, p_value=min(1.0, best.p_value * len(tried)), longer=longer)
+
+
+def _window_lengths(period: float) -> list[int]:
+    """Return the lengths to try, in samples."""
+    doubled = _SHORTEST * 2.0 ** np.arange(np.log2(_LONGEST / _SHORTEST) + 0.5)
+    return sorted({max(round(length / period), _FEWEST) for length in doubled.tolist()})
+
+
+def _of_length(
+    trajectory: Trajectory,
+    forces: Float[np.ndarray, "n N"],
+    stated: Float[np.ndarray, "3 n"],
+    samples: int,
+    shifts: list[int],
+    last: int,
+) -> Iterator[WindowRegression]:
+    """Yield the regressions with one length of windows, for each delay."""
+    starts = trajectory.window_starts(samples, samples)
+    # The same windows for all delays, up to the last, and one step beyond.
+    starts = starts[starts >= 2 * last]
+    count, n, period = len(starts), len(forces), trajectory.sample_period
+    if count < _PER_MOTOR * n + 1:
+        return
+    index = starts[:, None] + np.arange(samples)
+    measured = _curvatures(trajectory.time[index], trajectory.state[index, :3])
+    weight = (1 - np.linspace(-1, 1, samples) ** 2) ** 2
+    weight /= weight.sum()
+    yaw = trajectory.state[index, 2]
+    cos, sin, constant = weight * np.cos(yaw), weight * np.sin(yaw), np.ones((count, 1))
+    for shift in shifts:
+        force = forces[:, index - shift]
+        along, across = (np.einsum("nmw,mw->mn", force, by) for by in (cos, sin))
+        linear = np.block([[along, -across], [across, along]])
+        turning = np.einsum("nmw,w->mn", force, weight)
+        table, both = np.kron(np.eye(2), constant), measured[:, :2].T.reshape(-1)
+        forward = _Regression.of(linear, both, table, stated[:2].reshape(-1))
+        spin = _Regression.of(turning, measured[:, 2], constant, stated[2])
+        yield WindowRegression(
+            effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
+            error=np.vstack([forward.error.reshape(2, n), spin.error]),
+            explained=(forward.explained + spin.explained) / 2,
+            p_value=min(1.0, 2 * float(np.exp(min(forward.log_p, spin.log_p)))),
+            delay=shift * period,
+            length=samples * period,
+            evidence=forward.log_p + spin.log_p,
+            clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
+        )
+
+
+def _curvatures(
+    time: Float[np.ndarray, "M W"], pose: Float[np.ndarray, "M W 3"]
+) -> Float[np.ndarray, "M 3"]:
+    """Return the second derivative of the parabola through the poses of each window."""
+    middle = time.mean(axis=1, keepdims=True)
+    half = (time[:, -1:] - time[:, :1]) / 2
+    powers = ((time - middle) / half)[..., None] ** np.arange(3)
+    pose = pose - pose[:, :1]
+    return 2 * (np.linalg.pinv(powers)[:, 2:] @ pose)[:, 0] / half**2
+
+
+def _longer(one: _Regression, level: float) -> float:
+    """Return the factor of the duration at which stated effects would be found.
+
+    F times its degrees of freedom is a noncentral χ², nearly, with mean k + λ and variance 2 (k + 2
+    λ); λ grows with the duration.
+    """
+    from scipy.special import chdtri
+
+    degrees = len(one.slope)
+    needed = float(chdtri(degrees, level)) - degrees
+    sizes = needed * 1.1 ** np.arange(60)
+    found = sizes - _POWER * np.sqrt(2 * (degrees + 2 * sizes)) >= needed
+    return float(sizes[np.argmax(found)] / max(one.stated, 1e-12))

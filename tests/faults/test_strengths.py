@@ -1,0 +1,137 @@
+"""Which actuator is weak, dead, reversed or swapped throughout."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.faults.strengths import actuator_strengths
+from airpuck.identification.fit import identify
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.preprocessing.pipeline import preprocess
+
+from ..apparatus.synthetic_flights import fly, record
+
+#: Position and direction of craft with other numbers of propellers.
+LAYOUTS = {
+    3: [((45, 0), 70), ((-22, 39), 190), ((-22, -39), 310)],
+    4: [((45, 15), 100), ((-45, 15), 260), ((15, 45), 350), ((15, -45), 170)],
+    8: [
+        *(((45, 20), 180), ((45, -20), 180), ((20, -45), 90), ((-20, -45), 90)),
+        *(((-45, -20), 0), ((-45, 20), 0), ((-20, 45), 270), ((20, 45), 270)),
+    ],
+}
+
+
+def craft(count: int) -> Vehicle:
+    vehicle = default_vehicle()
+    if count == 6:
+        return vehicle
+    propellers = [
+        {"name": f"p{k}", "position_m": (x / 1e3, y / 1e3), "direction_deg": angle}
+        for k, ((x, y), angle) in enumerate(LAYOUTS[count])
+    ]
+    return Vehicle.model_validate(vehicle.model_dump() | {"propellers": propellers, "pairs": ()})
+
+
+def truth(vehicle: Vehicle, *scale: float) -> Model:
+    """The nominal craft with some of its thrusts scaled."""
+    model = nominal_model(vehicle)
+    factors = np.ones(vehicle.n_propellers)
+    factors[: len(scale)] = scale
+    thrust = np.asarray(model.parameters.thrust) * factors[:, None]
+    return replace(model, parameters=replace(model.parameters, thrust=thrust))
+
+
+def fitted(model: Model, error: float, rng=None) -> Model:
+    """What a fit would return: thrusts with independent relative errors of that size."""
+    thrust = np.asarray(model.parameters.thrust)
+    full = np.asarray(nominal_model(model.vehicle).parameters.thrust)
+    if rng is not None:
+        thrust = thrust + full * error * rng.normal(size=(len(full), 1))
+    parameters = replace(model.parameters, thrust=thrust)
+    vector, free = parameters.to_vector(), parameters.mask(frozenset({"thrust"}))
+    covariance = np.zeros((len(vector), len(vector)))
+    for k, row in enumerate(full):
+        columns = slice(k * len(row), (k + 1) * len(row))
+        covariance[columns, columns] = error**2 * np.outer(row, row)
+    spread = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
+    nothing = np.zeros((0, len(vector)))
+    known = Uncertainty(vector, covariance, spread, nothing, 40, 2.023)
+    return replace(model, parameters=parameters, free=free, uncertainty=known)
+
+
+@pytest.mark.parametrize("count", [3, 4, 6, 8])
+@pytest.mark.parametrize("common", [1.0, 0.8])
+def test_sound_actuators_are_not_accused(count, common):
+    rng, accused = np.random.default_rng(count), 0
+    for _ in range(40):
+        model = fitted(truth(craft(count), *[common] * count), 0.06, rng)
+        accused += bool(actuator_strengths(model).remarkable)
+    assert accused <= 2
+
+
+@pytest.mark.parametrize("count", [3, 4, 6, 8])
+@pytest.mark.parametrize(("scale", "verdict"), [(0.0, "dead"), (0.3, "weak"), (0.6, "weak")])
+def test_a_weak_actuator_is_named(count, scale, verdict):
+    # The vehicle file's mass is wrong, too.
+    model = fitted(truth(craft(count), *[1.3 * scale, *[1.3] * (count - 1)]), 0.04)
+    strengths = actuator_strengths(model)
+    (found,) = strengths.remarkable
+    assert (found.name, found.verdict) == (craft(count).propeller_names[0], verdict)
+    assert found.of_nominal == pytest.approx(1.3 * scale)
+    low, high = found.interval_95
+    assert (high - low) / 2 / found.nominal == pytest.approx(2.023 * 0.04, rel=1e-3)
+    assert found.name in strengths.sentences[0]
+
+
+def test_a_common_error_is_one_finding():
+    strengths = actuator_strengths(fitted(truth(craft(6), *[0.7] * 6), 0.02))
+    assert not strengths.remarkable
+    assert "about 70 % of their nominal strength" in strengths.sentences[0]
+
+
+def test_what_is_not_known_is_not_judged():
+    strengths = actuator_strengths(truth(craft(6), 0.5))
+    assert {one.verdict for one in strengths.actuators} == {"unknown"}
+    assert not strengths.sentences
+
+
+def wrong(vehicle: Vehicle, kind: str) -> Vehicle:
+    """A vehicle file that turns the first propeller around, or swaps it with the second."""
+    first, second, *others = vehicle.propellers
+    if kind == "reversed":
+        turned = {"direction_deg": first.direction_deg + 180}
+        edited = (first.model_copy(update=turned), second)
+    else:
+        edited = (
+            second.model_copy(update={"name": first.name}),
+            first.model_copy(update={"name": second.name}),
+        )
+    return Vehicle.model_validate(
+        vehicle.model_dump() | {"propellers": [p.model_dump() for p in (*edited, *others)]}
+    )
+
+
+@pytest.mark.parametrize("count", [3, 4, 6, 8])
+@pytest.mark.parametrize("kind", ["reversed", "swapped"])
+def test_reversed_and_swapped_actuators_are_named(count, kind):
+    vehicle = craft(count)
+    flight = fly(truth(vehicle), 20.0, seed=1)
+    model = fitted(nominal_model(wrong(vehicle, kind)), 0.02)
+    found = {one.name: one.verdict for one in actuator_strengths(model, flight).remarkable}
+    first, second = vehicle.propeller_names[:2]
+    swapped = {first: f"acts like {second}", second: f"acts like {first}"}
+    assert found == (swapped if kind == "swapped" else {first: "reversed"})
+
+
+@pytest.mark.slow
+def test_a_fit_to_a_craft_with_a_dead_propeller_names_it():
+    """The fit takes the dead propeller for a healthy one, held at zero by a constraint."""
+    flight = preprocess(record(truth(craft(6), 0.0), duration=10.0, noise=5e-5))
+    strengths = actuator_strengths(identify(flight).model, flight)
+    (found,) = strengths.remarkable
+    assert found.verdict == "dead"
+    assert max(abs(one.of_nominal - 1) for one in strengths.actuators[1:]) < 0.1
