@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.faults.layout_check import check_layout, match_effects, rotation, turned
+from airpuck.faults.effect_match import match_effects, rotation, turned
+from airpuck.faults.layout_check import check_layout
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.pipeline import preprocess

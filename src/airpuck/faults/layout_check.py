@@ -25,11 +25,19 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers, hold
+from airpuck.faults.effect_match import (
+    EffectMatch,
+    cosines,
+    match_effects,
+    rotation,
+    turned,
+    unit_columns,
+)
 from airpuck.faults.window_regression import LEVEL, regress_windows
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
@@ -69,11 +77,6 @@ _DEAD, _CERTAIN = 0.5, 2.6
 _NOTHING = 0.15
 #: Verdicts on propellers that give no thrust, and on those of which too little is known.
 DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
-#: Cosine above which a measured and an expected effect agree (26 degrees apart).
-AGREES = 0.9
-#: An opposite effect is more likely another propeller's effect: cables are swapped more often than
-#: propellers are mounted the wrong way round.
-_OPPOSITE = 0.5
 
 
 @dataclass(frozen=True)
@@ -426,7 +429,7 @@ def _unclear(
     agrees: str,
 ) -> dict[int, str]:
     """Judge propellers by their effect along the stated one alone."""
-    unit = _unit(stated)
+    unit = unit_columns(stated)
     size = np.linalg.norm(stated, axis=0)
     along = np.sum(unit * measured, axis=0) / size
     reach = _CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
@@ -465,77 +468,3 @@ def _verdict(match: EffectMatch, k: int, names: tuple[str, ...], agrees: str) ->
     if match.sign < 0:
         return "pushes the other way: its direction is wrong by 180 degrees"
     return agrees
-
-
-@dataclass(frozen=True)
-class EffectMatch:
-    """The expected effect that a measured propeller matches."""
-
-    #: The propeller of the model with this effect; None: there is none.
-    acts_as: int | None
-    #: 1, or -1 for the opposite effect.
-    sign: int
-    #: Cosine between the measured and the expected effect.
-    cosine: float
-
-
-def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 m"]) -> float:
-    """Find the rotation that maps expected forces to measured ones [rad].
-
-    In complex numbers: the argument of their inner product (two-dimensional Procrustes).
-    """
-    return float(np.angle(np.vdot(_forces(expected), _forces(measured))))
-
-
-def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
-    """Rotate forces; moments do not change."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ effects
-
-
-def cosines(
-    measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 n"]
-) -> Float[np.ndarray, "m n"]:
-    """Compare the directions of all measured effects with all expected ones."""
-    return _unit(measured).T @ _unit(expected)
-
-
-def match_effects(
-    measured: Float[np.ndarray, "3 m"],
-    expected: Float[np.ndarray, "3 n"],
-    motors: Int[np.ndarray, " m"],
-) -> dict[int, EffectMatch]:
-    """Find the matching effect of each measured propeller.
-
-    A propeller that agrees with its expected effect keeps it. The others are assigned to the
-    remaining effects so that as many as possible agree, in the same or the opposite direction.
-    """
-    from scipy.optimize import linear_sum_assignment
-
-    table = cosines(measured, expected)
-    itself = table[np.arange(len(motors)), motors]
-    agrees = itself >= AGREES
-    found = {
-        motor: EffectMatch(motor if stays else None, 1, float(cosine))
-        for motor, stays, cosine in zip(motors.tolist(), agrees, itself, strict=True)
-    }
-    worth = np.where(table >= AGREES, table, 0.0)
-    worth = np.where(table <= -AGREES, -_OPPOSITE * table, worth)
-    rows = np.flatnonzero(~agrees)
-    columns = np.setdiff1d(np.arange(expected.shape[1]), motors[agrees])
-    for i, j in zip(*linear_sum_assignment(-worth[np.ix_(rows, columns)]), strict=True):
-        row, column = rows[i], columns[j]
-        if worth[row, column] > 0:
-            sign = 1 if table[row, column] > 0 else -1
-            found[int(motors[row])] = EffectMatch(int(column), sign, float(itself[row]))
-    return found
-
-
-def _forces(effects: Float[np.ndarray, "3 m"]) -> np.ndarray:
-    """Return forces as complex numbers."""
-    return effects[0] + 1j * effects[1]
-
-
-def _unit(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
-    """Normalise columns."""
-    return columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
