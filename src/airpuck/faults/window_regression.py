@@ -39,7 +39,7 @@ _POWER = 1.2816
 
 
 @dataclass(frozen=True, eq=False)
-class _Regression:
+class _FTest:
     """One regression and its F test."""
 
     slope: Float[np.ndarray, " k"]
@@ -57,7 +57,7 @@ class _Regression:
         values: Float[np.ndarray, " M"],
         nuisance: Float[np.ndarray, "M c"],
         stated: Float[np.ndarray, " k"],
-    ) -> _Regression:
+    ) -> _FTest:
         """Regress values on columns, besides nuisance columns; test the columns."""
         basis = np.linalg.qr(nuisance)[0]
         columns = columns - basis @ (basis.T @ columns)
@@ -126,7 +126,7 @@ class WindowRegression:
     #: Logarithm of the probability that chance explains forces and moments as well.
     evidence: float
     #: The regression, of forces or moments, that would show the stated effects more clearly.
-    clearer: _Regression
+    clearer: _FTest
     #: Factor by which the recording must be longer if the motors have the stated effects.
     longer: float = np.inf
 
@@ -196,8 +196,8 @@ def _of_length(
         linear = np.block([[along, -across], [across, along]])
         turning = np.einsum("nmw,w->mn", force, weight)
         table, both = np.kron(np.eye(2), constant), measured[:, :2].T.reshape(-1)
-        forward = _Regression.of(linear, both, table, stated[:2].reshape(-1))
-        spin = _Regression.of(turning, measured[:, 2], constant, stated[2])
+        forward = _FTest.of(linear, both, table, stated[:2].reshape(-1))
+        spin = _FTest.of(turning, measured[:, 2], constant, stated[2])
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
             error=np.vstack([forward.error.reshape(2, n), spin.error]),
@@ -221,7 +221,7 @@ def _curvatures(
     return 2 * (np.linalg.pinv(powers)[:, 2:] @ pose)[:, 0] / half**2
 
 
-def _longer(one: _Regression, level: float) -> float:
+def _longer(one: _FTest, level: float) -> float:
     """Return the factor of the duration at which stated effects would be found.
 
     F times its degrees of freedom is a noncentral χ², nearly, with mean k + λ and variance 2 (k + 2
