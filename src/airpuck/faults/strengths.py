@@ -109,6 +109,18 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
     effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
     fit is spoilt, and all strengths are those of the check.
+
+    Parameters
+    ----------
+    model : Model
+        A model with the vehicle that its strengths are compared with.
+    trajectory : Trajectory, optional
+        The recording that it was identified from.
+
+    Returns
+    -------
+    Strengths
+        Each actuator's strength, interval and verdict, and the median of all.
     """
     vehicle = model.vehicle
     stated = _full_thrust(nominal_model(vehicle))
