@@ -59,7 +59,7 @@ def test_no_rung_has_a_curved_force() -> None:
             rung.initial(vehicle)
 
 
-duties = st.lists(st.lists(st.floats(0, 1), min_size=3, max_size=3), min_size=2, max_size=8).map(
+duties = st.lists(st.lists(st.floats(0, 1), min_size=3, max_size=3), min_size=2, max_size=5).map(
     np.array
 )
 
@@ -75,6 +75,13 @@ def test_pulses_have_the_mean_of_the_duty_cycles(duty: np.ndarray, start: float)
         within = (time >= sent[k]) & (time < sent[k] + PERIOD - 1e-7)
         open_s = (drive[within] * lasting[within, None]).sum(axis=0)
         np.testing.assert_allclose(open_s, PERIOD * wanted, atol=1e-7)
+
+
+def test_pulses_that_are_too_short_last_for_the_least_on_time() -> None:
+    kind = OnOff(kind="on_off", pwm_period_s=PERIOD, least_on_s=0.02)
+    time, drive = kind.drive(np.zeros(1), np.array([[0.1, 0.5, 0.0]]))
+    assert time.tolist() == [0.0, 0.02, 0.05]
+    assert drive.tolist() == [[1, 1, 0], [0, 1, 0], [0, 0, 0]]
 
 
 def test_commands_at_another_pace_act_by_their_mean() -> None:

@@ -112,15 +112,16 @@ class OnOff(Section):
         pace = np.median(np.diff(time)) if len(time) > 1 else period
         if abs(pace - period) > _SAME_PERIOD * period:
             return time, command
-        shut = time[:, None] + command * period
+        # The driver holds an open valve open for the least on-time.
+        lasting = np.where(command > 0, np.maximum(command * period, self.least_on_s), 0.0)
+        shut = time[:, None] + lasting
         ends = np.append(time[1:], np.inf)
-        shuts = (command > 0) & (shut < ends[:, None] - _ONE_EVENT)
-        shuts &= command < 1
+        shuts = (lasting > 0) & (lasting < period) & (shut < ends[:, None] - _ONE_EVENT)
         times = np.concatenate([time, shut[shuts]])
         packet = np.concatenate([np.arange(len(time)), np.nonzero(shuts)[0]])
         order = np.lexsort((times, packet))
         times, packet = times[order], packet[order]
-        still = (shut[packet] > times[:, None] + _ONE_EVENT) & (command[packet] > 0)
+        still = shut[packet] > times[:, None] + _ONE_EVENT
         return times, np.where(still | (command[packet] >= 1), 1.0, 0.0)
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:

@@ -70,6 +70,8 @@ class PulseTest(Pilot):
         self.vehicle, self.plan = vehicle, plan or PulsePlan()
         if self.plan.level <= (idle := vehicle.command_min):
             raise InputError(f"must be above the command of an idle motor, {idle:g}", field="level")
+        if not vehicle.actuators.possible(np.array([self.plan.level])).all():
+            raise InputError("is too low to open a valve; give 1 for switches", field="level")
         paired = [index for pair in vehicle.pair_indices for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         self._order = [*paired, *single] * self.plan.rounds

@@ -1,0 +1,137 @@
+"""Free-flyers with on/off thrusters: identified back from a twin, and steered to a set point.
+
+    OPENBLAS_NUM_THREADS=1 python studies/on_off_thrusters.py identify atmos --flights 2
+    OPENBLAS_NUM_THREADS=1 python studies/on_off_thrusters.py steer atmos
+
+identify: each twin has forces up to 10 % off nominal, 5 % more inertia, 7 ms more delay and
+an offset centre of mass. steer: from rest, 1.17 m and 1.5 rad to a set point, with LQR and
+with predictive control. On-time is the propellant: the sum over all thrusters of the time open.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import SetPoint
+from airpuck.control.tuning import Tuning, read_tuning
+from airpuck.craft.vehicle import read_vehicle
+from airpuck.identification.fit import identify
+from airpuck.identification.settings import Loss, Preparation
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.twin.experiments import excite, track
+from airpuck.twin.settings import TwinSettings, read_twin_settings
+
+FOLDER = Path(__file__).parents[1] / "examples" / "free_flyers"
+#: Length of a prediction, and time between changes of the signals [s]; by craft.
+TIMES = {"atmos": (1.0, 0.5), "freeflyer2": (2.0, 1.0)}
+GOAL, START = (0.5, 0.3, 1.5), (-0.5, -0.3, 0.0)
+#: Errors within which a set point counts as reached [m, rad].
+REACHED = 0.02, 0.05
+
+
+def prepared(craft: str) -> tuple[Model, TwinSettings, Tuning]:
+    """Return a craft's nominal model, its table and its tuning."""
+    model = nominal_model(read_vehicle(FOLDER / f"{craft}.toml"))
+    tuning = read_tuning(FOLDER / f"{craft}_tuning.toml")
+    return model, read_twin_settings(FOLDER / "twin.toml"), tuning
+
+
+def identified(craft: str, flights: int, duration: float, first: int) -> None:
+    """Identify twins, and print errors of parameters and how often intervals hold."""
+    model, settings, tuning = prepared(craft)
+    ahead, hold = TIMES[craft]
+    covered: list[bool] = []
+    for seed in range(first, first + flights):
+        begun, rng = time.perf_counter(), np.random.default_rng(seed)
+        nominal = model.parameters
+        truth = replace(
+            nominal,
+            thrust=nominal.thrust * rng.uniform(0.9, 1.1, nominal.thrust.shape),
+            inertia=1.05 * nominal.inertia,
+            center_of_mass=rng.uniform(-5e-3, 5e-3, 2),
+            transport_delay=nominal.transport_delay + 0.007,
+        )
+        flown = excite(
+            replace(model, parameters=truth), duration, seed, hold=hold, margin=0.3,
+            settings=settings, tuning=tuning,
+        )  # fmt: skip
+        fit = identify(
+            preprocess(flown, model.vehicle),
+            loss=Loss(prediction_time=ahead, encoder_time=0.1, spacing=0.2),
+            # The radio has no jitter, and the twin no faults.
+            preparation=Preparation(faults="keep", retimings=0),
+        )
+        found, known = fit.model.parameters, fit.model.uncertainty
+        assert known is not None
+        error = found.to_vector() - truth.to_vector()
+        inside = np.abs(error) <= known.quantile * known.standard_errors
+        covered += inside[fit.model.free].tolist()
+        force = 100 * (found.thrust / truth.thrust - 1).ravel()
+        late = found.transport_delay - truth.transport_delay
+        slow = found.motor_time_constant - truth.motor_time_constant
+        deviation = 1e3 * known.standard_errors[truth.mask(frozenset({"transport_delay"}))]
+        print(
+            f"{craft} {seed}: forces {np.sqrt(np.mean(force**2)):.2f} % rms, "
+            f"{np.abs(force).max():.2f} % at most; delay "
+            f"{1e3 * late:+.1f} ± {deviation[0]:.1f} ms, lag {1e3 * slow:+.1f} ms, "
+            f"both {1e3 * (late + slow):+.2f} ms; inertia "
+            f"{100 * (found.inertia / truth.inertia - 1):+.2f} %; {np.sum(covered)} of "
+            f"{len(covered)} intervals hold ({time.perf_counter() - begun:.0f} s)",
+            flush=True,
+        )
+
+
+def steered(craft: str, duration: float) -> None:
+    """Fly to a set point with both laws, and print time, error and on-time."""
+    model, settings, tuning = prepared(craft)
+    for law in ("lqr", "mpc"):
+        recording, log = track(
+            model, SetPoint(*GOAL), duration, pose=START, settings=settings,
+            tuning=tuning.with_regulator(law),
+        )  # fmt: skip
+        pose = recording["pose"]
+        left = np.abs(pose.values[:, :3] - GOAL)
+        away = (np.hypot(left[:, 0], left[:, 1]) > REACHED[0]) | (left[:, 2] > REACHED[1])
+        elapsed = 1e-9 * (pose.stamp_ns - pose.stamp_ns[0])
+        reached = float(elapsed[np.flatnonzero(away)[-1]])
+        held = elapsed > duration - 10
+        on_time = log.command * tuning.period_s
+        print(
+            f"{craft} {law}: reached after {reached:.1f} s with "
+            f"{_until(on_time, log.time, reached):.2f} s of on-time; then "
+            f"{1e3 * _rms(left[held, :2].ravel()) * np.sqrt(2):.2f} mm, "
+            f"{1e3 * _rms(left[held, 2]):.1f} mrad and "
+            f"{on_time[log.time > duration - 10].sum() / 10:.3f} s of on-time per second",
+            flush=True,
+        )
+
+
+def _until(on_time: Float[np.ndarray, "K n"], times: Float[np.ndarray, " K"], end: float) -> float:
+    """Return the on-time of all thrusters until a time [s]."""
+    return float(on_time[times <= end].sum())
+
+
+def _rms(values: Float[np.ndarray, " k"]) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", choices=("identify", "steer"))
+    parser.add_argument("craft", choices=tuple(TIMES))
+    parser.add_argument("--flights", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--duration", type=float, default=60.0)
+    given = parser.parse_args()
+    if given.what == "identify":
+        identified(given.craft, given.flights, given.duration, given.first)
+    else:
+        steered(given.craft, given.duration)
