@@ -29,8 +29,10 @@ from airpuck.twin.experiments import excite, track
 from airpuck.twin.settings import TwinSettings, read_twin_settings
 
 FOLDER = Path(__file__).parents[1] / "examples" / "free_flyers"
-#: Length of a prediction, and time between changes of the signals [s]; by craft.
-TIMES = {"atmos": (1.0, 0.5), "freeflyer2": (2.0, 1.0)}
+#: Length of a prediction, and time between the starts of predictions [s]; by craft.
+TIMES = {"atmos": (1.0, 0.2), "freeflyer2": (5.0, 0.5)}
+#: Time between changes of the signals [s].
+HOLD = 0.5
 GOAL, START = (0.5, 0.3, 1.5), (-0.5, -0.3, 0.0)
 #: Errors within which a set point counts as reached [m, rad].
 REACHED = 0.02, 0.05
@@ -46,7 +48,7 @@ def prepared(craft: str) -> tuple[Model, TwinSettings, Tuning]:
 def identified(craft: str, flights: int, duration: float, first: int) -> None:
     """Identify twins, and print errors of parameters and how often intervals hold."""
     model, settings, tuning = prepared(craft)
-    ahead, hold = TIMES[craft]
+    ahead, spacing = TIMES[craft]
     covered: list[bool] = []
     for seed in range(first, first + flights):
         begun, rng = time.perf_counter(), np.random.default_rng(seed)
@@ -59,12 +61,12 @@ def identified(craft: str, flights: int, duration: float, first: int) -> None:
             transport_delay=nominal.transport_delay + 0.007,
         )
         flown = excite(
-            replace(model, parameters=truth), duration, seed, hold=hold, margin=0.3,
+            replace(model, parameters=truth), duration, seed, hold=HOLD, margin=0.3,
             settings=settings, tuning=tuning,
         )  # fmt: skip
         fit = identify(
             preprocess(flown, model.vehicle),
-            loss=Loss(prediction_time=ahead, encoder_time=0.1, spacing=0.2),
+            loss=Loss(prediction_time=ahead, encoder_time=0.1, spacing=spacing),
             # The radio has no jitter, and the twin no faults.
             preparation=Preparation(faults="keep", retimings=0),
         )
