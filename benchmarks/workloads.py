@@ -18,7 +18,7 @@ TRAINING = "experiments/2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "experiments/2023_11_22-11_57_44_sysid_h1_old"
 
 
-#: What `reproduce` computes, without its figures: a program.
+#: Program with the computations of `reproduce`, without its figures.
 STUDY = f"""
 from airpuck import evaluate, identify, load_trajectory
 from airpuck.recording.dataset import dataset_folder

@@ -44,7 +44,7 @@ COEFFICIENTS = {
 
 @dataclass(frozen=True, eq=False)
 class Boost(Effect):
-    """What a user may add: every thrust times a factor, with its bounds."""
+    """A user's effect: every thrust times a factor, with its bounds."""
 
     factor: float = 1.5
 

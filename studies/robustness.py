@@ -63,7 +63,7 @@ def flown(seed: int, seeds: int = 100) -> dict[str, float]:
         plant=_plant(),
     )
     flight = Track.of(recording, model.vehicle, "")
-    # Where poses are missing, nan: not reached.
+    # Missing poses give nan, which counts as not reached.
     unknown = (np.nan, np.nan, np.nan)
     errors = np.abs([result.steady_state_error or unknown for result in flight.results()])
     reach = default_twin_settings().table.reach(model.vehicle.radius_m)

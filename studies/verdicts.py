@@ -66,7 +66,7 @@ FOOT_M = 0.3048
 
 @dataclass(frozen=True)
 class Situation:
-    """What is wrong, if anything: with the craft, its recording, or what its user believes."""
+    """Flaws of a craft, of its recording, or of its user's beliefs; none by default."""
 
     name: str
     propellers: int = 6

@@ -1,4 +1,4 @@
-"""How much information is lost with windows further apart? M3 of real and of simulated flights.
+"""How much information do windows further apart lose? M3 of real and of simulated flights.
 
     AIRPUCK_DATA=... python studies/window_stride.py --flights 2
 

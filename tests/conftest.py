@@ -79,7 +79,7 @@ def pytest_runtest_setup() -> None:
 
 @pytest.fixture(autouse=True)
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let verdicts judge by recordings alone; tests/twin/test_rehearsal.py flies, for seconds."""
+    """Let verdicts skip flights in simulation, which tests/twin/test_rehearsal.py tests."""
     monkeypatch.setattr("airpuck.twin.verdict.failures", lambda *_: [])
 
 

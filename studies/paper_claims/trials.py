@@ -26,7 +26,7 @@ ALL_DATA = Preparation(faults="keep")
 class Trial:
     """A fit, judged on the validation recording."""
 
-    #: What was varied.
+    #: Description of the varied setting.
     label: str
     fit: Fit
     #: Root mean square error of x, y [m] and yaw [rad] after 0.2 s, protocol "paper".

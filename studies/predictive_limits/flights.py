@@ -65,7 +65,7 @@ def lossy(share: float) -> TwinSettings:
 class Flight:
     """Result of a flight."""
 
-    #: Of the motion capture's frames [s]; true states with motor speeds.
+    #: Times of the motion capture's frames [s]; true states with motor speeds.
     time: np.ndarray
     state: np.ndarray
     #: Times of the commands, and the commands.

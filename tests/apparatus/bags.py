@@ -16,7 +16,7 @@ from airpuck.recording.stream import COLUMNS, Recording, Stream
 
 SIX = ("motor_a_1", "motor_a_2", "motor_b_1", "motor_b_2", "motor_c_1", "motor_c_2")
 START_NS = 1_709_651_570_000_000_123
-#: What `ros1_bag` writes.
+#: Data that `ros1_bag` writes.
 ROS1_POSES = np.random.default_rng(3).uniform(-1, 1, (300, 3))
 ROS1_COMMANDS = np.random.default_rng(4).uniform(0, 1, (120, 6))
 
@@ -263,7 +263,7 @@ def write_ulog(path: Path, topics: Mapping[str, tuple[str, Iterable[bytes]]]) ->
     return path
 
 
-#: What `ulog` writes: poses with north, east, down, and commands of eight motors.
+#: Data that `ulog` writes: poses in north, east, down, and commands of eight motors.
 ULOG_POSES = np.random.default_rng(8).uniform(-2, 2, (200, 3))
 ULOG_COMMANDS = np.random.default_rng(9).uniform(0, 1, (80, 8))
 

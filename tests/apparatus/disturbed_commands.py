@@ -26,7 +26,7 @@ _FULL = 64
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended."""
+    """Result of a command."""
 
     #: Exit status; negative: minus the number of a signal.
     status: int

@@ -35,7 +35,7 @@ def one_axis(lag: float = 0.0):
     return nominal_model(vehicle)
 
 
-#: Of `one_axis` [m/s²].
+#: Acceleration of `one_axis` [m/s²].
 ACCELERATION = THRUST / MASS
 
 

@@ -85,7 +85,7 @@ class RandomFlight:
 def random_flight(model: Model, duration: float, seed: int) -> RandomFlight:
     """Integrate a model from rest under random signals.
 
-    One motor of each pair at a time gets a random signal. Of six random ones the one that brings
+    One motor of each pair at a time gets a random signal. Of six random signals the one that brings
     the craft nearest to rest in the middle is flown: a poor controller, but one that keeps speeds
     realistic.
 

@@ -1,4 +1,4 @@
-"""What items compute."""
+"""Computations of items."""
 
 from dataclasses import replace
 

@@ -98,7 +98,7 @@ def test_an_empty_folder_counts_as_new(tmp_path):
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
 
 
-# What is printed ----------------------------------------------------------------------------------
+# Printed names ------------------------------------------------------------------------------------
 
 EVIL = "\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"
 SHOWN = r"\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"

@@ -226,7 +226,7 @@ def test_commands_are_for_the_thrust_that_motors_give():
         step = controller.steer(estimate, 0.0)
         assert step.status == "exact"
         after = step.command + (speed - step.command) * np.exp(-h / tau)
-        # Where the craft is one period later it has turned a little.
+        # One period later the craft has turned a little.
         now = np.array(acceleration(np, craft, np.zeros(4), speed))
         yaw, spin = h * h / 2 * now[2], h * now[2]
         given = np.array(acceleration(np, craft, (yaw, *(h * now[:2]), spin), after))

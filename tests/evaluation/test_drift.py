@@ -53,7 +53,7 @@ def test_the_arithmetic_by_hand():
     [
         (4.0, True, "I rose by 25.0 % ± 5.0 % (z = 5.0)"),
         (4.0, False, "I rose by 1 ± 0.2 mm (z = 5.0)"),
-        # Of what is not positive there is no percentage.
+        # Quantities that may be negative have no percentage.
         (0.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
         (-4.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
     ],
@@ -131,7 +131,7 @@ def test_a_delay_that_took_up_a_held_lag_is_not_accused():
     assert found.verdicts[0].startswith("nothing moved: of 16 quantities")
     (note,) = found.notes
     assert "not judged: transport delay (z = -176.8)" in note
-    # Where nothing is held, the same difference is a change.
+    # If no constraint fixes it, the same difference counts as a change.
     assert "transport delay" in drift(timed(0.030, 0.040), timed(0.030, 0.015)).verdicts[0]
 
 

@@ -37,7 +37,7 @@ def test_bands_hold_what_they_say_on_the_twin():
     assert bands.by_parameters is None
     assert bands.horizon == pytest.approx(0.2, abs=0.003)
     assert len(bands.start) > 90
-    # Of 90 windows at 95 %: less than 87 % in 0.2 % of all flights, if windows are independent.
+    # With 90 independent windows at 95 %, 0.2 % of all flights have a coverage below 87 %.
     assert (bands.coverage >= 87).all()
     # Bands that are too wide would hold everything.
     size = np.sqrt(np.mean(in_deviations(bands) ** 2, axis=1))

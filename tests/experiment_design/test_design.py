@@ -20,7 +20,7 @@ from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
 
 PUBLISHED = published_model("M3")
-#: As the next fit will learn it.
+#: The model with the entries that the next fit will learn.
 MODEL = replace(
     PUBLISHED,
     free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"})),
@@ -54,7 +54,7 @@ def made_up(best=0.4, near=0.45, wall=0.02):
 
 @pytest.fixture
 def trials(monkeypatch):
-    """Let trials be made up."""
+    """Replace trials by made-up ones."""
 
     def as_given(**values):
         monkeypatch.setattr(FLY, made_up(**values))

@@ -264,7 +264,7 @@ def test_a_recording_is_read_from_its_first_command_on():
     assert found.time[0] == pytest.approx(-0.5, abs=1e-6)
     assert found.command_time[0] == 0
     np.testing.assert_allclose(found.set_points.times, [0.0, 2.0], atol=1e-6)
-    # Of two set points at the same time the last is the one in force.
+    # If two set points have the same time, the last one is in force.
     np.testing.assert_array_equal(found.set_points.poses, [[0, 0, 0], [1, 0.3, 1.5]])
     np.testing.assert_allclose(found.command[0], np.linspace(0.1, 0.6, 6))
     assert (found.motors, found.command_min, found.label) == (MOTORS, 0.03, "flight")

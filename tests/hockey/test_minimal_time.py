@@ -93,7 +93,7 @@ def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
 
 
 def decisions(player):
-    """What a player at home decides about a shot that comes straight at 2.5 m/s."""
+    """Return the decisions of a player at home about a straight shot at 2.5 m/s."""
     kinds = []
     for k in range(20):
         time = 0.01 * k

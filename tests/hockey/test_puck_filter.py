@@ -33,7 +33,7 @@ KNOWN = AirHockey(
 
 
 def watched(found, puck, stop, rng, *, start=0.0, dropped=0.0, jitter=0.0):
-    """Let a filter see a puck; return the errors of its belief."""
+    """Feed a filter with poses of a puck; return the errors of its belief."""
     errors = []
     for k in range(1, round((stop - start) * 240) + 1):
         time = start + k / 240 + jitter * rng.uniform()

@@ -98,7 +98,7 @@ class Idle:
         # A puck that rests ends the episode: anywhere in the own half, or where it can be shot.
         ("defend", PuckState(-0.4, 0.1), (True, True)),
         ("prepare", PuckState(-0.4, 0.1), (True, True)),
-        # So does one that is out of reach, or in a goal.
+        # A puck out of reach, or in a goal, also ends it.
         ("defend", PuckState(0.6, 0.1, 0.0, 0.5, 0.0), (True, False)),
         ("hit", PuckState(0.6, 0.1, 0.0, 0.5, 0.45), (False, False)),
         ("hit", PuckState(0.6, 0.0, 0.0, 1.5, 0.0), (True, False)),

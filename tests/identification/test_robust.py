@@ -189,7 +189,7 @@ def test_the_information_is_the_derivative_of_the_weighted_scores():
     slope = np.array([(score(theta + h) - score(theta - h)) / 1e-2 for h in steps]).T
     ours = np.einsum("w,wpq->pq", weight, information)
     ours += weight.sum() * information_of_weights(square, gradient)
-    # What Gauss and Newton leave out: second derivatives of the model.
+    # The Gauss-Newton approximation omits second derivatives of the model.
     residual, time = regression.at(theta, measured)[0], regression.time
     bent = -2 * np.mean(residual * time * np.exp(-theta[1] * time), axis=1) @ weight
     curved = 2 * np.mean(residual * theta[0] * time**2 * np.exp(-theta[1] * time), axis=1) @ weight

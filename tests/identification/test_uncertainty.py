@@ -1,4 +1,4 @@
-"""Standard errors: against hand calculation, against truth, and where there are none."""
+"""Standard errors: against hand calculations, against truth, and missing ones."""
 
 from dataclasses import replace
 
@@ -198,7 +198,7 @@ def test_twice_the_data_have_smaller_errors(fit):
 
 
 def test_a_parameter_without_influence_is_unknown():
-    # What a lag of 0.1 ms leaves at 17 Hz; scaled to one, it would look as well known as others.
+    # Curvature of a lag of 0.1 ms at 17 Hz; scaled to one, it would look as well known as others.
     hessian = np.array([[4.0, 1e-126, 1.0], [1e-126, 1e-250, 1e-126], [1.0, 1e-126, 1e8]])
     free = np.ones(3, dtype=bool)
     space = subspace(hessian, free, np.zeros((0, 3)))

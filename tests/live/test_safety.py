@@ -229,7 +229,7 @@ def test_a_controller_that_fails_to_take_note_idles_the_motors(kind):
 
 def test_a_command_that_is_no_array_idles_the_motors(guarded):
     step = Step(np.full(2, 0.5), "exact", np.zeros(3), None)
-    # Where types are not enforced, a user's step can hold anything.
+    # Without type checks, a user's step can hold anything.
     object.__setattr__(step, "command", [0.5, "full"])
     guarded.pilot.step = lambda time: step
     given = guarded.step(0.5)

@@ -33,7 +33,7 @@ class Table:
 
     @property
     def mallet(self) -> tuple[float, float]:
-        """Where it is."""
+        """Position of the mallet."""
         return self.twin.world.mallet.x, self.twin.world.mallet.y
 
     def run(self, until: float) -> None:

@@ -12,7 +12,7 @@ from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.model.model_file import nominal_model, published_model, read_model
 from airpuck.recording.mapping import read_mapping
 
-#: As written before the transport delay was among the parameters.
+#: A file from before the transport delay was a parameter.
 OLDER = """
 format = "airpuck model 1"
 name = "M3+inflow"

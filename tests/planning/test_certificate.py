@@ -131,7 +131,7 @@ def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
     none = np.zeros(0)
     away = Weight(-0.4 + 0j, 1.0 + 0j, none, none.astype(complex))
-    # What remains: at most 10 m/s along x.
+    # Only this limit remains: at most 10 m/s along x.
     assert lower_bound(asked, away, 0.6) == pytest.approx(0.0554, rel=0.1)
 
 

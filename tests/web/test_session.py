@@ -66,7 +66,7 @@ class Table:
         self.pipe.send_bytes(WISH + packed_wish(Wish(number, x, y)))
 
     def run(self, duration: float) -> dict:
-        """Let it run for a while."""
+        """Run the session for a while."""
         self.states.clear(), self.news.clear(), self.thoughts.clear()
         listening = threading.Thread(target=self._listen)
         listening.start()

@@ -25,7 +25,7 @@ class FromFile:
 
     #: The option that names the file.
     option: str
-    #: What the file is.
+    #: Description of the file.
     help: str
     read: Callable[[Path], Any]
 
@@ -109,7 +109,7 @@ _HELP_ALL = Annotated[
 class OptionView:
     """An option of a command, as declared."""
 
-    #: What it takes, without the `Setting`.
+    #: Type of its value, without the `Setting`.
     kind: Any
     setting: Setting
     #: As typed, with its short form behind a slash.

@@ -65,7 +65,7 @@ def stoppable() -> Iterator[None]:
 
 
 def prioritize(*, first: bool) -> None:
-    """Ask the system to run this thread before all others, or normally again; it may refuse."""
+    """Request real-time priority for this thread, or give it up; the system may refuse."""
     with suppress(OSError, AttributeError):
         policy, priority = (os.SCHED_FIFO, _PRIORITY) if first else (os.SCHED_OTHER, 0)
         os.sched_setscheduler(0, policy, os.sched_param(priority))

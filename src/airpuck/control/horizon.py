@@ -43,7 +43,7 @@ _NOWHERE = 1e-9
 #: Cost of a squared change of a command, apart from its effect. The linearisation holds only near
 #: the plan: without this cost, plans of a craft that turns fast jump between two ways to brake.
 _DAMPING = 0.5
-#: How DAQP treats a limit.
+#: DAQP's codes for the kinds of limits.
 _HARD, _SOFT = 0, 8
 #: DAQP's exit flags for a solution within all limits, and for one beyond soft limits.
 _OPTIMAL, _SOFTENED = 1, 2

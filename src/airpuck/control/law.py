@@ -23,10 +23,10 @@ from airpuck.model.model_file import Model
 #: plan of the previous step continues. ``fallback``: there is no plan; an LQR steers.
 Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
 _Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
-#: How a control step ended. With an outcome of allocation or prediction the craft flies; all others
+#: Status of a control step. With an outcome of allocation or prediction the craft flies; all others
 #: idle the motors. A guard around the controller sets ``unsafe``.
 Status = Outcome | Predicted | _Refused
-#: What limits a plan.
+#: Kinds of limits of a plan.
 Bound = Literal["nothing", "motor", "motion"]
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")
 

@@ -28,7 +28,7 @@ from airpuck.model.model_file import Model
 
 #: Commands of the first plan: in the middle of the thrust curves, where they are steep.
 _FIRST = 0.3
-#: How long a plan continues without an answer from the solver [s].
+#: Time for which a plan continues without an answer from the solver [s].
 _FLOWN_ON = 0.1
 #: Largest number of decision variables; many more take longer than a period.
 _MOST_COMMANDS = 200
@@ -37,7 +37,7 @@ _SOON = 0.02
 
 
 class Ongoing(NamedTuple):
-    """What the predictive law remembers."""
+    """The state of the predictive law between steps."""
 
     #: Commands of the latest plan, block by block, and the time from which they hold [s].
     plan: Float[np.ndarray, "blocks n"]

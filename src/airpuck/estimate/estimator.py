@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class ActuationEstimate:
-    """What the motors actually do with their commands."""
+    """Estimated effectiveness of the motors, and of the transport delay."""
 
     #: Fraction of the modelled thrust that each motor delivers; 1: all of it.
     effectiveness: Float[np.ndarray, " n"]

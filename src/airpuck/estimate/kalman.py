@@ -28,7 +28,7 @@ Command = Float[np.ndarray, " n"]
 #: Number of one-command intervals that one call handles; longer times take several calls. A command
 #: begins to act between two poses of 240 Hz nearly half of the time.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
-#: How late a measurement may arrive if sensors have different latencies [s].
+#: Largest lateness of a measurement if sensors have different latencies [s].
 _REMEMBERED = 0.1
 #: A belief about the craft in the form of the equations: arrays that are never written to.
 Belief = tuple[Any, ...]

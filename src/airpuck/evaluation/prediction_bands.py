@@ -87,7 +87,7 @@ class PredictionBands(Result):
 
     @property
     def covered(self) -> Bool[np.ndarray, "T 3 W"]:
-        """Where the measured pose is within the total band."""
+        """Whether each measured pose is within the total band."""
         return np.abs(self.measured - self.predicted) <= self.total
 
     @property

@@ -53,7 +53,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class CrossCorrelation(Result):
-    """How much one motor's command still explains of one channel."""
+    """The share of one channel that one motor's command still explains."""
 
     JSON = (
         "channel passed statistic p_value share band degrees_of_freedom=degrees "

@@ -75,7 +75,7 @@ class Design:
     proposal: CandidateFlight
     #: All flown candidates, the best first.
     candidates: tuple[CandidateFlight, ...]
-    #: How errors of several quantities are combined into one score.
+    #: Rule that combines errors of several quantities into one score.
     criterion: Criterion
     #: Variance of the residuals of the model's fit, relative to the twin's.
     residual_level: float

@@ -29,7 +29,7 @@ from airpuck.physics.rigid_body import Dynamics
 STEP = 0.025
 #: Shorter faults are the radio's jitter [s].
 SHORTEST = 0.1
-#: How long a silent radio can leave the last command in force [s].
+#: Longest time for which a silent radio leaves the last command in force [s].
 LONGEST_HOLD = 0.6
 #: Number of samples between the times in a step at which accelerations are evaluated.
 _SPACING = 2

@@ -47,7 +47,7 @@ from airpuck.physics.thrust import thrust
 AXES = ("x", "y", "z")
 #: Two more flips are assumed if the forces are turned to within this of 180 degrees.
 _HALF_TURN = 0.5
-#: How much more another choice of signs must explain, of at most 2.
+#: Least improvement of the explained correlation by another choice of signs, of at most 2.
 _MARGIN = 0.15
 #: Longest transport delay tried [s].
 _LONGEST_DELAY = 0.1

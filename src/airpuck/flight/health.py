@@ -46,7 +46,7 @@ _ENOUGH = 20
 _OLD = 3.0
 #: Steps of the finite differences with respect to effectiveness and delay [1, s].
 _LOSS_STEP, _DELAY_STEP = 0.05, 0.004
-#: How far back commands may still affect a prediction [s].
+#: Time before a prediction within which commands affect it [s].
 _BEFORE = 0.06
 
 #: Prior standard deviations of motors and delay from the model [1, s].

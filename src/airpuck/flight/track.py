@@ -30,7 +30,7 @@ _LEAD_S = 0.5
 
 @dataclass(frozen=True)
 class SetPointResult(Result):
-    """How the craft reached one set point."""
+    """Tracking performance at one set point."""
 
     JSON = (
         "start_s=start stop_s=stop set_point=pose:x_m,y_m,yaw_rad settling_time_s=settling_time "
@@ -44,7 +44,7 @@ class SetPointResult(Result):
     pose: tuple[float, ...]
     #: Time until the pose stays within `TOLERANCE`; None if it never does [s].
     settling_time: float | None
-    #: How far x, y, yaw went beyond the set point, relative to the initial direction [m, m, rad].
+    #: Overshoot of x, y, yaw beyond the set point, in the initial direction [m, m, rad].
     overshoot: tuple[float, ...]
     #: Mean pose minus set point at the end of the dwell; None if poses are missing there [m, m,
     #: rad].
@@ -57,7 +57,7 @@ class SetPointResult(Result):
 class Track:
     """A flight through set points."""
 
-    #: What flew.
+    #: Label of the flight.
     label: str
     #: Times of the poses, from the first command on [s].
     time: Float[np.ndarray, " N"]

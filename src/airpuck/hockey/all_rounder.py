@@ -60,7 +60,7 @@ class AllRounder:
             intention = strategy.propose(view, outlook)
             if intention is not None:
                 break
-        # What a search finds takes precedence over what comes later in the list.
+        # The result of a search takes precedence over strategies later in the list.
         searcher = self._turns.give(view, outlook, searchers)
         found = searcher and searcher.propose(view, outlook)
         return found or intention or self._blind.propose(view)

@@ -75,7 +75,7 @@ class Scorekeeper:
     """
 
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
-        # Who puts the puck back decides when.
+        # Whoever puts the puck back decides when.
         self._equipment = equipment
         self._rules = replace(rules or Rules(), pause_s=PAUSE.high, limit_s=None)
         self._filter = PuckFilter(equipment)

@@ -300,7 +300,7 @@ class Graph:
 
     @property
     def age(self) -> float:
-        """How long it has been looking for others [s]."""
+        """Time since discovery of other processes began [s]."""
         return time.monotonic() - self._entered
 
     def describe(self, endpoint: Endpoint) -> str:

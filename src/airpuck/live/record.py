@@ -18,14 +18,14 @@ from airpuck.recording.bag_writer import BagFile
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message import command_type, definitions
 
-#: How often to look for new topics [s].
+#: Interval between searches for new topics [s].
 _LOOK = 0.1
-#: How many messages of a topic may wait for the listener.
+#: Queue length of each topic, in messages.
 _DEPTH = 2000
 NAME = "airpuck record"
 #: A killed recorder loses at most this much [s], and what the disk had not written.
 _FLUSH = 0.5
-#: How long to wait for messages [s].
+#: Timeout of waiting for messages [s].
 _WAIT = 0.05
 
 

@@ -1,4 +1,4 @@
-"""How a process joins a graph, and for how long."""
+"""Connection of a process to a graph, and its duration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _read_topics(path: Path) -> Topics:
 
 @dataclass(frozen=True)
 class LiveSettings(Settings):
-    """How a process joins a graph, and for how long.
+    """Connection of a process to a graph, and its duration.
 
     Attributes
     ----------

@@ -30,7 +30,7 @@ _STILL = 1e-9
 MOST, WITHIN, _STOPPED = 20, 1e-3, 4e-3
 #: Discs that overlap by less are not separated [m].
 _ROUNDING = 1e-9
-#: How often a puck tries to get out of the way, also along a rail.
+#: Number of attempts to move a puck out of overlap, also along a rail.
 _PASSES = 8
 #: The immovable body that a wedged disc bounces off.
 _WEDGED = Contact(restitution=0.0, grip=0.0, friction=0.0)

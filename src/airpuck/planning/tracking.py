@@ -24,7 +24,7 @@ from airpuck.planning.plan import Plan
 #: Times [s]: how far ahead on the plan the craft aims; how much later than planned it may come to
 #: rest; the shortest time in which motors and thrusts can have an effect.
 _HORIZON, _LATER, _LEAST = 0.6, 0.03, 0.08
-#: How long after its end a plan to rest is still flown; afterwards its goal is a set point [s].
+#: Time after its end for which a plan to rest is still flown; then its goal is a set point [s].
 _AFTERWARDS = 0.1
 #: Equally weighted errors at the aim point (x, y, γ and their rates), and deviations from the
 #: planned thrusts over a period [N].

@@ -26,7 +26,7 @@ _SEPARATORS = ",\t;"
 _BETWEEN, _AROUND = re.compile(r"\s*[,;]\s*|\s+"), "[]() \t"
 #: Switches as programs print them.
 _SWITCH = {"true": 1.0, "false": 0.0}
-#: What exports write in place of a missing number.
+#: Placeholders of exports for missing numbers.
 _BLANK = ("", "null")
 
 

@@ -27,7 +27,7 @@ _Digest = Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")]
 
 
 class Dataset(Section):
-    """What ``packaged/datasets/NAME/dataset.toml`` says of a dataset."""
+    """The description of a dataset in ``packaged/datasets/NAME/dataset.toml``."""
 
     title: str
     authors: str

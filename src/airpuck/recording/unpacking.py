@@ -1,4 +1,4 @@
-"""What the files of a bag hold before it is decoded, unpacked within limits.
+"""The undecoded contents of a bag's files, unpacked within limits.
 
 What Zstandard, LZ4 and bzip2 unpack is counted, whatever a header says.
 """

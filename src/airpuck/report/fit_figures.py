@@ -30,7 +30,7 @@ _BIN, _TOP = 0.05, 30.0
 _DELAY_BINS = 24
 
 
-#: Look of a 95 % band.
+#: Drawing style of a 95 % band.
 _BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
 
 

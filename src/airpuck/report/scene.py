@@ -1,4 +1,4 @@
-"""What an animation of a flight or a game shows, at any moment."""
+"""The contents of an animation of a flight or a game at any moment."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ class FleetFlight:
     seeds: tuple[int, ...]
     #: When commands were sent [s].
     command_time: Float[np.ndarray, " K"]
-    #: What was sent.
+    #: The sent commands.
     command: Float[np.ndarray, "K n B"]
     #: Table, sensors, radio, effects.
     settings: TwinSettings

@@ -153,7 +153,7 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     gained_x = (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
     gained_y = (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
     zero = 0.0 * position
-    # It moves back by the depth, scaled like the speed.
+    # The position rebounds like the speed: by 1 + e times the depth.
     back = -side * depth * (1 + table.restitution)
     along = (back, zero) if axis == 0 else (zero, back)
     change = [*along, zero, gained_x, gained_y, turned]

@@ -128,7 +128,7 @@ class Weakness(Stall):
 
 
 class Motors(Section):
-    """How motors fail to follow their command."""
+    """Faults of motors that do not follow their commands."""
 
     #: The motors stand still until this time.
     unarmed_s: NonNegative = 0.0

@@ -1,4 +1,4 @@
-"""Pages from the game's side: where they are served, and messages in both directions."""
+"""The game's connection to its pages: address, and messages in both directions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a game is served, and for how long."""
+"""Address and duration of serving a game."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from airpuck.boundary.settings import Setting, Settings
 
 @dataclass(frozen=True)
 class ArenaSettings(Settings):
-    """Where a game is served, and for how long.
+    """Address and duration of serving a game.
 
     Parameters
     ----------

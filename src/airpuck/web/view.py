@@ -25,11 +25,11 @@ from airpuck.web.panel import panel
 NAME = "airpuck view"
 #: Time between states, and between gauges [s].
 _STATE, _GAUGES = 1 / 60, 0.5
-#: How long a pose counts as current, thrusts are drawn, and a plan is drawn [s].
+#: Maximum age of a pose that counts as current, of drawn thrusts, and of a drawn plan [s].
 _SEEN, _COMMANDED, _PLANNED = 0.5, 0.5, 0.5
 #: The controller's process comes first.
 _NICE = 5
-#: How to move the set point, or why that has no effect.
+#: Instructions for moving the set point, or the reason why this has no effect.
 _FREE = "Drag the yellow ring, turn it by its knob, or enter numbers."
 _FIXED = "The controller follows a plan of its own; airpuck fly-topic follows this one."
 #: No puck, no mallet.
