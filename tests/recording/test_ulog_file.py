@@ -58,6 +58,15 @@ def test_formats_that_unroll_to_too_much_are_refused(tmp_path, fields):
         read_recording(path)
 
 
+@pytest.mark.parametrize("length", [57, 60, 90])
+def test_damaged_definitions_are_refused(tmp_path, length):
+    # pyulog never ends on these.
+    path = ulog(tmp_path / "a.ulg")
+    path.write_bytes(path.read_bytes()[:length] + bytes(40))
+    with pytest.raises(InputError, match="not a readable PX4 log|no such topic"):
+        read_recording(path)
+
+
 def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "a.ulg").write_bytes(b"ULog" + bytes(100))
     with pytest.raises(InputError, match="is not a readable PX4 log"):

@@ -1,7 +1,7 @@
 """Reading a PX4 log (ULog) through pyulog, the extra `px4`.
 
-A format may nest others and declare arrays of any length, which pyulog unrolls field by field. So
-the fields are counted first.
+A format may nest others and declare arrays of any length, which pyulog unrolls field by field, and
+pyulog never ends where definitions are damaged. So they are checked first.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _TYPES = {
 }
 #: Length and kind before each message; length of the file's header [bytes].
 _HEAD, _HEADER_BYTES = struct.Struct("<HB"), 16
-_FORMAT, _DEFINITIONS = ord("F"), frozenset(b"BFIMPQ")
+_FORMAT, _DEFINITIONS, _DATA = ord("F"), frozenset(b"BFIMPQ"), frozenset(b"ALC")
 _ARRAY = re.compile(r"(\w+)(?:\[(\d{1,9})\])?")
 _ENTRY = re.compile(r"(.+)\[(\d+)\]")
 _MICROSECOND_NS = 1000
@@ -57,7 +57,7 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
     except ImportError:
         raise InputError("PX4 logs need pyulog: pip install pyulog", file=path) from None
     content = path.read_bytes()
-    _check_formats(content, path)
+    _check_definitions(content, path)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said):
@@ -110,6 +110,8 @@ def _stream(
         for name, values in found.items()
         if values.dtype.kind in "iuf"
     ]
+    if "timestamp" not in single or found["timestamp"].dtype.kind not in "iu":
+        raise ValueError("has no timestamp")
     arrived = found["timestamp"].astype(np.int64) * _MICROSECOND_NS
     read = partial(_chosen, found)
     return stream_of(stream, _TYPES.get(topic, topic), fields, read, arrived, mapping)[0]
@@ -119,14 +121,16 @@ def _chosen(found: Mapping[str, np.ndarray], paths: Sequence[str]) -> dict[str, 
     return {path: found[path] for path in paths}
 
 
-def _check_formats(content: bytes, path: Path) -> None:
-    """Reject formats that unroll to too many fields."""
+def _check_definitions(content: bytes, path: Path) -> None:
+    """Reject damaged definitions, and formats that unroll to too many fields."""
     formats, place = dict[str, list[tuple[str, int]]](), _HEADER_BYTES
     while place + _HEAD.size <= len(content):
         length, kind = _HEAD.unpack_from(content, place)
         place += _HEAD.size
-        if kind not in _DEFINITIONS:
+        if kind in _DATA:
             break
+        if kind not in _DEFINITIONS or place + length > len(content):
+            raise InputError("is not a readable PX4 log: its definitions are damaged", file=path)
         if kind == _FORMAT:
             text = content[place : place + length].decode(errors="replace")
             name, _, fields = text.partition(":")
