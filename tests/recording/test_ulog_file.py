@@ -63,7 +63,7 @@ def test_damaged_definitions_are_refused(tmp_path, length):
     # pyulog never ends on these.
     path = ulog(tmp_path / "a.ulg")
     path.write_bytes(path.read_bytes()[:length] + bytes(40))
-    with pytest.raises(InputError, match="not a readable PX4 log|no such topic"):
+    with pytest.raises(InputError, match=r"not a readable PX4 log|no such topic"):
         read_recording(path)
 
 
