@@ -146,7 +146,7 @@ def test_a_pose_outside_the_gate_leaves_no_trace(make):
                 assert not ours.pose(time - 1e-3, np.array(jump), gate)
         for one in (ours, fresh):
             assert one.pose(time, np.zeros(3), gate)
-        # A whole turn is no jump.
+        # A whole turn is not a jump.
         np.testing.assert_array_equal(ours.predict(time).state, fresh.predict(time).state)
     assert ours.pose(0.26, np.array([0, 0, 2 * np.pi]), gate)
 

@@ -218,7 +218,7 @@ def test_commands_of_another_time_explain_nothing(flight, moved):
 
 
 def slow(seconds: float, seed: int = 0, noise: float = 3e-4):
-    """A craft of 0.02 m/s² per motor at 16 Hz, blown by white accelerations."""
+    """A craft with 0.02 m/s² per motor at 16 Hz, disturbed by white accelerations."""
     rng = np.random.default_rng(seed)
     vehicle = default_vehicle()
     vehicle = vehicle.model_copy(update={"mass_kg": 30.0})

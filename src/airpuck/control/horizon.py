@@ -203,8 +203,7 @@ def _bend(
         costate = slope + xp.concatenate([costate[:2], by_motion])
         return costate, costate
 
-    # Cost gradient at each end of a step: its own, plus what follows from it; nothing follows the
-    # last.
+    # Cost gradient at each end of a step: its own, plus its effect on later steps, if any.
     after = xp.concatenate([onward[1:], xp.zeros_like(onward[:1])])
     _, costates = scan(xp, back, xp.zeros(states.shape[1]), (slope[::-1], after[::-1]))
     costates = xp.pad(costates[::-1], ((0, 1), (0, 0)))

@@ -55,7 +55,7 @@ _LONGEST_DELAY = 0.1
 _TURNED = 0.3
 #: Standard error of the effect of a motor that never ran [1/kg].
 _UNKNOWN = 1e9
-#: Nobody flies this many times longer: the motors were hardly used.
+#: If a verdict would need this multiple of the flight's length, the motors were barely used.
 _TOO_LONG = 100.0
 #: Shortest usable recording from which anything is concluded [s].
 _SHORTEST = 2.0

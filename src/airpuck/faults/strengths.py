@@ -26,11 +26,11 @@ from airpuck.physics.thrust import thrust
 _WEAK, _STRONG = 0.8, 1.25
 #: An actuator that may give nothing, and certainly gives less than this, is dead.
 _DEAD = 0.5
-#: An effect that certainly lies below this fraction of the nominal one is reversed.
+#: An effect that is certainly below this fraction of the nominal one is reversed.
 _REVERSED = -0.2
 #: Deviation of all strengths alike that is worth mentioning.
 _SCALE = 0.1
-#: Fewest actuators whose median tells a common error from one actuator's.
+#: Fewest actuators whose median distinguishes a common error from one actuator's.
 _FEWEST = 3
 #: Half the 95 % interval of a normal distribution, in standard deviations.
 _NORMAL = 1.96
@@ -91,7 +91,7 @@ class Strengths(Result):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What is remarkable."""
+        """Sentences on actuators that are not sound, and on errors common to all."""
         found = [one.sentence for one in self.remarkable]
         lines = [f"Throughout the recording: {'; '.join(found)}."] if found else []
         alone = self.remarkable or abs(self.common - 1) <= _SCALE
