@@ -20,10 +20,12 @@ from airpuck.identification.uncertainty import (
     subspace,
     varying,
     widened,
+    without_meaningless,
 )
-from airpuck.model.model_file import read_model
+from airpuck.model.model_file import nominal_model, read_model
 from airpuck.model.parameters import fix_gauge, gauge_directions
 from airpuck.model.rungs import RUNGS, named_rung
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.disturbed_flights import TRUTH, noisy
@@ -471,3 +473,20 @@ def test_clusters_are_blocks_of_time():
     assert (np.diff(clusters) >= 0).all()
     seconds = np.bincount(clusters) * 7 / 240
     assert 1.2 < seconds.min() <= seconds.max() < 2.1
+
+
+def test_an_error_beyond_all_possible_values_is_none():
+    """The lag of a slow camera: its information is not zero, but rounding."""
+    parameters = nominal_model(VEHICLE).parameters
+    vector, entry = parameters.to_vector(), len(VEHICLE.propellers) * 3 + 1
+    assert parameters.labels(NAMES)[entry] == "motor_time_constant"
+    for spread in (1e35, 1e-22):
+        errors = np.full(len(vector), 1e-3)
+        errors[entry] = spread
+        lost = np.eye(len(vector))[entry : entry + 1] if spread < 1 else np.zeros((0, len(vector)))
+        found = Uncertainty(vector, np.diag(errors**2), errors, lost, 30, 2.0)
+        known = without_meaningless(found, parameters)
+        model = replace(nominal_model(VEHICLE), uncertainty=known)
+        assert np.isnan(model.standard_error(lambda m: 1e3 * m.parameters.motor_time_constant))
+        force = model.standard_error(lambda m: m.parameters.thrust.sum(axis=1))
+        np.testing.assert_allclose(force, 1e-3 * np.sqrt(3), rtol=1e-6)

@@ -336,6 +336,10 @@ def _rows(model: Model) -> list[list[str]]:
 
 def value_texts(value: Value) -> list[str]:
     """Return the texts of one quantity: value ± standard error, and the interval."""
+    from airpuck.evaluation.presentation import NOT_IDENTIFIED
+
+    if value.learned and not value.identified and math.isfinite(value.quantile):
+        return [value.label, value.unit, NOT_IDENTIFIED, "none"]
     if value.interval is None:
         return [value.label, value.unit, f"{value.value:.4g}", "none" if value.learned else "fixed"]
     digits = _digits(value.standard_error)

@@ -16,6 +16,8 @@ from airpuck.model.model_file import Model
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import thrust
 
+#: Stands for a value that the data leave open.
+NOT_IDENTIFIED = "not identified by these flights"
 #: Directions of acceleration: row of Π, sign.
 WAYS = (
     ("forward", 0, 1, "m/s²"),
@@ -31,7 +33,7 @@ WAYS = (
 class Value(Result):
     """A number with its error."""
 
-    JSON = "label unit value learned standard_error=error interval_95=interval"
+    JSON = "label unit value learned identified standard_error=error interval_95=interval"
 
     #: Name of the quantity.
     label: str
@@ -48,6 +50,11 @@ class Value(Result):
     def known(self) -> bool:
         """Whether there is a standard error."""
         return bool(np.isfinite(self.standard_error) and self.standard_error > 0)
+
+    @property
+    def identified(self) -> bool:
+        """Whether the data determine it; held by a constraint, it has the standard error 0."""
+        return self.learned and bool(np.isfinite(self.standard_error))
 
     @property
     def error(self) -> float | None:

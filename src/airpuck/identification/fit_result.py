@@ -134,6 +134,8 @@ def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
     labels = model.parameters.labels(model.vehicle.propeller_names)
     for entry, (label, value) in enumerate(zip(labels, model.parameters.to_vector(), strict=True)):
         figures[label] = {"value": float(value), "standard_error": None, "interval_95": None}
+        open_ = known is not None and bool(known.undetermined[:, entry].any())
+        figures[label]["identified"] = bool(model.free[entry]) and not open_
         if known is not None and np.isfinite(known.standard_errors[entry]):
             figures[label]["standard_error"] = float(known.standard_errors[entry])
             figures[label]["interval_95"] = known.intervals[entry].tolist()

@@ -42,6 +42,9 @@ _ALIKE = 0.95
 _MAIN = 0.5
 #: Largest number of parameters to name at once.
 _NAMED = 4
+#: Error, relative to the largest value of its kind, above which a parameter without bounds is
+#: undetermined.
+_HOPELESS = 100.0
 #: Condition number of the scaled information above which a fit counts as poorly determined: a
 #: factor of 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
@@ -253,13 +256,24 @@ def information_growth(
 
 
 def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:
-    """Drop standard errors wider than the range of values that a parameter may take.
+    """Count parameters as undetermined whose errors exceed the range of values they may take.
 
-    The data then leave the parameter practically undetermined.
+    What depends on them then has no standard error either, instead of an absurd one.
     """
     lower, upper = parameters.bounds()
-    errors = uncertainty.standard_errors
-    return replace(uncertainty, standard_errors=np.where(errors > upper - lower, np.nan, errors))
+    sizes = {q.name: np.max(np.abs(getattr(parameters, q.name))) for q in parameters.quantities}
+    size = _HOPELESS * parameters.laid_out(sizes, 0.0)
+    extent = np.where(np.isfinite(upper - lower), upper - lower, size)
+    meaningless = np.sqrt(np.diag(uncertainty.covariance)) > np.where(extent > 0, extent, np.inf)
+    if not meaningless.any():
+        return uncertainty
+    keep = ~meaningless
+    return replace(
+        uncertainty,
+        covariance=uncertainty.covariance * np.outer(keep, keep),
+        standard_errors=np.where(meaningless, np.nan, uncertainty.standard_errors),
+        undetermined=np.concatenate([uncertainty.undetermined, np.eye(len(keep))[meaningless]]),
+    )
 
 
 def _with_covariance(uncertainty: Uncertainty, covariance: Float[np.ndarray, "P P"]) -> Uncertainty:

@@ -15,6 +15,8 @@ from airpuck.boundary.files import NonNegative, Section
 #: Step of a finite difference, in standard errors: small enough that a product of parameters is
 #: linear, large enough for double precision.
 _STEP = 1e-3
+#: Standard error, relative to its value, of an undetermined entry that is rounding.
+_ROUNDING = 1e-9
 #: Component of a gradient along an undetermined direction above which the quantity counts as
 #: undetermined. Finite differences are exact to about 1e-6.
 _ALONG = 1e-4
@@ -117,7 +119,9 @@ class Uncertainty:
         moved = np.abs(self.undetermined).max(axis=0, initial=0.0) * np.abs(self.estimate)
         for entry in np.flatnonzero((spread > 0) | (moved > 0)):
             step = np.zeros_like(spread)
-            step[entry] = _STEP * (spread[entry] or moved[entry])
+            # Rounding may leave an undetermined entry a trace of variance, too small for a step.
+            rounding = spread[entry] <= _ROUNDING * moved[entry]
+            step[entry] = _STEP * (moved[entry] if rounding else spread[entry])
             above, below = (quantity(self.estimate + sign * step) for sign in (1, -1))
             gradient[entry] = np.ravel(np.subtract(above, below)) / (2 * step[entry])
         return self.errors_along(gradient).reshape(shape)

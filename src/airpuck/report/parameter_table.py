@@ -13,6 +13,7 @@ from airpuck.evaluation.main_quantities import (
     main_quantities,
     thrust_scale,
 )
+from airpuck.evaluation.presentation import NOT_IDENTIFIED
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import named_rung
@@ -142,5 +143,8 @@ def _cells(
     errors = np.ravel(model.standard_error(values))
     for value, error in zip(np.ravel(values(model)), errors, strict=True):
         known = np.isfinite(error) and error > 0
+        if free and model.known is not None and not np.isfinite(error):
+            cells.append(Cell(NOT_IDENTIFIED, free))
+            continue
         cells.append(Cell(f"{value:{form}}" + f" ± {error:{form}}" * bool(known), free))
     return cells
