@@ -12,8 +12,6 @@ set -- --vehicle "$data/vehicle.toml" --mapping "$data/mapping.toml"
 # The exit status is 2, because the recording disagrees with the vehicle file about a thruster.
 airpuck check "$flight" "$@" || true
 
-# An acceleration of 0.02 m/s² takes a second to show; the default of 0.2 s suits 5 m/s².
-set -- "$@" --encoder-time 1 --prediction-time 1
 airpuck identify "$flight" "$@" --report "$out/report" -o "$out/whole.toml"
 airpuck identify "$flight" "$@" --span 0 0.6 --quiet -o "$out/start.toml"
 python "$here/table.py" "$data" "$out/whole.toml" "$out/start.toml"

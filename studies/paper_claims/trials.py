@@ -106,7 +106,7 @@ def fit_whole_trajectory(
         ("full_from_nominal", "from nominal values", None),
         ("full_from_batched", "from the batched optimum", batched.model.parameters),
     ):
-        whole = Loss(prediction_time=None)
+        whole = Loss(whole=True)
         fit = identify(training, batched.model.name, initial=initial, loss=whole)
         trials[name] = judge(f"full trajectory, {label}", fit, validation)
     return trials

@@ -84,7 +84,7 @@ class Problem:
         """Whether faults are searched for and excluded."""
         default = "exclude" if self._delays_known else "keep"
         wanted = (self.preparation.faults or default) == "exclude"
-        return wanted and self.loss.prediction_time is not None
+        return wanted and not self.loss.whole
 
     @property
     def learns_delay(self) -> bool:

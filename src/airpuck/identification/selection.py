@@ -183,15 +183,15 @@ def select_model(
         If the data do not fit the vehicle, or are too short for this number of blocks.
     """
     loss, preparation = loss or Loss(), preparation or Preparation()
-    if loss.prediction_time is None:
-        raise InputError("needs windows shorter than the recording", field="prediction_time")
+    if loss.whole:
+        raise InputError("needs windows shorter than the recording", field="whole")
     trajectories = as_trajectories(trajectories)
     rungs = [named_rung(rung) if isinstance(rung, str) else rung for rung in ladder]
     settings: Any = {"vehicle": vehicle, "loss": loss}
     richest = identify(trajectories, rungs[-1], preparation=preparation, **settings)
     healthy = richest.exclusion.trajectories if richest.exclusion else tuple(trajectories)
     settings["preparation"] = replace(preparation, faults="keep")
-    held_out = _HeldOut.of(healthy, loss, folds)
+    held_out = _HeldOut.of(healthy, loss.suited(richest.model.vehicle), folds)
     models, errors = [], []
     for rung in rungs:
         model, objective = _learned(Problem.of(healthy, rung, **settings), richest.objective)

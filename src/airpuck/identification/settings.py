@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import numpy as np
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
@@ -19,6 +22,10 @@ if TYPE_CHECKING:
 
 #: Weights of the errors of x, y [1/m] and yaw [1/rad] in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
+#: Shortest default times of encoder and prediction [s]: 40 and 50 samples at 240 Hz.
+_ENCODER, _PREDICTION = 40 / 240, 50 / 240
+#: Motion that a default prediction should contain [m]; longest default [s].
+_VISIBLE, _LONGEST = 0.01, 3.0
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
 
@@ -71,16 +78,17 @@ class Loss(Settings):
     encoder : PaperEncoder
         Encoder for the initial states of predictions; by default the paper's, with each command in
         force from its own sample on.
-    encoder_time : float
-        Length of the past that the encoder uses [s]; by default E = 40 samples at 240 Hz. (The
-        paper's 20 samples are three time constants of the motors: 5 % of the earlier motor speeds
-        remain, and bias the thrust by about 1 %.)
+    encoder_time : float, optional
+        Length of the past that the encoder uses [s]; by default E = 40 samples at 240 Hz, or more
+        (`suited`). (The paper's 20 samples are three time constants of the motors: 5 % of the
+        earlier motor speeds remain, and bias the thrust by about 1 %.)
     weights : tuple of float
         Weights of the x, y [1/m] and γ [1/rad] errors; by default (1, 1, 0.1), as in the
         published fits. The paper's text has (1, 1, 1).
-    prediction_time : float or None
-        Length of a prediction [s]; by default T = 50 steps at 240 Hz. None: one window over the
-        whole trajectory (eq. loss_full).
+    prediction_time : float, optional
+        Length of a prediction [s]; by default T = 50 steps at 240 Hz, or more (`suited`).
+    whole : bool
+        Whether one window spans the whole trajectory (eq. loss_full).
     spacing : float
         Time between the starts of windows, at least one sample [s]; by default 7 samples at 240 Hz.
         Consecutive windows share nearly all samples: using every seventh keeps nearly all of the
@@ -94,13 +102,25 @@ class Loss(Settings):
 
     encoder: PaperEncoder = field(default_factory=_paper_encoder)
     encoder_time: Annotated[
-        float,
-        Setting("Length of the past that the encoder uses", numbers.WINDOW, "S", advanced=True),
-    ] = 40 / 240
+        float | None,
+        Setting(
+            "Length of the past that the encoder uses; by default 0.167, longer for a slow craft",
+            numbers.WINDOW,
+            "S",
+            advanced=True,
+        ),
+    ] = None
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
     prediction_time: Annotated[
-        float | None, Setting("Length of a prediction", numbers.WINDOW, "S", advanced=True)
-    ] = 50 / 240
+        float | None,
+        Setting(
+            "Length of a prediction; by default 0.208, longer for a slow craft",
+            numbers.WINDOW,
+            "S",
+            advanced=True,
+        ),
+    ] = None
+    whole: bool = False
     spacing: float = 7 / 240
     robust: Annotated[
         bool,
@@ -113,6 +133,29 @@ class Loss(Settings):
         numbers.SPACING.check(self.spacing, "spacing")
         for weight in self.weights:
             numbers.WEIGHT.check(weight, "weights")
+
+    def suited(self, vehicle: Vehicle) -> Loss:
+        """Return the loss with the times that are not given, long enough for a craft.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            The craft; a slow one must be watched for longer.
+
+        Returns
+        -------
+        Loss
+            With encoder and prediction at least as long as a usual actuator at full command takes
+            to move the craft by 1 cm, far above the noise of motion capture.
+        """
+        thrust = float(np.median(vehicle.nominal_thrust.sum(axis=1)))
+        slow = math.sqrt(2 * _VISIBLE * vehicle.mass_kg / thrust) if thrust > 0 else 0.0
+        slow = min(slow, _LONGEST)
+        return replace(
+            self,
+            encoder_time=self.encoder_time or max(_ENCODER, slow),
+            prediction_time=self.prediction_time or max(_PREDICTION, slow),
+        )
 
     def on(
         self,
@@ -144,7 +187,7 @@ class Loss(Settings):
         from airpuck.identification.objective import PredictionLoss
         from airpuck.identification.uncertainty import cluster_windows
 
-        before, ahead, stride = self.samples(trajectories)
+        before, ahead, stride = self.suited(vehicle).samples(trajectories)
         windows = make_windows(trajectories, before, ahead, stride)
         return PredictionLoss(
             windows,
@@ -175,7 +218,6 @@ class Loss(Settings):
             If their poses were taken at different rates.
         """
         first = trajectories[0]
-        ahead = self.prediction_time
         for other in trajectories[1:]:
             if abs(other.sample_period / first.sample_period - 1) > _SAME_RATE:
                 raise InputError(
@@ -184,8 +226,9 @@ class Loss(Settings):
                     file=other.source,
                 )
         steps = first.steps
-        before, stride = steps(self.encoder_time, least=2), steps(self.spacing)
-        return before, None if ahead is None else steps(ahead), stride
+        before, stride = steps(self.encoder_time or _ENCODER, least=2), steps(self.spacing)
+        ahead = None if self.whole else steps(self.prediction_time or _PREDICTION)
+        return before, ahead, stride
 
 
 @dataclass(frozen=True)
