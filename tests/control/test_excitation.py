@@ -7,10 +7,8 @@ import pytest
 from scipy.stats import kstest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.excitation import (
-    Excitation,
-    _weakest_effort,  # plans use its values, which trials of random efforts check
-)
+from airpuck.control.authority import weakest_effort
+from airpuck.control.excitation import Excitation
 from airpuck.control.reference import SetPoint
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
 from airpuck.craft.vehicle import Vehicle, default_vehicle
@@ -179,7 +177,7 @@ def test_three_propellers_that_only_push_are_too_few():
 
 def test_how_much_all_propellers_give_at_least_by_trial():
     for model in (MODEL, craft(4), craft(5), craft(6)):
-        found = _weakest_effort(model)
+        found = weakest_effort(model)
         gyration = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
         each = model.dynamics.configuration * np.array([[1.0], [1.0], [gyration]])
         each = each * model.dynamics.thrust.sum(axis=1)

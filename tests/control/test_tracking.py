@@ -281,6 +281,27 @@ def test_propellers_that_all_push_along_one_line_are_refused():
         TrackingController(model, HOME, compiled=False)
 
 
+def test_propellers_that_turn_the_craft_one_way_only_are_refused():
+    # Three tangential propellers span all accelerations, but only with negative thrusts.
+    old = MODEL.vehicle
+    propellers = tuple(
+        p.model_copy(
+            update={
+                "direction_deg": 90.0 + 120.0 * i,
+                "position_m": (0.05 * np.cos(2.0944 * i), 0.05 * np.sin(2.0944 * i)),
+            }
+        )
+        for i, p in enumerate(old.propellers)
+    )
+    vehicle = old.model_copy(update={"propellers": propellers})
+    parameters = nominal_parameters(vehicle)
+    model = replace(
+        MODEL, vehicle=vehicle, parameters=parameters, free=parameters.mask(frozenset())
+    )
+    with pytest.raises(InputError, match="cannot push and turn in every direction"):
+        TrackingController(model, HOME, compiled=False)
+
+
 def test_the_first_example_of_the_documentation_runs(tmp_path, monkeypatch):
     text = (Path(__file__).parents[2] / "docs" / "control.md").read_text()
     example = text.split("```python\n")[1].split("```")[0]

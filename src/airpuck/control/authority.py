@@ -102,6 +102,24 @@ def control_authority(model: Model) -> Authority:
     return Authority(alone, together)
 
 
+def weakest_effort(model: Model) -> float:
+    """Return the largest acceleration in the weakest combination of push and turn [m/s²].
+
+    Angular accelerations are multiplied by the radius of gyration.
+    """
+    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
+    # Between two directions that are each perpendicular to a propeller, the total is concave. The
+    # minimum therefore lies where two propellers are perpendicular.
+    first, second = np.triu_indices(each.shape[1], 1)
+    normal = np.cross(each[:, first], each[:, second], axis=0)
+    size = np.linalg.norm(normal, axis=0)
+    clear = size > 1e-9 * np.linalg.norm(each, axis=0).max() ** 2
+    if not clear.any():
+        return 0.0
+    unit = normal[:, clear] / size[clear]
+    return float(np.maximum(each.T @ np.hstack([unit, -unit]), 0).sum(axis=0).min())
+
+
 def _clear(most: float, scale: float) -> float:
     """Replace negligible values by zero."""
     return float(most) if most > _NOTHING * scale else 0.0

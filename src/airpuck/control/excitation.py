@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.authority import weakest_effort
 from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, SetPoint
@@ -80,6 +81,18 @@ class Excitation(Pilot):
         table: Table | None = None,
         margin: float = 0.05,
     ) -> None:
+        weakest = _weakest_push(model)
+        craft = model.vehicle.name
+        if weakest < _LEAST_PUSH:
+            raise InputError(
+                f"the propellers of {craft!r} cannot push in every direction: the craft could not "
+                "be kept on the table"
+            )
+        if weakest_effort(model) < _LEAST_PUSH:
+            raise InputError(
+                f"the propellers of {craft!r} cannot push in every direction and turn it both "
+                "ways: no positive thrusts of all cancel in force and in moment"
+            )
         # The controller assumes motors without lag; see the class.
         self.controller = controller = TrackingController(
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
@@ -107,18 +120,6 @@ class Excitation(Pilot):
         if not (margin >= 0 and (self._reach > 0).all()):
             raise InputError(
                 "must not be negative, and leave room between the rails", field="margin"
-            )
-        weakest = _weakest_push(model)
-        craft = model.vehicle.name
-        if weakest < _LEAST_PUSH:
-            raise InputError(
-                f"the propellers of {craft!r} cannot push in every direction: the craft could not "
-                "be kept on the table"
-            )
-        if _weakest_effort(model) < _LEAST_PUSH:
-            raise InputError(
-                f"the propellers of {craft!r} cannot push in every direction and turn it both "
-                "ways: no positive thrusts of all cancel in force and in moment"
             )
         self._braking = _BRAKING * weakest
         self._begun: float | None = None
@@ -215,24 +216,6 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
     signed = each.copy()
     signed[first, second] = signed[second, first] = -1.0
     return signed, np.hstack(mixer)
-
-
-def _weakest_effort(model: Model) -> float:
-    """Return the largest acceleration in the weakest combination of push and turn [m/s²].
-
-    Angular accelerations are multiplied by the radius of gyration.
-    """
-    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
-    # Between two directions that are each perpendicular to a propeller, the total is concave. The
-    # minimum therefore lies where two propellers are perpendicular.
-    first, second = np.triu_indices(each.shape[1], 1)
-    normal = np.cross(each[:, first], each[:, second], axis=0)
-    size = np.linalg.norm(normal, axis=0)
-    clear = size > 1e-9 * np.linalg.norm(each, axis=0).max() ** 2
-    if not clear.any():
-        return 0.0
-    unit = normal[:, clear] / size[clear]
-    return float(np.maximum(each.T @ np.hstack([unit, -unit]), 0).sum(axis=0).min())
 
 
 def _weakest_push(model: Model) -> float:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
+from airpuck.control.authority import weakest_effort
 from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
 from airpuck.control.laws import law_named
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
@@ -31,6 +32,8 @@ from airpuck.physics.angle import pose_difference
 _REMEMBERED = 0.5
 #: No control without a pose from the last 50 ms: twelve frames of motion capture.
 STALE = 0.05
+#: Acceleration in the weakest combination of push and turn below which no law can steer [m/s²].
+_LEAST_EFFORT = 1e-6
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
 _JUMP = (0.1, 0.1, 1.0)
 #: Poses that agree with each other for this long, but not with the prediction, are accepted [s];
@@ -92,7 +95,7 @@ class TrackingController(Pilot):
     ) -> None:
         tuning = tuning or default_tuning()
         vehicle = model.vehicle
-        if not _commands_all_directions(model):
+        if weakest_effort(model) < _LEAST_EFFORT:
             raise InputError(
                 f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
                 "check their positions and directions"
@@ -283,12 +286,6 @@ class TrackingController(Pilot):
             return "bad input"
         self._clock = time
         return self._gate.refusal(time)
-
-
-def _commands_all_directions(model: Model) -> bool:
-    """Return whether the propellers' forces and moments span all accelerations."""
-    # Express moments as forces at the radius of gyration: one unit for all three rows.
-    return bool(np.linalg.matrix_rank(model.propeller_effects, rtol=1e-6) == 3)
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
