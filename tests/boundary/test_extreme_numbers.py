@@ -9,6 +9,7 @@ import tomli_w
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import percent
 from airpuck.control.reference import read_setpoints
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import AirHockey
@@ -109,3 +110,7 @@ def test_a_mass_of_1e308_names_its_field(tmp_path):
 def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
     (tmp_path / "table.toml").write_bytes(b"\xef\xbb\xbf[puck]\nmass_kg = 0.02\n")
     assert airpuck.read_table(tmp_path / "table.toml").puck.mass_kg == 0.02
+
+
+def test_percentages_of_both_signs():
+    assert [percent(x) for x in (0.012, -0.012, 0.2, -0.2)] == ["1.2 %", "-1.2 %", "20 %", "-20 %"]

@@ -230,19 +230,15 @@ def test_authors_columns_in_another_unit(tmp_path: Path):
     assert found["command"].stamp_ns.tolist() == [3_000_000_002]
 
 
-ONE_CELL = """
-[pose]
-file = "mocap.csv"
-time = "t"
-position = ["x", "y"]
-orientation = "theta"
-units = ["cm", "deg", "ms"]
-
+ONE_CELL = (
+    MAPPING.partition("[command]")[0]
+    + """
 [command]
 file = "motors.csv"
 time = "t"
 propellers = ["a", "b", "c", "d"]
 """
+)
 SWITCHES = np.random.default_rng(3).integers(0, 2, (N, 4))
 
 

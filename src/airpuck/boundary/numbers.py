@@ -38,7 +38,7 @@ def percent(share: float, otherwise: str = "not determined") -> str:
     """Write a fraction, or a relative error, in percent: to two digits if it is small."""
     if not math.isfinite(share):
         return otherwise
-    return f"{100 * share:#.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
+    return f"{100 * share:#.2g} %" if abs(share) < 0.0995 else f"{100 * share:.0f} %"
 
 
 def _text(number: float) -> str:
