@@ -242,7 +242,7 @@ def test_after_the_end_the_next_puck_begins_another_game():
 @pytest.mark.parametrize("seed", range(2))
 def test_it_agrees_with_the_referee_of_a_game(seed):
     """Two scripted humans play; the cameras lose frames and have noise."""
-    rules = Rules(goals=100, limit_s=70.0)
+    rules = Rules(goals=100, limit_s=50.0)
     settings = default_twin_settings()
     cameras = settings.motion_capture.model_copy(update={"dropped": 0.05})
     settings = settings.model_copy(update={"motion_capture": cameras})
