@@ -30,7 +30,7 @@ from airpuck.twin.settings import TwinSettings, read_twin_settings
 
 FOLDER = Path(__file__).parents[1] / "examples" / "free_flyers"
 #: Length of a prediction, and time between the starts of predictions [s]; by craft.
-TIMES = {"atmos": (1.0, 0.2), "freeflyer2": (15.0, 1.0)}
+TIMES = {"atmos": (1.0, 0.2), "freeflyer2": (5.0, 0.5)}
 #: Time between changes of the signals [s].
 HOLD = 0.5
 GOAL, START = (0.5, 0.3, 1.5), (-0.5, -0.3, 0.0)
