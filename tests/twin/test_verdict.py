@@ -215,6 +215,20 @@ def test_a_thrust_that_is_not_known_needs_excitation():
     assert "F(1) motor_a_1" in " ".join(found.sentences)
 
 
+def test_a_motor_known_to_be_dead_is_known():
+    model = known()
+    assert model.uncertainty is not None
+    thrust = np.array(model.parameters.thrust)
+    error = 0.01 * np.linalg.norm(thrust[2])
+    thrust[2] *= 1e-3
+    half = np.median(thrust.sum(axis=1)) / 2
+    parameters = replace(model.parameters, thrust=thrust)
+    uncertainty = replace(model.uncertainty, estimate=parameters.to_vector())
+    found = verdict(replace(model, parameters=parameters, uncertainty=uncertainty))
+    assert found.relative_errors["F(1) motor_b_1"] == pytest.approx(error / half, rel=0.03)
+    assert "F(1) motor_b_1" not in " ".join(found.sentences)
+
+
 def test_what_the_data_say_nothing_about_is_not_determined():
     model = known()
     assert model.uncertainty is not None
