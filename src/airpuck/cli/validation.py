@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,13 +54,20 @@ def evaluate(
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.data.trajectory import left_out_json, left_out_words
-    from airpuck.evaluation.evaluate import PROTOCOLS, coasting
+    from airpuck.evaluation.evaluate import PROTOCOLS, better_from, coasting
+    from airpuck.evaluation.time_scale import showing_time
     from airpuck.twin.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
+    # A slow craft is predicted for longer, to see from when on the model helps.
+    needed = showing_time(trajectory, judged.vehicle)
+    chosen = replace(chosen, prediction_time=max(needed, chosen.prediction_time))
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    said = verdict(judged, trajectory, found)
+    said, since = verdict(judged, trajectory, found), better_from(found, trajectory)
+    longest = len(found.errors) * found.sample_period
+    beats = f"better than constant velocity from {since:.2g} s on" if since else "not better"
+    helps = f"positions up to {longest:.2g} s ahead: {beats}"
     page = None
     if output is not None:
         from airpuck.report.evaluation_report import evaluation_report
@@ -69,11 +77,12 @@ def evaluate(
     figures = {
         **found.to_json(),
         "constant_velocity": coasting(found, trajectory).to_json(),
+        "better_from_s": since,
         "name": model,
         "verdict": said.to_json(),
         **left_out_json(trajectory),
     }
-    report(figures, json_file, *said.sentences, *shown, left_out_words(trajectory), page)
+    report(figures, json_file, *said.sentences, *shown, helps, left_out_words(trajectory), page)
 
 
 @app.command(rich_help_panel=PANEL)

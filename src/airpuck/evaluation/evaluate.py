@@ -297,6 +297,20 @@ def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
     )
 
 
+def better_from(evaluation: Evaluation, trajectory: Trajectory) -> float | None:
+    """Return the horizon from which positions are predicted better than by coasting [s].
+
+    None if a craft that coasts is predicted as well at the longest horizon.
+    """
+    model, idle = (
+        np.mean(one.errors[:, :2] ** 2, axis=(1, 2))
+        for one in (evaluation, coasting(evaluation, trajectory))
+    )
+    worse = np.flatnonzero(model >= idle)
+    first = int(worse[-1]) + 1 if len(worse) else 0
+    return (first + 1) * evaluation.sample_period if first < len(model) else None
+
+
 def _samples(trajectory: Trajectory, protocol: Protocol) -> tuple[int, int]:
     """Return the number of samples in a window before and after its present."""
     return trajectory.steps(protocol.encoder_time, least=2), trajectory.steps(

@@ -1,0 +1,59 @@
+"""The time in which thrust shows above noise, and the defaults that follow from it."""
+
+import numpy as np
+import pytest
+
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.time_scale import showing_time
+from airpuck.identification.settings import Loss
+from airpuck.model.model_file import nominal_model
+
+
+def watched(period: float, noise: float, push: float, seed: int = 0) -> tuple[Trajectory, float]:
+    """One motor switches on and off; its acceleration while on is `push` times the nominal one."""
+    rng = np.random.default_rng(seed)
+    vehicle = default_vehicle()
+    matrix = np.asarray(nominal_model(vehicle).dynamics.configuration)[:2, 0]
+    time = period * np.arange(2000)
+    command = np.zeros((len(time), 6))
+    command[:, 0] = push * np.repeat(rng.integers(0, 2, 200), 10)
+    force = vehicle.nominal_thrust[0] @ command[:, 0] ** np.arange(1, 4)[:, None]
+    acceleration = force[:, None] * matrix
+    position = period**2 * np.cumsum(np.cumsum(acceleration, axis=0), axis=0)
+    state = np.zeros((len(time), 6))
+    state[:, :2] = position + noise * rng.normal(size=position.shape)
+    flight = Trajectory(
+        time=time,
+        state=state,
+        acceleration=np.zeros((len(time), 3)),
+        command_time=time,
+        command=command,
+        propellers=vehicle.propeller_names,
+    )
+    return flight, float(np.sqrt(np.mean(np.sum(acceleration**2, axis=1)) / 2))
+
+
+@pytest.mark.parametrize("noise", [1e-3, 1e-2])
+def test_the_time_is_that_of_fifty_standard_deviations(noise):
+    flight, usual = watched(0.02, noise, 0.3)
+    expected = np.sqrt(2 * 50 * noise / usual)
+    assert showing_time(flight, default_vehicle()) == pytest.approx(min(expected, 3.0), rel=0.05)
+
+
+def test_motion_between_rare_poses_is_no_noise():
+    flight, _ = watched(0.125, 0.0, 1.0)
+    assert showing_time(flight, default_vehicle()) < 0.05
+
+
+def test_windows_follow_a_noisy_craft_and_nothing_that_was_chosen():
+    vehicle = default_vehicle()
+    slow, paper = watched(0.02, 5e-3, 0.3)[0], watched(1 / 240, 5e-5, 0.5)[0]
+    assert Loss().following([paper], vehicle) == Loss()
+    longer = Loss().following([slow], vehicle)
+    assert longer.prediction_time == pytest.approx(showing_time(slow, vehicle))
+    factor = longer.prediction_time / Loss().prediction_time
+    assert longer.encoder_time == pytest.approx(factor * Loss().encoder_time)
+    assert longer.spacing == pytest.approx(factor * Loss().spacing)
+    for chosen in (Loss(prediction_time=0.5), Loss(encoder_time=0.1), Loss(prediction_time=None)):
+        assert chosen.following([slow], vehicle) is chosen
