@@ -91,6 +91,7 @@ def test_names_that_are_too_long_or_empty(tmp_path):
         assert refused(airpuck(*words, cwd=tmp_path), "is empty")
 
 
+@pytest.mark.slow
 def test_an_empty_folder_counts_as_new(tmp_path):
     (tmp_path / "bag").mkdir()
     process = airpuck("excite", "--duration", "0.05", "-o", "bag", cwd=tmp_path)
@@ -119,6 +120,7 @@ def test_tables_lines_and_errors_print_names_as_they_are(capsys):
     assert "[red]1[/red]" in printed
 
 
+@pytest.mark.slow
 def test_names_of_propellers_topics_and_files(tmp_path):
     evil = "\x1b[31m[red]"
     path = tmp_path / "model.toml"

@@ -88,6 +88,7 @@ def completions(*words: str) -> list[str]:
     return process.stdout.split()
 
 
+@pytest.mark.slow
 def test_the_shell_completes():
     assert completions("airpuck", "iden") == ["identify", "identify-puck"]
     assert completions("airpuck", "identify", "--st") == ["--stride"]

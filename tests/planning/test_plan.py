@@ -76,6 +76,7 @@ def test_a_double_integrator_takes_two_root_d_over_a():
         assert 0.97 * known < found.lower_bound <= known
 
 
+@pytest.mark.slow
 def test_without_lag_one_axis_switches_once_from_full_ahead_to_full_back():
     found = airpuck.plan(one_axis(), at_rest(0), at_rest(1.0))
     forward, back = found.commands.T[:2]
@@ -129,7 +130,7 @@ def test_an_independent_integrator_ends_at_the_goal(model):
 @pytest.mark.parametrize(
     ("propellers", "goal", "spin"),
     [
-        (0, (0.02, 0.0, 0.6), 1.0),
+        pytest.param(0, (0.02, 0.0, 0.6), 1.0, marks=pytest.mark.slow),
         (0, (0.2, 0.0, 1.5), 2.0),
         pytest.param(0, (0.3, 0.0, 3.0), 3.0, marks=pytest.mark.slow),
         pytest.param(0, (0.0, 0.0, 0.3), 0.5, marks=pytest.mark.slow),
