@@ -70,7 +70,7 @@ class Strength(Result):
             return f"{self.name} {self.verdict}"
         if self.interval_95 is None:
             return f"{self.name} is {self.verdict}"
-        low, high = (percent(end / self.nominal) for end in self.interval_95)
+        low, high = (f"{100 * end / self.nominal:.0f} %" for end in self.interval_95)
         return f"{self.name} is {self.verdict} ({low} to {high} of its nominal strength)"
 
 
@@ -217,5 +217,5 @@ def strength_rows(strengths: Strengths) -> list[list[str]]:
     for one in strengths.actuators:
         ends = one.interval_95 and " … ".join(f"{end:.3g}" for end in one.interval_95)
         numbers = [f"{one.nominal:.3g}", f"{one.value:.3g}", ends or "unknown"]
-        rows.append([one.name, *numbers, percent(one.of_nominal), one.verdict])
+        rows.append([one.name, *numbers, f"{100 * one.of_nominal:.0f} %", one.verdict])
     return rows
