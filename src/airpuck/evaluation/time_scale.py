@@ -28,9 +28,11 @@ def showing_time(trajectory: Trajectory, vehicle: Vehicle) -> float:
     """Return the time after which commanded motion stands out from the noise of poses [s].
 
     A craft of acceleration a moves by a t²/2; the noise is the white part of measured positions.
-    0 if it cannot be told; 3 at most.
+    At most 3; 0 if the recording is too short or nothing is commanded.
     """
     usable = trajectory.usable
+    if len(usable) <= _DIFFERENCES:
+        return 0.0
     whole = np.lib.stride_tricks.sliding_window_view(usable, _DIFFERENCES + 1).all(axis=1)
     steps = np.diff(trajectory.state[:, :2], n=_DIFFERENCES, axis=0)[whole]
     command = hold(trajectory.command_time, trajectory.command, trajectory.time[usable])
