@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.faults.strengths import actuator_strengths
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.report.evaluation_report import JudgedModels
@@ -83,6 +84,17 @@ def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, request):
     } <= page.ids
     for name in study.models[0].vehicle.propeller_names:
         assert name in page.text
+
+
+def test_a_dead_motor_is_named_at_the_top(study, tmp_path, undrawn, monkeypatch):
+    fit = study.fits[3]
+    sound = actuator_strengths(fit.model, study.training)
+    first, *others = sound.actuators
+    dead = replace(first, value=0.0, interval_95=(-0.01, 0.01), verdict="dead")
+    found = replace(sound, actuators=(dead, *others))
+    monkeypatch.setattr("airpuck.report.fit_report.actuator_strengths", lambda *_: found)
+    text = fit_report(fit, study.training, tmp_path).read_text(encoding="utf-8")
+    assert f"Throughout the recording: {first.name} is dead" in text.split("The flight</h2>")[0]
 
 
 def test_fit_report_shows_when_packets_arrived(study, tmp_path, undrawn):

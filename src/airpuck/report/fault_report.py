@@ -13,7 +13,12 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
 from airpuck.faults.find import CONTACT, NOT_ARMED
-from airpuck.faults.strengths import STRENGTH_HEADINGS, actuator_strengths, strength_rows
+from airpuck.faults.strengths import (
+    STRENGTH_HEADINGS,
+    Strengths,
+    actuator_strengths,
+    strength_rows,
+)
 from airpuck.model.model_file import Model
 from airpuck.report import style
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
@@ -72,13 +77,15 @@ def fault_report(
         f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "
         f"{100 * usable:.1f} % of them without passing faults."
     )
-    sections = [fault_section(trajectory, faults, model), strength_section(model, trajectory)]
+    sections = [
+        fault_section(trajectory, faults, model),
+        strength_section(actuator_strengths(model, trajectory)),
+    ]
     return write_page(out, "Faults of a recording", lead, sections, origin)
 
 
-def strength_section(model: Model, trajectory: Trajectory) -> PageSection:
+def strength_section(strengths: Strengths) -> PageSection:
     """Set the strength of each actuator beside the vehicle file's."""
-    strengths = actuator_strengths(model, trajectory)
     caption = (
         "Thrust at the largest command, with 95 % intervals. An actuator is judged in comparison "
         "with the others: it is weak if it certainly gives less than 80 % of the median, over all "

@@ -15,6 +15,7 @@ from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
+from airpuck.faults.strengths import actuator_strengths
 from airpuck.identification.fit_result import Fit, knowledge_words
 from airpuck.identification.selection import (
     SELECTION_HEADINGS,
@@ -289,13 +290,16 @@ def fit_report(
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    sections = [_verdicts(fits, judged, training)]
+    strengths = actuator_strengths(last.model, training)
+    short = _verdicts(fits, judged, training)
+    if strengths.sentences:
+        short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))
+    sections = [short]
     if judged is None:
         sections.append(path_section(training, vehicle))
     else:
         sections += judged_sections(judged, vehicle)
-    strengths = strength_section(last.model, training)
-    sections += [*study_sections(study), strengths, craft_section(vehicle)]
+    sections += [*study_sections(study), strength_section(strengths), craft_section(vehicle)]
     if last.packet_delays and len(last.packet_delays[0]):
         sections.append(_delay_section(last, training))
     if last.exclusion is not None:
