@@ -1,4 +1,4 @@
-"""The time in which thrust shows above noise, and the defaults that follow from it."""
+"""The time in which thrust shows above noise."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.time_scale import showing_time
-from airpuck.identification.settings import Loss
 from airpuck.model.model_file import nominal_model
 
 
@@ -44,16 +43,3 @@ def test_the_time_is_that_of_fifty_standard_deviations(noise):
 def test_motion_between_rare_poses_is_no_noise():
     flight, _ = watched(0.125, 0.0, 1.0)
     assert showing_time(flight, default_vehicle()) < 0.05
-
-
-def test_windows_follow_a_noisy_craft_and_nothing_that_was_chosen():
-    vehicle = default_vehicle()
-    slow, paper = watched(0.02, 5e-3, 0.3)[0], watched(1 / 240, 5e-5, 0.5)[0]
-    assert Loss().following([paper], vehicle) == Loss()
-    longer = Loss().following([slow], vehicle)
-    assert longer.prediction_time == pytest.approx(showing_time(slow, vehicle))
-    factor = longer.prediction_time / Loss().prediction_time
-    assert longer.encoder_time == pytest.approx(factor * Loss().encoder_time)
-    assert longer.spacing == pytest.approx(factor * Loss().spacing)
-    for chosen in (Loss(prediction_time=0.5), Loss(encoder_time=0.1), Loss(prediction_time=None)):
-        assert chosen.following([slow], vehicle) is chosen

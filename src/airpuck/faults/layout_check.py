@@ -47,6 +47,8 @@ from airpuck.physics.thrust import thrust
 AXES = ("x", "y", "z")
 #: Two more flips are assumed if the forces are turned to within this of 180 degrees.
 _HALF_TURN = 0.5
+#: Explained fraction, relative to the best, from which signs count as explaining as much.
+_AS_GOOD = 0.8
 #: Least improvement of the explained correlation by another choice of signs, of at most 2.
 _MARGIN = 0.15
 #: Longest transport delay tried [s].
@@ -324,8 +326,11 @@ def check_layout(
         _with_signs(trajectory, vehicle, forces, one, tuple(axes))
         for one in dict.fromkeys((signs, AxisSigns()))
     ]
-    # A reversed propeller of few mirrors the craft, too: prefer what leaves most propellers alone.
-    return max(tried, key=lambda one: one.untouched)
+    # A wrong sign leaves forces or moments unexplained. Where several explain as much, prefer what
+    # leaves most propellers alone: a reversed one of few propellers mirrors the craft, too.
+    most = max(one.explained for one in tried)
+    as_good = [one for one in tried if one.explained >= _AS_GOOD * most]
+    return max(as_good, key=lambda one: one.untouched)
 
 
 def _with_signs(

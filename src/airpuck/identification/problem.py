@@ -57,8 +57,7 @@ class Problem:
         given = {name: value for name, value in options.items() if value is not None}
         if "vehicle" not in given:
             given["vehicle"] = vehicle_of(trajectories)
-        problem = cls(tuple(trajectories), rung, **given)
-        return replace(problem, loss=problem.loss.following(problem.trajectories, problem.vehicle))
+        return cls(tuple(trajectories), rung, **given)
 
     def __post_init__(self) -> None:
         """Raise InputError if the problem cannot be solved."""

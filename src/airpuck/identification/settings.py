@@ -73,8 +73,8 @@ def _paper_encoder() -> PaperEncoder:
 class Loss(Settings):
     """Which prediction errors a fit minimises, and their weights (eq. combined_loss).
 
-    The default times suit the paper's craft. If all are left at that, `identify` makes them longer
-    for a craft whose thrust shows above the noise of its poses later (`following`).
+    The default times suit the paper's craft; those of encoder and prediction are longer for a
+    slower craft (`suited`).
 
     Attributes
     ----------
@@ -201,34 +201,6 @@ class Loss(Settings):
             continuous_delay=learns_delay,
             clusters=cluster_windows(windows),
         )
-
-    def following(self, trajectories: Sequence[Trajectory], vehicle: Vehicle) -> Loss:
-        """Return the loss with longer windows if the craft shows its thrust in no shorter ones.
-
-        Parameters
-        ----------
-        trajectories : sequence of Trajectory
-            The data.
-        vehicle : Vehicle
-            The craft.
-
-        Returns
-        -------
-        Loss
-            This loss if a time was changed, or if the paper's times suit the craft.
-        """
-        from airpuck.evaluation.time_scale import showing_time
-
-        usual = Loss()
-        names = "encoder_time", "prediction_time", "spacing"
-        times = {name: getattr(self, name) for name in names}
-        if self.prediction_time is None or times != {name: getattr(usual, name) for name in names}:
-            return self
-        needed = max(showing_time(trajectory, vehicle) for trajectory in trajectories)
-        factor = needed / self.prediction_time
-        if factor <= 1:
-            return self
-        return replace(self, **{name: factor * time for name, time in times.items()})
 
     def samples(self, trajectories: Sequence[Trajectory]) -> tuple[int, int | None, int]:
         """Return E, T and the stride in samples; recordings must have the same rate.
