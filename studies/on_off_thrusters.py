@@ -125,7 +125,8 @@ def _rms(values: Float[np.ndarray, " k"]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Run the chosen measurement."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("identify", "steer"))
     parser.add_argument("craft", choices=tuple(TIMES))
@@ -137,3 +138,9 @@ if __name__ == "__main__":
         identified(given.craft, given.flights, given.duration, given.first)
     else:
         steered(given.craft, given.duration)
+
+
+if __name__ == "__main__":
+    from one_line import run
+
+    run(main)

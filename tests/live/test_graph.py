@@ -55,7 +55,9 @@ def test_a_topic_has_one_type(pair):
     first, _ = pair
     other = StreamCodec("estimate")
     first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
-    with pytest.raises(InputError, match=r"/pose: is geometry_msgs/msg/PoseStamped already"):
+    with pytest.raises(
+        InputError, match=r"/pose: already has the type geometry_msgs/msg/PoseStamped"
+    ):
         first.publisher("/pose", other.msgtype, other.types, SENSOR)
 
 

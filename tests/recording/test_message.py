@@ -48,7 +48,7 @@ def test_a_command_on_the_wire():
 )
 def test_what_is_no_message_is_a_value_error(damage):
     codec = StreamCodec("pose")
-    with pytest.raises(ValueError, match="are no geometry_msgs/msg/PoseStamped"):
+    with pytest.raises(ValueError, match="are not a valid geometry_msgs/msg/PoseStamped"):
         codec.decode(damage(codec.encode(0, (1.0, 2.0, 3.0))))
 
 

@@ -25,7 +25,7 @@ from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
-from airpuck.model.model_file import Model
+from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.angle import pose_difference
 
 #: Commands that began to act longer ago than this affect only the motor speeds [s].
@@ -95,7 +95,7 @@ class TrackingController(Pilot):
     ) -> None:
         tuning = tuning or default_tuning()
         vehicle = model.vehicle
-        if weakest_effort(model) < _LEAST_EFFORT:
+        if not _commands_all_directions(model):
             raise InputError(
                 f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
                 "check their positions and directions"
@@ -286,6 +286,16 @@ class TrackingController(Pilot):
             return "bad input"
         self._clock = time
         return self._gate.refusal(time)
+
+
+def _commands_all_directions(model: Model) -> bool:
+    """Return whether forces and moments span all accelerations, and cancel in the vehicle file.
+
+    Thrusts of a craft that lost a motor may not cancel; it is steered as well as it can be.
+    """
+    # Express moments as forces at the radius of gyration: one unit for all three rows.
+    spans = np.linalg.matrix_rank(model.propeller_effects, rtol=1e-6) == 3
+    return bool(spans) and weakest_effort(nominal_model(model.vehicle)) >= _LEAST_EFFORT
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
