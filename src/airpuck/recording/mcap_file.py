@@ -21,11 +21,16 @@ from airpuck.boundary.limits import (
     CHUNK_BYTES,
     INDEX_BYTES,
     MESSAGE_BYTES,
-    TOPICS,
     Unpacking,
     refused,
 )
-from airpuck.recording.unpacking import Log, TopicLog, unpacked
+from airpuck.recording.unpacking import (
+    Log,
+    TopicLog,
+    check_chunk_size,
+    check_message_size,
+    unpacked,
+)
 
 if TYPE_CHECKING:
     from mcap.records import ChunkIndex, Schema
@@ -97,8 +102,7 @@ class _Sink:
         topic = self.log.topics.setdefault(
             channel.topic, _topic_log(self._schemas.get(channel.schema_id))
         )
-        if len(self.log.topics) > TOPICS:
-            raise refused("holds too many topics", TOPICS, "split it", file=self.path)
+        self.log.check_topics(self.path)
         self._channels[channel.id] = topic if channel.topic in self._wanted else None
 
     def chunk(self, content: bytes) -> None:
@@ -126,14 +130,10 @@ class _Sink:
             topic.received_ns.append(time)
             topic.messages.append(message)
             if len(message) > MESSAGE_BYTES:
-                raise self._too_long(topic)
+                name = next(name for name, other in self.log.topics.items() if other is topic)
+                check_message_size(len(message), self.path, name)
         if times:
             self.log.count(len(times), min(times), max(times))
-
-    def _too_long(self, topic: TopicLog) -> InputError:
-        name = next(name for name, other in self.log.topics.items() if other is topic)
-        what, remedy = "holds too long a message", "choose another topic"
-        return refused(what, MESSAGE_BYTES, remedy, file=self.path, field=name)
 
 
 def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
@@ -238,13 +238,7 @@ def _read_chunk(content: bytes, sink: _Sink, lost: _Lost) -> None:
         raise _Damaged("a chunk is cut short")
     start_ns, stop_ns, size, checksum, name = _CHUNK.unpack_from(content)
     data = _CHUNK.size + name + 8
-    if size > CHUNK_BYTES:
-        raise refused(
-            "holds a chunk that unpacks to too much",
-            CHUNK_BYTES,
-            "record smaller chunks",
-            file=sink.path,
-        )
+    check_chunk_size(size, sink.path)
     try:
         compression = content[_CHUNK.size : data - 8].decode()
         records = unpacked(content[data:], compression, size)

@@ -13,10 +13,16 @@ from pathlib import Path
 from typing import BinaryIO
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import CHUNK_BYTES, MESSAGE_BYTES, TOPICS, Unpacking, refused
+from airpuck.boundary.limits import CHUNK_BYTES, Unpacking, refused
 from airpuck.recording.cdr import typestore
 from airpuck.recording.message import definitions
-from airpuck.recording.unpacking import Log, TopicLog, unpacked
+from airpuck.recording.unpacking import (
+    Log,
+    TopicLog,
+    check_chunk_size,
+    check_message_size,
+    unpacked,
+)
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
@@ -46,7 +52,7 @@ class _BagRecords:
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
         self.log, self.path, self._wanted = Log(), path, wanted
         self._budget = Unpacking(path, path.stat().st_size)
-        self._topics: dict[int, TopicLog] = {}
+        self._topics: dict[int, tuple[str, TopicLog]] = {}
 
     def connection(self, header: dict[str, bytes], content: bytes) -> None:
         """Process the description of a topic by one of its publishers."""
@@ -55,37 +61,32 @@ class _BagRecords:
         package, _, name = _text(described, "type").partition("/")
         definition = _COUNTER.sub("", _text(described, "message_definition")) + _TIMES
         topic = TopicLog(f"{package}/msg/{name}", definition)
-        known = self.log.topics.setdefault(_text(header, "topic"), topic)
-        if len(self.log.topics) > TOPICS:
-            raise refused("holds too many topics", TOPICS, "split it", file=self.path)
+        title = _text(header, "topic")
+        known = self.log.topics.setdefault(title, topic)
+        self.log.check_topics(self.path)
         if known.msgtype != topic.msgtype:
             raise _MalformedRecord("a topic has two types")
-        self._topics[number] = known
+        self._topics[number] = title, known
 
     def message(self, header: dict[str, bytes], content: bytes) -> None:
         """Process a message; one without a connection belongs to a lost chunk."""
         (number,) = _LENGTH.unpack(_field(header, "conn", 4))
         seconds, nanoseconds = _TIME.unpack(_field(header, "time", 8))
-        topic = self._topics.get(number)
-        if topic is None:
+        if number not in self._topics:
             return
+        name, topic = self._topics[number]
         time = seconds * 10**9 + nanoseconds
         self.log.count(1, time, time)
-        name = next((name for name in self._wanted if self.log.topics.get(name) is topic), None)
-        if name is None:
+        if name not in self._wanted:
             return
-        if len(content) > MESSAGE_BYTES:
-            what, remedy = "holds too long a message", "choose another topic"
-            raise refused(what, MESSAGE_BYTES, remedy, file=self.path, field=name)
+        check_message_size(len(content), self.path, name)
         topic.received_ns.append(time)
         topic.messages.append(content)
 
     def chunk(self, header: dict[str, bytes], content: bytes) -> None:
         """Process the records of a chunk."""
         (size,) = _LENGTH.unpack(_field(header, "size", 4))
-        if size > CHUNK_BYTES:
-            what, remedy = "holds a chunk that unpacks to too much", "record smaller chunks"
-            raise refused(what, CHUNK_BYTES, remedy, file=self.path)
+        check_chunk_size(size, self.path)
         compression = _COMPRESSIONS.get(_text(header, "compression"), "unknown")
         records = list(_records(unpacked(content, compression, size), self._budget.records_left))
         self._budget.spend(size, len(records))

@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import MESSAGE_BYTES, MIB, TOPICS, refused
+from airpuck.boundary.limits import MESSAGE_BYTES, MIB, TOPICS
 from airpuck.recording.unpacking import Log, TopicLog
 
 #: A row takes about 15 steps and at least ten bytes. More steps mean a damaged file.
@@ -83,8 +83,7 @@ def _topics(
             left -= len(topic.definition)
             if left < 0:
                 break
-    if len(log.topics) > TOPICS:
-        raise refused("holds too many topics", TOPICS, "split it", file=path)
+    log.check_topics(path)
     return log, numbers
 
 

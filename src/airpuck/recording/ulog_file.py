@@ -21,7 +21,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import DEFINITION_SIZE, refused
 from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
-from airpuck.recording.mapping import RecordingMapping
+from airpuck.recording.mapping import ENTRY, RecordingMapping
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topic_stream import stream_of
 
@@ -46,7 +46,6 @@ _TYPES = {
 _HEAD, _HEADER_BYTES = struct.Struct("<HB"), 16
 _FORMAT, _DEFINITIONS, _DATA = ord("F"), frozenset(b"BFIMPQ"), frozenset(b"ALC")
 _ARRAY = re.compile(r"(\w+)(?:\[(\d{1,9})\])?")
-_ENTRY = re.compile(r"(.+)\[(\d+)\]")
 _MICROSECOND_NS = 1000
 
 
@@ -97,7 +96,7 @@ def _stream(
     columns: dict[str, list[np.ndarray]] = {}
     single = set()
     for name, values in data.items():
-        entry = _ENTRY.fullmatch(name)
+        entry = ENTRY.fullmatch(name)
         columns.setdefault(entry[1] if entry else name, []).append(values)
         if not entry:
             single.add(name)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import CHUNK_BYTES, MESSAGE_BYTES, MIB, Unpacking
+from airpuck.boundary.limits import CHUNK_BYTES, MESSAGE_BYTES, MIB, TOPICS, Unpacking, refused
 
 
 @dataclass
@@ -51,6 +51,11 @@ class Log:
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
+    def check_topics(self, path: Path) -> None:
+        """Raise InputError if there are too many topics."""
+        if len(self.topics) > TOPICS:
+            raise refused("holds too many topics", TOPICS, "split it", file=path)
+
     def sort(self) -> None:
         """Sort messages by the recorder's clock, as readers of bags do."""
         for topic in self.topics.values():
@@ -70,6 +75,20 @@ class Log:
         if later.first_ns is not None and later.last_ns is not None:
             self.count(later.n_messages, later.first_ns, later.last_ns)
         self.damage += later.damage
+
+
+def check_chunk_size(size: int, path: Path) -> None:
+    """Raise InputError if a chunk claims to unpack to too much."""
+    if size > CHUNK_BYTES:
+        what, remedy = "holds a chunk that unpacks to too much", "record smaller chunks"
+        raise refused(what, CHUNK_BYTES, remedy, file=path)
+
+
+def check_message_size(size: int, path: Path, topic: str) -> None:
+    """Raise InputError if a message is too long."""
+    if size > MESSAGE_BYTES:
+        what, remedy = "holds too long a message", "choose another topic"
+        raise refused(what, MESSAGE_BYTES, remedy, file=path, field=topic)
 
 
 def unpacked(data: bytes, compression: str, size: int) -> bytes:
