@@ -39,6 +39,7 @@ ORDER = (
     "experiment_design",
     "live",
     "campaigns",
+    "export",
     "report",
     "web",
     "cli",

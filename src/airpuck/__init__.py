@@ -31,6 +31,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name at its first use (PEP 562)."""
     if name == "plot":  # a module is not an attribute of its package before it is imported
         return importlib.import_module("airpuck.report.plot")
+    if name == "export":
+        return importlib.import_module("airpuck.export")
     if name in _HOME:
         public = getattr(importlib.import_module(_HOME[name]), name)
         if inspect.isfunction(public):

@@ -1,5 +1,6 @@
 # The public names and their modules; `airpuck` imports each of them at its first use.
 # isort: off
+from . import export as export
 from airpuck.boundary.errors import InputError as InputError
 from airpuck.campaigns.campaign import campaign as campaign
 from airpuck.campaigns.match import match as match

@@ -1,7 +1,7 @@
 """The command line: each command parses, calls the verb of the same name, and prints."""
 
 # In the order in which the help lists their commands.
-from airpuck.cli import identification, validation, craft, flying, designing, planning  # noqa: F401 # isort: skip
+from airpuck.cli import identification, validation, craft, flying, designing, planning, export  # noqa: F401 # isort: skip
 from airpuck.cli import playing, match, live, campaign, study  # noqa: F401 # isort: skip
 from airpuck.cli.app import main
 

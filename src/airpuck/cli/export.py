@@ -1,0 +1,53 @@
+"""The command that exports a model for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import airpuck
+from airpuck.boundary.settings import Setting
+from airpuck.cli import inputs, options
+from airpuck.cli.app import app
+from airpuck.cli.output import report, table
+from airpuck.export import KINDS
+
+
+@app.command(rich_help_panel="Control and flight")
+def export(
+    model: options.ModelName,
+    kind: Annotated[
+        str,
+        Setting(
+            f"What to write: {'; '.join(f'{n} ({k.summary})' for n, k in KINDS.items())}.",
+            metavar="KIND",
+            option="--to",
+            complete=lambda: list(KINDS),
+        ),
+    ],
+    output: Annotated[Path, options.output("DIR", "Folder for the files.")],
+    tuning: options.TuningFile = None,
+    regulator: options.RegulatorName = None,
+    twin: options.ReadTwin = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Write a model, or its whole controller, for other tools."""
+    exported = airpuck.read_model(model)
+    given = tuning is not None or regulator is not None
+    written = airpuck.export.write(
+        exported,
+        kind,
+        output,
+        tuning=inputs.read_controls(tuning, regulator, exported) if given else None,
+        twin=twin,
+    )
+    rows = [(name, str(value)) for name, value in written.facts.items()]
+    shown = [table(("", ""), rows, left=("",))] if rows else []
+    report(
+        written.to_json(),
+        json_file,
+        *shown,
+        *(output / name for name in written.files),
+        quiet=quiet,
+    )

@@ -1,0 +1,157 @@
+"""The kinds of export, by name, and the function that writes one of them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.outputs import check_output, temporary_name, unwritable
+from airpuck.boundary.results import Result
+from airpuck.boundary.settings import unknown
+from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.model.model_file import Model
+from airpuck.physics.effects import Effect
+from airpuck.twin.settings import TwinSettings, default_twin_settings
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is exported: a model, the tuning of its controller, and the table it moves on.
+
+    Attributes
+    ----------
+    model : Model
+        The craft.
+    tuning : Tuning
+        The controller's tuning.
+    twin : TwinSettings
+        Table, sensors and radio of the simulation.
+    """
+
+    model: Model
+    tuning: Tuning
+    twin: TwinSettings
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of export.
+
+    Attributes
+    ----------
+    summary : str
+        What it is, in a few words.
+    module : str
+        Module whose ``write(subject, folder)`` writes the files and returns facts for the user, by
+        name.
+    uses : tuple of str
+        What it needs besides the model: ``tuning``, ``twin``.
+    """
+
+    summary: str
+    module: str
+    uses: tuple[str, ...] = ()
+
+
+#: A new kind is a module with `write`, and an entry here.
+KINDS: dict[str, Kind] = {}
+
+
+@dataclass(frozen=True)
+class Written(Result):
+    """The result of an export.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the kind.
+    folder : Path
+        Where the files are.
+    files : tuple of str
+        Names of the files.
+    facts : dict of str to object
+        What the user should know: sizes, names, limits.
+    """
+
+    JSON: ClassVar[str] = "kind folder files facts"
+
+    kind: str
+    folder: Path
+    files: tuple[str, ...]
+    facts: dict[str, Any]
+
+
+def write(
+    model: Model,
+    kind: str,
+    folder: str | os.PathLike[str],
+    *,
+    tuning: Tuning | None = None,
+    twin: TwinSettings | None = None,
+) -> Written:
+    """Export a model.
+
+    Files of the same names in the folder are replaced; nothing is written if the export fails.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+    kind : str
+        One of `KINDS`.
+    folder : path-like
+        Folder for the files; created if necessary.
+    tuning : Tuning, optional
+        The controller's tuning, for kinds with a controller; by default the packaged one.
+    twin : TwinSettings, optional
+        Table, sensors and radio, for kinds with a simulation; by default the packaged ones.
+
+    Returns
+    -------
+    Written
+        Names of the files, and facts about them.
+
+    Raises
+    ------
+    InputError
+        If the kind is unknown, does not use what is given, or cannot represent the model.
+    """
+    if kind not in KINDS:
+        raise InputError(unknown(kind, list(KINDS)), field="kind")
+    chosen, target = KINDS[kind], Path(folder)
+    for name, value in (("tuning", tuning), ("twin", twin)):
+        if value is not None and name not in chosen.uses:
+            raise InputError(f"is not part of an export to {kind}; leave it out", field=name)
+    check_output(target, "folder")
+    subject = Subject(model, tuning or default_tuning(), twin or default_twin_settings())
+    temporary = target.absolute().parent / temporary_name(target)
+    try:
+        temporary.mkdir(parents=True)
+        facts = import_module(chosen.module).write(subject, temporary)
+        names = sorted(p.relative_to(temporary) for p in temporary.rglob("*") if p.is_file())
+        for name in names:
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            (temporary / name).replace(target / name)
+    except OSError as error:
+        raise unwritable(target, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return Written(kind, target, tuple(map(str, names)), facts)
+
+
+def refuse_effects(model: Model, kind: str, held: Sequence[type[Effect]] = ()) -> None:
+    """Raise InputError for an effect of the model that an export cannot represent."""
+    for effect in model.dynamics.effects:
+        if not isinstance(effect, tuple(held)):
+            name = type(effect).__name__
+            raise InputError(
+                f"has the effect {name}, which an export to {kind} cannot represent; identify the "
+                "model without it, or choose another kind",
+                field="MODEL",
+            )
