@@ -17,6 +17,7 @@ from airpuck.boundary.settings import unknown
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Effect
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 
@@ -145,9 +146,10 @@ def write(
     return Written(kind, target, tuple(map(str, names)), facts)
 
 
-def refuse_effects(model: Model, kind: str, held: Sequence[type[Effect]] = ()) -> None:
+def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effect]] = ()) -> None:
     """Raise InputError for an effect of the model that an export cannot represent."""
-    for effect in model.dynamics.effects:
+    dynamics = model if isinstance(model, Dynamics) else model.dynamics
+    for effect in dynamics.effects:
         if not isinstance(effect, tuple(held)):
             name = type(effect).__name__
             raise InputError(

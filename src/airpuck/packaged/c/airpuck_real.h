@@ -1,0 +1,20 @@
+/* Numbers of the exported C: double, or float where AIRPUCK_SINGLE is defined.
+ *
+ * Constants are written AIRPUCK_R(0.5) and functions of <math.h> AIRPUCK_F(sin), so that no double
+ * appears in a single-precision build. */
+#ifndef AIRPUCK_REAL_H
+#define AIRPUCK_REAL_H
+
+#include <math.h>
+
+#ifdef AIRPUCK_SINGLE
+typedef float airpuck_real;
+#define AIRPUCK_R(number) number##f
+#define AIRPUCK_F(function) function##f
+#else
+typedef double airpuck_real;
+#define AIRPUCK_R(number) number
+#define AIRPUCK_F(function) function
+#endif
+
+#endif
