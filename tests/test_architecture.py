@@ -138,7 +138,7 @@ def test_imports_go_downwards():
                 "twin",
             },
         ),
-        ("casadi", {"compute", "planning"}),
+        ("casadi", {"compute", "export", "planning"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),

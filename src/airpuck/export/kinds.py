@@ -61,7 +61,9 @@ class Kind:
 
 
 #: A new kind is a module with `write`, and an entry here.
-KINDS: dict[str, Kind] = {}
+KINDS: dict[str, Kind] = {
+    "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
+}
 
 
 @dataclass(frozen=True)

@@ -26,16 +26,13 @@ _LEAST_SHARE = 0.01
 def derivative(dynamics: Dynamics, state: Any, command: Any) -> Any:
     """Evaluate the equations of motion; see `Model.derivative`."""
     n = len(dynamics.thrust)
-    lags = namespace(dynamics.thrust) is not np or dynamics.motor_time_constant > 0
+    lagging = namespace(dynamics.thrust) is not np or dynamics.motor_time_constant > 0
 
     def rates(state: Any, command: Any) -> Any:
-        xp = namespace(state, command, dynamics.thrust)
-        _check(state, _POSE_AND_RATES + n if lags else _POSE_AND_RATES, "state")
+        _check(state, _POSE_AND_RATES + n if lagging else _POSE_AND_RATES, "state")
         _check(command, n, "command")
-        if lags:
-            return rigid_body.derivative(xp, dynamics, state, command)
-        accelerations = rigid_body.acceleration(xp, dynamics, state[2:6], command)
-        return xp.concatenate([state[3:6], xp.stack(accelerations)])
+        xp = namespace(state, command, dynamics.thrust)
+        return rigid_body.derivative(xp, dynamics, state, command)
 
     return with_symbols(rates, state, command)
 

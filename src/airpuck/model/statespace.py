@@ -73,9 +73,7 @@ def linearize(
     size = len(state)
 
     def rates(point: Any) -> Any:
-        if lagging:
-            return derivative(np, dynamics, point[:size], point[size:])
-        return [*point[3:6], *acceleration(np, dynamics, point[2:6], point[6:])]
+        return derivative(np, dynamics, point[:size], point[size:])
 
     slope = _slope(rates, np.append(state, command))
     return slope[:, :size], slope[:, size:]

@@ -47,15 +47,26 @@ def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any
 
 def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
     """Return exp(-h/τ), A of eq. dis_motor_dynamics; 0 for τ = 0, with a finite derivative."""
-    if getattr(getattr(time_constant, "dtype", None), "hasobject", False):
-        # Also holds for CasADi's symbols, which have no truth value. A lag that depends on the
-        # speed is never 0.
+    if _symbolic(time_constant):
         return xp.exp(-duration / time_constant)
     # Avoid a division by zero even in the unused branch: where() hides a NaN value, but not its
     # derivative.
     lagging = time_constant > _NO_LAG
     divisor = xp.where(lagging, time_constant, 1.0)
     return xp.where(lagging, xp.exp(-duration / divisor), 0.0)
+
+
+def lags(time_constant: Any) -> Any:
+    """Return whether motors lag at all."""
+    return True if _symbolic(time_constant) else time_constant > 0
+
+
+def _symbolic(time_constant: Any) -> bool:
+    """Return whether a lag consists of CasADi's symbols, which have no truth value.
+
+    Such a lag is never 0: it is a free parameter, or depends on the speed.
+    """
+    return getattr(getattr(time_constant, "dtype", None), "hasobject", False)
 
 
 def motor_speeds(

@@ -19,7 +19,7 @@ import numpy as np
 from airpuck.compute.arrays import linear_map, register_pytree, scan
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
-from airpuck.physics.motor import lag_at, motor_step
+from airpuck.physics.motor import lag_at, lags, motor_step
 from airpuck.physics.thrust import thrust
 
 #: The frame in which the offset of the centre of mass is constant. Physically it is the body frame;
@@ -156,12 +156,17 @@ def motor_accelerations(
 
 
 def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
-    """Evaluate the right-hand side z' = f(z, u) of eq. extended_model_dynamics."""
-    motor_speed = state[6:]
-    rates = acceleration(xp, dynamics, state[2:6], motor_speed)
+    """Evaluate the right-hand side z' = f(z, u) of eq. extended_model_dynamics.
+
+    Without motor lag the state has no motor speeds: they equal the command.
+    """
+    lagging = state.shape[0] > 6
+    motor_speed = state[6:] if lagging else command
+    rates = xp.stack(acceleration(xp, dynamics, state[2:6], motor_speed))
+    if not lagging:
+        return xp.concatenate([state[3:6], rates])
     lag = lag_at(xp, motor_speed, dynamics.motor_time_constant, dynamics.idle_lag)
-    slope = (command - motor_speed) / lag
-    return xp.concatenate([state[3:6], xp.stack(rates), slope])
+    return xp.concatenate([state[3:6], rates, (command - motor_speed) / lag])
 
 
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
@@ -181,7 +186,7 @@ def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -
     """Advance the extended state under a constant command by one Runge-Kutta step."""
     h, tau, idle = duration, dynamics.motor_time_constant, dynamics.idle_lag
     # A motor without lag has its new speed from the start of the step.
-    begin = xp.where(tau > 0, state[6:], command)
+    begin = xp.where(lags(tau), state[6:], command)
     middle = motor_step(xp, begin, command, h / 2, tau, idle)
     end = motor_step(xp, begin, command, h, tau, idle)
 
