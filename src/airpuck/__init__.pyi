@@ -3,6 +3,7 @@
 from . import export as export
 from airpuck.boundary.errors import InputError as InputError
 from airpuck.campaigns.campaign import campaign as campaign
+from airpuck.campaigns.league import league as league
 from airpuck.campaigns.match import match as match
 from airpuck.control.reference import (
     Rendezvous as Rendezvous,

@@ -1,6 +1,7 @@
 """The puck's filter and its predictions, against pucks with known truth."""
 
 import math
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from airpuck.hockey.prediction import (
     PuckBelief,
     PuckModel,
     drawn_path,
+    drawn_puck,
     predict_crossing,
     predict_path,
     predict_puck,
@@ -277,3 +279,14 @@ def test_predictions_do_not_depend_on_when_time_began():
         now, long_after = (PuckBelief(start, mean, 1e-6 * np.eye(6)) for start in (0.0, began))
         found = predict_path(AirHockey(), long_after, began + times)
         np.testing.assert_allclose(found, predict_path(AirHockey(), now, times), atol=1e-4)
+
+
+def test_a_drawn_puck_deviates_as_the_filter_assumes():
+    random = np.random.default_rng(0)
+    play = AirHockey(puck=Puck(standard_error={"drag_1_s": 0.01}))
+    assert PuckModel(play).spread["drag_1_s"] == 0.01
+    drawn = [drawn_puck(play.puck, random) for _ in range(400)]
+    for name, spread in PuckModel(play).spread.items():
+        values = [attrgetter(name)(puck) for puck in drawn]
+        assert np.mean(values) == pytest.approx(attrgetter(name)(play.puck), abs=spread / 4)
+        assert np.std(values) == pytest.approx(spread, rel=0.15)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -125,8 +125,7 @@ def match(
     Parameters
     ----------
     left, right : str
-        Players: ``airpuck``, ``human``, ``keeper`` or ``striker``, optionally with ``:LEVEL``, or
-        ``FILE.py:NAME``.
+        Players; see `airpuck.hockey.contestant.contestant`.
     games : int, default 1
         Number of games.
     seed : int, default 0
@@ -167,28 +166,44 @@ def match(
     item = Match(left=left, right=right, model=model, rules=rules or Rules())
     if settings is not None:
         item = item.model_copy(update={"twin": settings})
+    games_of = [item.model_copy(update={"seed": s}) for s in range(seed, seed + games)]
+    results = played(games_of, output, workers, progress)
+    rows = tuple(result.rows[0] for result in results)
+    wall = sum(result.wall_s or 0.0 for result in results)
+    return MatchResult(left, right, tuple(game.seed for game in games_of), rows, wall)
+
+
+def played(
+    games: Sequence[Match],
+    output: str | os.PathLike[str] | None,
+    workers: int | None,
+    progress: Callable[[float, int, int], None],
+    *,
+    bags: bool = True,
+) -> tuple[ItemResult, ...]:
+    """Play games, in processes if there are several; keep results, and bags, in a folder.
+
+    Raises InputError if one fails.
+    """
     with ExitStack() as stack:
         folder = Path(output or stack.enter_context(tempfile.TemporaryDirectory()))
-        entries = list(_entries(item, range(seed, seed + games), folder if output else None))
-        several = min(workers or usable_cores(), games)
+        entries = list(_entries(games, folder if output and bags else None))
+        several = min(workers or usable_cores(), len(games))
         work = _here if several == 1 else partial(dispatch, workers=several)
         done = completed(entries, folder, work, retry=True, progress=progress)
     if done.failures:
         raise InputError(done.failures[0][1])
-    rows = tuple(result.rows[0] for result in done.results)
-    wall = sum(result.wall_s or 0.0 for result in done.results)
-    return MatchResult(left, right, tuple(e.item.seed for e in entries), rows, wall)
+    return done.results
 
 
-def _entries(item: Match, seeds: range, folder: Path | None) -> Iterator[Entry]:
-    """Yield a game for each seed."""
+def _entries(games: Sequence[Match], folder: Path | None) -> Iterator[Entry]:
+    """Yield games with their keys, and with the names of their bags in a folder."""
     hashes: dict[Any, str] = {}
-    for seed in seeds:
-        game = item.model_copy(update={"seed": seed})
+    for game in games:
         key = game.key(hashes)
         if folder is not None:
             # The folder may also hold games of other players.
-            bag = (folder / "games" / f"{seed}-{key[:8]}").absolute()
+            bag = (folder / "games" / f"{game.seed}-{key[:8]}").absolute()
             game = game.model_copy(update={"bag": str(bag)})
         yield Entry(key, {}, game)
 

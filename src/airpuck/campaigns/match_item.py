@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+import numpy as np
 import pydantic
 
 from airpuck.campaigns.fingerprint import of_code, of_file, of_recording
@@ -14,10 +15,14 @@ from airpuck.campaigns.items import Item, Row, TwinTable
 from airpuck.compute.process import low_latency
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.game import Game
+from airpuck.hockey.prediction import drawn_puck
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import read_model
 from airpuck.recording.bag_writer import write_bag
 from airpuck.twin.settings import default_twin_settings
+
+#: Random numbers of the table; see `airpuck.hockey.game`.
+_DRAWN = 21
 
 
 class Match(Item):
@@ -32,6 +37,9 @@ class Match(Item):
     model: str = "paper:M3"
     rules: Rules = pydantic.Field(default_factory=Rules)
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    #: Whether drag and bounces of the puck are drawn anew, within what is known of them. Nobody
+    #: gets the true numbers.
+    drawn: bool = False
     #: Folder to write the game to; does not affect the result.
     bag: Annotated[str | None, pydantic.Field(exclude=True)] = None
 
@@ -53,10 +61,16 @@ class Match(Item):
     def run(self) -> list[Row]:
         """Play; see `Item.run`."""
         low_latency()
+        settings = self.twin
+        if self.drawn:
+            random = np.random.default_rng([self.seed, _DRAWN])
+            puck = drawn_puck(settings.puck, random)
+            settings = settings.model_copy(update={"puck": puck})
         game = Game(
             contestant(self.left),
             contestant(self.right),
-            settings=self.twin,
+            settings=settings,
+            believed=self.twin,
             rules=self.rules,
             model=read_model(self.model),
             seed=self.seed,

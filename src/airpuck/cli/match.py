@@ -17,6 +17,7 @@ from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import console, is_stdout, report, say, show_time_left, table
 from airpuck.cli.views import Without
+from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.rules import Rules
 
 if TYPE_CHECKING:
@@ -30,8 +31,8 @@ _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 #: Columns and rows of the picture; time between two pictures [s].
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
-_PLAYER = "airpuck, human, keeper or striker, each with :LEVEL, or a tactic, FILE.py:NAME."
-_GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
+PLAYER = f"{', '.join(('airpuck', *HANDS))}, each with :LEVEL, or a tactic, FILE.py:NAME."
+GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Pairing(Settings):
 
     HEADING: ClassVar = ""
 
-    left: Annotated[str, Setting(_PLAYER, metavar="PLAYER")] = "airpuck"
+    left: Annotated[str, Setting(PLAYER, metavar="PLAYER")] = "airpuck"
     right: Annotated[str, Setting("The same.", metavar="PLAYER")] = "human"
     seed: options.Seed = 0
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3"
@@ -50,7 +51,7 @@ class Pairing(Settings):
 @app.command(rich_help_panel="Air hockey")
 def match(
     pairing: Pairing,
-    rules: _GameRules,
+    rules: GameRules,
     games: Annotated[int, Setting("Number of games.", numbers.GAMES, "N")] = 1,
     workers: options.Workers = None,
     output: Annotated[
@@ -83,7 +84,7 @@ def match(
 @app.command("watch-match", rich_help_panel="Air hockey")
 def watch_match(
     pairing: Pairing,
-    rules: _GameRules,
+    rules: GameRules,
     port: Annotated[
         int | None,
         Setting("Show it in the browser, on a page at this port.", numbers.PORT, "N", "--page"),

@@ -14,8 +14,9 @@ from airpuck.boundary.user_code import UserCode
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import sheltered
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.hand import HANDS, Hand
+from airpuck.hockey.hand import Hand
 from airpuck.hockey.level import LEVELS, Level
+from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.player import Player
 from airpuck.hockey.tactic import Intention, Kind, Tactic, View
 from airpuck.model.model_file import Model
@@ -50,9 +51,9 @@ def contestant(name: str) -> Contestant:
     Parameters
     ----------
     name : str
-        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``human``, ``keeper``,
-        ``striker`` or one of them with ``:LEVEL``, a scripted hand; ``FILE.py:NAME``, a craft with
-        a user's tactic.
+        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; a name of
+        `airpuck.hockey.opponents.HANDS`, also with ``:LEVEL``, a scripted hand; ``FILE.py:NAME``, a
+        craft with a user's tactic.
 
     Returns
     -------

@@ -12,6 +12,7 @@ import numpy as np
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.pilot import Pilot
+from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Kind
 from airpuck.flight.loop import Action, control
 from airpuck.hockey.contestant import Contestant
@@ -156,6 +157,8 @@ class Game:
         Seed of all random numbers: the same seed gives the same game.
     logs : bool, default True
         Whether to keep everything for `recording`.
+    believed : AirHockey, optional
+        Table and puck as both contestants know them; by default as they are.
 
     Attributes
     ----------
@@ -184,9 +187,11 @@ class Game:
         model: Model | None = None,
         seed: int = 0,
         logs: bool = True,
+        believed: AirHockey | None = None,
     ) -> None:
         check_seed(seed, limits=numbers.GAME_SEED)
         settings = settings or default_twin_settings()
+        self._believed = believed or settings
         model = model or read_model("paper:M3")
         self.settings, self.seed, self._logs = settings, seed, logs
         self.time, self._steps = 0.0, 0
@@ -332,13 +337,14 @@ class Game:
             mallet = HandMallet(settings.mallet, settings.table, x, 0.0)
             self.world.bodies.append(mallet)
             side = Side(sign, contestant.name, mallet)
-            side.hand = contestant.hand(settings, seed)
+            side.hand = contestant.hand(self._believed, seed)
             return side
         pose = (x, 0.0, 0.0 if sign < 0 else math.pi)
         assert contestant.player is not None
         twin = Twin(model, settings, seed=seed, pose=pose, logs=self._logs, world=self.world)
         side = Side(sign, contestant.name, twin.craft)
-        side.fly(contestant.player(model, settings, sign, seed, opponent), twin)
+        player = contestant.player(model, self._believed, sign, seed, opponent)
+        side.fly(player, twin)
         return side
 
     def _pose(self, kind: Kind) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,7 +17,7 @@ from airpuck.physics.puck_on_table import PuckOnTable
 
 # Numbers without a source are guesses. How far ahead a scripted hand predicts the puck, and the
 # step of the prediction [s].
-_AHEAD, _STEP = 0.8, 0.04
+_AHEAD, STEP = 0.8, 0.04
 #: Distance from the own goal line at which a human waits, and at which a keeper stands [m].
 _HOME, _IN_GOAL = 0.25, 0.10
 #: A faster puck is stopped, a slower one is struck [m/s].
@@ -32,7 +31,7 @@ _READY, _STROKE = 0.002, 0.3
 #: Average speed on the path to the start of a stroke, as a share of the full speed.
 _GETS_THERE = 0.6
 #: Time between decisions, and time for which the error of sight is held [s].
-_LOOK, _ERRS = 0.03, 1.0
+LOOK, _ERRS = 0.03, 1.0
 #: Clearance of a shot to the post, and from the rail to the aim of a bank shot [m].
 _POST, _BANK = 0.02, 0.02
 #: Room that a stroke needs behind the puck [m].
@@ -90,12 +89,21 @@ class Dexterity:
         Standard deviation of the direction of strokes.
     speed_m_s : float
         Largest speed of the mallet.
+    velocity_error : float, default 0
+        Relative standard deviation of the seen speed of the puck.
+    heading_rad : float, default 0
+        Standard deviation of the seen direction of its motion.
+    bounce_rad : float, default 0
+        Standard deviation of its direction after each predicted bounce.
     """
 
     reaction_s: float
     noise_m: float
     aim_rad: float
     speed_m_s: float
+    velocity_error: float = 0.0
+    heading_rad: float = 0.0
+    bounce_rad: float = 0.0
 
 
 #: Limits by level. Reaction times to a visual stimulus are 0.18 to 0.25 s in adults (Kosinski, "A
@@ -154,6 +162,12 @@ class HumanHand(ABC):
         self._goes_by: list[PuckState] = []
         self._opponent = (0.0, 0.0)
         self._errs, self._error = 0.0, (0.0, 0.0)
+        # Separate, so that the other errors do not depend on it.
+        self._misjudging = np.random.default_rng([seed, 1])
+        #: Error of the seen velocity, relative and in direction, and of the direction at a bounce.
+        self._misjudged = (0.0, 0.0, 0.0)
+        #: Last change of the opponent's y between decisions [m].
+        self._opponent_moves = 0.0
         self._aim_anew()
         #: During a stroke: end time and direction.
         self._stroke: tuple[float, float, float] | None = None
@@ -164,12 +178,18 @@ class HumanHand(ABC):
         while len(self._seen) > 1 and self._seen[1][0] <= time - self._dexterity.reaction_s:
             self._seen.popleft()
         if time >= self._looks:
-            self._looks = time + _LOOK
+            self._looks = time + LOOK
             if time >= self._errs:
                 self._errs = time + _ERRS
-                x, y = self._random.normal(0.0, self._dexterity.noise_m, 2).tolist()
+                skill = self._dexterity
+                x, y = self._random.normal(0.0, skill.noise_m, 2).tolist()
                 self._error = x, y
+                spreads = skill.velocity_error, skill.heading_rad, skill.bounce_rad
+                faster, turned, bounced = self._misjudging.normal(0.0, spreads).tolist()
+                self._misjudged = faster, turned, bounced
+            before = self._opponent
             _, seen, self._opponent = self._seen[0]
+            self._opponent_moves = self._opponent[1] - before[1]
             self._goes_by = self._foreseen(seen)
             if self._goes_by:
                 self._wanted = self._through(time, own) or self.decided(time, own)
@@ -183,11 +203,15 @@ class HumanHand(ABC):
         """Return the predicted states of the puck, from now on."""
         if seen is None:
             return []
-        x, y = self._error
-        puck = PuckOnTable(self._equipment, seen._replace(x=seen.x + x, y=seen.y + y), logs=False)
-        path = []
-        for k in range(round(_AHEAD / _STEP)):
-            puck.run(self._dexterity.reaction_s + k * _STEP)
+        (x, y), (faster, turned, bounced) = self._error, self._misjudged
+        believed = seen._replace(x=seen.x + x, y=seen.y + y)
+        puck = PuckOnTable(self._equipment, _turned(believed, 1 + faster, turned))
+        path, bounces = [], 0
+        for k in range(round(_AHEAD / STEP)):
+            puck.run(self._dexterity.reaction_s + k * STEP)
+            if bounced and not puck.goal and len(puck.touches) > bounces:
+                bounces = len(puck.touches)
+                puck.place(_turned(puck.state, 1.0, bounced))
             path.append(puck.state)
         return path
 
@@ -200,6 +224,12 @@ class HumanHand(ABC):
         # The mirror image of the goal's centre in either rail: a bank shot.
         width = self._equipment.table.width_m
         return 0.0, width - _BANK, -width + _BANK
+
+    @property
+    def _corner(self) -> float:
+        """Distance of a shot at a corner of the goal from the table's axis [m]."""
+        equipment = self._equipment
+        return equipment.table.goal_width_m / 2 - equipment.puck.radius_m - _POST
 
     def _aim_anew(self) -> None:
         """Draw a new aiming error."""
@@ -237,7 +267,7 @@ class HumanHand(ABC):
         puck = self._goes_by[-1]
         for number, later in enumerate(self._goes_by):
             away = math.hypot(later.x - own[0], later.y - own[1]) - self._together
-            if later.x < 0.0 and away <= fastest * number * _STEP * _GETS_THERE:
+            if later.x < 0.0 and away <= fastest * number * STEP * _GETS_THERE:
                 puck = later
                 break
         if puck.x > 0.0:
@@ -311,14 +341,10 @@ class Striker(Keeper):
 
     def aims(self) -> tuple[float, ...]:
         """Aim at the corner away from the opponent first; see `HumanHand.aims`."""
-        corner = self._equipment.table.goal_width_m / 2 - self._equipment.puck.radius_m - _POST
-        open_side = -math.copysign(1.0, self._opponent[1])
-        return open_side * corner, *super().aims()
+        return -math.copysign(self._corner, self._opponent[1]), *super().aims()
 
 
-#: Scripted hands and their levels, by name.
-HANDS: Mapping[str, tuple[type[HumanHand], Mapping[str, Dexterity]]] = {
-    "human": (ScriptedHand, HUMANS),
-    "keeper": (Keeper, KEEPERS),
-    "striker": (Striker, KEEPERS),
-}
+def _turned(puck: PuckState, faster: float, angle: float) -> PuckState:
+    """Return a puck with another speed and direction."""
+    cos, sin = faster * math.cos(angle), faster * math.sin(angle)
+    return puck._replace(vx=cos * puck.vx - sin * puck.vy, vy=sin * puck.vx + cos * puck.vy)

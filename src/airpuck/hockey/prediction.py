@@ -93,6 +93,14 @@ class PuckModel:
         ]
 
 
+def drawn_puck(puck: Puck, random: np.random.Generator) -> Puck:
+    """Draw a puck and its rails within what is known of them."""
+    for name, assumed in _ASSUMED.items():
+        spread = puck.standard_error.get(name, assumed)
+        puck = _changed(puck, name, float(random.normal(0.0, spread)))
+    return puck
+
+
 def _changed(puck: Puck, name: str, change: float) -> Puck:
     """Return a puck with another value of a number, within its bounds."""
     section, _, key = name.rpartition(".")

@@ -1,0 +1,101 @@
+"""A league: everyone plays everyone, on tables that nobody knows exactly."""
+
+import json
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.campaigns import match_item
+from airpuck.campaigns.league import LeagueResult, league
+from airpuck.hockey.rules import Rules
+
+from ..apparatus.commands import airpuck, refused
+
+SHORT = Rules(limit_s=3.0)
+PLAYERS = ("keeper", "striker:hard", "wild")
+
+
+def test_every_pair_plays_on_both_sides_and_only_once(tmp_path, monkeypatch):
+    played = []
+    original = match_item.Game
+
+    def noted(left, right, **given):
+        played.append((left.name, right.name, given["seed"], given["settings"].puck))
+        assert given["believed"].puck != given["settings"].puck
+        return original(left, right, **given)
+
+    monkeypatch.setattr(match_item, "Game", noted)
+    found = league(PLAYERS, 2, seed=7, rules=SHORT, workers=1, output=tmp_path)
+    assert [game[:3] for game in played] == [
+        ("keeper", "striker:hard", 7),
+        ("striker:hard", "keeper", 8),
+        ("keeper", "wild", 7),
+        ("wild", "keeper", 8),
+        ("striker:hard", "wild", 7),
+        ("wild", "striker:hard", 8),
+    ]
+    # The table is drawn by the seed, whoever plays.
+    assert played[0][3] == played[2][3] != played[1][3]
+    again = league(PLAYERS, 2, seed=7, rules=SHORT, workers=1, output=tmp_path)
+    assert len(played) == 6
+    assert again.to_json() == found.to_json()
+
+
+def test_figures_of_a_pair_are_those_of_both_sides():
+    games = (
+        (0, 1, {"left_goals": 3, "right_goals": 1, "duration_s": 60.0}),
+        (1, 0, {"left_goals": 2, "right_goals": 2, "duration_s": 30.0}),
+        (1, 0, {"left_goals": 4, "right_goals": 0, "duration_s": 10.0}),
+    )
+    figures = LeagueResult(("a", "b"), games).to_json()
+    (_, cell), (other, _) = figures["matrix"]
+    assert cell == {
+        "games": 3,
+        "wins": 1,
+        "losses": 1,
+        "goals_for": 5,
+        "goals_against": 7,
+        "seconds": 100.0,
+    }
+    assert (other["goals_for"], other["goals_against"]) == (7, 5)
+    # One win each and a draw.
+    assert [rating["value"] for rating in figures["ratings"]] == pytest.approx([0.0, 0.0])
+    assert figures["ratings"][0]["low"] < 0 < figures["ratings"][0]["high"]
+
+
+@pytest.mark.parametrize("players", [("keeper",), ("keeper", "wild", "keeper")])
+def test_a_league_needs_two_different_players(players):
+    with pytest.raises(InputError, match="at least two players"):
+        league(players, rules=SHORT)
+
+
+def test_the_command_writes_ratings_matrix_and_figure(tmp_path):
+    out = tmp_path / "league"
+    airpuck(
+        *("league", "keeper", "wild", "--games", "1", "--limit", "1", "--workers", "1"),
+        *("-o", str(out), "--json", str(tmp_path / "league.json")),
+    )
+    figures = json.loads((tmp_path / "league.json").read_text())
+    assert figures["players"] == ["keeper", "wild"]
+    assert {"player", "value", "low", "high"} == set(figures["ratings"][0])
+    assert figures["matrix"][0][0] is None
+    assert figures["matrix"][0][1]["seconds"] == pytest.approx(1.0)
+    assert (out / "league.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_an_unknown_player_is_refused():
+    assert refused(airpuck("league", "keeper", "wizard"), "wizard", "unknown player")
+
+
+def test_goals_of_a_result_add_up():
+    random = np.random.default_rng(1)
+    games = tuple(
+        (one, other, {"left_goals": a, "right_goals": b, "duration_s": 1.0})
+        for one, other, a, b in random.integers(0, 4, (40, 4)).tolist()
+        if one != other
+    )
+    found = LeagueResult(("a", "b", "c", "d"), games)
+    assert found.total("goals").sum() == sum(g["left_goals"] + g["right_goals"] for *_, g in games)
+    points = found.total("points")
+    np.testing.assert_allclose(points + points.T, found.total("games"))
