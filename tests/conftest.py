@@ -21,14 +21,14 @@ from .apparatus import once, typechecker  # noqa: E402
 # Compiled programs are cached between tests, processes and runs. The key is their content, so an
 # old program is never used for new code.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("airpuck-tests")))
-os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Most programs run once here, so that compiling them costs more than running them. An XLA that does
 # not know one of these says so at once.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
-    " --xla_llvm_disable_expensive_passes=true",
+    " --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1",
 )
 
 # The hook below compiles all modules of ours. Without their bytecode each worker, and each process

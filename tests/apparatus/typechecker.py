@@ -19,7 +19,7 @@ from jaxtyping import jaxtyped as always_checked
 check = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 #: Number of calls of each function that are checked in each test.
-CHECKED = 20
+CHECKED = 5
 _calls: Counter[tuple[str, str]] = Counter()
 
 
