@@ -139,6 +139,7 @@ def test_imports_go_downwards():
             },
         ),
         ("casadi", {"compute", "export", "planning"}),
+        ("mujoco", {"export"}),
         ("typer", {"cli"}),
         ("rosbags", {"recording", "live"}),
         ("cyclonedds", {"live"}),

@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
@@ -17,7 +19,7 @@ from airpuck.boundary.settings import unknown
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Effect
-from airpuck.physics.rigid_body import Dynamics
+from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 
@@ -63,6 +65,7 @@ class Kind:
 #: A new kind is a module with `write`, and an entry here.
 KINDS: dict[str, Kind] = {
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
+    "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
 }
 
 
@@ -159,3 +162,23 @@ def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effec
                 "model without it, or choose another kind",
                 field="MODEL",
             )
+
+
+def refuse_actuators(model: Model, kind: str) -> None:
+    """Raise InputError for actuators that an export cannot represent: all but propellers."""
+    actuators = model.vehicle.actuators.kind
+    if actuators != "propeller":
+        raise InputError(
+            f"has actuators of the kind {actuators}, which an export to {kind} cannot represent",
+            field="MODEL",
+        )
+
+
+def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
+    """Raise InputError if the offset of the centre of mass is constant in the other frame."""
+    if model.frame != frame and np.any(model.parameters.center_of_mass):
+        raise InputError(
+            f"has a centre of mass that is fixed to the {model.frame}, which an export to {kind} "
+            f"cannot represent; identify it with --com-frame {frame}",
+            field="MODEL",
+        )

@@ -1,0 +1,90 @@
+"""Commands for a craft that airpuck exported to MuJoCo.
+
+The thrust of a motor is a polynomial of its speed φ, but the force of an actuator of MuJoCo is
+linear in its activation. So each motor has an actuator for each power of φ, named ``NAME``,
+``NAME^2``, and so on. `set_command` sets their controls for the next time step such that their
+activations are these powers of φ at its end. A plain step of MuJoCo follows.
+
+    model = mujoco.MjModel.from_xml_path("craft.xml")
+    data = mujoco.MjData(model)
+    while data.time < 1.0:
+        set_command(model, data, command)
+        mujoco.mj_step(model, data)
+
+With the integrators Euler and implicitfast, positions are exact to second order in the time step,
+and qvel belongs to the middle of the last step (leap-frog). `set_state` and `get_state` convert.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+
+def set_state(model: Any, data: Any, state: Any) -> None:
+    """Set x, y, yaw, vx, vy, spin, and the motor speeds if the motors lag."""
+    data.qpos[:], data.qvel[:] = state[:3], state[3:6]
+    if model.na:
+        data.act[:] = np.ravel([np.asarray(state[6:]) ** p for p in _powers(model)])
+    mujoco.mj_forward(model, data)
+    data.qvel[:] -= _half_step(model) * data.qacc
+
+
+def get_state(model: Any, data: Any) -> np.ndarray:
+    """Return x, y, yaw, vx, vy, spin, and the motor speeds if the motors lag."""
+    velocities = data.qvel + _half_step(model) * data.qacc
+    return np.concatenate([data.qpos, velocities, _speeds(model, data)])
+
+
+def set_command(model: Any, data: Any, command: Any) -> None:
+    """Set the controls for the next time step from the motors' commands in [0, 1]."""
+    data.ctrl[:] = _controls(model, _speeds(model, data), command)[0]
+
+
+def controls(model: Any, speeds: Any, commands: Any) -> np.ndarray:
+    """Return the controls for a sequence of commands, one for each time step (for rollouts).
+
+    The motors begin at `speeds`; without lag these are ignored.
+    """
+    rows = []
+    for command in commands:
+        row, speeds = _controls(model, speeds, command)
+        rows.append(row)
+    return np.array(rows)
+
+
+def _controls(model: Any, speeds: Any, command: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the controls of one time step, and the motor speeds at its end."""
+    powers = _powers(model)
+    n = model.nu // len(powers)
+    u = np.clip(command, *model.actuator_ctrlrange[:n].T)
+    if not model.na:
+        return np.ravel([u**p for p in powers]), u
+    # An activation of time constant τ/p goes from a to c + (a - c) E^p with E = exp(-h/τ). It goes
+    # from φ^p to the power p of the next speed if c is the mean that is formed here.
+    decay = np.exp(-model.opt.timestep / model.actuator_dynprm[:n, 0])
+    faded = decay * np.asarray(speeds)
+    after = u + faded - decay * u
+    means = []
+    for p in powers:
+        weights = sum(decay**j for j in range(p))
+        means.append(u * sum(after ** (p - 1 - j) * faded**j for j in range(p)) / weights)
+    return np.ravel(means), after
+
+
+def _speeds(model: Any, data: Any) -> np.ndarray:
+    """Return the motor speeds; none without lag."""
+    return data.act[: model.na // len(_powers(model))]
+
+
+def _half_step(model: Any) -> float:
+    """Return the time by which qvel lags behind qpos [s]."""
+    exact = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    return 0.0 if exact else model.opt.timestep / 2
+
+
+def _powers(model: Any) -> range:
+    """Return the powers of φ in the thrust curves."""
+    return range(1, 1 + int(model.numeric("thrust_degree").data[0]))
