@@ -28,7 +28,7 @@ def set_state(model: Any, data: Any, state: Any) -> None:
     data.qpos[:], data.qvel[:] = state[:3], state[3:6]
     if model.na:
         data.act[:] = np.ravel([np.asarray(state[6:]) ** p for p in _powers(model)])
-    mujoco.mj_forward(model, data)
+    mujoco.mj_forward(model, data)  # pyright: ignore[reportAttributeAccessIssue]
     data.qvel[:] -= _half_step(model) * data.qacc
 
 
@@ -40,7 +40,7 @@ def get_state(model: Any, data: Any) -> np.ndarray:
 
 def set_command(model: Any, data: Any, command: Any) -> None:
     """Set the controls for the next time step from the motors' commands in [0, 1]."""
-    data.ctrl[:] = _controls(model, _speeds(model, data), command)[0]
+    data.ctrl[:] = controls(model, _speeds(model, data), [command])[0]
 
 
 def controls(model: Any, speeds: Any, commands: Any) -> np.ndarray:
@@ -48,30 +48,23 @@ def controls(model: Any, speeds: Any, commands: Any) -> np.ndarray:
 
     The motors begin at `speeds`; without lag these are ignored.
     """
-    rows = []
-    for command in commands:
-        row, speeds = _controls(model, speeds, command)
-        rows.append(row)
-    return np.array(rows)
-
-
-def _controls(model: Any, speeds: Any, command: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the controls of one time step, and the motor speeds at its end."""
     powers = _powers(model)
     n = model.nu // len(powers)
-    u = np.clip(command, *model.actuator_ctrlrange[:n].T)
+    u = np.clip(commands, *model.actuator_ctrlrange[:n].T)
     if not model.na:
-        return np.ravel([u**p for p in powers]), u
-    # An activation of time constant τ/p goes from a to c + (a - c) E^p with E = exp(-h/τ). It goes
-    # from φ^p to the power p of the next speed if c is the mean that is formed here.
+        return np.hstack([u**p for p in powers])
     decay = np.exp(-model.opt.timestep / model.actuator_dynprm[:n, 0])
-    faded = decay * np.asarray(speeds)
-    after = u + faded - decay * u
+    path = [np.asarray(speeds)]
+    for command in u:
+        path.append(command + decay * (path[-1] - command))
+    # An activation of time constant τ/p goes from a to c + (a - c) E^p with E = exp(-h/τ). It goes
+    # from one speed's power p to the next one's if c is the mean that is formed here.
+    faded, after = decay * np.array(path[:-1]), np.array(path[1:])
     means = []
     for p in powers:
         weights = sum(decay**j for j in range(p))
         means.append(u * sum(after ** (p - 1 - j) * faded**j for j in range(p)) / weights)
-    return np.ravel(means), after
+    return np.hstack(means)
 
 
 def _speeds(model: Any, data: Any) -> np.ndarray:
@@ -81,8 +74,8 @@ def _speeds(model: Any, data: Any) -> np.ndarray:
 
 def _half_step(model: Any) -> float:
     """Return the time by which qvel lags behind qpos [s]."""
-    exact = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-    return 0.0 if exact else model.opt.timestep / 2
+    exact = mujoco.mjtIntegrator.mjINT_RK4  # pyright: ignore[reportAttributeAccessIssue]
+    return 0.0 if model.opt.integrator == exact else model.opt.timestep / 2
 
 
 def _powers(model: Any) -> range:
