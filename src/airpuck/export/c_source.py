@@ -31,7 +31,7 @@ def write_model(
     *,
     kind: str = "c",
     dynamics: Dynamics | None = None,
-    sizes: Mapping[str, int] | None = None,
+    sizes: Mapping[str, object] | None = None,
     data: Mapping[str, str] | None = None,
 ) -> None:
     """Write the sources of a model: packaged ones, `airpuck_sizes.h` and `airpuck_data.c`.
@@ -60,10 +60,10 @@ def write_model(
 
 
 def copy_sources(names: Sequence[str], folder: Path) -> None:
-    """Copy packaged sources."""
+    """Copy packaged sources, by their paths below ``packaged/c``."""
     packaged = resources.files("airpuck") / "packaged" / "c"
     for name in names:
-        (folder / name).write_bytes((packaged / name).read_bytes())
+        (folder / Path(name).name).write_bytes((packaged / name).read_bytes())
 
 
 def check_effects(model: Model, kind: str, dynamics: Dynamics | None = None) -> None:
@@ -89,8 +89,10 @@ def title(model: Model) -> str:
         f"Written by airpuck {airpuck.__version__}; do not edit.",
     ]
     wrapped = [part for line in lines for part in textwrap.wrap(line, _WIDTH - 6)]
-    # Names must not end the comment, begin another one, or continue a line.
-    body = "\n * ".join(wrapped).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+    # No name may end the comment, continue a line, or contain a trigraph.
+    harmless = str.maketrans(r"*\?", "___")
+    printable = ("".join(filter(str.isprintable, part)).translate(harmless) for part in wrapped)
+    body = "\n * ".join(printable)
     return f"/* {body} */"
 
 

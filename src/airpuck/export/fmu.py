@@ -1,0 +1,317 @@
+"""A source-code FMI 3.0 co-simulation unit of the craft on its table."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.craft.actuators import Propellers
+from airpuck.export.c_source import coefficients, constant, copy_sources, title, write_model
+from airpuck.export.kinds import Subject
+from airpuck.twin.plant import CraftBody, build_plant
+from airpuck.twin.radio import radio_delay
+from airpuck.twin.settings import Motors, TwinSettings
+
+#: Name of the unit and of its functions' library.
+NAME = "airpuck"
+_SOURCES = ("airpuck_plant.c", "airpuck_fmu.c", "airpuck_fmu_absent.c")
+_HEADERS = (
+    "airpuck_plant.h",
+    *(f"fmi3{n}.h" for n in ("Functions", "FunctionTypes", "PlatformTypes")),
+)
+_UNITS = {
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "rad": {"rad": 1},
+    "Hz": {"s": -1},
+    "m/s": {"m": 1, "s": -1},
+    "rad/s": {"rad": 1, "s": -1},
+}
+#: Largest values of parameters: times [s], frames [Hz], noise [m or rad].
+_TIME, _RATE, _NOISE = 10.0, 1e5, 10.0
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the unit; its value reference is its place in the list."""
+
+    name: str
+    causality: str
+    description: str
+    unit: str | None = None
+    start: float | None = None
+    low: float = -math.inf
+    high: float = math.inf
+    variability: str = "discrete"
+    #: Its element in the description.
+    kind: str = "Float64"
+
+
+def write(subject: Subject, folder: Path) -> dict[str, Any]:
+    """Write the unit; see `airpuck.export.kinds.Kind`."""
+    check(subject)
+    model = subject.model
+    plant = build_plant(model, subject.twin, compiled=False)
+    listed = variables(subject)
+    table = _variable_table(listed)
+    craft = _craft(plant.disc)
+    known = f"{airpuck.__version__}{coefficients(model, plant.dynamics)}{craft}{listed}"
+    token = str(uuid.uuid5(uuid.NAMESPACE_OID, known))
+    with tempfile.TemporaryDirectory() as made:
+        unit = Path(made)
+        sources = unit / "sources"
+        sources.mkdir()
+        write_model(
+            model,
+            sources,
+            kind="fmu",
+            dynamics=plant.dynamics,
+            sizes={**_references(listed), "AIRPUCK_TOKEN": f'"{token}"'},
+            data={"airpuck_plant.h": f"{craft}\n\n{table}"},
+        )
+        copy_sources([f"fmu/{name}" for name in (*_HEADERS, *_SOURCES)], sources)
+        _save(sources / "buildDescription.xml", _build_description())
+        _save(unit / "modelDescription.xml", _model_description(subject, listed, token))
+        _zip(unit, folder / f"{NAME}.fmu")
+    counts = {c: sum(v.causality == c for v in listed) for c in ("input", "parameter", "output")}
+    return {
+        "unit": f"{NAME}.fmu, FMI 3.0, co-simulation, source code",
+        **{f"{causality}s": count for causality, count in counts.items()},
+    }
+
+
+def check(subject: Subject) -> None:
+    """Raise InputError for what the unit cannot represent."""
+    model, twin = subject.model, subject.twin
+    if not isinstance(model.vehicle.actuators, Propellers):
+        raise InputError(
+            f"has actuators of the kind {model.vehicle.actuators.kind}, which an export to fmu "
+            "cannot represent",
+            field="MODEL",
+        )
+    for name in model.vehicle.propeller_names:
+        if not name.isprintable():
+            raise InputError(f"has a propeller called {name!r}; rename it", field="MODEL")
+    camera = twin.motion_capture
+    held = {
+        "radio.outages_s": not twin.radio.outages_s,
+        "motion_capture.gaps_s": not camera.gaps_s,
+        "motion_capture.clock_offset_s": not camera.clock_offset_s,
+        "motion_capture.clock_drift": not camera.clock_drift,
+        "effects.battery_sag_1_s": not twin.effects.battery_sag_1_s,
+        "motors": twin.motors == Motors(),
+    }
+    for field, empty in held.items():
+        if not empty:
+            raise InputError(
+                "is set, which an export to fmu cannot represent; leave it out", field=field
+            )
+
+
+def variables(subject: Subject) -> list[Variable]:
+    """List the variables in the order of their value references, integers last."""
+    names = subject.model.vehicle.propeller_names
+    twin = subject.twin.with_delay(radio_delay(subject.model))
+    lag = float(subject.model.dynamics.motor_time_constant)
+    state = ("x", "y", "yaw", "vx", "vy", "yaw_rate")
+    units = ("m", "m", "rad", "m/s", "m/s", "rad/s")
+    bounds = (1e3, 1e3, 1e4, 1e2, 1e2, 1e3)
+    return [
+        Variable("time", "independent", "simulated time", "s", variability="continuous"),
+        *_parameters(twin, lag),
+        *(
+            Variable(f"start.{n}", "parameter", "of the craft's centre", u, 0.0, -b, b, "fixed")
+            for n, u, b in zip(state, units, bounds, strict=True)
+        ),
+        *(Variable(f"command.{n}", "input", "motor command", None, 0.0, 0.0, 1.0) for n in names),
+        *(
+            Variable(f"state.{n}", "output", "true motion", u, variability="continuous")
+            for n, u in zip(state, units, strict=True)
+        ),
+        *(
+            Variable(f"speed.{n}", "output", "true motor speed", variability="continuous")
+            for n in names
+        ),
+        *(
+            Variable(f"pose.{n}", "output", "the last measured pose that arrived", u)
+            for n, u in zip((*state[:3], "time"), (*units[:3], "s"), strict=True)
+        ),
+        Variable("contact.time", "output", "of the last contact with a rail", "s"),
+        Variable("contact.speed", "output", "towards the rail", "m/s"),
+        Variable("pose.count", "output", "poses that arrived", kind="Int32"),
+        Variable("contact.count", "output", "contacts with rails", kind="Int32"),
+        Variable(
+            "seed", "parameter", "of the random numbers", None, 0, 0, 2**31 - 1, "fixed", "Int32"
+        ),
+    ]
+
+
+def _parameters(twin: TwinSettings, lag: float) -> Iterator[Variable]:
+    """Return the parameters of table, motors, radio and camera."""
+    table, radio, camera = twin.table, twin.radio, twin.motion_capture
+    assert radio.delay_s is not None
+    for name, description, unit, start, high in (
+        ("table.length", "distance of the rails along x", "m", table.length_m, 1e3),
+        ("table.width", "distance of the rails along y", "m", table.width_m, 1e3),
+        ("table.restitution", "returned fraction of speed", None, table.restitution, 1.0),
+        ("table.friction", "coefficient of friction at a rail", None, table.friction, 1e3),
+        ("motor.time_constant", "lag of motor speed", "s", lag, _TIME),
+        ("radio.delay", "mean delay of a command", "s", radio.delay_s, _TIME),
+        ("radio.jitter", "standard deviation of the delay", "s", radio.jitter_s, _TIME),
+        ("radio.loss", "fraction of lost commands", None, radio.loss, 1.0),
+        ("camera.rate", "frames per second", "Hz", camera.rate_hz, _RATE),
+        ("camera.position_noise", "standard deviation", "m", camera.position_noise_m, _NOISE),
+        ("camera.yaw_noise", "standard deviation", "rad", camera.yaw_noise_rad, _NOISE),
+        ("camera.latency", "least age of an arriving pose", "s", camera.latency_s, _TIME),
+        ("camera.latency_jitter", "mean added age", "s", camera.latency_jitter_s, _TIME),
+        ("camera.dropped", "fraction of missing frames", None, camera.dropped, 1.0),
+    ):
+        low = 1e-3 if name == "camera.rate" else 0.0
+        if not low <= start <= high:
+            raise InputError(
+                f"is {start:g}; an export to fmu takes {low:g} to {high:g}", field=name
+            )
+        yield Variable(name, "parameter", description, unit, start, low, high, "fixed")
+
+
+def _references(listed: list[Variable]) -> dict[str, int]:
+    """Return the macros of value references that the sources use; the first of each group."""
+    found: dict[str, int] = {}
+    groups = {"command", "state", "speed", "pose"}
+    for reference, variable in enumerate(listed):
+        group, _, rest = variable.name.partition(".")
+        known = (
+            group
+            if group in groups and variable.kind == "Float64"
+            else f"{group}_{rest}".rstrip("_")
+        )
+        found.setdefault(f"AIRPUCK_{known.upper()}", reference)
+    reals = sum(variable.kind == "Float64" for variable in listed)
+    return {**found, "AIRPUCK_REALS": reals, "AIRPUCK_VARIABLES": len(listed)}
+
+
+def _craft(disc: CraftBody) -> str:
+    """Return the definition of the craft's numbers for contacts."""
+    fields = {key: float(getattr(disc, key)) for key in ("mass", "inertia", "radius")}
+    return constant("airpuck_disc", "airpuck_craft", fields)
+
+
+def _variable_table(listed: list[Variable]) -> str:
+    """Return the definition of the table of variables."""
+    letter = {"independent": "t", "parameter": "p", "input": "i", "output": "o"}
+    rows = "".join(
+        f"    {{{_c_string(v.name)}, '{letter[v.causality]}', {v.start or 0.0!r}, "
+        f"{_c_number(v.low)}, {_c_number(v.high)}}},\n"
+        for v in listed
+    )
+    return f"const airpuck_variable airpuck_variables[AIRPUCK_VARIABLES] = {{\n{rows}}};"
+
+
+def _c_string(text: str) -> str:
+    """Return a string literal, safe for any text."""
+    return '"' + "".join(c if c.isascii() and c not in '"\\?' else "_" for c in text) + '"'
+
+
+def _c_number(value: float) -> str:
+    """Return a number, or infinity."""
+    return f"{'-' * (value < 0)}INFINITY" if math.isinf(value) else repr(float(value))
+
+
+def _build_description() -> Xml.Element:
+    """Return the content of `sources/buildDescription.xml`."""
+    root = Xml.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = Xml.SubElement(root, "BuildConfiguration", modelIdentifier=NAME)
+    sources = Xml.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in ("airpuck_model.c", "airpuck_data.c", *_SOURCES):
+        Xml.SubElement(sources, "SourceFile", name=name)
+    Xml.SubElement(
+        configuration,
+        "Library",
+        name="m",
+        external="true",
+        description="The mathematical functions of C, where they are a library of their own.",
+    )
+    return root
+
+
+def _model_description(subject: Subject, listed: list[Variable], token: str) -> Xml.Element:
+    """Return the content of `modelDescription.xml`."""
+    root = Xml.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=f"{subject.model.vehicle.name} on its table",
+        instantiationToken=token,
+        description=" ".join(title(subject.model).strip("/* ").replace("\n *", "").split()),
+        generationTool=f"airpuck {airpuck.__version__}",
+        license="BSD-2-Clause",
+        variableNamingConvention="flat",
+    )
+    Xml.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=NAME,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUState="true",
+    )
+    units = Xml.SubElement(root, "UnitDefinitions")
+    for name, base in _UNITS.items():
+        unit = Xml.SubElement(units, "Unit", name=name)
+        Xml.SubElement(unit, "BaseUnit", {key: str(power) for key, power in base.items()})
+    categories = Xml.SubElement(root, "LogCategories")
+    Xml.SubElement(categories, "Category", name="logStatusError")
+    Xml.SubElement(root, "DefaultExperiment", startTime="0", stopTime="10", stepSize="0.01")
+    elements = Xml.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(listed):
+        Xml.SubElement(elements, variable.kind, _attributes(reference, variable))
+    structure = Xml.SubElement(root, "ModelStructure")
+    outputs = [str(i) for i, v in enumerate(listed) if v.causality == "output"]
+    for reference in outputs:
+        # No output follows an input at the same time.
+        Xml.SubElement(structure, "Output", valueReference=reference, dependencies="")
+    for reference in outputs:
+        Xml.SubElement(structure, "InitialUnknown", valueReference=reference)
+    return root
+
+
+def _attributes(reference: int, variable: Variable) -> dict[str, str]:
+    """Return the attributes of a variable in `modelDescription.xml`."""
+    found = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "causality": variable.causality,
+        "variability": variable.variability,
+        "description": variable.description,
+    }
+    if variable.causality == "output":
+        found["initial"] = "calculated"
+    if variable.unit:
+        found["unit"] = variable.unit
+    number = int if variable.kind == "Int32" else float
+    for key, value in (("min", variable.low), ("max", variable.high), ("start", variable.start)):
+        if value is not None and math.isfinite(value):
+            found[key] = repr(number(value))
+    return found
+
+
+def _save(path: Path, root: Xml.Element) -> None:
+    """Write an XML file."""
+    Xml.indent(root)
+    Xml.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _zip(folder: Path, archive: Path) -> None:
+    """Write a folder as an archive that depends on the contents only."""
+    with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            entry = zipfile.ZipInfo(path.relative_to(folder).as_posix())
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            unit.writestr(entry, path.read_bytes())

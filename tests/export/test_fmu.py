@@ -1,0 +1,311 @@
+"""The FMI unit: described as the standard says, equal to the twin, and safe from any caller."""
+
+import shutil
+import subprocess
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from fmpy import platform_tuple, read_model_description, sharedLibraryExtension, simulate_fmu
+from fmpy.build import build_platform_binary
+from fmpy.fmi3 import FMU3Slave
+from fmpy.validation import validate_fmu
+
+from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
+from airpuck.export import write
+from airpuck.model.model_file import Model, published_model
+from airpuck.physics.effects import VoltageSag
+from airpuck.twin.plant import build_plant
+from airpuck.twin.settings import Effects, OnBoard, TwinSettings, default_twin_settings
+from airpuck.twin.twin import Twin
+
+from ..apparatus.c_programs import SANITIZED, STRICT, build, compiler
+from ..apparatus.export_crafts import FOUR, ON_OFF
+
+ABUSE = Path(__file__).parent / "abuse_fmu.c"
+MODEL = replace(published_model("M3"), frame="body")
+PERIOD = 0.01
+#: Every so many periods a frame of the camera falls on a communication point.
+COMMON = 5
+
+
+def settings(**more: object) -> TwinSettings:
+    """A small table without noise, so that the craft often meets a rail."""
+    packaged = default_twin_settings()
+    camera = packaged.motion_capture.model_copy(
+        update={"position_noise_m": 0.0, "yaw_noise_rad": 0.0, "latency_jitter_s": 0.0}
+    )
+    quiet = {
+        "table": Table(length_m=0.2, width_m=0.18),
+        "radio": packaged.radio.model_copy(update={"jitter_s": 0.0}),
+        "motion_capture": camera,
+        "on_board": OnBoard(rate_hz=0.0),
+    }
+    return packaged.model_copy(update={**quiet, **more})
+
+
+def compiled(unit: Path) -> None:
+    """Build an unpacked unit by its own build description, with gcc."""
+    description = ElementTree.parse(unit / "sources/buildDescription.xml")
+    names = [source.attrib["name"] for source in description.iter("SourceFile")]
+    libraries = [f"-l{library.attrib['name']}" for library in description.iter("Library")]
+    target = unit / "binaries" / platform_tuple / f"airpuck{sharedLibraryExtension}"
+    target.parent.mkdir(parents=True)
+    command = [compiler("gcc"), *STRICT, "-fPIC", "-shared", "-O1", *names, "-o", target]
+    subprocess.run([*command, *libraries], cwd=unit / "sources", check=True)
+
+
+def exported(folder: Path, model: Model, twin: TwinSettings) -> Path:
+    """Write, unpack and build a unit."""
+    write(model, "fmu", folder, twin=twin)
+    with zipfile.ZipFile(folder / "airpuck.fmu") as archive:
+        archive.extractall(folder / "unit")
+    compiled(folder / "unit")
+    return folder / "unit"
+
+
+@pytest.fixture(scope="module")
+def unit(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("fmu"), MODEL, settings())
+
+
+class Simulation:
+    """An instance of a unit; variables by name."""
+
+    def __init__(self, folder: Path, **parameters: float) -> None:
+        described = read_model_description(str(folder))
+        self._variables = {v.name: v for v in described.modelVariables}
+        self._slave = FMU3Slave(
+            instanceName="craft",
+            guid=described.instantiationToken,
+            unzipDirectory=str(folder),
+            modelIdentifier="airpuck",
+        )
+        self._slave.instantiate()
+        self.time = 0.0
+        self.start(**parameters)
+
+    def start(self, **parameters: float) -> None:
+        self.set(**parameters)
+        self._slave.enterInitializationMode()
+        self._slave.exitInitializationMode()
+        self.time = 0.0
+
+    def set(self, **values: float) -> None:
+        for name, value in values.items():
+            variable = self._variables[name.replace("__", ".")]
+            put = self._slave.setInt32 if variable.type == "Int32" else self._slave.setFloat64
+            put([variable.valueReference], [value])
+
+    def get(self, prefix: str) -> np.ndarray:
+        """Values of all variables whose names begin so."""
+        found = [v for name, v in self._variables.items() if name.startswith(prefix)]
+        read = {"Int32": self._slave.getInt32, "Float64": self._slave.getFloat64}
+        return np.array([read[v.type]([v.valueReference])[0] for v in found])
+
+    def command(self, command: np.ndarray) -> None:
+        names = [v for v in self._variables.values() if v.causality == "input"]
+        self._slave.setFloat64([v.valueReference for v in names], list(command))
+
+    def step(self, until: float) -> None:
+        self._slave.doStep(self.time, until - self.time)
+        self.time = until
+
+    @property
+    def state(self) -> np.ndarray:
+        return np.concatenate([self.get("state."), self.get("speed.")])
+
+
+def commands(n: int, count: int, held: int = 10) -> np.ndarray:
+    """Random commands that are each held for some periods."""
+    random = np.random.default_rng(3)
+    return np.repeat(random.random((count // held, n)), held, axis=0)
+
+
+def test_description_is_valid(unit: Path) -> None:
+    assert validate_fmu(str(unit.parent / "airpuck.fmu")) == []
+    described = read_model_description(str(unit))
+    assert described.fmiVersion == "3.0" and described.coSimulation.canGetAndSetFMUstate
+    by_name = {v.name: v for v in described.modelVariables}
+    delay = MODEL.transport_delay
+    assert float(by_name["radio.delay"].start) == delay and by_name["radio.delay"].unit == "s"
+    inputs = [v.name for v in described.modelVariables if v.causality == "input"]
+    assert inputs == [f"command.{name}" for name in MODEL.vehicle.propeller_names]
+
+
+def test_every_function_of_the_standard_is_there(unit: Path) -> None:
+    headers = (unit / "sources/fmi3Functions.h").read_text()
+    declared = {
+        line.split()[-1].rstrip(";")
+        for line in headers.splitlines()
+        if line.startswith("FMI3_Export fmi3")
+    }
+    library = unit / "binaries" / platform_tuple / f"airpuck{sharedLibraryExtension}"
+    symbols = subprocess.run(
+        ["nm", "-D", "--defined-only", library], capture_output=True, text=True, check=True
+    )
+    assert len(declared) > 70
+    assert declared <= {line.split()[-1] for line in symbols.stdout.splitlines()}
+
+
+@pytest.mark.parametrize("name", ["published", "four propellers and effects"])
+def test_same_flight_as_the_twin(name: str, unit: Path, tmp_path: Path) -> None:
+    """A second of random commands with delay, lag and contacts."""
+    model, twin = MODEL, settings()
+    if name != "published":
+        effects = Effects(drag_linear_1_s=0.4, inflow_s_m=0.1, tilt_rad=(0.01, -0.02))
+        model, twin = FOUR, settings(effects=effects, table=Table(length_m=0.24, width_m=0.22))
+        unit = exported(tmp_path, model, twin)
+    flown = Twin(model, twin, plant=build_plant(model, twin, compiled=False))
+    there = Simulation(unit)
+    worst = 0.0
+    arrived = [flown.wait_until(0.0)]
+    for k, command in enumerate(commands(model.vehicle.n_propellers, 100)):
+        flown.send(command)
+        there.command(command)
+        time = (k + 1) * PERIOD
+        arrived.append(flown.wait_until(time))
+        there.step(time)
+        if (k + 1) % COMMON == 0:
+            worst = max(worst, np.abs(there.state - flown.state).max())
+        last = [poses for poses in arrived if poses][-1][-1]
+        *pose, stamp, count = there.get("pose.")
+        np.testing.assert_allclose(pose, last.values, atol=1e-6)
+        assert stamp == pytest.approx(last.stamp, abs=1e-9)
+        assert count == sum(map(len, arrived))
+    assert worst < 1e-6
+    contact_time, _, count = there.get("contact.")
+    assert count == len(flown.contacts) > 3
+    assert contact_time == pytest.approx(flown.contacts[-1], abs=1e-9)
+
+
+def test_motion_does_not_depend_on_the_steps(unit: Path) -> None:
+    """However often the unit is asked, and also after it went back to a former state."""
+    coarse, fine = Simulation(unit), Simulation(unit)
+    random = np.random.default_rng(0)
+    for k, command in enumerate(commands(6, 100)[::10]):
+        coarse.command(command)
+        fine.command(command)
+        end = 0.1 * (k + 1)
+        coarse.step(end)
+        for time in np.sort(random.uniform(fine.time, end, 5)):
+            fine.step(time)
+            kept = fine._slave.getFMUState()
+            fine.step((time + end) / 2)
+            fine._slave.setFMUState(kept)
+            fine._slave.freeFMUState(kept)
+            fine.time = time
+        fine.step(end)
+        np.testing.assert_allclose(fine.state, coarse.state, atol=1e-12, rtol=0)
+    assert list(fine.get("contact.")) == list(coarse.get("contact."))
+
+
+def test_reset_starts_the_same_flight_again(unit: Path) -> None:
+    flight = Simulation(unit, camera__yaw_noise=1e-3, seed=7)
+    poses = []
+    for _ in range(2):
+        flight.command(np.full(6, 0.3))
+        flight.step(0.5)
+        poses.append(flight.get("pose."))
+        flight._slave.reset()
+        flight.start(camera__yaw_noise=1e-3, seed=7)
+    assert list(poses[0]) == list(poses[1])
+    other = Simulation(unit, camera__yaw_noise=1e-3, seed=8)
+    other.command(np.full(6, 0.3))
+    other.step(0.5)
+    assert other.get("pose.")[2] != poses[0][2]
+
+
+def test_noise_and_delays_are_as_stated(unit: Path) -> None:
+    """At rest: the spread of 4800 poses, and how many of them arrive."""
+    quiet = Simulation(
+        unit,
+        camera__position_noise=2e-3,
+        camera__yaw_noise=5e-3,
+        camera__dropped=0.25,
+        start__yaw=3.14,
+    )
+    poses = []
+    for k in range(4800):
+        quiet.step((k + 1) / 240)
+        poses.append(quiet.get("pose."))
+    x, y, yaw, _, count = np.array(poses).T
+    turned = (yaw - 3.14 + np.pi) % (2 * np.pi) - np.pi
+    assert np.abs(yaw).max() <= np.pi
+    new = np.diff(count, prepend=0) > 0
+    for values, spread in ((x, 2e-3), (y, 2e-3), (turned, 5e-3)):
+        assert np.std(values[new]) == pytest.approx(spread, rel=0.08)
+        assert abs(values[new].mean()) < 4 * spread / np.sqrt(new.sum())
+    assert count[-1] == pytest.approx(0.75 * 4800, rel=0.03)
+
+
+@pytest.mark.slow
+def test_no_call_does_harm(unit: Path, tmp_path: Path) -> None:
+    sources = [*(unit / "sources").glob("*.c"), ABUSE]
+    program = build(tmp_path / "abuse", sources, *SANITIZED)
+    done = subprocess.run([program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang")
+def test_clang_compiles_it_without_warnings(unit: Path, tmp_path: Path) -> None:
+    build(tmp_path / "abuse", [*(unit / "sources").glob("*.c"), ABUSE], using="clang")
+
+
+@pytest.mark.slow
+def test_fmpy_builds_and_simulates_it(tmp_path: Path) -> None:
+    """With CMake, as fmpy does for any unit; inputs by name."""
+    compiler("cmake")
+    write(MODEL, "fmu", tmp_path)
+    with zipfile.ZipFile(tmp_path / "airpuck.fmu") as archive:
+        archive.extractall(tmp_path / "unit")
+    build_platform_binary(tmp_path / "unit")
+    first, *_ = MODEL.vehicle.propeller_names
+    given = np.array([(0.0, 0.0), (0.5, 1.0)], dtype=[("time", float), (f"command.{first}", float)])
+    found = simulate_fmu(
+        str(tmp_path / "unit"),
+        stop_time=1.0,
+        output_interval=0.1,
+        input=given,
+        output=["state.x", "state.yaw", "pose.yaw"],
+    )
+    assert found["time"][-1] == 1.0 and abs(found["state.yaw"][-1]) > 0.1
+    late = found["pose.yaw"][-1] - found["state.yaw"][-1]
+    assert np.cos(late) > 0.9
+
+
+@dataclass(frozen=True)
+class Unknown(VoltageSag):
+    """An effect that no export knows."""
+
+
+@pytest.mark.parametrize(
+    ("update", "named"),
+    [
+        ({"radio": {"outages_s": ((1.0, 2.0),)}}, "radio.outages_s"),
+        ({"motion_capture": {"gaps_s": ((1.0, 2.0),)}}, "motion_capture.gaps_s"),
+        ({"motion_capture": {"clock_drift": 1e-4}}, "motion_capture.clock_drift"),
+        ({"effects": {"battery_sag_1_s": 0.01}}, "effects.battery_sag_1_s"),
+        ({"motors": {"unarmed_s": 1.0}}, "motors"),
+        ({"motion_capture": {"rate_hz": 1e6}}, "camera.rate"),
+    ],
+)
+def test_settings_that_it_cannot_represent(update: dict, named: str, tmp_path: Path) -> None:
+    twin = settings()
+    ((section, fields),) = update.items()
+    changed = getattr(twin, section).model_copy(update=fields)
+    with pytest.raises(InputError, match=named):
+        write(MODEL, "fmu", tmp_path / "out", twin=twin.model_copy(update={section: changed}))
+    assert not (tmp_path / "out").exists()
+
+
+def test_craft_that_it_cannot_represent(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="on_off"):
+        write(ON_OFF, "fmu", tmp_path)
+    twice = replace(MODEL, parameters=replace(MODEL.parameters, inflow=0.1))
+    with pytest.raises(InputError, match="Inflow"):
+        write(twice, "fmu", tmp_path, twin=settings(effects=Effects(inflow_s_m=0.1)))
