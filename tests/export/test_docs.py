@@ -32,6 +32,8 @@ def test_examples_run(name, tmp_path):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     for language, code in re.findall(r"^```(\w+)\n(.*?)^```", SECTIONS[name], re.M | re.S):
+        if language not in PROGRAMS:
+            continue
         program = PROGRAMS[language]
         if shutil.which(program[0]) is None:
             pytest.skip(f"needs {program[0]}")

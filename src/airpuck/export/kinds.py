@@ -67,6 +67,7 @@ KINDS: dict[str, Kind] = {
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
     "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
     "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
+    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
 }
 
 

@@ -1,0 +1,59 @@
+"""A flight of the controller in Python, for a program in another language to repeat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import Tuning
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import step
+
+#: Rate of poses [1/s], and number of control steps.
+_RATE, _STEPS = 240, 120
+#: Set points, each for the same time: near, turned, unreachable, back.
+_TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-9.0, 3.0, -1.0), (0.0, 0.0, 0.0))
+#: Frames that are lost, that are not finite, and that show something else.
+_LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)
+#: Standard deviation of the poses [m, m, rad].
+_NOISE = (5e-5, 5e-5, 6e-4)
+
+
+def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
+    """Yield the lines of a flight: targets, poses, commands sent, and results of steps.
+
+    The motors act without delay, so that the controller has something to correct.
+    """
+    random, period = np.random.default_rng(0), tuning.period_s
+    pilot = TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)
+    n = model.vehicle.n_propellers
+    state = np.concatenate([np.zeros(6), np.full(n, model.vehicle.command_min)])
+    frame = 0
+    for k in range(_STEPS):
+        now = (k + 1) * period
+        if k % (_STEPS // len(_TARGETS)) == 0:
+            pose = _TARGETS[k * len(_TARGETS) // _STEPS]
+            pilot.reference = SetPoint(*pose)
+            yield _line("target", *pose)
+        while frame / _RATE <= now:
+            seen = state[:3] + random.normal(size=3) * _NOISE + (frame in _JUMPING)
+            if frame in _BAD:
+                seen[frame % 3] = math.nan
+            if frame not in _LOST:
+                pilot.pose(frame / _RATE, seen)
+                yield _line("pose", frame / _RATE, *seen)
+            frame += 1
+        result = pilot.step(now)
+        yield _line("step", now, result.status, *result.command)
+        pilot.sent(now, result.command)
+        yield _line("sent", now, *result.command)
+        state = step(np, model.dynamics, state, result.command, period)
+
+
+def _line(*values: str | float) -> str:
+    """Write values with all their digits."""
+    return ",".join(v if isinstance(v, str) else repr(float(v)) for v in values)

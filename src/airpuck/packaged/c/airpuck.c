@@ -1,0 +1,326 @@
+#include "airpuck.h"
+
+#include "airpuck_lqr.h"
+
+#include <string.h>
+
+#define N AIRPUCK_MOTORS
+/* Before all times. */
+#define NEVER (-(double)INFINITY)
+/* No control without a pose from the last 50 ms [s]. */
+#define STALE 0.05
+/* Poses that agree with each other for this long are accepted [s]; rounding must not cost a frame. */
+#define BELIEVED_AFTER (STALE - 1e-6)
+/* Commands that began to act longer ago than this affect only the motor speeds [s]. */
+#define REMEMBERED 0.5
+
+/* A pose this far from its prediction cannot be the craft [m, m, rad]. */
+static const airpuck_real jump[3] = {AIRPUCK_R(0.1), AIRPUCK_R(0.1), AIRPUCK_R(1.0)};
+
+/* Commands in force, each until the next begins to act. */
+
+static void drop_commands(airpuck *craft, double time)
+{
+    int old = 0;
+    while (old + 1 < craft->held && craft->commands[old + 1].begins <= time)
+        old++;
+    craft->held -= old;
+    memmove(craft->commands, craft->commands + old, (size_t)craft->held * sizeof(airpuck_held));
+}
+
+/* Split the time from `now` to `stop` where commands change. Each call sets the duration and the
+ * command of one interval, moves `now` to its end and `next` to the command that follows; it
+ * returns whether there was an interval. */
+static int next_interval(const airpuck *craft, int *next, double *now, double stop,
+                         double *duration, const airpuck_real **command)
+{
+    if (*next > craft->held)
+        return 0;
+    for (;; ++*next) {
+        const airpuck_held *following = &craft->commands[*next];
+        int changes = *next < craft->held && following->begins <= stop;
+        *command = craft->commands[*next > 0 ? *next - 1 : 0].command;
+        if (changes && !(following->begins > *now))
+            continue;
+        double end = changes ? following->begins : stop;
+        *duration = end - *now;
+        *now = end;
+        *next = changes ? *next + 1 : craft->held + 1;
+        return 1;
+    }
+}
+
+/* Advance only the motors to a time, if it is later than theirs. */
+static void turn_motors(airpuck *craft, double time)
+{
+    double last = craft->motors_at > NEVER ? craft->motors_at : craft->filtered, duration;
+    const airpuck_real *command;
+    if (time <= last)
+        return;
+    for (int next = 0; next_interval(craft, &next, &last, time, &duration, &command);)
+        airpuck_motors(&airpuck_identified, craft->belief.motor_speed, command,
+                       (airpuck_real)duration);
+    craft->motors_at = time;
+    drop_commands(craft, time);
+}
+
+static void hold(airpuck *craft, double begins, const airpuck_real command[N])
+{
+    /* Earlier commands that would begin later had wrong times. */
+    while (craft->held > 0 && craft->commands[craft->held - 1].begins >= begins)
+        craft->held--;
+    if (craft->held == AIRPUCK_HELD)
+        turn_motors(craft, craft->commands[1].begins);
+    if (craft->held == AIRPUCK_HELD) {
+        craft->held--;
+        memmove(craft->commands, craft->commands + 1, (size_t)craft->held * sizeof(airpuck_held));
+    }
+    airpuck_held *last = &craft->commands[craft->held++];
+    last->begins = begins;
+    memcpy(last->command, command, sizeof last->command);
+}
+
+/* The Kalman filter: independent axes with position, velocity and disturbance. */
+
+/* Advance a mean and motor speeds through an interval with one command, with the acceleration at
+ * its middle. */
+static void propagate(airpuck_real mean[3][3], airpuck_real speed[N], const airpuck_real command[N],
+                      airpuck_real h)
+{
+    airpuck_real middle[N], rate[3];
+    memcpy(middle, speed, sizeof middle);
+    airpuck_motors(&airpuck_identified, middle, command, h / 2);
+    airpuck_real motion[4] = {mean[2][0] + h / 2 * mean[2][1], mean[0][1], mean[1][1], mean[2][1]};
+    airpuck_acceleration(&airpuck_identified, motion, middle, rate);
+    for (int axis = 0; axis < 3; axis++) {
+        airpuck_real *axis_mean = mean[axis], gained = rate[axis] + axis_mean[2];
+        axis_mean[0] += h * axis_mean[1] + h * h / 2 * gained;
+        axis_mean[1] += h * gained;
+    }
+    airpuck_motors(&airpuck_identified, speed, command, h);
+}
+
+static void advance(const airpuck *craft, double time, airpuck_real mean[3][3],
+                    airpuck_real speed[N])
+{
+    double now = craft->filtered, duration;
+    const airpuck_real *command;
+    memcpy(mean, craft->belief.mean, sizeof craft->belief.mean);
+    memcpy(speed, craft->belief.motor_speed, sizeof craft->belief.motor_speed);
+    for (int next = 0; next_interval(craft, &next, &now, time, &duration, &command);)
+        propagate(mean, speed, command, (airpuck_real)duration);
+}
+
+/* Let the covariance of one axis grow over a time without measurements. */
+static void spread(airpuck_real p[3][3], airpuck_real h, airpuck_real acceleration,
+                   airpuck_real disturbance)
+{
+    airpuck_real step[3][3] = {{1, h, h * h / 2}, {0, 1, h}, {0, 0, 1}}, half[3][3];
+    airpuck_real h2 = h * h, h3 = h2 * h, h4 = h3 * h, h5 = h4 * h;
+    airpuck_real by_disturbance[3][3] = {
+        {h5 / 20, h4 / 8, h3 / 6}, {h4 / 8, h3 / 3, h2 / 2}, {h3 / 6, h2 / 2, h}};
+    airpuck_real by_acceleration[3][3] = {{h3 / 3, h2 / 2, 0}, {h2 / 2, h, 0}, {0, 0, 0}};
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            half[i][j] = 0;
+            for (int k = 0; k < 3; k++)
+                half[i][j] += step[i][k] * p[k][j];
+        }
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            p[i][j] = acceleration * by_acceleration[i][j] + disturbance * by_disturbance[i][j];
+            for (int k = 0; k < 3; k++)
+                p[i][j] += half[i][k] * step[j][k];
+        }
+}
+
+/* Correct one axis by the innovation of its position. */
+static void correct(airpuck_real mean[3], airpuck_real p[3][3], airpuck_real innovation,
+                    airpuck_real variance)
+{
+    airpuck_real column[3] = {p[0][0], p[1][0], p[2][0]};
+    for (int i = 0; i < 3; i++) {
+        airpuck_real gain = column[i] / (column[0] + variance);
+        mean[i] += gain * innovation;
+        for (int j = 0; j < 3; j++)
+            p[i][j] -= gain * column[j];
+    }
+}
+
+static void restart(airpuck *craft, double time, const airpuck_real pose[3])
+{
+    turn_motors(craft, time);
+    craft->motors_at = NEVER;
+    craft->filtered = time;
+    memset(craft->belief.mean, 0, sizeof craft->belief.mean);
+    memset(craft->belief.covariance, 0, sizeof craft->belief.covariance);
+    for (int axis = 0; axis < 3; axis++) {
+        craft->belief.mean[axis][0] = pose[axis];
+        for (int i = 0; i < 3; i++)
+            craft->belief.covariance[axis][i][i] = airpuck_tuned.initial_variance[axis][i];
+    }
+}
+
+static void difference(const airpuck_real pose[3], const airpuck_real other[3],
+                       airpuck_real result[3])
+{
+    for (int axis = 0; axis < 3; axis++)
+        result[axis] = pose[axis] - other[axis];
+    result[2] = airpuck_wrapped(result[2]);
+}
+
+/* Whether a difference of poses is too large for consecutive frames. */
+static int is_far(const airpuck_real apart[3])
+{
+    for (int axis = 0; axis < 3; axis++)
+        if (AIRPUCK_F(fabs)(apart[axis]) > jump[axis])
+            return 1;
+    return 0;
+}
+
+/* Use a pose unless it is too far from its prediction; return whether it was used. */
+static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
+{
+    airpuck_real mean[3][3], speed[N], innovation[3];
+    if (!(craft->filtered > NEVER) || craft->motors_at > NEVER) {
+        restart(craft, time, pose);
+        return 1;
+    }
+    advance(craft, time, mean, speed);
+    airpuck_real predicted[3] = {mean[0][0], mean[1][0], mean[2][0]};
+    difference(pose, predicted, innovation);
+    if (is_far(innovation))
+        return 0;
+    airpuck_real elapsed = (airpuck_real)(time - craft->filtered);
+    for (int axis = 0; axis < 3; axis++) {
+        airpuck_real(*covariance)[3] = craft->belief.covariance[axis];
+        spread(covariance, elapsed, airpuck_tuned.acceleration_density[axis],
+               airpuck_tuned.disturbance_density[axis]);
+        correct(mean[axis], covariance, innovation[axis], airpuck_tuned.pose_variance[axis]);
+    }
+    memcpy(craft->belief.mean, mean, sizeof mean);
+    memcpy(craft->belief.motor_speed, speed, sizeof speed);
+    craft->filtered = time;
+    drop_commands(craft, time);
+    return 1;
+}
+
+void airpuck_init(airpuck *craft)
+{
+    memset(craft, 0, sizeof *craft);
+    craft->status = AIRPUCK_NO_POSE;
+    craft->clock = craft->received = craft->used = NEVER;
+    craft->filtered = craft->motors_at = NEVER;
+    craft->held = 1;
+    craft->commands[0].begins = NEVER;
+    for (int i = 0; i < N; i++)
+        craft->commands[0].command[i] = craft->belief.motor_speed[i] = airpuck_tuned.command_min;
+#if AIRPUCK_STEPS > 0
+    airpuck_plan_begin(&craft->plan);
+#endif
+}
+
+void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
+{
+    double last = craft->received;
+    craft->bad = !(isfinite(stamp) && airpuck_finite(pose, 3));
+    if (craft->bad || (last - STALE <= stamp && stamp <= last))
+        return;
+    craft->received = stamp;
+    craft->clock = stamp > craft->clock ? stamp : craft->clock;
+    if (!(fabs(stamp - last) <= STALE)) {
+        /* The last pose is too old to predict from, or its stamp lies in the future. */
+    } else if (stamp - craft->used <= STALE && use_pose(craft, stamp, pose)) {
+        craft->used = stamp;
+        craft->doubtful = 0;
+        return;
+    } else {
+        airpuck_real apart[3];
+        difference(pose, craft->doubtful_pose, apart);
+        if (!craft->doubtful || is_far(apart))
+            craft->doubtful_since = stamp;
+        craft->doubtful = 1;
+        memcpy(craft->doubtful_pose, pose, sizeof craft->doubtful_pose);
+        if (!(stamp - craft->doubtful_since >= BELIEVED_AFTER))
+            return;
+    }
+    craft->doubtful = 0;
+    craft->used = stamp;
+    restart(craft, stamp, pose);
+}
+
+void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
+{
+    if (!airpuck_finite(command, N))
+        return;
+    if (isfinite(craft->clock) && !(time > NEVER && time <= craft->clock + STALE))
+        time = craft->clock;
+    if (!isfinite(time))
+        return;
+    craft->clock = time > craft->clock ? time : craft->clock;
+    hold(craft, time + airpuck_tuned.transport_delay, command);
+    /* Run the motors up to the last command that began to act long ago. */
+    for (int i = craft->held - 1; i >= 0; i--)
+        if (craft->commands[i].begins <= time - REMEMBERED) {
+            turn_motors(craft, craft->commands[i].begins);
+            break;
+        }
+}
+
+/* Why the craft cannot be steered; AIRPUCK_EXACT if it can. */
+static airpuck_status refusal(airpuck *craft, double now)
+{
+    if (!isfinite(now))
+        return AIRPUCK_BAD_INPUT;
+    craft->clock = now;
+    if (craft->bad)
+        return AIRPUCK_BAD_INPUT;
+    if (!(craft->received > NEVER))
+        return AIRPUCK_NO_POSE;
+    if (!(fabs(now - craft->received) <= STALE))
+        return AIRPUCK_STALE_POSE;
+    return craft->doubtful ? AIRPUCK_JUMPING_POSE : AIRPUCK_EXACT;
+}
+
+airpuck_status airpuck_step(airpuck *craft, double now,
+                            const airpuck_target targets[AIRPUCK_TARGETS], airpuck_real command[N])
+{
+    airpuck_real mean[3][3];
+    craft->status = refusal(craft, now);
+    craft->iterations = 0;
+    if (craft->status != AIRPUCK_EXACT) {
+        for (int i = 0; i < N; i++)
+            command[i] = airpuck_tuned.command_min;
+        memset(craft->request, 0, sizeof craft->request);
+        return craft->status;
+    }
+    advance(craft, now + airpuck_tuned.transport_delay, mean, craft->motor_speed);
+    for (int axis = 0; axis < 3; axis++) {
+        craft->state[axis] = mean[axis][0];
+        craft->state[3 + axis] = mean[axis][1];
+        craft->disturbance[axis] = mean[axis][2];
+    }
+#if AIRPUCK_STEPS > 0
+    craft->status = airpuck_mpc(craft, now, targets, command);
+#else
+    craft->status = airpuck_lqr(craft, targets, command);
+#endif
+    return craft->status;
+}
+
+void airpuck_set_point(airpuck_target targets[AIRPUCK_TARGETS], airpuck_real x, airpuck_real y,
+                       airpuck_real yaw)
+{
+    const airpuck_target target = {{x, y, yaw, 0, 0, 0}, {0, 0, 0}};
+    for (int i = 0; i < AIRPUCK_TARGETS; i++)
+        targets[i] = target;
+}
+
+const char *airpuck_status_name(airpuck_status status)
+{
+    static const char *const names[] = {
+        "exact",  "scaled",  "nearest",    "optimal",      "softened",  "iteration limit",
+        "fallback", "failed", "no pose", "stale pose", "jumping pose", "bad input",
+    };
+    return names[status];
+}

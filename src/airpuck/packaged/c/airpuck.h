@@ -1,0 +1,149 @@
+/* The controller of a craft: poses in, motor commands out.
+ *
+ *     airpuck craft;
+ *     airpuck_target targets[AIRPUCK_TARGETS];
+ *     airpuck_real command[AIRPUCK_MOTORS];
+ *     airpuck_init(&craft);
+ *     airpuck_set_point(targets, 0, 0, 0);
+ *     ... for every pose: airpuck_pose(&craft, stamp, pose);
+ *     ... every AIRPUCK_PERIOD: airpuck_step(&craft, now, targets, command);
+ *         send the command, then airpuck_sent(&craft, now, command);
+ *
+ * No memory is allocated and there are no global variables. The functions of one craft must not be
+ * called at the same time, for example from an interrupt.
+ *
+ * Times are seconds on the clock of the poses, and double also in single precision: after an hour
+ * a float cannot tell frames apart. Differences of times are converted at once. */
+#ifndef AIRPUCK_H
+#define AIRPUCK_H
+
+#include "airpuck_model.h"
+#include "airpuck_qp.h"
+
+/* Targets that a step takes: for the allocation, then one for each step of a prediction. */
+#define AIRPUCK_TARGETS (1 + AIRPUCK_STEPS)
+/* Variables of the thrust allocation: thrusts and two slacks. */
+#define AIRPUCK_ALLOCATED (AIRPUCK_MOTORS + 2)
+
+/* Outcome of a control step. Up to AIRPUCK_FALLBACK the craft flies; all others idle the motors. */
+typedef enum {
+    AIRPUCK_EXACT,           /* The requested acceleration is met. */
+    AIRPUCK_SCALED,          /* The linear or the angular acceleration is reduced. */
+    AIRPUCK_NEAREST,         /* No reduced request can be met; the nearest acceleration. */
+    AIRPUCK_OPTIMAL,         /* A plan within all limits. */
+    AIRPUCK_SOFTENED,        /* A plan that exceeds a limit of the craft's motion. */
+    AIRPUCK_ITERATION_LIMIT, /* The solver found no plan; the previous one continues. */
+    AIRPUCK_FALLBACK,        /* There is no plan; the thrust allocation steers. */
+    AIRPUCK_FAILED,          /* The solver found no thrusts. */
+    AIRPUCK_NO_POSE,         /* No pose has been received yet. */
+    AIRPUCK_STALE_POSE,      /* The last pose is more than 50 ms away from now. */
+    AIRPUCK_JUMPING_POSE,    /* The last poses cannot be the craft. */
+    AIRPUCK_BAD_INPUT        /* The last pose, or the time, is not finite. */
+} airpuck_status;
+
+/* A desired state x, y, yaw and their rates, and the acceleration to feed forward. */
+typedef struct {
+    airpuck_real state[6];
+    airpuck_real acceleration[3];
+} airpuck_target;
+
+/* A command and the time from which it acts. */
+typedef struct {
+    double begins;
+    airpuck_real command[AIRPUCK_MOTORS];
+} airpuck_held;
+
+/* What the filter knows after the last pose that it used. */
+typedef struct {
+    /* Position, velocity and disturbance of x, y and yaw; and their covariances. */
+    airpuck_real mean[3][3], covariance[3][3][3];
+    airpuck_real motor_speed[AIRPUCK_MOTORS];
+} airpuck_belief;
+
+/* Numbers chosen at export: the tuning, and what follows from it. */
+typedef struct {
+    double transport_delay;                 /* From sending a command to its effect [s]. */
+    airpuck_real period;                    /* Time between commands [s]. */
+    airpuck_real gain[3][6];                /* Of the regulator. */
+    airpuck_real motor_lag, motor_drive;    /* Next motor speed: lag * speed + drive * command. */
+    airpuck_real command_min, command_max;  /* Range of commands. */
+    airpuck_real arm;                       /* Makes angular accelerations comparable [m]. */
+    airpuck_real slack_root;                /* Square root of the cost of scaling a request. */
+    airpuck_real pose_variance[3];          /* Of measured poses. */
+    airpuck_real initial_variance[3][3];    /* Of position, velocity, disturbance at restarts. */
+    airpuck_real acceleration_density[3];   /* Squared density of unexplained accelerations. */
+    airpuck_real disturbance_density[3];    /* Squared density that drives the disturbance. */
+} airpuck_tuning;
+
+extern const airpuck_tuning airpuck_tuned;
+
+#if AIRPUCK_STEPS > 0
+#include "airpuck_mpc.h"
+#endif
+
+#if AIRPUCK_STEPS == 0
+#define AIRPUCK_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
+#define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_ALLOCATED, 0)
+#endif
+
+/* A controller. The first fields describe the last step; the rest is its memory. */
+typedef struct {
+    airpuck_status status;
+    airpuck_real request[3];                  /* Requested acceleration. */
+    airpuck_real state[6];                    /* Predicted for when the command begins to act. */
+    airpuck_real motor_speed[AIRPUCK_MOTORS]; /* At that time. */
+    airpuck_real disturbance[3];              /* Acceleration that the model does not explain. */
+    int iterations;                           /* Of the last quadratic program. */
+
+    double clock;    /* Latest time that is certain to have passed. */
+    double received; /* Stamps of the last pose received, and of the last one used. */
+    double used;
+    int bad;      /* Whether the last pose was not finite. */
+    int doubtful; /* Whether poses agree only with each other, since when, and the last one. */
+    double doubtful_since;
+    airpuck_real doubtful_pose[3];
+
+    double filtered;  /* Time of the belief; -INFINITY: none yet. */
+    double motors_at; /* Time of the motor speeds, if later; otherwise -INFINITY. */
+    airpuck_belief belief;
+    int held; /* Number of commands, the first of which acts at the time of the belief. */
+    airpuck_held commands[AIRPUCK_HELD];
+
+#if AIRPUCK_STEPS > 0
+    airpuck_plan plan;
+#endif
+    airpuck_real numbers[AIRPUCK_NUMBERS]; /* Used only within a step. */
+    int active[AIRPUCK_ACTIVE];
+} airpuck;
+
+/* Begin without any knowledge: motors idle, no pose. */
+void airpuck_init(airpuck *craft);
+
+/* Receive a measured pose x, y [m], yaw [rad].
+ *
+ * A pose that is not finite, not newer than the last, or implausibly far from its prediction is
+ * ignored. Poses that agree with each other for 50 ms are accepted, wherever they are; so are the
+ * first pose after a gap of 50 ms, and one more than 50 ms older than the last. */
+void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3]);
+
+/* Receive the command that was actually sent. One that is not finite counts as not sent; a time
+ * that is not finite, or more than 50 ms ahead, is replaced by the present. */
+void airpuck_sent(airpuck *craft, double time, const airpuck_real command[AIRPUCK_MOTORS]);
+
+/* Compute the command to send now.
+ *
+ * targets[0] is the target one period after the command begins to act, `transport_delay` from now;
+ * a prediction uses targets[k] at the end of its step k after that time. A command is computed in
+ * every case: idle, if the craft cannot be steered. */
+airpuck_status airpuck_step(airpuck *craft, double now,
+                            const airpuck_target targets[AIRPUCK_TARGETS],
+                            airpuck_real command[AIRPUCK_MOTORS]);
+
+/* Fill in targets that hold a pose, at rest. */
+void airpuck_set_point(airpuck_target targets[AIRPUCK_TARGETS], airpuck_real x, airpuck_real y,
+                       airpuck_real yaw);
+
+/* The name of a status, in words. */
+const char *airpuck_status_name(airpuck_status status);
+
+#endif

@@ -1,0 +1,282 @@
+#include "airpuck_lqr.h"
+
+#define N AIRPUCK_MOTORS
+#define PI AIRPUCK_R(3.14159265358979323846)
+/* A request counts as met if both slacks are this close to 1. */
+#define UNSCALED AIRPUCK_R(1e-6)
+#ifdef AIRPUCK_SINGLE
+#define RESOLVED AIRPUCK_R(2e-7)
+#else
+/* Change of a motor speed at which the inverse of its thrust curve has converged. */
+#define RESOLVED AIRPUCK_R(1e-12)
+#endif
+/* Newton's method needs about five passes, bisection alone 40: this bound is never reached. */
+#define MOST_PASSES 100
+
+/* The quadratic program of the allocation; see airpuck_lqr. */
+typedef struct {
+    airpuck_real rows[3][AIRPUCK_ALLOCATED];
+    airpuck_real wanted[3];
+    airpuck_real lower[AIRPUCK_ALLOCATED], upper[AIRPUCK_ALLOCATED];
+} allocation;
+
+airpuck_real airpuck_wrapped(airpuck_real angle)
+{
+    return angle - 2 * PI * AIRPUCK_F(rint)(angle * (AIRPUCK_R(0.5) / PI));
+}
+
+airpuck_real airpuck_clipped(airpuck_real number, airpuck_real least, airpuck_real most)
+{
+    if (number < least)
+        return least;
+    return number > most ? most : number;
+}
+
+int airpuck_finite(const airpuck_real *numbers, int count)
+{
+    for (int i = 0; i < count; i++)
+        if (!isfinite(numbers[i]))
+            return 0;
+    return 1;
+}
+
+/* Accelerations are matrix * thrusts + offset, without effects, which count as a disturbance. */
+static void acceleration_map(airpuck_real yaw, airpuck_real spin, airpuck_real matrix[3][N],
+                             airpuck_real offset[3])
+{
+    const airpuck_model *model = &airpuck_identified;
+    airpuck_real cosine = AIRPUCK_F(cos)(yaw), sine = AIRPUCK_F(sin)(yaw), rx, ry;
+    airpuck_center_of_mass(model, cosine, sine, &rx, &ry);
+    for (int i = 0; i < N; i++) {
+        airpuck_real forward = model->configuration[0][i], left = model->configuration[1][i];
+        airpuck_real angular = model->configuration[2][i];
+        matrix[0][i] = cosine * forward - sine * left + ry * angular;
+        matrix[1][i] = sine * forward + cosine * left - rx * angular;
+        matrix[2][i] = angular;
+    }
+    offset[0] = rx * (spin * spin);
+    offset[1] = ry * (spin * spin);
+    offset[2] = 0;
+}
+
+/* The state one period later. Until then the motor speeds fix the accelerations. */
+static void look_ahead(const airpuck *craft, airpuck_real following[6])
+{
+    airpuck_real matrix[3][N], offset[3], force[N], h = airpuck_tuned.period;
+    acceleration_map(craft->state[2], craft->state[5], matrix, offset);
+    airpuck_thrust(&airpuck_identified, craft->motor_speed, force);
+    for (int axis = 0; axis < 3; axis++) {
+        airpuck_real settled = offset[axis] + craft->disturbance[axis];
+        for (int i = 0; i < N; i++)
+            settled += matrix[axis][i] * force[i];
+        following[axis] = craft->state[axis] + h * craft->state[3 + axis] + h * h / 2 * settled;
+        following[3 + axis] = craft->state[3 + axis] + h * settled;
+    }
+}
+
+/* Request the acceleration a_ref - K (x - x_ref), without the disturbance. */
+static void request(airpuck *craft, const airpuck_real following[6], const airpuck_target *target)
+{
+    airpuck_real error[6];
+    for (int i = 0; i < 6; i++)
+        error[i] = following[i] - target->state[i];
+    error[2] = airpuck_wrapped(error[2]);
+    for (int axis = 0; axis < 3; axis++) {
+        airpuck_real fed_back = 0;
+        for (int i = 0; i < 6; i++)
+            fed_back += airpuck_tuned.gain[axis][i] * error[i];
+        craft->request[axis] = target->acceleration[axis] - fed_back - craft->disturbance[axis];
+    }
+}
+
+/* Write the program: thrusts F and scaled slacks root (1 - s) that give the request,
+ *
+ *     min |F|^2 + root^2 (1 - s1)^2 + root^2 (1 - s2)^2
+ *     such that (s1 vx, s1 vy, s2 v_yaw) = M F + g, lower <= F <= upper, 0 <= s1, s2 <= 1.
+ *
+ * The scale of the slacks makes the Hessian a multiple of the identity. Return whether all its
+ * numbers are finite. */
+static int pose_problem(const airpuck *craft, const airpuck_real following[6],
+                        const airpuck_real coasting[N], allocation *posed)
+{
+    const airpuck_tuning *tuning = &airpuck_tuned;
+    airpuck_real matrix[3][N], offset[3], least[N], most[N];
+    acceleration_map(following[2], following[5], matrix, offset);
+    for (int i = 0; i < N; i++) {
+        least[i] = coasting[i] + tuning->motor_drive * tuning->command_min;
+        most[i] = coasting[i] + tuning->motor_drive * tuning->command_max;
+    }
+    airpuck_thrust(&airpuck_identified, least, posed->lower);
+    airpuck_thrust(&airpuck_identified, most, posed->upper);
+    for (int s = 0; s < 2; s++) {
+        posed->lower[N + s] = 0;
+        posed->upper[N + s] = tuning->slack_root;
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        airpuck_real scale = axis == 2 ? tuning->arm : 1, asked = scale * craft->request[axis];
+        for (int i = 0; i < N; i++)
+            posed->rows[axis][i] = scale * matrix[axis][i];
+        posed->rows[axis][N] = axis == 2 ? 0 : asked / tuning->slack_root;
+        posed->rows[axis][N + 1] = axis == 2 ? asked / tuning->slack_root : 0;
+        posed->wanted[axis] = asked - scale * offset[axis];
+    }
+    return airpuck_finite(posed->rows[0], 3 * AIRPUCK_ALLOCATED) &&
+           airpuck_finite(posed->wanted, 3) && airpuck_finite(posed->lower, AIRPUCK_ALLOCATED) &&
+           airpuck_finite(posed->upper, AIRPUCK_ALLOCATED);
+}
+
+/* Solve the program; return whether it is feasible. */
+static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    airpuck_qp qp;
+    int sense[AIRPUCK_ALLOCATED + 3];
+    airpuck_qp_begin(&qp, AIRPUCK_ALLOCATED, 3, 0, posed->rows[0], craft->numbers, craft->active,
+                     sense);
+#ifndef AIRPUCK_SINGLE
+    /* The defaults call small requests with nearly parallel columns infeasible, and miss others. */
+    qp.settings.sing_tol = AIRPUCK_R(1e-14);
+    qp.settings.primal_tol = AIRPUCK_R(1e-9);
+#endif
+    for (int i = 0; i < AIRPUCK_ALLOCATED + 3; i++) {
+        int equality = i >= AIRPUCK_ALLOCATED;
+        sense[i] = equality ? DAQP_ACTIVE | DAQP_IMMUTABLE : 0;
+        qp.lower[i] = equality ? posed->wanted[i - AIRPUCK_ALLOCATED] : posed->lower[i];
+        qp.upper[i] = equality ? posed->wanted[i - AIRPUCK_ALLOCATED] : posed->upper[i];
+    }
+    airpuck_qp_factor_twice_identity(&qp);
+    int flag = airpuck_qp_solve(&qp);
+    craft->iterations = qp.work.iterations;
+    for (int i = 0; i < AIRPUCK_ALLOCATED; i++)
+        x[i] = qp.work.x[i];
+    return flag == DAQP_EXIT_OPTIMAL;
+}
+
+/* Find the acceleration nearest to a scaled request: min |Ax - b|^2 + (small weights) x^2 over
+ * thrusts and slacks 1 - s within their bounds. Return whether it was found. */
+static int solve_nearest(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+#ifdef AIRPUCK_SINGLE
+    /* A float cannot hold the small weights beside A'A. Larger ones that keep to the previous
+     * solution lead to nearly the same. */
+    const airpuck_real weights[2] = {AIRPUCK_R(1e-3), AIRPUCK_R(1e-2)};
+    const int passes = 4;
+#else
+    const airpuck_real weights[2] = {AIRPUCK_R(1e-8), AIRPUCK_R(1e-7)};
+    const int passes = 1;
+#endif
+    int n = AIRPUCK_ALLOCATED;
+    for (int i = 0; i < n; i++)
+        x[i] = 0;
+    for (int pass = 0; pass < passes; pass++) {
+        airpuck_qp qp;
+        int sense[AIRPUCK_ALLOCATED] = {0};
+        airpuck_qp_begin(&qp, n, 0, 0, NULL, craft->numbers, craft->active, sense);
+        airpuck_real a[3][AIRPUCK_ALLOCATED];
+        for (int j = 0; j < n; j++) {
+            airpuck_real unit = j < N ? 1 : airpuck_tuned.slack_root, weight = weights[j >= N];
+            for (int axis = 0; axis < 3; axis++)
+                a[axis][j] = posed->rows[axis][j] * unit;
+            qp.lower[j] = posed->lower[j] / unit;
+            qp.upper[j] = posed->upper[j] / unit;
+            qp.gradient[j] = -weight * x[j];
+            for (int axis = 0; axis < 3; axis++)
+                qp.gradient[j] -= posed->wanted[axis] * a[axis][j];
+        }
+        for (int i = 0, at = 0; i < n; i++)
+            for (int j = i; j < n; j++, at++) {
+                qp.hessian[at] = i == j ? weights[j >= N] : 0;
+                for (int axis = 0; axis < 3; axis++)
+                    qp.hessian[at] += a[axis][i] * a[axis][j];
+            }
+        if (!airpuck_qp_factor(&qp))
+            return 0;
+        if (!airpuck_qp_unconstrained(&qp)) {
+            int flag = airpuck_qp_solve(&qp);
+            craft->iterations += qp.work.iterations;
+            if (flag != DAQP_EXIT_OPTIMAL)
+                return 0;
+        }
+        for (int i = 0; i < n; i++)
+            x[i] = qp.work.x[i];
+    }
+    for (int s = N; s < n; s++)
+        x[s] *= airpuck_tuned.slack_root;
+    return 1;
+}
+
+static airpuck_status allocate(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    if (!solve_constrained(craft, posed, x)) {
+        int found = solve_nearest(craft, posed, x) && airpuck_finite(x, AIRPUCK_ALLOCATED);
+        return found ? AIRPUCK_NEAREST : AIRPUCK_FAILED;
+    }
+    if (!airpuck_finite(x, AIRPUCK_ALLOCATED))
+        return AIRPUCK_FAILED;
+    airpuck_real slack = (x[N] > x[N + 1] ? x[N] : x[N + 1]) / airpuck_tuned.slack_root;
+    return 1 - slack > 1 - UNSCALED ? AIRPUCK_EXACT : AIRPUCK_SCALED;
+}
+
+/* Thrust and slope of one motor's curve. */
+static airpuck_real curve(int motor, airpuck_real speed, airpuck_real *slope)
+{
+    const airpuck_real *coefficients = airpuck_identified.thrust[motor];
+    airpuck_real total = 0;
+    *slope = 0;
+    for (int power = AIRPUCK_DEGREE - 1; power >= 0; power--) {
+        total = (total + coefficients[power]) * speed;
+        *slope = *slope * speed + (airpuck_real)(power + 1) * coefficients[power];
+    }
+    return total;
+}
+
+/* The motor speed that gives a thrust: Newton's method in a bracket, halved where it leaves it. */
+static airpuck_real inverse_thrust(int motor, airpuck_real force)
+{
+    airpuck_real slope, top = curve(motor, 1, &slope);
+    airpuck_real target = airpuck_clipped(force, 0, top), low = 0, high = 1;
+    airpuck_real speed = top > 0 ? target / top : 0;
+    for (int pass = 0; pass < MOST_PASSES; pass++) {
+        airpuck_real error = curve(motor, speed, &slope) - target;
+        if (error <= 0)
+            low = speed;
+        if (error >= 0)
+            high = speed;
+        if (error == 0)
+            break;
+        airpuck_real newton = speed - error / slope;
+        airpuck_real following = newton > low && newton < high ? newton : (low + high) / 2;
+        airpuck_real change = AIRPUCK_F(fabs)(following - speed);
+        speed = following;
+        if (!(change > RESOLVED))
+            break;
+    }
+    return speed;
+}
+
+airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
+                           airpuck_real command[AIRPUCK_MOTORS])
+{
+    const airpuck_tuning *tuning = &airpuck_tuned;
+    airpuck_real following[6], coasting[N], x[AIRPUCK_ALLOCATED];
+    allocation posed;
+    look_ahead(craft, following);
+    request(craft, following, target);
+    for (int i = 0; i < N; i++)
+        coasting[i] = tuning->motor_lag * craft->motor_speed[i];
+    airpuck_status status = AIRPUCK_FAILED;
+    if (pose_problem(craft, following, coasting, &posed))
+        status = allocate(craft, &posed, x);
+    if (status != AIRPUCK_FAILED) {
+        for (int i = 0; i < N; i++) {
+            /* The solver meets bounds to its tolerance; the result meets them exactly. */
+            airpuck_real force = airpuck_clipped(x[i], posed.lower[i], posed.upper[i]);
+            airpuck_real driven = (inverse_thrust(i, force) - coasting[i]) / tuning->motor_drive;
+            command[i] = airpuck_clipped(driven, tuning->command_min, tuning->command_max);
+        }
+        if (airpuck_finite(command, N))
+            return status;
+    }
+    for (int i = 0; i < N; i++)
+        command[i] = tuning->command_min;
+    return AIRPUCK_FAILED;
+}

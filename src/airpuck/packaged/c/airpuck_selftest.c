@@ -1,0 +1,76 @@
+/* Repeats the flight in golden.csv and compares statuses and commands.
+ *
+ * Lines: `target,x,y,yaw`, `pose,stamp,x,y,yaw`, `sent,time,command...`, and
+ * `step,now,status,command...` with what the controller in Python computed. */
+#include "airpuck.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#ifdef AIRPUCK_SINGLE
+#define TOLERANCE 1e-4
+#define MOST_UNEQUAL 0.01
+#else
+#define TOLERANCE 1e-7
+#define MOST_UNEQUAL 0.0
+#endif
+
+static airpuck craft;
+
+/* Read numbers that are separated by commas; return how many there are. */
+static int numbers(const char *text, airpuck_real *result, int count)
+{
+    int found = 0;
+    for (char *end; found < count; text = end + 1) {
+        result[found++] = (airpuck_real)strtod(text, &end);
+        if (*end != ',')
+            break;
+    }
+    return found;
+}
+
+int main(int count, char **words)
+{
+    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_real given[AIRPUCK_MOTORS > 3 ? AIRPUCK_MOTORS : 3], command[AIRPUCK_MOTORS];
+    char line[2000], *rest;
+    int steps = 0, unequal = 0;
+    double worst = 0;
+    FILE *file = fopen(count > 1 ? words[1] : "golden.csv", "r");
+    if (file == NULL) {
+        fprintf(stderr, "cannot open golden.csv\n");
+        return 2;
+    }
+    airpuck_init(&craft);
+    airpuck_set_point(targets, 0, 0, 0);
+    while (fgets(line, sizeof line, file) != NULL) {
+        char *value = strchr(line, ',') + 1;
+        if (line[0] == 't') {
+            numbers(value, given, 3);
+            airpuck_set_point(targets, given[0], given[1], given[2]);
+            continue;
+        }
+        double time = strtod(value, &rest);
+        if (line[0] == 'p') {
+            numbers(rest + 1, given, 3);
+            airpuck_pose(&craft, time, given);
+        } else if (strncmp(line, "sent", 4) == 0) {
+            numbers(rest + 1, given, AIRPUCK_MOTORS);
+            airpuck_sent(&craft, time, given);
+        } else {
+            const char *name = airpuck_status_name(airpuck_step(&craft, time, targets, command));
+            int same = strncmp(rest + 1, name, strlen(name)) == 0;
+            numbers(strchr(rest + 1, ',') + 1, given, AIRPUCK_MOTORS);
+            double difference = 0;
+            for (int i = 0; i < AIRPUCK_MOTORS; i++)
+                difference = fmax(difference, fabs((double)command[i] - (double)given[i]));
+            worst = same && difference > worst ? difference : worst;
+            unequal += !same || difference > TOLERANCE;
+            steps++;
+        }
+    }
+    fclose(file);
+    printf("%d steps, %d different, largest difference of a command %.2g\n", steps, unequal, worst);
+    return steps == 0 || unequal > MOST_UNEQUAL * steps;
+}

@@ -1,0 +1,41 @@
+/* Reads poses from standard input and writes commands.
+ *
+ * Input lines: `time x y yaw`, or `target x y yaw`. Output lines: time, status, a number for each
+ * motor. Replace the input by your motion capture and the output by your radio. */
+#include "airpuck.h"
+
+#include <stdio.h>
+
+static airpuck craft;
+
+int main(void)
+{
+    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_real command[AIRPUCK_MOTORS];
+    double time, x, y, yaw, due = -(double)INFINITY;
+    char line[200];
+
+    airpuck_init(&craft);
+    airpuck_set_point(targets, 0, 0, 0);
+    while (fgets(line, sizeof line, stdin) != NULL) {
+        if (sscanf(line, "target %lf %lf %lf", &x, &y, &yaw) == 3) {
+            airpuck_set_point(targets, (airpuck_real)x, (airpuck_real)y, (airpuck_real)yaw);
+        } else if (sscanf(line, "%lf %lf %lf %lf", &time, &x, &y, &yaw) == 4) {
+            airpuck_real pose[3] = {(airpuck_real)x, (airpuck_real)y, (airpuck_real)yaw};
+            airpuck_pose(&craft, time, pose);
+            if (time < due)
+                continue;
+            airpuck_status status = airpuck_step(&craft, time, targets, command);
+            airpuck_sent(&craft, time, command);
+            due = time + (double)airpuck_tuned.period / 2;
+            printf("%.4f %s", time, airpuck_status_name(status));
+            for (int i = 0; i < AIRPUCK_MOTORS; i++)
+                printf(" %.4f", (double)command[i]);
+            printf("\n");
+        } else {
+            fprintf(stderr, "expected 'time x y yaw' or 'target x y yaw': %s", line);
+            return 1;
+        }
+    }
+    return 0;
+}

@@ -1,0 +1,79 @@
+/* The exported controller for ctypes: doubles in either precision, and its fields as arrays. */
+#include "airpuck.h"
+
+static void narrowed(const double *given, airpuck_real *result, int count)
+{
+    for (int i = 0; i < count; i++)
+        result[i] = (airpuck_real)given[i];
+}
+
+static double *widened(const airpuck_real *given, double *result, int count)
+{
+    for (int i = 0; i < count; i++)
+        result[i] = given[i];
+    return result + count;
+}
+
+size_t access_size(void);
+void access_pose(airpuck *craft, double stamp, const double *pose);
+void access_sent(airpuck *craft, double time, const double *command);
+int access_step(airpuck *craft, double now, const double *given, double *command);
+void access_estimate(const airpuck *craft, double *result);
+int access_limits(const airpuck *craft, int *active);
+
+size_t access_size(void)
+{
+    return sizeof(airpuck);
+}
+
+void access_pose(airpuck *craft, double stamp, const double *pose)
+{
+    airpuck_real own[3];
+    narrowed(pose, own, 3);
+    airpuck_pose(craft, stamp, own);
+}
+
+void access_sent(airpuck *craft, double time, const double *command)
+{
+    airpuck_real own[AIRPUCK_MOTORS];
+    narrowed(command, own, AIRPUCK_MOTORS);
+    airpuck_sent(craft, time, own);
+}
+
+/* Targets are states, then accelerations, one row after the other. */
+int access_step(airpuck *craft, double now, const double *given, double *command)
+{
+    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_real own[AIRPUCK_MOTORS];
+    for (int i = 0; i < AIRPUCK_TARGETS; i++) {
+        narrowed(given + 9 * i, targets[i].state, 6);
+        narrowed(given + 9 * i + 6, targets[i].acceleration, 3);
+    }
+    airpuck_status status = airpuck_step(craft, now, targets, own);
+    widened(own, command, AIRPUCK_MOTORS);
+    return (int)status;
+}
+
+/* Request, state, disturbance, motor speeds. */
+void access_estimate(const airpuck *craft, double *result)
+{
+    result = widened(craft->request, result, 3);
+    result = widened(craft->state, result, 6);
+    result = widened(craft->disturbance, result, 3);
+    widened(craft->motor_speed, result, AIRPUCK_MOTORS);
+}
+
+/* Which limits of the last plan are active; return their number. */
+int access_limits(const airpuck *craft, int *active)
+{
+#if AIRPUCK_STEPS > 0
+    int count = AIRPUCK_COMMANDS + AIRPUCK_ROWS;
+    for (int i = 0; i < count; i++)
+        active[i] = craft->plan.sense[i] & 1;
+    return count;
+#else
+    (void)craft;
+    (void)active;
+    return 0;
+#endif
+}

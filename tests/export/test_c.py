@@ -1,0 +1,147 @@
+"""The controller in C against the controller in Python."""
+
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import airpuck
+from airpuck.boundary.errors import InputError
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
+from airpuck.flight.loop import fly
+from airpuck.twin.twin import Twin
+
+from ..apparatus.c_programs import SANITIZED, build, compiler
+from ..apparatus.compiled_controllers import CompiledController, compare, library
+from ..apparatus.export_crafts import ALL_EFFECTS, FOUR, ON_OFF, PAPER
+
+MODELS = {**PAPER, "all effects": ALL_EFFECTS, "four propellers": FOUR}
+M4 = PAPER["M4"]
+HOME = SetPoint(0.0, 0.0, 0.0)
+#: Inputs of the address sanitizer: exit on an error, without a search for leaks.
+ENVIRONMENT = {**os.environ, "ASAN_OPTIONS": "detect_leaks=0"}
+
+
+def program(folder: Path, main: str, *options: str, using: str = "gcc") -> Path:
+    """Compile one of the exported programs."""
+    sources = [p for p in folder.glob("airpuck*.c") if "selftest" not in p.name]
+    return build(folder / "program", [*sources, folder / main], *options, using=using)
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("c") / "m4"
+    airpuck.export.write(M4, "c", folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("M1", "M2", "M3"))) for n in MODELS]
+)
+def test_commands_and_states_are_pythons(name, tmp_path):
+    model = MODELS[name]
+    python = TrackingController(model, HOME, compiled=False)
+    c = CompiledController(library(model, tmp_path / "c"), model)
+    found = compare(python, c, 400 if name == "M4" else 120)
+    assert found.same == 1
+    # Where thrusts are not unique, small weights choose, and rounding shows.
+    assert found.worst("command") < 1e-8
+    assert found.worst("state") < 1e-9
+    assert {"exact", "scaled"} <= set(found.seen)
+    if name == "M4":
+        assert {"nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
+
+
+def test_the_flight_of_the_export_repeats(exported):
+    golden = (exported / "golden.csv").read_text()
+    assert {"exact", "scaled", "stale pose", "jumping pose", "bad input"} <= {
+        line.split(",")[2] for line in golden.splitlines() if line.startswith("step")
+    }
+    for options in (SANITIZED, ()):
+        selftest = program(exported, "airpuck_selftest.c", *options)
+        words = [selftest, exported / "golden.csv"]
+        done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT)
+        assert done.returncode == 0, done.stdout + done.stderr
+    # The test notices a difference.
+    (exported / "wrong.csv").write_text(golden.replace("scaled", "exact", 1))
+    assert subprocess.run([selftest, exported / "wrong.csv"], capture_output=True).returncode == 1
+
+
+@pytest.mark.parametrize("using", ["gcc", "clang"])
+def test_no_compiler_warns(exported, using):
+    compiler(using)
+    for options in ((), ("-DAIRPUCK_SINGLE",)):
+        program(exported, "main.c", *options, using=using)
+
+
+def test_no_memory_is_allocated(exported, tmp_path):
+    sources = [p for p in exported.glob("airpuck*.c") if "selftest" not in p.name]
+    for number, source in enumerate(sources):
+        build(tmp_path / f"{number}.o", [source], "-c")
+    words = ["nm", "--undefined-only", *tmp_path.glob("*.o")]
+    listed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    needed = {line.split()[-1] for line in listed.splitlines() if " U " in line}
+    own = {name for name in needed if name.startswith(("airpuck_", "daqp_", "reset_", "ldp2qp"))}
+    others = {name.lstrip("_").removesuffix("_chk") for name in needed - own}
+    libm = {"cos", "sin", "exp", "sqrt", "rint", "fabs", "GLOBAL_OFFSET_TABLE_"}
+    assert others <= libm | {"memcpy", "memmove", "memset", "stack_fail", "stack_chk_fail"}
+
+
+def test_the_program_reads_poses_and_writes_commands(exported):
+    given = "0 0 0 0\n0.01 0 0 0\ntarget 0.1 0 0\n0.02 0.001 0 0\n"
+    words = [program(exported, "main.c")]
+    done = subprocess.run(words, input=given, capture_output=True, text=True, check=True)
+    lines = [line.split() for line in done.stdout.splitlines()]
+    assert [line[:2] for line in lines] == [[f"0.0{k}00", "exact"] for k in range(3)]
+    assert all(0.03 <= float(number) <= 1 for line in lines for number in line[2:])
+    bad = subprocess.run(words, input="0 0\n", capture_output=True, text=True)
+    assert bad.returncode == 1
+    assert "time x y yaw" in bad.stderr
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_the_stated_size_is_the_compilers(exported, tmp_path, precision):
+    facts = airpuck.export.write(M4, "c", tmp_path / "again").facts
+    options = {"double": (), "single": ("-DAIRPUCK_SINGLE",)}[precision]
+    (tmp_path / "size.c").write_text(
+        '#include "airpuck.h"\n'
+        f"typedef char same[sizeof(airpuck) == {facts[f'state in {precision} precision, bytes']}"
+        " ? 1 : -1];\nsame airpuck_same;\n"
+    )
+    (tmp_path / "again" / "size.c").write_bytes((tmp_path / "size.c").read_bytes())
+    build(tmp_path / "size.o", [tmp_path / "again" / "size.c"], "-c", *options)
+
+
+def test_a_flight_on_the_twin_ends_where_pythons_does(tmp_path):
+    ends = []
+    c = CompiledController(library(M4, tmp_path / "c"), M4)
+    for pilot in (TrackingController(M4, HOME, compiled=False), c):
+        pilot.reference = SetPoint(0.2, -0.1, 1.0)
+        twin = Twin(M4, seed=3)
+        fly(pilot, twin, 1.0)
+        ends.append(twin.state)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-7)
+
+
+def test_what_has_no_c_is_named(tmp_path):
+    tuning = default_tuning()
+    allocation = tuning.allocation.model_copy(update={"solver": "piqp"})
+    for model, chosen, name in (
+        (M4, tuning.with_estimator("actuation"), "actuation"),
+        (M4, tuning.with_regulator("own.py:Law"), "own.py:Law"),
+        (M4, tuning.model_copy(update={"allocation": allocation}), "piqp"),
+        (ON_OFF, tuning, "on/off"),
+        (
+            replace(M4, parameters=replace(M4.parameters, thrust=-M4.parameters.thrust)),
+            tuning,
+            "falls",
+        ),
+    ):
+        with pytest.raises(InputError, match=name):
+            airpuck.export.write(model, "c", tmp_path / "none", tuning=chosen)
+        assert not (tmp_path / "none").exists()
