@@ -40,12 +40,13 @@ _SOURCES = (
     "airpuck_qp.h",
     "airpuck_qp.c",
     "airpuck_daqp.c",
-    *(f"daqp/{name}" for name in ("LICENSE", "types.h", "constants.h")),
-    *(
-        f"daqp/{name}{end}"
-        for name in ("daqp", "auxiliary", "factorization")
-        for end in (".h", ".c")
-    ),
+)
+#: DAQP's, which they include.
+_DAQP = (
+    "LICENSE",
+    "types.h",
+    "constants.h",
+    *(f"{name}{end}" for name in ("daqp", "auxiliary", "factorization") for end in (".h", ".c")),
 )
 
 
@@ -53,7 +54,6 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the controller of a model as C99; return its sizes."""
     model, tuning = subject.model, subject.tuning
     _check(model, tuning)
-    (folder / "daqp").mkdir()
     sizes = {
         "AIRPUCK_STEPS": 0,
         "AIRPUCK_HELD": math.ceil((_REMEMBERED + model.transport_delay) / tuning.period_s) + 4,
@@ -61,6 +61,8 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     tuned = constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))
     write_model(model, folder, sizes=sizes, data={"airpuck.h": tuned})
     copy_sources(_SOURCES, folder)
+    (folder / "daqp").mkdir()
+    copy_sources([f"daqp/{name}" for name in _DAQP], folder / "daqp")
     golden = "\n".join(golden_flight(model, tuning))
     (folder / "golden.csv").write_text(f"{golden}\n")
     n = model.vehicle.n_propellers
