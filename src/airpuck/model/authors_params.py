@@ -1,4 +1,4 @@
-"""The authors' ``params.json``, as published with the paper."""
+"""The authors' files: ``params.json`` of their identification, the YAML of their controller."""
 
 from __future__ import annotations
 
@@ -8,12 +8,20 @@ from typing import Any
 import numpy as np
 import pydantic
 
-from airpuck.boundary.files import Positive, checked
-from airpuck.boundary.parsing import load_json
-from airpuck.craft.vehicle import default_vehicle
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Fraction, NonNegative, Positive, checked
+from airpuck.boundary.parsing import load_json, load_yaml
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import with_nominal_delay
+
+#: Motors in the names of the controller's keys, and the numbers in those of the thrust curves.
+MOTORS = {name: k for k, name in enumerate(("a_1", "a_2", "b_1", "b_2", "c_1", "c_2"), start=1)}
+#: Rounding of unit vectors in published files, which are in single precision.
+_SINGLE = 1e-6
+
+_Vector = tuple[float, float, float]
 
 
 class _AuthorsValues(pydantic.BaseModel):
@@ -24,7 +32,7 @@ class _AuthorsValues(pydantic.BaseModel):
     inertia_kg_m2: float = pydantic.Field(alias="inertia")
     motor_time_constant_s: float = pydantic.Field(alias="tau")
     angle_offset_rad: float = pydantic.Field(alias="motor_angle_offset")
-    center_of_mass_m: tuple[float, float, float] = pydantic.Field(alias="center_of_mass")
+    center_of_mass_m: _Vector = pydantic.Field(alias="center_of_mass")
     configuration_matrix_SI: Rows = pydantic.Field(alias="configuration_matrix")
 
 
@@ -62,6 +70,77 @@ def read_params_json(path: Path) -> dict[str, Any]:
         "vehicle": vehicle,
         "parameters": parameters,
         "free": mask,
+        "frame": "world",
+        "indexing": "end",
+        "source": str(path),
+    }
+
+
+_of_motors: dict[str, Any] = {
+    **{f"motor_pos_{name}": (_Vector, ...) for name in MOTORS},
+    **{f"learned_motor_vec_{name}": (_Vector, ...) for name in MOTORS},
+    **{f"signal_to_thrust_coeffs_motor_{k}": (tuple[float, ...], ...) for k in MOTORS.values()},
+}
+
+
+class _ControllersValues(pydantic.create_model("_OfMotors", **_of_motors)):
+    """The properties of a craft that the authors' ROS 2 controller reads."""
+
+    mass: Positive
+    CoM: _Vector
+    inertia: Positive
+    idle_signal: Fraction
+    motor_tau: NonNegative
+    use_configuration_matrix: bool
+    configuration_matrix: tuple[float, ...] = pydantic.Field(min_length=18, max_length=18)
+
+    def of_motors(self, key: str) -> np.ndarray:
+        """Return the vectors of all motors, without their height."""
+        return np.array([getattr(self, f"{key}_{name}") for name in MOTORS])[:, :2]
+
+
+def read_params_yaml(path: Path) -> dict[str, Any]:
+    """Return the fields of the `Model` in the YAML of the authors' ROS 2 controller.
+
+    Its positions and directions include the angle offset, so the model has none.
+    """
+    content = checked(load_yaml(path), _ControllersValues, file=path)
+    directions = content.of_motors("learned_motor_vec")
+    if (np.abs(np.hypot(*directions.T) - 1) > _SINGLE).any():
+        raise InputError("must be unit vectors", file=path, field="learned_motor_vec")
+    thrust = [getattr(content, f"signal_to_thrust_coeffs_motor_{k}") for k in MOTORS.values()]
+    section = {
+        "thrust_N": thrust,
+        "inertia_kg_m2": content.inertia,
+        "motor_time_constant_s": content.motor_tau,
+        "angle_offset_rad": 0.0,
+        "center_of_mass_m": content.CoM[:2],
+    }
+    if content.use_configuration_matrix:
+        section["configuration_matrix_SI"] = np.reshape(
+            content.configuration_matrix, (3, 6)
+        ).tolist()
+    known = default_vehicle()
+    angles = np.rad2deg(np.arctan2(*directions.T[::-1])).tolist()
+    propellers = [
+        {"name": propeller.name, "position_m": place, "direction_deg": angle}
+        for propeller, place, angle in zip(
+            known.propellers, content.of_motors("motor_pos").tolist(), angles, strict=True
+        )
+    ]
+    changed = {
+        "name": path.stem,
+        "mass_kg": content.mass,
+        "command_min": content.idle_signal,
+        "propellers": propellers,
+    }
+    vehicle = checked(known.model_dump() | changed, Vehicle, file=path)
+    parameters = with_nominal_delay(section, vehicle, file=path)
+    return {
+        "name": path.stem,
+        "vehicle": vehicle,
+        "parameters": parameters,
+        "free": parameters.mask(frozenset()),
         "frame": "world",
         "indexing": "end",
         "source": str(path),

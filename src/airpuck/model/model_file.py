@@ -21,7 +21,7 @@ from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.model.authors_params import read_params_json
+from airpuck.model.authors_params import read_params_json, read_params_yaml
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
@@ -387,8 +387,8 @@ def read_model(name: str | os.PathLike[str]) -> Model:
     Parameters
     ----------
     name : str or path-like
-        A model file, the authors' ``params.json``, or ``paper:M0`` … ``paper:M4`` for the published
-        parameters.
+        A model file, the authors' ``params.json``, the YAML of their ROS 2 controller, or
+        ``paper:M0`` … ``paper:M4`` for the published parameters.
 
     Returns
     -------
@@ -405,6 +405,8 @@ def read_model(name: str | os.PathLike[str]) -> Model:
     try:
         if Path(name).suffix == ".json":
             return Model(**read_params_json(Path(name)))
+        if Path(name).suffix in {".yaml", ".yml"}:
+            return Model(**read_params_yaml(Path(name)))
         content = load_toml(name)
         # Older files have the transport delay beside the parameters.
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
