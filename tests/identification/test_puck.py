@@ -1,6 +1,7 @@
 """A puck identified from its poses, against pucks with known numbers."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -178,3 +179,43 @@ def test_what_holds_no_moving_puck_is_refused():
         identify_puck(Recording({"puck": stream(time[:5], still[:5])}, "short"))
     with pytest.raises(InputError, match="no puck stream"):
         identify_puck(Recording({"pose": stream(time, still)}, "none"))
+
+
+def test_positions_alone_tell_drag_and_restitution():
+    # A camera: 120 Hz, 0.5 mm, frames repeated, two seconds hidden, and no angle.
+    seen, rng = recorded(TRUTH, 5, 30.0), np.random.default_rng(5)
+    poses, times = seen["puck"].values[::2].copy(), seen["puck"].stamp_ns[::2] / 1e9
+    poses[:, :2] += 5e-4 * rng.normal(size=(len(poses), 2))
+    repeats = np.flatnonzero(rng.random(len(poses)) < 0.03)
+    for row in repeats[repeats > 0]:
+        poses[row] = poses[row - 1]
+    hidden = (times > times[0] + 10) & (times < times[0] + 12)
+    poses[hidden] = poses[np.argmax(hidden)]
+    poses[:, 2] = np.nan
+    fit = identify_puck(Recording({"puck": stream(times - times[0], poses)}, "a camera"))
+    errors = fit.play.puck.standard_error
+    assert set(errors) == {"drag_1_s", "rail.restitution"}
+    assert max(map(abs, normalised(fit, TRUTH).values())) < 4
+    assert errors["drag_1_s"] < 0.01
+    assert errors["rail.restitution"] < 0.02
+    assert any("no angle was recorded" in note for note in fit.notes)
+
+
+def test_another_table_is_said_with_its_size_and_centre():
+    seen = recorded(TRUTH, 6)["puck"]
+    moved = seen.values + np.array([1.1, 0.55, 0.0])
+    fit = identify_puck(
+        Recording({"puck": Stream(seen.stamp_ns, seen.received_ns, moved, COLUMNS["puck"])}, "")
+    )
+    (note,) = (note for note in fit.notes if "no bounce is near a rail" in note)
+    length, width = map(float, re.findall(r"about ([\d.]+) by ([\d.]+) m", note)[0])
+    assert (length, width) == pytest.approx((2.2, 1.1), abs=0.02)
+    centre = [float(number) for number in re.findall(r"origin_m = \[([\d.]+), ([\d.]+)\]", note)[0]]
+    assert centre == pytest.approx([1.1, 0.55], abs=0.01)
+
+
+def test_the_scatter_of_bounces_is_that_of_their_restitution():
+    fits = [identify_puck(recorded(TRUTH, 2, 40.0, scatter=s)) for s in (0.0, 0.05)]
+    assert fits[0].rail_scatter < 0.01
+    assert fits[1].rail_scatter == pytest.approx(0.05, rel=0.5)
+    assert len(fits[1].rail_speed_m_s) == len(fits[1].rail_ratio) >= fits[1].bounces["rail"]

@@ -11,7 +11,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import Topics
+from airpuck.recording.bag import read_bag
+from airpuck.recording.mapping import PoseMapping, RecordingMapping, Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS
 
@@ -453,3 +454,9 @@ def test_a_sqlite_file_with_the_wrong_content(tmp_path: Path, damage: str):
     with pytest.raises(InputError) as caught:
         read_recording(tmp_path / "bag")
     assert str(caught.value).isprintable()
+
+
+def test_intervals_are_refused_for_a_bag_whose_messages_have_times(tmp_path):
+    mapping = RecordingMapping(puck=PoseMapping(interval="dt"))
+    with pytest.raises(InputError, match=r"puck\.interval: is a bag"):
+        read_bag(tmp_path, mapping, ("pose",))

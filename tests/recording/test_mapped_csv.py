@@ -336,3 +336,74 @@ def test_bits_need_one_value():
     for commands, says in (([[5, 2]] * 3, "one value"), ([[1], [-1], [0]], "row 2: -1 is not")):
         with pytest.raises(InputError, match=says):
             read(commands)
+
+
+PUCK = """
+[puck]
+position = ["x", "y"]
+interval = "dt"
+origin_m = [1.0, 0.5]
+units = ["cm"]
+"""
+
+
+def camera(path: Path, steps: list[str], places: list[str] | None = None) -> Path:
+    """Write positions of a puck as a camera logs them: the time since the previous frame."""
+    places = places or [f"{100 + k},{50 - k}" for k in range(len(steps))]
+    rows = [f"{place},{step}" for place, step in zip(places, steps, strict=True)]
+    file = path / "puck.csv"
+    file.write_text("\n".join(["x,y,dt", *rows]) + "\n")
+    return file
+
+
+def test_positions_of_a_puck_need_neither_times_nor_angles(tmp_path):
+    # The first row has no previous one; a blank row still counts its time.
+    file = camera(tmp_path, ["", "0.01", "0.02", "0.01"], ["100,50", "101,49", ",", "103,47"])
+    found = read_recording(file, mapping=mapping(tmp_path, PUCK), needs=("puck",))
+    assert set(found.streams) == {"puck"}
+    puck = found["puck"]
+    np.testing.assert_allclose(
+        puck.values[:, :2], [[0, 0], [0.01, -0.01], [0.03, -0.03]], atol=1e-12
+    )
+    assert np.isnan(puck.values[:, 2]).all()
+    assert puck.stamp_ns.tolist() == [0, 10_000_000, 40_000_000]
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        (["", "0.01", "-0.01"], "puck.csv: dt: row 3 is negative"),
+        (["", "0.01", ""], "dt"),
+        (["", "0.01", "soon"], "dt"),
+        (["", "0.01", "nan"], "row 3 has no time"),
+    ],
+)
+def test_intervals_must_be_numbers_that_are_not_negative(tmp_path, steps, words):
+    file = camera(tmp_path, steps)
+    with pytest.raises(InputError) as error:
+        read_recording(file, mapping=mapping(tmp_path, PUCK), needs=("puck",))
+    assert words in str(error.value)
+
+
+def test_a_file_of_a_puck_without_a_mapping_says_what_to_write(tmp_path):
+    with pytest.raises(InputError, match=r"puck = \{time = .*position = .*\} out of x, y, dt"):
+        read_recording(camera(tmp_path, ["0", "0.01"]), needs=("puck",))
+
+
+def test_time_and_interval_exclude_each_other(tmp_path):
+    with pytest.raises(InputError, match="time and interval exclude each other"):
+        mapping(tmp_path, '[pose]\ntime = "t"\ninterval = "dt"\n')
+
+
+def test_intervals_and_origin_serve_poses_of_a_craft_too(tmp_path):
+    x, y, yaw = POSES.T
+    steps = np.full(N, 0.02)
+    file = tmp_path / "mocap.csv"
+    file.write_text(csv("dt,x,y,theta", steps, x + 0.5, y - 0.25, yaw))
+    text = (
+        '[pose]\nfile = "mocap.csv"\ninterval = "dt"\nposition = ["x", "y"]\n'
+        'orientation = "theta"\norigin_m = [0.5, -0.25]\n'
+    )
+    found = read_recording(tmp_path, mapping=mapping(tmp_path, text), needs=("pose",))
+    np.testing.assert_allclose(found["pose"].values, POSES, atol=1e-12)
+    np.testing.assert_allclose(np.diff(found["pose"].stamp_ns), 20_000_000)

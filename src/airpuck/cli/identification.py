@@ -242,6 +242,10 @@ def identify_puck(
     used = ", ".join(f"{count} off the {name}" for name, count in fit.bounces.items() if count)
     summary = f"{fit.flights} flights ({fit.seconds:.1f} s), bounces: {used or 'none'}"
     along = f"a puck without spin keeps {puck.kept_along_rail:.2f} of its speed along a rail"
+    if len(fit.rail_ratio) > 1:
+        summary += f"; the restitution of single bounces scatters by {fit.rail_scatter:.3f}"
+    if "rail.grip" in puck.assumed:
+        along += " (assumed)"
     found = table(("puck", "value", "standard error"), rows, title="identified on this table")
     report(
         fit.to_json(),

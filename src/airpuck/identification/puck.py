@@ -15,6 +15,7 @@ from airpuck.boundary.results import Result
 from airpuck.craft.table import AirHockey, Contact, Puck
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.identification.puck_flights import (
+    Flight,
     Line,
     find_flights,
     fit_flights,
@@ -38,6 +39,10 @@ _SCATTER = 0.005
 _FEWEST = 3
 #: Bounces that deviate by more robust standard deviations than this are excluded.
 _OUTLIER = 4.0
+#: Restitutions of bounces that agree within this are no outliers.
+_LEAST_SCATTER = 0.02
+#: Rails that are found this near to where they should be are not mentioned [m].
+_RAIL_OFF = 3e-3
 _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 #: Which bounces determine which number.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
@@ -71,12 +76,15 @@ class PuckFit(Result):
         Number of bounces used, off rails, mallet and craft.
     noise_m : float
         Standard deviation of a measured position [m].
+    rail_speed_m_s, rail_ratio : array, shape (B,)
+        Normal speed before each bounce off a rail, and the share of it that the bounce returned.
     notes : tuple of str
         Numbers that were not identified, and anomalies.
     """
 
     JSON = (
-        "kept_along_rail=play.puck.kept_along_rail flights flights_s=seconds bounces noise_m notes"
+        "kept_along_rail=play.puck.kept_along_rail flights flights_s=seconds bounces noise_m "
+        "rail_scatter notes"
     )
 
     play: AirHockey
@@ -84,7 +92,16 @@ class PuckFit(Result):
     seconds: float
     bounces: dict[str, int]
     noise_m: float
+    rail_speed_m_s: Float[np.ndarray, " B"]
+    rail_ratio: Float[np.ndarray, " B"]
     notes: tuple[str, ...]
+
+    @property
+    def rail_scatter(self) -> float:
+        """Robust standard deviation of the restitution of single bounces; NaN without bounces."""
+        if not len(self.rail_ratio):
+            return float("nan")
+        return 1.4826 * float(np.median(np.abs(self.rail_ratio - np.median(self.rail_ratio))))
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
@@ -143,9 +160,11 @@ def identify_puck(
     play = play or AirHockey()
     listed = [recordings] if isinstance(recordings, Recording) else list(recordings)
     rates = np.array([play.puck.drag_1_s, play.puck.drag_1_s, play.puck.spin_drag_1_s])
-    flights, parts, noises = [], [], []
+    flights, parts, noises, turns = [], [], [], True
     for recording in listed:
         time, pose = _poses(recording, "puck")
+        turns = turns and bool(np.isfinite(pose[:, 2]).all())
+        pose[:, 2] = np.nan_to_num(pose[:, 2])
         noise = np.maximum(noise_of(time, pose), 1e-9)
         if np.isnan(noise).any():
             raise InputError(_TOO_LITTLE, file=recording.source)
@@ -161,14 +180,20 @@ def identify_puck(
     # Results of an earlier identification are kept.
     puck, errors, notes = play.puck, dict(play.puck.standard_error), list[str]()
     for name, axis, little in (("drag_1_s", 0, "moves"), ("spin_drag_1_s", 2, "spins")):
-        if error[axis] < _WORST["drag"]:
+        if axis == 2 and not turns:
+            notes.append(
+                "no angle was recorded: spin_drag_1_s, rail.grip, rail.friction are assumed"
+            )
+        elif error[axis] < _WORST["drag"]:
             puck = puck.model_copy(update={name: float(drag[axis])})
             errors[name] = float(error[axis])
         else:
             notes.append(f"the puck barely {little}: {name} is assumed")
     pairs = _pairs(lines, used, parts)
     bounces = [b for b in (_rail_bounce(play, *pair) for pair, _ in pairs) if b is not None]
-    rail, rail_errors, n_rail, said = _fit_rail(puck, bounces)
+    rail, rail_errors, n_rail, said = (_fit_rail if turns else _fit_restitution)(puck, bounces)
+    if not bounces:
+        said = [_where(flights, play), *said]
     puck = puck.model_copy(update={"rail": rail})
     errors |= {f"rail.{name}": value for name, value in rail_errors.items()}
     notes += said
@@ -193,19 +218,29 @@ def identify_puck(
     if left_out:
         notes.append(f"{left_out} of {len(lines)} flights are bent by more than drag: left out")
     found = play.model_copy(update={"puck": puck})
-    return PuckFit(found, int(used.sum()), seconds, counts, float(noise[0]), tuple(notes))
+    before, after = _normal_speeds(bounces).T
+    seen = float(noise[0]), -before, -after / before
+    return PuckFit(found, int(used.sum()), seconds, counts, *seen, tuple(notes))
 
 
 def _poses(
     recording: Recording, stream: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Return times [s] and poses in order, with continuous yaw."""
+    """Return times [s] and poses in order, with continuous yaw; NaN without angles.
+
+    Frames that repeat the one before are left out: a camera returns them while it has no new one,
+    or while the puck is hidden.
+    """
     logged = recording[stream]
     first = recording["puck"].stamp_ns[0]
     time = (logged.stamp_ns - first) / SECOND_NS
-    kept = np.isfinite(logged.values).all(axis=1)
+    columns = slice(2) if np.isnan(logged.values[:, 2]).all() else slice(3)
+    kept = np.isfinite(logged.values[:, columns]).all(axis=1)
     time, index = np.unique(time[kept], return_index=True)
     pose = logged.values[kept][index].copy()
+    new = np.ones(len(time), dtype=bool)
+    new[1:] = (pose[1:, columns] != pose[:-1, columns]).any(axis=1)
+    time, pose = time[new], pose[new]
     pose[:, 2] = np.unwrap(pose[:, 2])
     return time, pose
 
@@ -260,6 +295,42 @@ def _rail_bounce(play: AirHockey, before: Line, after: Line) -> Bounce | None:
     return None
 
 
+def _where(flights: list[Flight], play: AirHockey) -> str:
+    """Describe where the puck moved, and where the table's rails should have been."""
+    places = np.concatenate([flight.pose[:, :2] for flight in flights])
+    (left, low), (right, high) = np.quantile(places, (0.001, 0.999), axis=0)
+    x, y = play.table.reach(play.puck.radius_m)
+    length, width = right - left + 2 * play.puck.radius_m, high - low + 2 * play.puck.radius_m
+    centre = f"[{(left + right) / 2:.3f}, {(low + high) / 2:.3f}]"
+    return (
+        f"no bounce is near a rail: the puck moved within x = {left:.2f} to {right:.2f}, y = "
+        f"{low:.2f} to {high:.2f} m, and rails stop it at ±{x:.2f}, ±{y:.2f} m. If this table is "
+        f"about {length:.2f} by {width:.2f} m, give its size (--table), and its centre in a file "
+        f"for --mapping: puck = {{origin_m = {centre}}}"
+    )
+
+
+def _normal_speeds(bounces: Sequence[Bounce]) -> Float[np.ndarray, "B 2"]:
+    """Return the speeds along the normal before and after bounces."""
+    return np.array([(b.before[0], b.after[0]) for b in bounces]).reshape(-1, 2)
+
+
+def _fit_restitution(
+    puck: Puck, bounces: list[Bounce]
+) -> tuple[Contact, dict[str, float], int, list[str]]:
+    """Fit the restitution alone, for a puck whose spin is unknown."""
+    if len(bounces) < _FEWEST:
+        return _fit_rail(puck, bounces)
+    speeds = _normal_speeds(bounces)
+    ratio = -speeds[:, 1] / speeds[:, 0]
+    off = np.abs(ratio - np.median(ratio))
+    used = off <= max(_OUTLIER * 1.4826 * float(np.median(off)), _LEAST_SCATTER)
+    restitution, error = _ratio(speeds[used])
+    law = puck.rail.model_copy(update={"restitution": restitution})
+    among = [bounce for bounce, kept in zip(bounces, used, strict=True) if kept]
+    return law, {"restitution": error}, int(used.sum()), _rails_elsewhere(among)
+
+
 def _fit_rail(
     puck: Puck, bounces: list[Bounce]
 ) -> tuple[Contact, dict[str, float], int, list[str]]:
@@ -303,13 +374,16 @@ def _fit_rail(
             errors[name] = float(off)
         else:
             notes.append(f"too few bounces {_TELL[name]}: rail.{name} is assumed")
-    beyond = float(np.median([b.beyond for b in used]))
-    if abs(beyond) > 3e-3:
-        notes.append(
-            f"rails are {1e3 * abs(beyond):.0f} mm {'farther out' if beyond > 0 else 'nearer'} "
-            "than the table file says"
-        )
-    return Contact(**values), errors, len(used), notes
+    return Contact(**values), errors, len(used), notes + _rails_elsewhere(used)
+
+
+def _rails_elsewhere(bounces: Sequence[Bounce]) -> list[str]:
+    """Say where the rails are if not where they are expected."""
+    beyond = float(np.median([bounce.beyond for bounce in bounces]))
+    if abs(beyond) <= _RAIL_OFF:
+        return []
+    where = "farther out" if beyond > 0 else "nearer"
+    return [f"rails are {1e3 * abs(beyond):.0f} mm {where} than the table file says"]
 
 
 def _clustered_errors(

@@ -46,7 +46,11 @@ def _stored(folder: Path) -> list[Path]:
 
 def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a bag's folder, or a bare .mcap, .db3 or .bag file."""
-    for stream, section in (("pose", mapping.pose), ("command", mapping.command)):
+    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
+    for stream, section in sections.items():
+        if section.interval:
+            problem = "is a bag, whose messages have times; interval is for CSV files"
+            raise InputError(problem, file=path, field=f"{stream}.interval")
         if section.file:
             problem = (
                 f'is a bag, which has no such file; name a topic: topics = {{{stream} = "/..."}}'

@@ -58,16 +58,18 @@ def poses_of(
     kind: str,
     mapping: PoseMapping,
 ) -> Float[np.ndarray, "N 3"]:
-    """Return x, y [m] and yaw [rad] in our axes; `kind` as in `Orientation`."""
+    """Return x, y [m] and yaw [rad] in our axes; `kind` as in `Orientation`, or ``none``."""
     index, sign = mapping.permutation
     if index[:2].max() >= position.shape[1]:
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
         )
     _check_vertical(position, mapping)
-    horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length")
+    horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length") - mapping.origin_m
     # Renaming the axes of table and craft rotates the axis of a rotation, but not its angle.
-    if kind == "yaw":
+    if kind == "none":
+        yaw = np.full(len(position), np.nan)
+    elif kind == "yaw":
         yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
     elif kind == "quaternion":
         x, y, z = (orientation[:, index] * sign).T

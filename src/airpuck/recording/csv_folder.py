@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,7 @@ _LATEST_SECOND = 2**63 // SECOND_NS - 1
 _TO_WRITE = {
     "pose": 'time = "...", position = ["...", "..."], orientation = "..."',
     "command": 'time = "...", values = ["...", ...]',
+    "puck": 'time = "...", position = ["...", "..."]',
 }
 
 
@@ -65,9 +67,15 @@ def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
     return any(_candidates(path, stream, mapping) for stream in (*POSES, "command"))
 
 
+def _named(stream: str, mapping: RecordingMapping) -> str:
+    """Return the file that the mapping names for a stream."""
+    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
+    return sections[stream].file if stream in sections else ""
+
+
 def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Path]:
     """Find files that may hold a pose or a command, by the mapping or by their names."""
-    named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
+    named = _named(stream, mapping)
     of_topic = folder / _file_name(mapping.topics.by_stream[stream])
     for path in (folder / named if named else None, of_topic):
         if path is not None and path.is_file():
@@ -95,7 +103,7 @@ def read_csv(
     warnings: list[str] = []
     problems: list[InputError] = []
     if single is not None and not is_export(single):
-        _require_columns(single, mapping)
+        _require_columns(single, mapping, needs)
     for stream in mapping.topics.by_stream:
         path = None
         try:
@@ -115,10 +123,10 @@ def read_csv(
     return Recording(streams, str(single or folder), hashes, tuple(dict.fromkeys(warnings)))
 
 
-def _require_columns(single: Path, mapping: RecordingMapping) -> None:
+def _require_columns(single: Path, mapping: RecordingMapping, needs: Sequence[str]) -> None:
     """Raise InputError for a single file whose columns are unknown."""
     if not mapping.model_fields_set - {"topics"}:
-        written = " and ".join(f"{stream} = {{{keys}}}" for stream, keys in _TO_WRITE.items())
+        written = " and ".join(f"{stream} = {{{_TO_WRITE[stream]}}}" for stream in needs)
         found = listing(plain_table(read_rows(single)).columns)
         raise InputError(
             "is a single CSV file; give the folder with one file per stream, or name its columns "
@@ -135,7 +143,7 @@ def _file_of(
     single: Path | None,
 ) -> Path | None:
     """Find the file of a stream; None if it does not exist and is not needed."""
-    named = {"pose": mapping.pose.file, "command": mapping.command.file}.get(stream)
+    named = _named(stream, mapping)
     if single is not None and not named:
         if stream == "command" and is_export(single):
             raise InputError(
@@ -143,7 +151,7 @@ def _file_of(
                 f'command = {{file = "...", {_TO_WRITE["command"]}}}',
                 file=single,
             )
-        return single if stream in _TO_WRITE else None
+        return single if stream in needs or stream in mapping.model_fields_set else None
     candidates = _candidates(folder, stream, mapping)
     if len(candidates) > 1:
         names = listing(file.name for file in candidates)
@@ -183,7 +191,7 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     if stream in COMMANDS:
         return _commands(table, mapping.command)
     if stream in POSES:
-        return _poses(table, mapping.pose)
+        return _poses(table, mapping.of_poses(stream), stream)
     types = list(PATHS[stream].values())
     names = next((names for names in types if set(names).issubset(table.columns)), types[0])
     stamp, received = _times(table)
@@ -197,17 +205,22 @@ def _usual_position(table: CsvTable) -> tuple[str, ...]:
     return (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
 
 
-def _poses(table: CsvTable, mapping: PoseMapping) -> tuple[Stream, tuple[str, ...]]:
+def _poses(
+    table: CsvTable, mapping: PoseMapping, stream: str = "pose"
+) -> tuple[Stream, tuple[str, ...]]:
     """Choose the columns of poses: those in the mapping, or the authors'."""
     # The authors' conversion added the yaw; a plain conversion contains only the quaternion.
     plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
     usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
     position = mapping.position or _usual_position(table)
     orientation = mapping.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
+    if stream == "puck" and mapping.orientation is None and mapping.position:
+        orientation = Orientation("none", ())  # a camera sees where a puck is, not its angle
     names = (*position, *orientation.columns)
-    _require("pose", table, names, mapping)
+    _require(stream, table, names, mapping)
+    table, clock = _timed(table, mapping)
     table, blank = table.without_blank(names)
-    time, received = _own_times(table, mapping)
+    time, received = _own_times(table, mapping, clock)
     values = np.stack([table.numbers(name) for name in names], axis=1)
     if orientation.kind in ("quaternion", "matrix"):
         # An all-zero rotation is written by some programs when they lose the body.
@@ -229,7 +242,8 @@ def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[s
         others = [
             name
             for name in table.columns
-            if name not in (_RECEIVED, mapping.time) and not name.startswith("header.")
+            if name not in (_RECEIVED, mapping.time, mapping.interval)
+            and not name.startswith("header.")
         ]
         names = tuple([name for name in others if name.startswith("motor")] or others)
     columns = tuple(_column(table, name)[0] for name in names)
@@ -238,8 +252,9 @@ def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[s
         raise InputError(
             f"has no column of a motor (it has {listing(table.columns)})", file=table.path
         )
+    table, clock = _timed(table, mapping)
     table, blank = table.without_blank(columns)
-    time, received = _own_times(table, mapping)
+    time, received = _own_times(table, mapping, clock)
     if mapping.bits and len(names) == 1:
         values = table.masks(names[0])[:, None]
     else:
@@ -276,29 +291,48 @@ def _require(
     stream: str, table: CsvTable, names: Sequence[str], mapping: PoseMapping | CommandMapping
 ) -> None:
     """Raise InputError for missing columns, listing all of them and the mapping to write."""
-    times = (mapping.time,) if mapping.time else ()
+    times = tuple(name for name in (mapping.time, mapping.interval) if name)
     if not times and _RECEIVED not in table.columns:
         times = (_SECONDS, _NANOSECONDS)
     missing = [name for name in (*times, *names) if name not in table.columns]
     if missing:
+        keys = _TO_WRITE.get(stream, _TO_WRITE["pose"])
         # A user who names columns never asked for the authors' stamps.
-        unnamed = not mapping.time and set(missing).issubset({_SECONDS, _NANOSECONDS})
+        unnamed = not (mapping.time or mapping.interval) and set(missing).issubset(
+            {_SECONDS, _NANOSECONDS}
+        )
         problem = "no column is named for the time" if unnamed else "there is no such column"
         raise InputError(
             f"{problem}; name columns in a file for --mapping: {stream} = "
-            f"{{{_TO_WRITE[stream]}}} out of {listing(table.columns)}",
+            f"{{{keys}}} out of {listing(table.columns)}",
             file=table.path,
             field="time" if unnamed else ", ".join(missing),
         )
 
 
+def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvTable, str]:
+    """Replace a column of intervals by times; return the name of the column of times, too."""
+    if not mapping.interval:
+        return table, mapping.time
+    texts = list(table.columns[mapping.interval])
+    if texts and not texts[0].strip():
+        texts[0] = "0"  # there is no row before the first
+    table = replace(table, columns={**table.columns, mapping.interval: texts})
+    steps = table.numbers(mapping.interval)
+    if (steps < 0).any():
+        problem = f"row {int(np.argmax(steps < 0)) + 1} is negative; a column of times is a `time`"
+        raise InputError(problem, file=table.path, field=mapping.interval)
+    times = list(map(repr, np.cumsum(steps).tolist()))
+    return replace(table, columns={**table.columns, mapping.interval: times}), mapping.interval
+
+
 def _own_times(
-    table: CsvTable, mapping: PoseMapping | CommandMapping
+    table: CsvTable, mapping: PoseMapping | CommandMapping, time: str
 ) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
     """Return the stamps that the mapping names, and the authors' arrival times if present."""
-    if mapping.time:
-        exact = mapping.size("time") == 1 / SECOND_NS
-        return table.numbers(mapping.time, int if exact else float), None
+    if time:
+        exact = mapping.size("time") == 1 / SECOND_NS and not mapping.interval
+        return table.numbers(time, int if exact else float), None
     stamp, received = _times(table)
     return stamp.astype("datetime64[ns]"), received
 

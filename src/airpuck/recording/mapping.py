@@ -155,8 +155,15 @@ class _Times(Section):
 
     file: str = ""
     time: str = ""
+    interval: str = ""
     start_s: float = 0.0
     units: tuple[Unit, ...] = ()
+
+    @pydantic.model_validator(mode="after")
+    def _one_clock(self) -> _Times:
+        if self.time and self.interval:
+            raise ValueError("time and interval exclude each other")
+        return self
 
     @pydantic.field_validator("units")
     @classmethod
@@ -185,6 +192,8 @@ class PoseMapping(_Times):
         CSV file, relative to the recording's folder.
     time : str
         Time; by default the header's stamp.
+    interval : str
+        For CSV files without times: column of the time since the previous row.
     start_s : float
         Offset added to times [s], for a clock that counts from the start of a take.
     units : tuple of str
@@ -200,6 +209,8 @@ class PoseMapping(_Times):
         with a craft's axes forward, right, down: ``["x", "-y", "-z"]``), or our x, y, z in terms of
         the file's axes. The craft's own axes are renamed in the same way. A yaw counts about the
         file's vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
+    origin_m : tuple of float
+        Centre of the table in these coordinates, along our x and y [m].
     body : str
         Rigid body, if an export contains several.
     """
@@ -207,6 +218,7 @@ class PoseMapping(_Times):
     position: tuple[Name, ...] = ()
     orientation: Annotated[Orientation | None, pydantic.PlainValidator(_orientation)] = None
     axes: str | tuple[str, ...] = AXES["Z-up"]
+    origin_m: tuple[float, float] = (0.0, 0.0)
     body: str = ""
 
     @pydantic.field_validator("position")
@@ -257,7 +269,7 @@ class CommandMapping(_Times):
 
     Attributes
     ----------
-    file, time, start_s, units
+    file, time, interval, start_s, units
         As for poses; only the unit of time matters.
     values : tuple of str
         A column or field for each propeller, or one that holds all of them: an array of a message,
@@ -314,13 +326,32 @@ class RecordingMapping(Section):
         Topics in a bag. For the authors' CSV files they determine the file names.
     pose : PoseMapping
         Poses.
+    puck : PoseMapping
+        Poses of the puck, if they differ from the others. Without an orientation, positions alone.
     command : CommandMapping
         Commands.
     """
 
     topics: Topics = Topics()
     pose: PoseMapping = PoseMapping()
+    puck: PoseMapping = PoseMapping()
     command: CommandMapping = CommandMapping()
+
+    def of_poses(self, stream: str) -> PoseMapping:
+        """Return the section that applies to poses of a stream.
+
+        Parameters
+        ----------
+        stream : str
+            Name of the stream.
+
+        Returns
+        -------
+        PoseMapping
+            `puck` for the puck if the file has that section; otherwise `pose`.
+        """
+        own = stream == "puck" and "puck" in self.model_fields_set
+        return self.puck if own else self.pose
 
 
 def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
@@ -329,7 +360,7 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     Parameters
     ----------
     path : path-like
-        A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[command]``; see
+        A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[puck]``, ``[command]``; see
         ``docs/your_own_craft.md``.
 
     Returns

@@ -249,10 +249,10 @@ def _is_number(name: str, codes: Mapping[str, str]) -> bool:
 
 
 def _own(stream: str, msgtype: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
-    """Return the mapping's section for a stream, completed by its type; all poses share one."""
+    """Return the mapping's section for a stream, completed by its type."""
     section = CommandMapping()
     if stream in POSES:
-        section = mapping.pose
+        section = mapping.of_poses(stream)
     elif stream in COMMANDS:
         section = mapping.command
     return completed(section, _USUAL.get(msgtype, {}))
