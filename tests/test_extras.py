@@ -21,6 +21,7 @@ EXTRAS = PROJECT["optional-dependencies"]
 FIRST_USE = (
     {"control": "python -c \"import airpuck; airpuck.read_model('paper:M3').to_statespace()\""},
     {"plan": "airpuck plan --from 0 0 0 --to 0.5 0 0"},
+    {"plan": "airpuck export paper:M3 --to casadi -o exported"},
     {
         "ros2": "airpuck twin --duration 0.2 --domain 91 --quiet",
         "ros2,play": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.export import KINDS
+from tests.apparatus.c_programs import compiler
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs/export.md").read_text("utf-8")
@@ -18,7 +18,7 @@ SECTIONS = dict(re.findall(r"^## `?(\w+)`?\n(.*?)(?=^## |\Z)", TEXT, re.M | re.S
 PROGRAMS = {
     "sh": ("sh", "-e", "-c"),
     "python": (sys.executable, "-c"),
-    "matlab": ("octave-cli", "--no-gui", "--eval"),
+    "matlab": ("octave-cli", "--eval"),
 }
 
 
@@ -35,8 +35,7 @@ def test_examples_run(name, tmp_path):
         if language not in PROGRAMS:
             continue
         program = PROGRAMS[language]
-        if shutil.which(program[0]) is None:
-            pytest.skip(f"needs {program[0]}")
+        compiler(program[0])
         done = subprocess.run(
             [*program, code],
             cwd=tmp_path,

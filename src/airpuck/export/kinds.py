@@ -66,6 +66,7 @@ class Kind:
 KINDS: dict[str, Kind] = {
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
     "holohover": Kind("the files of the paper's authors", "airpuck.export.holohover"),
+    "matlab": Kind("function files for MATLAB and Octave", "airpuck.export.matlab"),
     "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
     "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
     "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),

@@ -1,0 +1,95 @@
+"""Function files for MATLAB and Octave: dynamics, one step, linearisation about hover."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import airpuck
+from airpuck.export.c_source import check_effects, coefficients
+from airpuck.export.kinds import Subject
+from airpuck.model.model_file import Model
+from airpuck.model.statespace import trim
+from airpuck.physics.motor import IDLE
+
+#: Packaged function files.
+_SOURCES = ("airpuck_dynamics.m", "airpuck_acceleration.m", "airpuck_step.m", "airpuck_hover.m")
+_PARAMETERS = """\
+function p = airpuck_parameters()
+% Parameters of the model {name} of the craft {vehicle}. SI units.
+%
+% Source: {source}
+% Written by airpuck {version}.
+{fields}
+end
+"""
+
+
+def parameters(model: Model) -> str:
+    """Return the function file with the numbers of a model.
+
+    Parameters
+    ----------
+    model : Model
+        The craft.
+
+    Returns
+    -------
+    str
+        The content of ``airpuck_parameters.m``.
+
+    Raises
+    ------
+    InputError
+        If the model has an effect that the function files do not compute.
+    """
+    check_effects(model, "matlab")
+    dynamics, vehicle = model.dynamics, model.vehicle
+    fields = coefficients(model, dynamics)
+    fields |= {
+        # MATLAB counts from 1.
+        "twin": fields["twin"] + 1,
+        "effects": int(bool(dynamics.effects)),
+        "idle_speed": IDLE,
+        "hover": trim(replace(dynamics, effects=())),
+        "command_range": np.array([vehicle.command_min, vehicle.command_max]),
+        "transport_delay": model.transport_delay,
+    }
+    lines = [f"    p.{name} = {_literal(value)};" for name, value in fields.items()]
+    names = ", ".join(f"'{_printable(name)}'" for name in vehicle.propeller_names)
+    lines.append(f"    p.motors = {{{names}}};")
+    return _PARAMETERS.format(
+        name=_printable(model.name),
+        vehicle=_printable(vehicle.name),
+        source=_printable(model.source or "-"),
+        version=airpuck.__version__,
+        fields="\n".join(lines),
+    )
+
+
+def write(subject: Subject, folder: Path) -> dict[str, Any]:
+    """Write the function files."""
+    model = subject.model
+    (folder / "airpuck_parameters.m").write_text(parameters(model), encoding="utf-8")
+    packaged = resources.files("airpuck") / "packaged" / "matlab"
+    for name in _SOURCES:
+        (folder / name).write_bytes((packaged / name).read_bytes())
+    return {"transport delay": f"{1e3 * model.transport_delay:.4g} ms, not in the functions"}
+
+
+def _literal(value: Any) -> str:
+    """Return a number, a column or a matrix; numbers are read back bit for bit."""
+    if np.ndim(value) == 0:
+        return repr(value if isinstance(value, int) else float(value))
+    rows = [" ".join(map(repr, row)) for row in np.atleast_2d(value).tolist()]
+    inside = "\n        ".join(rows)
+    return f"[{inside}]" if np.ndim(value) > 1 else f"[{inside}]'"
+
+
+def _printable(text: str) -> str:
+    """Return text that cannot end a line or a string."""
+    return "".join(filter(str.isprintable, text)).replace("'", "_")

@@ -1,0 +1,106 @@
+"""The function files compute under Octave what airpuck computes."""
+
+import subprocess
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from airpuck import export
+from airpuck.boundary.errors import InputError
+from airpuck.export.matlab import parameters
+from airpuck.model.statespace import linearize, trim
+from airpuck.physics.effects import Effect
+from tests.apparatus.c_programs import compiler
+from tests.apparatus.export_crafts import ALL_EFFECTS, EFFECTS, FOUR, ON_OFF, PAPER, random_states
+
+CRAFT = {
+    **PAPER,
+    **EFFECTS,
+    "body": replace(PAPER["M3"], frame="body"),
+    "all effects": ALL_EFFECTS,
+    "four": FOUR,
+    "on/off": ON_OFF,
+}
+YAW, PERIOD, STATES = 0.7, 0.02, 12
+DRIVER = """
+cd('{folder}'); clear all;
+z = load('states.txt'); u = load('commands.txt');
+rates = next = zeros(size(z)); p = airpuck_parameters();
+for k = 1:size(z, 1)
+    rates(k, :) = airpuck_dynamics(z(k, :), u(k, :), p);
+    next(k, :) = airpuck_step(z(k, :), u(k, :), {period}, p);
+end
+[A, B, hover] = airpuck_hover({yaw}, p);
+assert(airpuck_dynamics(z(1, :), u(1, :))', rates(1, :));
+save('-text', 'found.txt', 'rates', 'next', 'A', 'B', 'hover');
+"""
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """Run Octave once for all craft; return its matrices by craft and name."""
+    octave, scripts, folders = compiler("octave-cli"), [], {}
+    for name, model in CRAFT.items():
+        folders[name] = folder = tmp_path_factory.mktemp("matlab")
+        export.write(model, "matlab", folder)
+        for file, rows in zip(("states", "commands"), random_states(model, STATES), strict=True):
+            np.savetxt(folder / f"{file}.txt", rows, fmt="%.17g")
+        scripts.append(DRIVER.format(folder=folder, period=PERIOD, yaw=YAW))
+    script = tmp_path_factory.mktemp("driver") / "driver.m"
+    script.write_text("".join(scripts))
+    done = subprocess.run([octave, str(script)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return {name: matrices((folder / "found.txt").read_text()) for name, folder in folders.items()}
+
+
+def matrices(text):
+    """Read Octave's text format."""
+    parts = text.split("# name: ")[1:]
+    return {
+        part.split("\n", 1)[0]: np.array(
+            [line.split() for line in part.splitlines()[1:] if line and line[0] != "#"], float
+        )
+        for part in parts
+    }
+
+
+@dataclass(frozen=True)
+class Unknown(Effect):
+    """An effect that the function files do not have."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CRAFT)
+def test_rates_and_steps_are_the_same(name, found):
+    model = CRAFT[name]
+    states, commands = random_states(model, STATES)
+    rates = np.array([model.derivative(*pair) for pair in zip(states, commands, strict=True)])
+    after = np.array(
+        [model.simulate(z, u[None], PERIOD)[0] for z, u in zip(states, commands, strict=True)]
+    )
+    np.testing.assert_allclose(found[name]["rates"], rates, rtol=1e-9, atol=1e-9)
+    expected = after[:, : states.shape[1]]
+    np.testing.assert_allclose(found[name]["next"], expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CRAFT)
+def test_the_linearisation_is_the_same(name, found):
+    dynamics = CRAFT[name].dynamics
+    command = trim(dynamics, yaw=YAW)
+    np.testing.assert_allclose(found[name]["hover"][:, 0], command, rtol=0, atol=1e-9)
+    for key, matrix in zip("AB", linearize(dynamics, YAW, command), strict=True):
+        np.testing.assert_allclose(found[name][key], matrix, rtol=1e-9, atol=1e-9)
+
+
+def test_an_effect_of_ones_own_is_rejected():
+    model = replace(PAPER["M3"])
+    model.__dict__["dynamics"] = replace(model.dynamics, effects=(Unknown(),))
+    with pytest.raises(InputError, match="effect Unknown, which an export to matlab cannot"):
+        parameters(model)
+
+
+def test_names_cannot_end_a_line_or_a_string():
+    model = replace(PAPER["M3"], source="a\nb'c", name="M3")
+    assert "\n% Source: ab_c\n" in parameters(model)
