@@ -51,7 +51,7 @@ _BEYOND = 1e-8
 #: Seeds lie below this.
 _SEEDS = 2**31
 #: Time limit of an episode [s].
-_LONGEST = 10.0
+LONGEST = 10.0
 #: A puck slower than this is under control [m/s].
 _STOPPED = 0.1
 #: A puck further into the other half that moves away is out of the craft's reach [m].
@@ -127,13 +127,7 @@ def skills(
         If the table has no room for the craft beside the puck, or for the initial positions, or the
         tactic cannot be made.
     """
-    make = None if tactic is None else tactic_maker(tactic)
-    settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
-    stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), make)
-    reach, _ = settings.table.reach(stage.pitch.craft_radius)
-    if _beside_rail(stage) <= 0 or -stage.pitch.home[0] > reach:
-        size = f"{settings.table.length_m:g} × {settings.table.width_m:g} m"
-        raise _no_room(f"for the craft beside the puck in its half; it is {size}")
+    stage = make_stage(model, settings, None if tactic is None else tactic_maker(tactic))
     found = {}
     for name in names:
         ends = []
@@ -170,25 +164,54 @@ class Stage:
         )
 
 
+def make_stage(
+    model: Model, settings: TwinSettings | None = None, tactic: Callable[[], Tactic] | None = None
+) -> Stage:
+    """Return a craft on its table; raise InputError if the table has no room for the skills."""
+    settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
+    stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), tactic)
+    reach, _ = settings.table.reach(stage.pitch.craft_radius)
+    if _beside_rail(stage) <= 0 or -stage.pitch.home[0] > reach:
+        size = f"{settings.table.length_m:g} × {settings.table.width_m:g} m"
+        raise _no_room(f"for the craft beside the puck in its half; it is {size}")
+    return stage
+
+
+def opening(
+    stage: Stage, name: SkillName, rng: np.random.Generator
+) -> tuple[PuckState, int, int]:
+    """Draw an episode: start of the puck, seeds of player and twin."""
+    puck = _STARTS[name](stage, rng)
+    return puck, int(rng.integers(_SEEDS)), int(rng.integers(_SEEDS))
+
+
 def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]:
     """Play one episode; return whether it succeeded, and whether it ended with a stopped puck."""
-    rng = np.random.default_rng(seed)
-    puck = _STARTS[name](stage, rng)
-    tactic = (stage.tactic or _TACTICS[name])()
-    player = Player(stage.model, stage.settings, tactic, seed=int(rng.integers(_SEEDS)))
-    twin = stage.twin(puck, int(rng.integers(_SEEDS)))
+    puck, players, twins = opening(stage, name, np.random.default_rng(seed))
+    tactic = (stage.tactic or TACTICS[name])()
+    player = Player(stage.model, stage.settings, tactic, seed=players)
+    twin = stage.twin(puck, twins)
     assert twin.play is not None
     body = twin.play.puck
     assert body is not None
-    for _ in control(player, twin, _LONGEST):
-        state = body.state
-        if body.goal or (state.x > _GONE and state.vx > 0):
+    for _ in control(player, twin, LONGEST):
+        if ended(stage, name, body):
             break
-        if name != "hit" and math.hypot(state.vx, state.vy) < _STOPPED:
-            if name == "defend" and state.x < 0:
-                break
-            if name == "prepare" and _in_zone(stage, state):
-                break
+    return outcome(stage, name, body)
+
+
+def ended(stage: Stage, name: SkillName, body: PuckOnTable) -> bool:
+    """Return whether an episode is over before its time limit."""
+    state = body.state
+    if body.goal or (state.x > _GONE and state.vx > 0):
+        return True
+    if name == "hit" or math.hypot(state.vx, state.vy) >= _STOPPED:
+        return False
+    return state.x < 0 if name == "defend" else _in_zone(stage, state)
+
+
+def outcome(stage: Stage, name: SkillName, body: PuckOnTable) -> tuple[bool, bool]:
+    """Return whether an episode that ends now succeeded, and whether the puck is stopped."""
     state = body.state
     slow = not body.goal and math.hypot(state.vx, state.vy) < _STOPPED and state.x < 0
     if name == "defend":
@@ -203,8 +226,8 @@ def _scores(equipment: AirHockey, body: PuckOnTable) -> bool:
     if body.goal:
         return body.goal > 0
     alone = PuckOnTable(equipment, body.state, logs=False)
-    while not alone.goal and alone.state.vx > 0 and alone.time < _LONGEST:
-        alone.run(min(alone.next_meeting + _BEYOND, _LONGEST))
+    while not alone.goal and alone.state.vx > 0 and alone.time < LONGEST:
+        alone.run(min(alone.next_meeting + _BEYOND, LONGEST))
     return alone.goal > 0
 
 
@@ -236,7 +259,7 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
         spin = rng.uniform(-_SHOT_SPIN, _SHOT_SPIN)
         start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
         alone = PuckOnTable(stage.settings, start, logs=False)
-        alone.run(_LONGEST)
+        alone.run(LONGEST)
         if alone.goal < 0:
             return start
     raise _no_room("for a shot at the goal")
@@ -291,7 +314,7 @@ _STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] =
     "prepare": _prepare,
 }
 #: In two of the skills the task is to stop the puck, so their tactics do not shoot.
-_TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
+TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {
     "defend": lambda: AllRounder((Defend(), Catch(), Wait())),
     "hit": lambda: AllRounder((Shoot(least=0.05), Defend(), Catch(), Free(), Wait())),
     "prepare": lambda: AllRounder((Defend(), Catch(), Free(), Wait())),

@@ -138,7 +138,7 @@ def fly_fleet(
     command = np.asarray(command, dtype=float)
     poses = np.zeros((3, 1)) if poses is None else np.asarray(poses, dtype=float)
     delays = np.array(_delays(settings, models) if delays is None else delays, dtype=float)
-    _check_models(models, settings)
+    check_models(models, settings)
     n = models[0].vehicle.n_propellers
     _check_arrays(command, delays, poses, n)
     _check_numbers(period, seeds, every, precision)
@@ -161,7 +161,7 @@ def fly_fleet(
     commands = np.concatenate([command, np.zeros((1, *command.shape[1:]))])
     begin = np.concatenate([np.broadcast_to(poses, (3, size)), np.zeros((3 + n, size))])
     fleet = _Fleet(
-        dynamics=_stacked(models, settings, dtype),
+        dynamics=stacked(models, settings, dtype),
         inertia=np.array([float(model.parameters.inertia) for model in models], dtype),
         commands=commands.reshape(len(commands), n, -1).astype(dtype),
         times=times,
@@ -203,7 +203,7 @@ def _common_size(**sizes: int) -> int:
     return max(several.values(), default=1)
 
 
-def _check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
+def check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
     """Raise InputError for craft that cannot share a program, or faults that need a `Twin`."""
     if not models:
         raise InputError("is empty", field="models")
@@ -296,7 +296,7 @@ class _Fleet(NamedTuple):
             yield part, slice(begin, min(begin + size, self.size))
 
 
-def _stacked(models: tuple[Model, ...], settings: TwinSettings, dtype: np.dtype) -> Dynamics:
+def stacked(models: tuple[Model, ...], settings: TwinSettings, dtype: np.dtype) -> Dynamics:
     """Stack the coefficients of all craft."""
     import jax
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
@@ -190,20 +190,33 @@ def _flown(
 def _reached(twin: Twin, planned: Plan) -> float | None:
     """Return when the craft reached the goal, past all points; None if it did not arrive."""
     time, states = twin.truth
-    time, goal = time - _LEAD, planned.samples[1][-1]
-    passed = 0
+    time, passed = time - _LEAD, 0
     for point in planned.via:
-        near = np.flatnonzero(np.hypot(*(states[passed:, :2] - point).T) < _PASSED)
+        near = np.flatnonzero(passes(states[passed:], np.array(point)))
         if not len(near):
             return None
         passed += int(near[0])
-    away = np.hypot(*(states[:, :2] - goal[:2]).T)
-    turned = np.abs(wrapped(np, states[:, 2] - goal[2]))
-    faster = np.hypot(*(states[:, 3:5] - goal[3:5]).T)
-    there = (away < TOLERANCE[0]) & (turned < TOLERANCE[1]) & (faster < TOLERANCE[2])
+    there = arrived(states, planned.samples[1][-1])
     there[:passed] = False
     begun = np.flatnonzero(there & (time > 0))
     return float(time[begun[0]]) if len(begun) else None
+
+
+def passes(
+    states: Float[np.ndarray, "*n k"], points: Float[np.ndarray, "*#n 2"]
+) -> Bool[np.ndarray, "*n"]:
+    """Return whether poses or states count as passing points."""
+    return np.hypot(*np.moveaxis(states[..., :2] - points, -1, 0)) < _PASSED
+
+
+def arrived(
+    states: Float[np.ndarray, "*n k"], goals: Float[np.ndarray, "*#n m"]
+) -> Bool[np.ndarray, "*n"]:
+    """Return whether states count as having reached goals."""
+    away = np.hypot(*np.moveaxis(states[..., :2] - goals[..., :2], -1, 0))
+    turned = np.abs(wrapped(np, states[..., 2] - goals[..., 2]))
+    faster = np.hypot(*np.moveaxis(states[..., 3:5] - goals[..., 3:5], -1, 0))
+    return (away < TOLERANCE[0]) & (turned < TOLERANCE[1]) & (faster < TOLERANCE[2])
 
 
 def _touches(twin: Twin, planned: Plan) -> bool:
