@@ -177,9 +177,7 @@ def make_stage(
     return stage
 
 
-def opening(
-    stage: Stage, name: SkillName, rng: np.random.Generator
-) -> tuple[PuckState, int, int]:
+def opening(stage: Stage, name: SkillName, rng: np.random.Generator) -> tuple[PuckState, int, int]:
     """Draw an episode: start of the puck, seeds of player and twin."""
     puck = _STARTS[name](stage, rng)
     return puck, int(rng.integers(_SEEDS)), int(rng.integers(_SEEDS))

@@ -81,7 +81,7 @@ class Twin:
         settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
-        _check_pose(pose, settings.table, model.vehicle.radius_m)
+        check_pose(pose, settings.table, model.vehicle.radius_m)
         # An accelerometer senses forces on the craft, but not the pull of gravity along a slope.
         pushed = tuple(e for e in self.plant.dynamics.effects if e.gravity is None)
         self._felt = replace(self.plant.dynamics, effects=pushed)
@@ -255,7 +255,7 @@ def check_seed(seed: Any, field: str = "seed", limits: numbers.Range = numbers.S
     limits.check(int(seed), field)
 
 
-def _check_pose(pose: Any, table: Table, radius: float) -> None:
+def check_pose(pose: Any, table: Table, radius: float) -> None:
     """Raise InputError for a pose off the table."""
     if len(pose) != 3 or not all(map(math.isfinite, pose)):
         raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field="pose")

@@ -1,0 +1,274 @@
+"""Gymnasium environments of the twin: flights to a goal, races, skills with a puck.
+
+Importing this module registers them: ``gymnasium.make("airpuck.export.gym:airpuck/SetPoint-v0")``.
+docs/export.md describes observations, rewards and ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import unknown
+from airpuck.control.pilot import Pilot
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.data.measurement import Kind, Measurement
+from airpuck.export.gym_task import (
+    CourseTask,
+    ModelSource,
+    Observation,
+    Seen,
+    TwinSource,
+    action_space,
+    checked_action,
+    observation_space,
+    read_world,
+)
+from airpuck.export.kinds import Subject
+from airpuck.hockey.player import Player
+from airpuck.hockey.skills import (
+    LONGEST,
+    SKILLS,
+    TACTICS,
+    SkillName,
+    ended,
+    make_stage,
+    opening,
+    outcome,
+)
+from airpuck.model.model_file import Model
+from airpuck.twin.plant import build_plant
+from airpuck.twin.settings import TwinSettings
+from airpuck.twin.twin import Twin
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError:
+    raise InputError("environments need Gymnasium: pip install gymnasium") from None
+
+#: A batch of one: its row, and that it takes part.
+_ROW, _ALL = np.zeros(1, int), np.ones(1, bool)
+
+#: Environments by name: class, vector environment if there is one, settings.
+ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, str]]] = {
+    "SetPoint": ("gym:CourseEnv", "gym_vector:CourseVectorEnv", {}),
+    "Race": ("gym:CourseEnv", "gym_vector:CourseVectorEnv", {"course": "slalom"}),
+    **{name.capitalize(): ("gym:PuckEnv", None, {"skill": name}) for name in SKILLS},
+}
+#: Package that an export to this kind writes.
+_PACKAGE = '''"""Environments of a craft, by this folder's name: "NAME:NAME/SetPoint-v0"."""
+
+from pathlib import Path
+
+from airpuck.export.gym import register
+
+HERE = Path(__file__).resolve().parent
+CRAFT = {"model": str(HERE / "model.toml"), "twin": str(HERE / "twin.toml")}
+register(HERE.name, **CRAFT)
+
+
+def game(**settings):
+    """Return the game of two such craft, a PettingZoo parallel environment."""
+    from airpuck.export.gym_game import GameEnv
+
+    return GameEnv(**CRAFT, **settings)
+'''
+
+
+def register(namespace: str = "airpuck", **settings: Any) -> None:
+    """Register all environments as NAMESPACE/NAME-v0, with settings such as model and twin."""
+    for name, (single, vector, own) in ENVIRONMENTS.items():
+        gymnasium.register(
+            f"{namespace}/{name}-v0",
+            entry_point=f"airpuck.export.{single}",
+            vector_entry_point=vector and f"airpuck.export.{vector}",
+            kwargs={**settings, **own},
+        )
+
+
+class PilotPolicy:
+    """A pilot as a policy for one episode: it knows only the observations."""
+
+    def __init__(self, pilot: Pilot) -> None:
+        self._pilot, self._stamps = pilot, {}
+
+    def __call__(self, observation: Observation) -> np.ndarray:
+        """Return the action."""
+        pilot, now = self._pilot, float(observation["time"][0])
+        for kind in ("pose", *pilot.watches):
+            if kind in observation:
+                stamp = now - float(observation[f"{kind}_age"][0])
+                if stamp != self._stamps.get(kind):
+                    pilot.measured(Measurement(kind, stamp, observation[kind]))
+                self._stamps[kind] = stamp
+        if "goal" in observation:
+            pilot.reference = SetPoint(*observation["next"].tolist(), float(observation["goal"][2]))
+        command = pilot.step(now).command
+        pilot.sent(now, command)
+        return command
+
+
+class TwinEnv(gymnasium.Env[Observation, np.ndarray]):
+    """What the environments of one craft share: a twin, one control period per step."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # pyright: ignore
+
+    def _build(
+        self, model: Model, settings: TwinSettings, bodies: Sequence[Kind], **more: spaces.Box
+    ) -> None:
+        self.model, self.settings = model, settings
+        self._twin: Twin | None = None
+        self.action_space = action_space(model)
+        self.observation_space = observation_space(model, settings, bodies, **more)
+        self._seen = Seen(1, self.observation_space, bodies)
+
+    def _fly(self, action: Any) -> Twin:
+        """Send a command, and let a period pass."""
+        if self._twin is None:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        command = checked_action(action, (self.model.vehicle.n_propellers,))
+        self._twin.send(command)
+        self._seen.command(_ALL, command[None])
+        self._seen.measured(self._twin.wait_until(float(self._seen.time[0])))
+        return self._twin
+
+
+class CourseEnv(TwinEnv):
+    """Fly from rest to a goal, past the points of a course.
+
+    Parameters
+    ----------
+    model : Model or path-like, default "paper:M3"
+        The craft.
+    twin : TwinSettings or path-like, optional
+        Table, sensors, radio, effects; by default the packaged ones.
+    course : str, optional
+        A course of `airpuck race`; by default random starts and goals, without points.
+    limit_s : float, default 10
+        Time after which an episode is truncated [s].
+
+    Raises
+    ------
+    InputError
+        If the course is unknown, or the table too small.
+    """
+
+    def __init__(
+        self,
+        model: ModelSource = "paper:M3",
+        twin: TwinSource = None,
+        course: str | None = None,
+        limit_s: float = LONGEST,
+    ) -> None:
+        craft, settings = read_world(model, twin)
+        self._task, self._limit = CourseTask(craft, settings, course, 1), limit_s
+        self._plant = build_plant(craft, settings)
+        self._build(craft, settings, ("pose",), **self._task.space())
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; options: poses ``start`` and ``goal`` instead of those drawn."""
+        super().reset(seed=seed)
+        start, number = self._task.draw(0, self.np_random, options or {})
+        self._twin = Twin(
+            self.model,
+            self.settings,
+            seed=number,
+            pose=(float(start[0]), float(start[1]), float(start[2])),
+            plant=self._plant,
+            logs=False,
+        )
+        self._seen.begin(_ROW, "pose", start[None])
+        return self._observation(), {"is_success": False}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send motor commands, and let a control period pass."""
+        self._fly(action)
+        seen = self._seen
+        reward, (there,) = self._task.judge(seen.pose["pose"], seen.rate["pose"])
+        late = bool(seen.time[0] >= self._limit)
+        success = {"is_success": bool(there)}
+        return self._observation(), float(reward[0]), bool(there), late and not there, success
+
+    def baseline(self) -> PilotPolicy:
+        """Return a policy for one episode: the tracking controller, with the next point as goal."""
+        rest = SetPoint(0.0, 0.0, 0.0)
+        return PilotPolicy(TrackingController(self.model, rest, table=self.settings.table))
+
+    def _observation(self) -> Observation:
+        found = {**self._seen.observation(), **self._task.observation()}
+        return {name: values[0] for name, values in found.items()}
+
+
+class PuckEnv(TwinEnv):
+    """A skill of `airpuck skills`: the same starts, ends and success. The reward is the success.
+
+    Parameters
+    ----------
+    skill : str
+        ``defend``, ``hit`` or ``prepare``.
+    model : Model or path-like, default "paper:M3"
+        The craft.
+    twin : TwinSettings or path-like, optional
+        Table, puck, sensors, radio, effects; by default the packaged ones.
+
+    Raises
+    ------
+    InputError
+        If the skill is unknown, or the table has no room for it.
+    """
+
+    def __init__(
+        self, skill: SkillName, model: ModelSource = "paper:M3", twin: TwinSource = None
+    ) -> None:
+        if skill not in SKILLS:
+            raise InputError(unknown(skill, list(SKILLS)), field="skill")
+        self.skill, self._stage = skill, make_stage(*read_world(model, twin))
+        self._build(self._stage.model, self._stage.settings, ("pose", "puck"))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode; options are not used."""
+        super().reset(seed=seed)
+        puck, _, number = opening(self._stage, self.skill, self.np_random)
+        self._twin = self._stage.twin(puck, number)
+        self._seen.begin(_ROW, "pose", self._twin.state[None, :3])
+        start = np.array([puck])
+        self._seen.begin(_ROW, "puck", start[:, :3], start[:, 3:])
+        return self._observation(), {"is_success": False}
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send motor commands, and let a control period pass."""
+        puck = self._fly(action).world.puck
+        assert puck is not None
+        over = ended(self._stage, self.skill, puck)
+        late = bool(self._seen.time[0] >= LONGEST) and not over
+        success = (over or late) and outcome(self._stage, self.skill, puck)[0]
+        return self._observation(), float(success), over, late, {"is_success": success}
+
+    def baseline(self) -> PilotPolicy:
+        """Return a policy for one episode: the package's player, with the skill's tactic."""
+        return PilotPolicy(Player(self.model, self.settings, TACTICS[self.skill]()))
+
+    def _observation(self) -> Observation:
+        return {name: values[0] for name, values in self._seen.observation().items()}
+
+
+def write(subject: Subject, folder: Path) -> dict[str, Any]:
+    """Write model, twin settings and a package that registers the environments of this craft."""
+    CourseTask(subject.model, subject.twin, None, 1)
+    subject.model.save(folder / "model.toml")
+    subject.twin.save(folder / "twin.toml")
+    (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")
+    return {"environments": ", ".join(f"{name}-v0" for name in ENVIRONMENTS)}
+
+
+register()

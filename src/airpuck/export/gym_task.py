@@ -1,0 +1,242 @@
+"""What the environments share: spaces, what a controller knows, courses with their rewards."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.settings import unknown
+from airpuck.craft.table import AirHockey
+from airpuck.data.measurement import Kind, Measurement
+from airpuck.hockey.game import PERIOD
+from airpuck.model.model_file import Model, read_model
+from airpuck.physics.angle import wrapped
+from airpuck.twin.race import COURSES, arrived, passes
+from airpuck.twin.settings import OnBoard, TwinSettings, default_twin_settings, read_twin_settings
+from airpuck.twin.twin import check_pose
+
+try:
+    from gymnasium import spaces
+except ImportError:
+    raise InputError("environments need Gymnasium: pip install gymnasium") from None
+
+#: Commands in an observation: what delay (21 ms) and lag (28 ms) of the paper's craft still hide.
+_REMEMBERED = 5
+#: Starts and goals keep this distance from the rails, in addition to the craft's radius [m].
+_MARGIN = 0.05
+#: Largest measured distance beyond the table's edge, as of a puck in the goal mouth [m].
+_BEYOND = 0.1
+#: Poses further apart in time give no velocity: the body was out of sight [s].
+_HIDDEN = 0.1
+#: Seeds of twins lie below this.
+_SEEDS = 2**31
+
+Observation = dict[str, np.ndarray]
+ModelSource = Model | str | os.PathLike[str]
+TwinSource = TwinSettings | str | os.PathLike[str] | None
+
+
+def read_world(model: ModelSource, twin: TwinSource) -> tuple[Model, TwinSettings]:
+    """Return a model and the settings of its twin, from files or objects."""
+    if not isinstance(model, Model):
+        model = read_model(model)
+    if twin is None:
+        twin = default_twin_settings()
+    elif not isinstance(twin, TwinSettings):
+        twin = read_twin_settings(twin)
+    # Readings of on-board sensors are not part of an observation, and cost time.
+    return model, twin.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
+
+
+def checked_action(action: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "*n"]:
+    """Return motor commands, clipped as by the radio; raise InputError if they are not numbers."""
+    try:
+        command = np.array(action, dtype=float)
+    except (TypeError, ValueError):
+        command = np.full(0, np.nan)
+    if command.shape != shape or not np.isfinite(command).all():
+        size = " × ".join(map(str, shape))
+        raise InputError(f"needs {size} finite numbers, one for each motor", field="action")
+    return np.clip(command, 0.0, 1.0)
+
+
+def action_space(model: Model) -> spaces.Box:
+    """Return the space of motor commands."""
+    return spaces.Box(0.0, 1.0, (model.vehicle.n_propellers,), np.float64)
+
+
+def observation_space(
+    model: Model, equipment: AirHockey, bodies: Sequence[Kind], **more: spaces.Box
+) -> spaces.Dict:
+    """Return the space of the measured poses of some bodies, and of further entries."""
+    table = equipment.table
+    high = np.array([table.length_m / 2 + _BEYOND, table.width_m / 2 + _BEYOND, math.pi])
+    entries = {
+        "time": real(0.0, math.inf, 1),
+        "sent": real(0.0, 1.0, _REMEMBERED, model.vehicle.n_propellers),
+    }
+    for name in bodies:
+        entries[name] = spaces.Box(-high, high, dtype=np.float64)
+        entries[f"{name}_rate"] = real(-math.inf, math.inf, 3)
+        entries[f"{name}_age"] = real(-math.inf, math.inf, 1)
+    return spaces.Dict({**entries, **more})
+
+
+def real(low: float, high: float, *shape: int) -> spaces.Box:
+    """Return a box of numbers with the same limits."""
+    return spaces.Box(low, high, shape, np.float64)
+
+
+class Seen:
+    """What one controller, or each of a batch, knows: poses, rates, its own commands.
+
+    Arrays have the batch as first axis.
+    """
+
+    def __init__(self, size: int, space: spaces.Dict, bodies: Sequence[Kind]) -> None:
+        n = space["sent"].shape
+        assert n is not None
+        self._steps, self.sent = np.zeros(size, int), np.zeros((size, *n))
+        self._high = {name: space[name].high for name in bodies}  # pyright: ignore
+        self._stamp = {name: np.zeros(size) for name in bodies}
+        self.pose = {name: np.zeros((size, 3)) for name in bodies}
+        self.rate = {name: np.zeros((size, 3)) for name in bodies}
+
+    @property
+    def time(self) -> Float[np.ndarray, " B"]:
+        """Time since the beginning of each episode [s]."""
+        return self._steps * PERIOD
+
+    def begin(
+        self,
+        rows: Int[np.ndarray, " R"],
+        body: Kind,
+        pose: Float[np.ndarray, "R 3"],
+        rate: Float[np.ndarray, "R 3"] | float = 0.0,
+    ) -> None:
+        """Begin with the exact initial pose of a body."""
+        self._steps[rows], self.sent[rows], self._stamp[body][rows] = 0, 0.0, 0.0
+        self.pose[body][rows], self.rate[body][rows] = pose, rate
+
+    def command(self, rows: Bool[np.ndarray, " B"], sent: Float[np.ndarray, "B n"]) -> None:
+        """Store sent commands, and let a period pass."""
+        latest = np.concatenate([sent[:, None], self.sent[:, :-1]], axis=1)
+        self.sent = np.where(rows[:, None, None], latest, self.sent)
+        self._steps += rows
+
+    def see(
+        self,
+        rows: Bool[np.ndarray, " B"],
+        body: Kind,
+        stamp: Float[np.ndarray, " B"],
+        pose: Float[np.ndarray, "B 3"],
+    ) -> None:
+        """Take measured poses; differences of poses give rates."""
+        passed = stamp - self._stamp[body]
+        new = rows & (passed > 0)
+        high, last = self._high[body], self.pose[body]
+        pose = np.clip(np.column_stack([pose[:, :2], wrapped(np, pose[:, 2])]), -high, high)
+        moved = np.column_stack([pose[:, :2] - last[:, :2], wrapped(np, pose[:, 2] - last[:, 2])])
+        rate = moved / np.where(new, passed, 1.0)[:, None]
+        rate[passed > _HIDDEN] = 0.0
+        self.rate[body] = np.where(new[:, None], rate, self.rate[body])
+        self.pose[body] = np.where(new[:, None], pose, last)
+        self._stamp[body] = np.where(new, stamp, self._stamp[body])
+
+    def measured(self, measurements: Sequence[Measurement]) -> None:
+        """Take the latest measurement of each body, of a batch of one."""
+        latest = {m.kind: m for m in measurements if m.kind in self.pose}
+        for kind, m in latest.items():
+            self.see(np.ones(1, bool), kind, np.array([m.stamp]), m.values[None])
+
+    def observation(self) -> Observation:
+        """Return the observations of the batch."""
+        found: Observation = {"time": self.time[:, None], "sent": self.sent.copy()}
+        for body, pose in self.pose.items():
+            found[body], found[f"{body}_rate"] = pose.copy(), self.rate[body].copy()
+            found[f"{body}_age"] = (self.time - self._stamp[body])[:, None]
+        return found
+
+
+class CourseTask:
+    """Starts, points and goals of a batch of craft, and how far each has come.
+
+    The reward is the decrease of the remaining length, minus the time [s]: a metre is worth a
+    second. The remaining length is the path over the next points to the goal, plus the rotation
+    that is left, times the craft's radius [m]. As a difference of potentials it does not change
+    which policy is best (Ng, Harada and Russell, 1999).
+    """
+
+    def __init__(self, model: Model, settings: TwinSettings, course: str | None, size: int) -> None:
+        if course is not None and course not in COURSES:
+            raise InputError(unknown(course, list(COURSES)), field="course")
+        self._fixed = None if course is None else COURSES[course]
+        self._radius, self._table = model.vehicle.radius_m, settings.table
+        self._reach = [side - _MARGIN for side in self._table.reach(self._radius)]
+        if min(self._reach) <= 0:
+            raise InputError("has no room for the craft to move", field="table")
+        count = len(self._fixed[2]) if self._fixed else 0
+        self.points, self.goal = np.zeros((size, count + 1, 2)), np.zeros((size, 3))
+        #: Number of points passed; remaining length after each point, and now [m].
+        self._passed, self._rows = np.zeros(size, int), np.arange(size)
+        self._after, self._left = np.zeros((size, count + 1)), np.zeros(size)
+
+    def draw(
+        self, row: int, rng: np.random.Generator, options: Mapping[str, Any]
+    ) -> tuple[Float[np.ndarray, " 3"], int]:
+        """Begin an episode of one craft; return its start, and the twin's seed."""
+        start, goal, via = self._fixed or (*(self._pose(rng) for _ in range(2)), ())
+        start, goal = np.array(options.get("start", start)), np.array(options.get("goal", goal))
+        for pose in (start, goal):
+            check_pose(pose, self._table, self._radius)
+        self.goal[row], self.points[row] = goal, [*via, goal[:2]]
+        legs = np.hypot(*np.diff(self.points[row], axis=0).T)
+        self._after[row] = np.append(np.cumsum(legs[::-1])[::-1], 0.0)
+        self._passed[row] = 0
+        self._left[row] = self._remaining(start[None])[row]
+        return start, int(rng.integers(_SEEDS))
+
+    def judge(
+        self, pose: Float[np.ndarray, "B 3"], rate: Float[np.ndarray, "B 3"]
+    ) -> tuple[Float[np.ndarray, " B"], Bool[np.ndarray, " B"]]:
+        """Return rewards of a period, and whether craft are at the goal, past all points."""
+        last = self.points.shape[1] - 1
+        for _ in range(last):
+            self._passed += (self._passed < last) & passes(pose, self.following)
+        left = self._remaining(pose)
+        reward, self._left = self._left - left - PERIOD, left
+        there = arrived(np.concatenate([pose, rate], axis=1), self.goal_states)
+        return reward, (self._passed == last) & there
+
+    def observation(self) -> Observation:
+        """Return goals and next points."""
+        return {"goal": self.goal.copy(), "next": self.following.copy()}
+
+    def space(self) -> dict[str, spaces.Box]:
+        """Return the space of goals and next points."""
+        high = np.array([self._table.length_m / 2, self._table.width_m / 2, math.inf])
+        box = {"goal": high, "next": high[:2]}
+        return {name: spaces.Box(-size, size, dtype=np.float64) for name, size in box.items()}
+
+    @property
+    def following(self) -> Float[np.ndarray, "B 2"]:
+        """The next points, finally the goals."""
+        return self.points[self._rows, self._passed]
+
+    @property
+    def goal_states(self) -> Float[np.ndarray, "B 6"]:
+        """The goals, at rest."""
+        return np.concatenate([self.goal, np.zeros_like(self.goal)], axis=1)
+
+    def _pose(self, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
+        return rng.uniform(-1, 1, 3) * [*self._reach, math.pi]
+
+    def _remaining(self, pose: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, " B"]:
+        away = np.hypot(*(pose[:, :2] - self.following).T) + self._after[self._rows, self._passed]
+        return away + self._radius * np.abs(wrapped(np, pose[:, 2] - self.goal[:, 2]))

@@ -1,0 +1,124 @@
+"""Flights to a goal and races as a vector environment: all craft in one program."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from jaxtyping import Int
+
+from airpuck.boundary.errors import InputError
+from airpuck.export.gym_task import (
+    PERIOD,
+    CourseTask,
+    ModelSource,
+    Observation,
+    Seen,
+    TwinSource,
+    action_space,
+    checked_action,
+    observation_space,
+    read_world,
+)
+from airpuck.hockey.skills import LONGEST
+from airpuck.twin.batch import TwinBatch
+
+
+class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
+    """Many `CourseEnv` at once; row i with seed s draws like one with seed s + i.
+
+    Only noise and latency of its poses differ. Parameters are those of `CourseEnv`.
+
+    Raises
+    ------
+    InputError
+        If a `TwinBatch` cannot represent the craft or a fault.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        model: ModelSource = "paper:M3",
+        twin: TwinSource = None,
+        course: str | None = None,
+        limit_s: float = LONGEST,
+    ) -> None:
+        if num_envs < 1:
+            raise InputError("must be at least 1", field="num_envs")
+        craft, settings = read_world(model, twin)
+        self.num_envs, self._limit = num_envs, limit_s
+        self._task = CourseTask(craft, settings, course, num_envs)
+        self.single_action_space = action_space(craft)
+        space = observation_space(craft, settings, ("pose",), **self._task.space())
+        self.single_observation_space = space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(space, num_envs)
+        self._seen = Seen(num_envs, space, ("pose",))
+        self._batch = TwinBatch(craft, settings, num_envs, limit_s, PERIOD, self.np_random)
+        self._generators: list[np.random.Generator] = []
+        self._over = np.zeros(num_envs, bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin all episodes; options: poses ``start`` and ``goal``, for all or for each."""
+        super().reset(seed=seed)
+        if seed is not None or not self._generators:
+            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            self._generators = [np_random(first + row)[0] for row in range(self.num_envs)]
+            self._batch.rng = self.np_random
+        self._begin(np.arange(self.num_envs), options or {})
+        return self._observation(), self._info(np.zeros(self.num_envs, bool))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Send motor commands, and let a control period pass; craft that are done begin anew."""
+        if not self._generators:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        commands = checked_action(actions, self.action_space.shape or ())
+        moving, seen = ~self._over, self._seen
+        if self._over.any():
+            self._begin(np.flatnonzero(self._over), {})
+        self._batch.step(commands, moving)
+        seen.command(moving, commands)
+        arrived, stamp, pose = self._batch.measured()
+        seen.see(moving & arrived, "pose", stamp, pose)
+        reward, there = self._task.judge(seen.pose["pose"], seen.rate["pose"])
+        there &= moving
+        late = (seen.time >= self._limit) & ~there
+        self._over = there | late
+        return self._observation(), np.where(moving, reward, 0.0), there, late, self._info(there)
+
+    def _begin(self, rows: Int[np.ndarray, " R"], options: dict[str, Any]) -> None:
+        """Begin the episodes of some rows."""
+        each = {
+            name: np.broadcast_to(np.asarray(pose, float), (self.num_envs, 3))
+            for name, pose in options.items()
+            if name in ("start", "goal")
+        }
+        drawn = [
+            self._task.draw(
+                row, self._generators[row], {n: poses[row] for n, poses in each.items()}
+            )
+            for row in rows.tolist()
+        ]
+        starts = np.array([start for start, _ in drawn])
+        self._batch.reset(rows, starts, [seed for _, seed in drawn])
+        self._seen.begin(rows, "pose", starts)
+        self._over[rows] = False
+
+    def _observation(self) -> Observation:
+        return {**self._seen.observation(), **self._task.observation()}
+
+    def _info(self, success: np.ndarray) -> dict[str, Any]:
+        return {"is_success": success, "_is_success": np.ones(self.num_envs, bool)}
