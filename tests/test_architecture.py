@@ -145,6 +145,8 @@ def test_imports_go_downwards():
         ("cyclonedds", {"live"}),
         ("websockets", {"web"}),
         ("mcap", {"recording"}),
+        ("gymnasium", {"export"}),
+        ("pettingzoo", {"export"}),
         ("dask", {"campaigns"}),
         ("distributed", {"campaigns"}),
     ],

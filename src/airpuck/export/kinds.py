@@ -70,6 +70,7 @@ KINDS: dict[str, Kind] = {
     "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
     "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
     "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
+    "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
 }
 
 
