@@ -27,6 +27,7 @@ FIRST_USE = (
         "ros2,play": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 91",
     },
     {"px4": "python -c \"import airpuck; airpuck.read_recording('log.ulg')\""},
+    {"gym": "python -c 'from airpuck.export.gym import CourseEnv; CourseEnv().reset()'"},
     {"play": "airpuck play --no-browser --port 8392 --duration 0.2 --quiet"},
     {"campaign": "airpuck campaign spec.toml -o results --workers 1 --quiet"},
 )

@@ -6,6 +6,7 @@ docs/export.md describes observations, rewards and ends.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,6 +14,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError:
+    raise InputError("environments need Gymnasium: pip install gymnasium") from None
+
 from airpuck.boundary.settings import unknown
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint
@@ -46,12 +54,8 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-try:
-    import gymnasium
-    from gymnasium import spaces
-except ImportError:
-    raise InputError("environments need Gymnasium: pip install gymnasium") from None
-
+#: Stamps that are closer than this are the same; ages round them [s].
+_SAME = 1e-9
 #: A batch of one: its row, and that it takes part.
 _ROW, _ALL = np.zeros(1, int), np.ones(1, bool)
 
@@ -96,7 +100,8 @@ class PilotPolicy:
     """A pilot as a policy for one episode: it knows only the observations."""
 
     def __init__(self, pilot: Pilot) -> None:
-        self._pilot, self._stamps = pilot, {}
+        self._pilot = pilot
+        self._stamps: dict[str, float] = {}
 
     def __call__(self, observation: Observation) -> np.ndarray:
         """Return the action."""
@@ -104,17 +109,18 @@ class PilotPolicy:
         for kind in ("pose", *pilot.watches):
             if kind in observation:
                 stamp = now - float(observation[f"{kind}_age"][0])
-                if stamp != self._stamps.get(kind):
+                if stamp > self._stamps.get(kind, -math.inf) + _SAME:
+                    self._stamps[kind] = stamp
                     pilot.measured(Measurement(kind, stamp, observation[kind]))
-                self._stamps[kind] = stamp
         if "goal" in observation:
-            pilot.reference = SetPoint(*observation["next"].tolist(), float(observation["goal"][2]))
+            x, y = observation["next"].tolist()
+            pilot.reference = SetPoint(x, y, float(observation["goal"][2]))
         command = pilot.step(now).command
         pilot.sent(now, command)
         return command
 
 
-class TwinEnv(gymnasium.Env[Observation, np.ndarray]):
+class TwinEnv(gymnasium.Env[Observation, Any]):
     """What the environments of one craft share: a twin, one control period per step."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # pyright: ignore
@@ -125,8 +131,8 @@ class TwinEnv(gymnasium.Env[Observation, np.ndarray]):
         self.model, self.settings = model, settings
         self._twin: Twin | None = None
         self.action_space = action_space(model)
-        self.observation_space = observation_space(model, settings, bodies, **more)
-        self._seen = Seen(1, self.observation_space, bodies)
+        space: Any = observation_space(model, settings, bodies, **more)
+        self.observation_space, self._seen = space, Seen(1, space, bodies)
 
     def _fly(self, action: Any) -> Twin:
         """Send a command, and let a period pass."""
@@ -230,7 +236,8 @@ class PuckEnv(TwinEnv):
     ) -> None:
         if skill not in SKILLS:
             raise InputError(unknown(skill, list(SKILLS)), field="skill")
-        self.skill, self._stage = skill, make_stage(*read_world(model, twin))
+        self.skill: SkillName = skill
+        self._stage = make_stage(*read_world(model, twin))
         self._build(self._stage.model, self._stage.settings, ("pose", "puck"))
 
     def reset(

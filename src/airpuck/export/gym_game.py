@@ -70,6 +70,11 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         Goals needed to win.
     limit_s : float, default 30
         Time limit [s].
+
+    Attributes
+    ----------
+    game : Game
+        The present game: score, events, true states.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "airpuck_game_v0", "render_modes": []}  # pyright: ignore
@@ -86,7 +91,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         self.possible_agents, self.agents = list(_SIDES), []
         self.render_mode = None
         self.action_spaces = {name: action_space(self.model) for name in _SIDES}
-        self.observation_spaces = {
+        self.observation_spaces: dict[str, Any] = {
             name: observation_space(self.model, self.settings, _BODIES) for name in _SIDES
         }
         self._random = np_random()[0]
@@ -111,7 +116,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             Contestant(name, player=lambda *_, pilot=pilot: pilot)
             for name, pilot in self._pilots.items()
         ]
-        self._game = Game(
+        self.game = Game(
             *players,
             settings=self.settings,
             rules=self._rules,
@@ -120,8 +125,8 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             logs=False,
         )
         self.agents, self._seen = list(_SIDES), {}
-        places = [np.array(side.state[:3]) for side in self._game.sides]
-        puck = np.array(self._game.puck)[:3]
+        places = [np.array(side.state[:3]) for side in self.game.sides]
+        puck = np.array(self.game.puck)[:3]
         for (name, space), own, other in zip(
             self.observation_spaces.items(), places, places[::-1], strict=True
         ):
@@ -141,7 +146,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             command = checked_action(actions[name], self._pilots[name].command.shape)
             self._pilots[name].command = command
             self._seen[name].command(_ALL, command[None])
-        before, game = self._game.score, self._game
+        before, game = self.game.score, self.game
         game.step()
         for name, side in zip(playing, game.sides, strict=True):
             assert side.twin is not None
@@ -170,7 +175,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         return PilotPolicy(Player(self.model, self.settings, opponent_radius=radius))
 
     def _frame(self, name: str) -> Any:
-        return self._game.sides[_SIDES[name] > 0].frame
+        return self.game.sides[_SIDES[name] > 0].frame
 
     def _observations(self) -> dict[str, Observation]:
         return {

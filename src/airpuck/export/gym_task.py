@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
@@ -20,11 +21,6 @@ from airpuck.physics.angle import wrapped
 from airpuck.twin.race import COURSES, arrived, passes
 from airpuck.twin.settings import OnBoard, TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
-
-try:
-    from gymnasium import spaces
-except ImportError:
-    raise InputError("environments need Gymnasium: pip install gymnasium") from None
 
 #: Commands in an observation: what delay (21 ms) and lag (28 ms) of the paper's craft still hide.
 _REMEMBERED = 5
@@ -151,7 +147,7 @@ class Seen:
 
     def measured(self, measurements: Sequence[Measurement]) -> None:
         """Take the latest measurement of each body, of a batch of one."""
-        latest = {m.kind: m for m in measurements if m.kind in self.pose}
+        latest: dict[Kind, Measurement] = {m.kind: m for m in measurements if m.kind in self.pose}
         for kind, m in latest.items():
             self.see(np.ones(1, bool), kind, np.array([m.stamp]), m.values[None])
 

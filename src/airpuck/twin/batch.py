@@ -91,8 +91,9 @@ class TwinBatch:
         self._times = np.full((2 * packets + 2, size), np.inf)
         self._heard = np.full(self._times.shape, packets)
         self._changes = np.zeros(size, dtype=int)
-        #: Number of frames so far; the latest ones: arrival, number, pose.
-        self._frames = np.zeros(size, dtype=int)
+        #: Number of frames so far, and of those that were not missed; the latest of them: arrival,
+        #: number, pose.
+        self._frames, self._seen = np.zeros(size, dtype=int), np.zeros(size, dtype=int)
         self._arrival, self._number = np.full((kept, size), np.inf), np.zeros((kept, size), int)
         self._poses, self._last_arrival = np.zeros((kept, size, 3)), np.zeros(size)
 
@@ -113,7 +114,7 @@ class TwinBatch:
         self.state[:, rows] = 0.0
         self.state[:3, rows] = poses.T
         self._sent[:, rows], self._followed[:, rows] = 0.0, 0.0
-        for counts in (self.steps, self._now, self._changes, self._frames):
+        for counts in (self.steps, self._now, self._changes, self._frames, self._seen):
             counts[rows] = 0
         delays = [self._delay] * len(seeds)
         times, heard = heard_commands(self.settings, self._sent_at, seeds, delays)
@@ -128,9 +129,12 @@ class TwinBatch:
         self.steps[rows] += 1
         end = np.where(moving, self._period * self.steps, -np.inf)
         rate = self.settings.motion_capture.rate_hz
-        sag = self.settings.effects.battery_sag_1_s
+        sag, stop = self.settings.effects.battery_sag_1_s, len(self._sent_at)
         while True:
             frame, change = self._frames / rate, self._times[self._changes, self._rows]
+            heard = self._heard[self._changes, self._rows]
+            # A command without delay arrives when it is sent: at the start of the next period.
+            change = np.where((heard < self.steps) | (heard == stop), change, np.inf)
             due = np.minimum(frame, change)
             active = due <= end
             if not active.any():
@@ -144,8 +148,7 @@ class TwinBatch:
             self._now = until
             self._measure(self._rows[active & (frame <= until)])
             hear = self._rows[active & (change <= until)]
-            heard = self._heard[self._changes[hear], hear]
-            self._followed[:, hear] = self._sent[heard, hear].T
+            self._followed[:, hear] = self._sent[heard[hear], hear].T
             self._changes[hear] += 1
 
     def measured(
@@ -157,12 +160,12 @@ class TwinBatch:
         capture = self.settings.motion_capture
         time = self._number[latest, self._rows] / capture.rate_hz
         stamp = (1 + capture.clock_drift) * time + capture.clock_offset_s
-        return there.any(axis=0), stamp, self._poses[latest, self._rows]
+        return np.asarray(there.any(axis=0)), stamp, self._poses[latest, self._rows]
 
     def _measure(self, rows: Int[np.ndarray, " R"]) -> None:
         """Take a frame of some craft; see `airpuck.twin.sensors.Sensor.measure`."""
         capture, number = self.settings.motion_capture, self._frames[rows]
-        time, slot = number / capture.rate_hz, number % len(self._number)
+        time = number / capture.rate_hz
         deviation = [capture.position_noise_m, capture.position_noise_m, capture.yaw_noise_rad]
         values = self.state[:3, rows].T + deviation * self.rng.standard_normal((len(rows), 3))
         values[:, 2] = wrapped(np, values[:, 2])
@@ -170,11 +173,13 @@ class TwinBatch:
         seen = self.rng.random(len(rows)) >= capture.dropped
         for start, stop in capture.gaps_s:
             seen &= (time < start) | (time >= stop)
-        arrival = np.maximum(time + late, self._last_arrival[rows])
-        self._last_arrival[rows] = np.where(seen, arrival, self._last_arrival[rows])
-        self._arrival[slot, rows] = np.where(seen, arrival, np.inf)
-        self._number[slot, rows], self._poses[slot, rows] = number, values
         self._frames[rows] += 1
+        number, time, values, late, rows = (v[seen] for v in (number, time, values, late, rows))
+        slot = self._seen[rows] % len(self._number)
+        self._seen[rows] += 1
+        arrival = np.maximum(time + late, self._last_arrival[rows])
+        self._last_arrival[rows] = self._arrival[slot, rows] = arrival
+        self._number[slot, rows], self._poses[slot, rows] = number, values
 
 
 def _program(model: Model, settings: TwinSettings) -> Any:
