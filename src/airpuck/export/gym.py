@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from airpuck.export.gym_task import (
     TwinSource,
     action_space,
     checked_action,
+    checked_limit,
     observation_space,
     read_world,
 )
@@ -173,7 +174,7 @@ class CourseEnv(TwinEnv):
         limit_s: float = LONGEST,
     ) -> None:
         craft, settings = read_world(model, twin)
-        self._task, self._limit = CourseTask(craft, settings, course, 1), limit_s
+        self._task, self._limit = CourseTask(craft, settings, course, 1), checked_limit(limit_s)
         self._plant = build_plant(craft, settings)
         self._build(craft, settings, ("pose",), **self._task.space())
 
@@ -232,11 +233,11 @@ class PuckEnv(TwinEnv):
     """
 
     def __init__(
-        self, skill: SkillName, model: ModelSource = "paper:M3", twin: TwinSource = None
+        self, skill: str, model: ModelSource = "paper:M3", twin: TwinSource = None
     ) -> None:
         if skill not in SKILLS:
             raise InputError(unknown(skill, list(SKILLS)), field="skill")
-        self.skill: SkillName = skill
+        self.skill = cast(SkillName, skill)
         self._stage = make_stage(*read_world(model, twin))
         self._build(self._stage.model, self._stage.settings, ("pose", "puck"))
 

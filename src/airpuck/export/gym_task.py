@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from jaxtyping import Bool, Float, Int
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import unknown
 from airpuck.craft.table import AirHockey
@@ -60,6 +61,12 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "*n
         size = " × ".join(map(str, shape))
         raise InputError(f"needs {size} finite numbers, one for each motor", field="action")
     return np.clip(command, 0.0, 1.0)
+
+
+def checked_limit(limit_s: float) -> float:
+    """Return the time limit of an episode; raise InputError if it is out of range [s]."""
+    numbers.GAME_TIME.check(limit_s, "limit_s")
+    return limit_s
 
 
 def action_space(model: Model) -> spaces.Box:
@@ -118,7 +125,7 @@ class Seen:
     ) -> None:
         """Begin with the exact initial pose of a body."""
         self._steps[rows], self.sent[rows], self._stamp[body][rows] = 0, 0.0, 0.0
-        self.pose[body][rows], self.rate[body][rows] = pose, rate
+        self.pose[body][rows], self.rate[body][rows] = self._inside(body, pose), rate
 
     def command(self, rows: Bool[np.ndarray, " B"], sent: Float[np.ndarray, "B n"]) -> None:
         """Store sent commands, and let a period pass."""
@@ -136,8 +143,7 @@ class Seen:
         """Take measured poses; differences of poses give rates."""
         passed = stamp - self._stamp[body]
         new = rows & (passed > 0)
-        high, last = self._high[body], self.pose[body]
-        pose = np.clip(np.column_stack([pose[:, :2], wrapped(np, pose[:, 2])]), -high, high)
+        pose, last = self._inside(body, pose), self.pose[body]
         moved = np.column_stack([pose[:, :2] - last[:, :2], wrapped(np, pose[:, 2] - last[:, 2])])
         rate = moved / np.where(new, passed, 1.0)[:, None]
         rate[passed > _HIDDEN] = 0.0
@@ -150,6 +156,11 @@ class Seen:
         latest: dict[Kind, Measurement] = {m.kind: m for m in measurements if m.kind in self.pose}
         for kind, m in latest.items():
             self.see(np.ones(1, bool), kind, np.array([m.stamp]), m.values[None])
+
+    def _inside(self, body: Kind, pose: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+        """Return poses with wrapped yaw, within the limits of their space."""
+        high = self._high[body]
+        return np.clip(np.column_stack([pose[:, :2], wrapped(np, pose[:, 2])]), -high, high)
 
     def observation(self) -> Observation:
         """Return the observations of the batch."""
@@ -195,7 +206,7 @@ class CourseTask:
         legs = np.hypot(*np.diff(self.points[row], axis=0).T)
         self._after[row] = np.append(np.cumsum(legs[::-1])[::-1], 0.0)
         self._passed[row] = 0
-        self._left[row] = self._remaining(start[None])[row]
+        self._left[row] = self._remaining(np.tile(start, (len(self._rows), 1)))[row]
         return start, int(rng.integers(_SEEDS))
 
     def judge(

@@ -21,6 +21,7 @@ from airpuck.export.gym_task import (
     TwinSource,
     action_space,
     checked_action,
+    checked_limit,
     observation_space,
     read_world,
 )
@@ -55,7 +56,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         if num_envs < 1:
             raise InputError("must be at least 1", field="num_envs")
         craft, settings = read_world(model, twin)
-        self.num_envs, self._limit = num_envs, limit_s
+        self.num_envs, self._limit = num_envs, checked_limit(limit_s)
         self._task = CourseTask(craft, settings, course, num_envs)
         self.single_action_space = action_space(craft)
         space = observation_space(craft, settings, ("pose",), **self._task.space())

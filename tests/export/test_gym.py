@@ -1,0 +1,341 @@
+"""Environments against the official checkers, the twin, and the package's own skills."""
+
+import math
+import sys
+from itertools import pairwise
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+from airpuck.boundary.errors import InputError
+from airpuck.control.law import Step
+from airpuck.control.pilot import Pilot
+from airpuck.craft.table import Table
+from airpuck.export import write
+from airpuck.export.gym import ENVIRONMENTS, CourseEnv, PuckEnv
+from airpuck.export.gym_game import GameEnv
+from airpuck.export.gym_task import CourseTask
+from airpuck.export.gym_vector import CourseVectorEnv
+from airpuck.hockey.skills import SKILLS, skills
+from airpuck.model.model_file import published_model
+from airpuck.physics.puck import PuckState
+from airpuck.twin.race import COURSES
+from airpuck.twin.settings import MotionCapture, OnBoard, default_twin_settings
+from airpuck.twin.twin import Twin
+
+# Gymnasium warns of infinite bounds, which rates have.
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+
+PERIOD = 0.01
+MODEL = published_model("M3")
+SETTINGS = default_twin_settings()
+#: The radio's delays stay random.
+NOISELESS = SETTINGS.model_copy(
+    update={
+        "motion_capture": MotionCapture(
+            position_noise_m=0.0, yaw_noise_rad=0.0, latency_jitter_s=0.0
+        ),
+        "on_board": OnBoard(rate_hz=0.0),
+    }
+)
+
+
+def actions(count, seed=0, size=6):
+    return np.random.default_rng(seed).random((count, size))
+
+
+def flown(env, commands, **reset):
+    """Return the results of a reset and of steps."""
+    return [env.reset(**reset), *(env.step(command) for command in commands)]
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_gymnasiums_checker_passes(name):
+    check_env(gymnasium.make(f"airpuck/{name}-v0").unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("make", [CourseEnv, lambda: PuckEnv("hit")], ids=["course", "puck"])
+def test_a_seed_determines_the_episode(make):
+    env, other, commands = make(), make(), actions(20)
+    first = flown(env, commands, seed=4)
+    other.reset(seed=9)
+    assert data_equivalence(flown(env, commands, seed=4), first, exact=True)
+    assert data_equivalence(flown(other, commands, seed=4), first, exact=True)
+    assert not data_equivalence(flown(env, commands, seed=5), first)
+
+
+def test_environments_do_not_affect_each_other():
+    one, two, commands = CourseEnv(), CourseEnv(), actions(10)
+    alone = flown(one, commands, seed=1)
+    found = [one.reset(seed=1)]
+    two.reset(seed=2)
+    for command in commands:
+        found.append(one.step(command))
+        two.step(1 - command)
+    assert data_equivalence(found, alone, exact=True)
+
+
+def test_a_flight_is_the_twins():
+    # Without jitter the seed of the twin does not matter.
+    radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
+    settings = NOISELESS.model_copy(update={"radio": radio})
+    start, commands = (0.2, -0.1, 1.0), actions(40)
+    twin, env = Twin(MODEL, settings, pose=start), CourseEnv(twin=settings)
+    env.reset(options={"start": start, "goal": (0.0, 0.0, 0.0)})
+    seen = [(0.0, np.array(start))]
+    for k, command in enumerate(commands):
+        twin.send(command)
+        latest = twin.wait_until((k + 1) * PERIOD)[-1]
+        seen.append((latest.stamp, latest.values))
+        observation, *_ = env.step(command)
+        assert observation["time"][0] == (k + 1) * PERIOD
+        np.testing.assert_array_equal(observation["pose"], latest.values)
+        np.testing.assert_allclose(observation["pose_age"], (k + 1) * PERIOD - latest.stamp)
+        np.testing.assert_array_equal(observation["sent"][0], command)
+        (before, last), (now, pose) = seen[-2:]
+        np.testing.assert_allclose(observation["pose_rate"], (pose - last) / (now - before))
+
+
+def test_rows_of_the_vector_environment_are_single_environments():
+    settings, rows, limit = NOISELESS, 3, 0.15
+    vector = CourseVectorEnv(rows, twin=settings, limit_s=limit)
+    single = [CourseEnv(twin=settings, limit_s=limit) for _ in range(rows)]
+    assert vector.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert vector.single_observation_space == single[0].observation_space
+    observations, _ = vector.reset(seed=7)
+    expected = [env.reset(seed=7 + row)[0] for row, env in enumerate(single)]
+    over = [False] * rows
+    for commands in actions(40, size=rows * 6).reshape(40, rows, 6):
+        for name, values in observations.items():
+            np.testing.assert_allclose(values, [each[name] for each in expected], atol=1e-8)
+        assert vector.observation_space.contains(observations)
+        observations, *ends, _ = vector.step(commands)
+        for row, env in enumerate(single):
+            if over[row]:
+                expected[row], result = env.reset()[0], (0.0, False, False)
+            else:
+                expected[row], *result, _ = env.step(commands[row])
+            np.testing.assert_allclose([end[row] for end in ends], result[:3], atol=1e-8)
+            over[row] = bool(result[1] or result[2])
+
+
+def test_a_seed_determines_the_vector_environment():
+    env, commands = gymnasium.make_vec("airpuck/Race-v0", num_envs=2), actions(10, size=12)
+    commands = commands.reshape(10, 2, 6)
+    first = flown(env, commands, seed=4)
+    assert data_equivalence(flown(env, commands, seed=4), first, exact=True)
+    poses = first[-1][0]["pose"]
+    assert not np.array_equal(poses[0], poses[1])
+
+
+@pytest.mark.parametrize(
+    "action", [np.full(6, np.nan), [0.5, math.inf, 0, 0, 0, 0], np.zeros(5), 0.5, None, ["a"] * 6]
+)
+def test_an_action_that_is_not_a_command_is_rejected(action):
+    env = CourseEnv()
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="action: needs 6 finite numbers"):
+        env.step(action)
+
+
+def test_actions_beyond_the_range_are_clipped():
+    env = CourseEnv()
+    wild = flown(env, [np.array([-5.0, 9.0, 0.5, -0.1, 1.1, 1e300])] * 9, seed=0)
+    tame = flown(env, [np.array([0.0, 1.0, 0.5, 0.0, 1.0, 1.0])] * 9, seed=0)
+    assert data_equivalence(wild, tame, exact=True)
+
+
+def test_wrong_use_is_named():
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        CourseEnv().step(np.zeros(6))
+    for make, field in (
+        (lambda: CourseEnv(course="rally"), "course"),
+        (lambda: CourseEnv(limit_s=math.nan), "limit_s"),
+        (lambda: PuckEnv("juggle"), "skill"),
+        (lambda: CourseVectorEnv(0), "num_envs"),
+        (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "pose"),
+    ):
+        with pytest.raises(InputError, match=field):
+            make()
+
+
+def test_rewards_add_up_to_the_decrease_of_the_remaining_length_minus_time():
+    start, goal = np.array([-0.5, 0.1, 0.5]), np.array([0.3, -0.2, -0.5])
+    env = CourseEnv()
+    results = flown(env, actions(30), options={"start": start, "goal": goal})
+    last = results[-1][0]["pose"]
+
+    def remaining(pose):
+        turn = abs(math.remainder(pose[2] - goal[2], 2 * math.pi))
+        return math.dist(pose[:2], goal[:2]) + MODEL.vehicle.radius_m * turn
+
+    total = sum(reward for _, reward, *_ in results[1:])
+    assert total == pytest.approx(remaining(start) - remaining(last) - 30 * PERIOD, abs=1e-12)
+
+
+def test_a_race_ends_at_the_goal_after_all_points_in_order():
+    task = CourseTask(MODEL, SETTINGS, "slalom", 2)
+    start, goal, points = COURSES["slalom"]
+    for row in range(2):
+        task.draw(row, np.random.default_rng(0), {})
+    length = sum(math.dist(a, b) for a, b in pairwise([start[:2], *points, goal[:2]]))
+    path = [*((*point, 0.0) for point in points), goal]
+    # The second craft leaves out the first point.
+    total = 0.0
+    for row in path:
+        poses = np.array([row, goal if row is path[0] else row], dtype=float)
+        reward, there = task.judge(poses, np.zeros((2, 3)))
+        total += reward[0]
+    assert there.tolist() == [True, False]
+    assert total == pytest.approx(length - len(path) * PERIOD, abs=1e-12)
+    assert not task.judge(np.array([goal] * 2), np.full((2, 3), 0.1))[1].any()
+
+
+class Shaky(Pilot):
+    """A pilot, in place of the package's player, whose commands depend on time alone."""
+
+    count = 0
+
+    def __init__(self, *_, **__):
+        Shaky.count, self.commands = 0, actions(200)
+
+    def step(self, time):
+        Shaky.count += 1
+        return Step(self.commands[round(time / PERIOD)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SKILLS)
+def test_skills_succeed_as_those_of_the_package(name, monkeypatch):
+    monkeypatch.setattr("airpuck.hockey.skills.Player", Shaky)
+    for module in ("airpuck.hockey.skills", "airpuck.export.gym"):
+        monkeypatch.setattr(f"{module}.LONGEST", 1.0)
+    blind = SETTINGS.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
+    ends = []
+    skills(
+        MODEL,
+        settings=blind,
+        episodes=3,
+        names=(name,),
+        progress=lambda _, done, successes: ends.append((successes, Shaky.count)),
+    )
+    env, successes = PuckEnv(name), 0
+    for k, (expected, count) in enumerate(ends):
+        env.np_random = np.random.default_rng([0, k])
+        env.reset()
+        for command in actions(200):
+            observation, reward, over, late, info = env.step(command)
+            if over or late:
+                break
+        successes += info["is_success"]
+        assert reward == info["is_success"]
+        assert successes == expected
+        # The flight sends one more command before it is known to be over.
+        assert round(observation["time"][0] / PERIOD) == (count if late else count - 1)
+
+
+def test_the_first_observation_of_the_puck_has_its_motion():
+    observation, _ = PuckEnv("defend").reset(seed=3)
+    assert 1.0 <= np.hypot(*observation["puck_rate"][:2]) <= 3.0
+
+
+@pytest.mark.slow
+def test_the_baseline_reaches_a_goal_from_observations_alone():
+    env = CourseEnv()
+    options = {"start": (0.0, 0.0, 0.0), "goal": (0.2, 0.1, 0.5)}
+    observation, _ = env.reset(seed=0, options=options)
+    policy, over, late = env.baseline(), False, False
+    while not (over or late):
+        observation, _, over, late, info = env.step(policy(observation))
+    assert info["is_success"]
+    assert observation["time"][0] < 3.0
+
+
+def test_pettingzoos_checkers_pass():
+    parallel_api_test(GameEnv(limit_s=0.2), num_cycles=30)
+    parallel_seed_test(GameEnv, num_cycles=10)
+
+
+def test_a_seed_determines_the_game():
+    one, two, found = GameEnv(), GameEnv(), []
+    for env in (one, two, one):
+        results = [env.reset(seed=3)]
+        for left, right in zip(actions(10), actions(10, seed=1), strict=True):
+            results.append(env.step({"left": left, "right": right}))
+        found.append(results)
+    assert data_equivalence(found[0], found[1], exact=True)
+    assert data_equivalence(found[0], found[2], exact=True)
+
+
+def test_both_sides_see_the_same_game():
+    radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
+    env = GameEnv(twin=NOISELESS.model_copy(update={"radio": radio}))
+    observations, _ = env.reset(seed=0)
+    for command in actions(30):
+        left, right = observations["left"], observations["right"]
+        for name in ("pose_rate", "mallet_rate", "pose_age", "sent"):
+            np.testing.assert_allclose(left[name], right[name], atol=1e-9)
+        for name in ("pose", "mallet"):
+            np.testing.assert_allclose(left[name][:2], right[name][:2], atol=1e-9)
+            assert math.cos(left[name][2] - right[name][2]) == pytest.approx(1.0, abs=1e-12)
+        np.testing.assert_allclose(left["puck"][:2], -right["puck"][:2], atol=1e-9)
+        observations, *_ = env.step({"left": command, "right": command})
+
+
+@pytest.mark.parametrize(("towards", "winner"), [(1, "left"), (-1, "right")])
+def test_a_goal_is_rewarded(towards, winner):
+    env = GameEnv()
+    env.reset(seed=0)
+    assert env.game.world.puck is not None
+    # Beside the disc that defends the goal.
+    env.game.world.puck.place(PuckState(towards * 0.8, 0.15, 0.0, towards * 3.0, 0.0, 0.0))
+    rewards, total = {}, 0.0
+    for _ in range(40):
+        idle = dict.fromkeys(env.agents, np.zeros(6))
+        _, rewards, terminated, truncated, infos = env.step(idle)
+        total += sum(rewards.values())
+        if not env.agents:
+            break
+    loser = {"left": "right", "right": "left"}[winner]
+    assert rewards == {winner: 1.0, loser: -1.0}
+    assert total == 0.0
+    assert all(terminated.values())
+    assert not any(truncated.values())
+    assert infos[winner] == {"score": (1, 0)}
+    assert infos[loser] == {"score": (0, 1)}
+
+
+def test_a_game_needs_both_actions():
+    env = GameEnv()
+    env.reset(seed=0)
+    with pytest.raises(InputError, match="right: has no action"):
+        env.step({"left": np.zeros(6)})
+
+
+def test_an_export_registers_environments_of_its_craft(tmp_path, monkeypatch):
+    table = Table(length_m=3.0, width_m=1.5)
+    settings = SETTINGS.model_copy(update={"table": table})
+    written = write(published_model("M2"), "gym", tmp_path / "my_craft", twin=settings)
+    assert set(written.files) == {"__init__.py", "model.toml", "twin.toml"}
+    monkeypatch.syspath_prepend(str(tmp_path))
+    env = gymnasium.make("my_craft:my_craft/SetPoint-v0").unwrapped
+    assert isinstance(env, CourseEnv)
+    assert env.model.name == "M2"
+    assert env.settings.table == table
+    assert sys.modules["my_craft"].game(limit_s=5.0).settings.table == table
+    np.testing.assert_array_equal(
+        env.model.parameters.thrust, published_model("M2").parameters.thrust
+    )
+
+
+def test_a_table_without_room_is_rejected(tmp_path):
+    small = SETTINGS.model_copy(
+        update={"table": Table(length_m=0.3, width_m=0.2, goal_width_m=0.1)}
+    )
+    with pytest.raises(InputError, match="table"):
+        write(MODEL, "gym", tmp_path / "craft", twin=small)
+    assert not (tmp_path / "craft").exists()
