@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import gymnasium
@@ -273,7 +274,9 @@ def test_a_seed_determines_the_game():
 
 def test_both_sides_see_the_same_game():
     radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
-    env = GameEnv(twin=NOISELESS.model_copy(update={"radio": radio}))
+    # With its centre of mass in the body's frame, a craft flies the same in every direction.
+    craft = replace(MODEL, frame="body")
+    env = GameEnv(craft, NOISELESS.model_copy(update={"radio": radio}))
     observations, _ = env.reset(seed=0)
     for command in actions(30):
         left, right = observations["left"], observations["right"]

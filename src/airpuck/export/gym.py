@@ -237,7 +237,7 @@ class PuckEnv(TwinEnv):
     ) -> None:
         if skill not in SKILLS:
             raise InputError(unknown(skill, list(SKILLS)), field="skill")
-        self.skill = cast(SkillName, skill)
+        self.skill: SkillName = cast(SkillName, skill)
         self._stage = make_stage(*read_world(model, twin))
         self._build(self._stage.model, self._stage.settings, ("pose", "puck"))
 
