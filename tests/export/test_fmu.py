@@ -3,7 +3,7 @@
 import shutil
 import subprocess
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,7 +18,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.export import write
 from airpuck.model.model_file import Model, published_model
-from airpuck.physics.effects import VoltageSag
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Effects, OnBoard, TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
@@ -97,7 +96,7 @@ class Simulation:
 
     def set(self, **values: float) -> None:
         for name, value in values.items():
-            variable = self._variables[name.replace("__", ".")]
+            variable = self._variables[name]
             put = self._slave.setInt32 if variable.type == "Int32" else self._slave.setFloat64
             put([variable.valueReference], [value])
 
@@ -152,35 +151,57 @@ def test_every_function_of_the_standard_is_there(unit: Path) -> None:
     assert declared <= {line.split()[-1] for line in symbols.stdout.splitlines()}
 
 
-@pytest.mark.parametrize("name", ["published", "four propellers and effects"])
-def test_same_flight_as_the_twin(name: str, unit: Path, tmp_path: Path) -> None:
-    """A second of random commands with delay, lag and contacts."""
-    model, twin = MODEL, settings()
-    if name != "published":
-        effects = Effects(drag_linear_1_s=0.4, inflow_s_m=0.1, tilt_rad=(0.01, -0.02))
-        model, twin = FOUR, settings(effects=effects, table=Table(length_m=0.24, width_m=0.22))
-        unit = exported(tmp_path, model, twin)
+def fly_both(model: Model, twin: TwinSettings, there: Simulation) -> None:
+    """A second of random commands in the twin and in the unit, with contacts."""
     flown = Twin(model, twin, plant=build_plant(model, twin, compiled=False))
-    there = Simulation(unit)
-    worst = 0.0
-    arrived = [flown.wait_until(0.0)]
+    arrived = flown.wait_until(0.0)
     for k, command in enumerate(commands(model.vehicle.n_propellers, 100)):
         flown.send(command)
         there.command(command)
         time = (k + 1) * PERIOD
-        arrived.append(flown.wait_until(time))
+        arrived += flown.wait_until(time)
         there.step(time)
         if (k + 1) % COMMON == 0:
-            worst = max(worst, np.abs(there.state - flown.state).max())
-        last = [poses for poses in arrived if poses][-1][-1]
+            np.testing.assert_allclose(there.state, flown.state, atol=1e-9, rtol=0)
         *pose, stamp, count = there.get("pose.")
-        np.testing.assert_allclose(pose, last.values, atol=1e-6)
-        assert stamp == pytest.approx(last.stamp, abs=1e-9)
-        assert count == sum(map(len, arrived))
-    assert worst < 1e-6
+        assert count == len(arrived)
+        if arrived:
+            assert stamp == pytest.approx(arrived[-1].stamp, abs=1e-9)
+            np.testing.assert_allclose(pose, arrived[-1].values, atol=1e-9, rtol=0)
     contact_time, _, count = there.get("contact.")
     assert count == len(flown.contacts) > 3
     assert contact_time == pytest.approx(flown.contacts[-1], abs=1e-9)
+
+
+def test_same_flight_as_the_twin(unit: Path) -> None:
+    """With the model's delay and lag."""
+    fly_both(MODEL, settings(), Simulation(unit))
+
+
+def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
+    table = Table(length_m=0.22, width_m=0.19, restitution=0.9, friction=0.5)
+    camera = settings().motion_capture.model_copy(update={"rate_hz": 60.0, "latency_s": 0.03})
+    radio = settings().radio.model_copy(update={"delay_s": 0.0})
+    changed = replace(MODEL, parameters=replace(MODEL.parameters, motor_time_constant=0.0))
+    parameters = {
+        "motor.time_constant": 0.0,
+        "radio.delay": 0.0,
+        "camera.rate": 60.0,
+        "camera.latency": 0.03,
+        "table.length": 0.22,
+        "table.width": 0.19,
+        "table.restitution": 0.9,
+        "table.friction": 0.5,
+    }
+    twin = settings(table=table, motion_capture=camera, radio=radio)
+    fly_both(changed, twin, Simulation(unit, **parameters))
+
+
+@pytest.mark.slow
+def test_same_flight_with_four_propellers_and_effects(tmp_path: Path) -> None:
+    effects = Effects(drag_linear_1_s=0.4, inflow_s_m=0.1, tilt_rad=(0.01, -0.02))
+    twin = settings(effects=effects, table=Table(length_m=0.24, width_m=0.22))
+    fly_both(FOUR, twin, Simulation(exported(tmp_path, FOUR, twin)))
 
 
 def test_motion_does_not_depend_on_the_steps(unit: Path) -> None:
@@ -205,30 +226,31 @@ def test_motion_does_not_depend_on_the_steps(unit: Path) -> None:
 
 
 def test_reset_starts_the_same_flight_again(unit: Path) -> None:
-    flight = Simulation(unit, camera__yaw_noise=1e-3, seed=7)
+    noise = {"camera.yaw_noise": 1e-3}
+    flight = Simulation(unit, **noise, seed=7)
     poses = []
     for _ in range(2):
         flight.command(np.full(6, 0.3))
         flight.step(0.5)
         poses.append(flight.get("pose."))
         flight._slave.reset()
-        flight.start(camera__yaw_noise=1e-3, seed=7)
+        flight.start(**noise, seed=7)
     assert list(poses[0]) == list(poses[1])
-    other = Simulation(unit, camera__yaw_noise=1e-3, seed=8)
+    other = Simulation(unit, **noise, seed=8)
     other.command(np.full(6, 0.3))
     other.step(0.5)
     assert other.get("pose.")[2] != poses[0][2]
 
 
-def test_noise_and_delays_are_as_stated(unit: Path) -> None:
+def test_noise_is_as_stated(unit: Path) -> None:
     """At rest: the spread of 4800 poses, and how many of them arrive."""
-    quiet = Simulation(
-        unit,
-        camera__position_noise=2e-3,
-        camera__yaw_noise=5e-3,
-        camera__dropped=0.25,
-        start__yaw=3.14,
-    )
+    parameters = {
+        "camera.position_noise": 2e-3,
+        "camera.yaw_noise": 5e-3,
+        "camera.dropped": 0.25,
+        "start.yaw": 3.14,
+    }
+    quiet = Simulation(unit, **parameters)
     poses = []
     for k in range(4800):
         quiet.step((k + 1) / 240)
@@ -241,6 +263,29 @@ def test_noise_and_delays_are_as_stated(unit: Path) -> None:
         assert np.std(values[new]) == pytest.approx(spread, rel=0.08)
         assert abs(values[new].mean()) < 4 * spread / np.sqrt(new.sum())
     assert count[-1] == pytest.approx(0.75 * 4800, rel=0.03)
+
+
+def test_delays_of_commands_are_as_stated(unit: Path) -> None:
+    """Arrivals follow from the speed of a motor with a long lag."""
+    lag, period, count = 10.0, 0.2, 2000
+    parameters = {"radio.delay": 0.03, "radio.jitter": 0.007, "radio.loss": 0.1}
+    flight = Simulation(unit, **parameters, **{"motor.time_constant": lag})
+    followed, before, delays = 0.0, 0.0, []
+    for k in range(count):
+        wanted = 1.0 - followed
+        flight.command(np.full(6, wanted))
+        flight.step((k + 1) * period)
+        speed = flight.get("speed.")[0]
+        # After the arrival the motor follows the new command, until then the former one.
+        kept = (before - followed) * np.exp(-period / lag)
+        left = -lag * np.log((speed - wanted - kept) / (followed - wanted))
+        before = speed
+        if left > 1e-6:
+            delays.append(period - left)
+            followed = wanted
+    assert len(delays) == pytest.approx(0.9 * count, rel=0.03)
+    assert np.mean(delays) == pytest.approx(0.03, abs=6e-4)
+    assert np.std(delays) == pytest.approx(0.007, rel=0.07)
 
 
 @pytest.mark.slow
@@ -278,11 +323,6 @@ def test_fmpy_builds_and_simulates_it(tmp_path: Path) -> None:
     assert np.cos(late) > 0.9
 
 
-@dataclass(frozen=True)
-class Unknown(VoltageSag):
-    """An effect that no export knows."""
-
-
 @pytest.mark.parametrize(
     ("update", "named"),
     [
@@ -306,6 +346,9 @@ def test_settings_that_it_cannot_represent(update: dict, named: str, tmp_path: P
 def test_craft_that_it_cannot_represent(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="on_off"):
         write(ON_OFF, "fmu", tmp_path)
+    unprintable = FOUR.vehicle.model_copy(update={"name": "\1<&\"', é"})
+    write(replace(FOUR, vehicle=unprintable), "fmu", tmp_path)
+    assert validate_fmu(str(tmp_path / "airpuck.fmu")) == []
     twice = replace(MODEL, parameters=replace(MODEL.parameters, inflow=0.1))
     with pytest.raises(InputError, match="Inflow"):
         write(twice, "fmu", tmp_path, twin=settings(effects=Effects(inflow_s_m=0.1)))

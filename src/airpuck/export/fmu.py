@@ -248,7 +248,7 @@ def _model_description(subject: Subject, listed: list[Variable], token: str) -> 
     root = Xml.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
-        modelName=f"{subject.model.vehicle.name} on its table",
+        modelName="".join(filter(str.isprintable, subject.model.vehicle.name)),
         instantiationToken=token,
         description=" ".join(title(subject.model).strip("/* ").replace("\n *", "").split()),
         generationTool=f"airpuck {airpuck.__version__}",
