@@ -64,7 +64,8 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     listed = variables(subject)
     table = _variable_table(listed)
     craft = _craft(plant.disc)
-    known = f"{airpuck.__version__}{coefficients(model, plant.dynamics)}{craft}{listed}"
+    numbers = constant("airpuck_model", "", coefficients(model, plant.dynamics))
+    known = f"{airpuck.__version__}{numbers}{craft}{listed}"
     token = str(uuid.uuid5(uuid.NAMESPACE_OID, known))
     with tempfile.TemporaryDirectory() as made:
         unit = Path(made)

@@ -193,7 +193,6 @@ static void integrate(airpuck_plant *plant, double event, double until)
             return;
         double before[AIRPUCK_STATES];
         memcpy(before, plant->state, sizeof before);
-        receive(plant);
         int met = advance(plant, plant->state, duration);
         plant->time = end;
         if (met)
@@ -236,10 +235,8 @@ static void set_outputs(airpuck_plant *plant, double time)
 {
     double *value = plant->value, *state = value + AIRPUCK_STATE;
     memcpy(state, plant->state, sizeof plant->state);
-    if (time > plant->time) {
-        receive(plant);
+    if (time > plant->time)
         advance(plant, state, time - plant->time);
-    }
     deliver(plant, time);
     value[AIRPUCK_TIME] = time;
 }
