@@ -133,6 +133,18 @@ def test_a_seed_determines_the_vector_environment():
     assert not np.array_equal(poses[0], poses[1])
 
 
+def test_the_cameras_clock_shifts_ages_only():
+    capture, commands = NOISELESS.motion_capture, actions(5)
+    early = capture.model_copy(update={"clock_offset_s": -2.0})
+    found = [
+        flown(CourseEnv(twin=NOISELESS.model_copy(update={"motion_capture": c})), commands, seed=0)
+        for c in (capture, early)
+    ]
+    for (plain, *_), (shifted, *_) in zip(*found, strict=True):
+        np.testing.assert_allclose(shifted["pose_age"], plain["pose_age"] + 2.0, atol=1e-9)
+        np.testing.assert_allclose(shifted["pose_rate"], plain["pose_rate"], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     "action", [np.full(6, np.nan), [0.5, math.inf, 0, 0, 0, 0], np.zeros(5), 0.5, None, ["a"] * 6]
 )
@@ -159,6 +171,8 @@ def test_wrong_use_is_named():
         (lambda: PuckEnv("juggle"), "skill"),
         (lambda: CourseVectorEnv(0), "num_envs"),
         (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "pose"),
+        (lambda: CourseEnv().reset(options={"goal": "left"}), "goal"),
+        (lambda: CourseVectorEnv(2).reset(options={"start": np.zeros((3, 3))}), "start"),
     ):
         with pytest.raises(InputError, match=field):
             make()

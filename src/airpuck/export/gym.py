@@ -35,6 +35,7 @@ from airpuck.export.gym_task import (
     action_space,
     checked_action,
     checked_limit,
+    given_poses,
     observation_space,
     read_world,
 )
@@ -133,7 +134,8 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
         self._twin: Twin | None = None
         self.action_space = action_space(model)
         space: Any = observation_space(model, settings, bodies, **more)
-        self.observation_space, self._seen = space, Seen(1, space, bodies)
+        self.observation_space = space
+        self._seen = Seen(1, space, bodies, settings.motion_capture.clock_offset_s)
 
     def _fly(self, action: Any) -> Twin:
         """Send a command, and let a period pass."""
@@ -183,7 +185,7 @@ class CourseEnv(TwinEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode; options: poses ``start`` and ``goal`` instead of those drawn."""
         super().reset(seed=seed)
-        start, number = self._task.draw(0, self.np_random, options or {})
+        start, number = self._task.draw(0, self.np_random, given_poses(options, 1))
         self._twin = Twin(
             self.model,
             self.settings,

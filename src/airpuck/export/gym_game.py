@@ -130,7 +130,8 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         for (name, space), own, other in zip(
             self.observation_spaces.items(), places, places[::-1], strict=True
         ):
-            seen = self._seen[name] = Seen(1, space, _BODIES)
+            offset = self.settings.motion_capture.clock_offset_s
+            seen = self._seen[name] = Seen(1, space, _BODIES, offset)
             for body, pose in zip(_BODIES, (own, puck, other), strict=True):
                 seen.begin(_ROW, body, self._frame(name).states(pose)[None])
         return self._observations(), {name: {} for name in _SIDES}

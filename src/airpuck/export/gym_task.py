@@ -69,6 +69,17 @@ def checked_limit(limit_s: float) -> float:
     return limit_s
 
 
+def given_poses(options: Mapping[str, Any] | None, size: int) -> dict[str, np.ndarray]:
+    """Return the poses ``start`` and ``goal`` in the options of a reset, one for each craft."""
+    found = {}
+    for name in sorted({"start", "goal"} & set(options or {})):
+        try:
+            found[name] = np.broadcast_to(np.array((options or {})[name], float), (size, 3))
+        except (TypeError, ValueError):
+            raise InputError("needs x, y [m] and yaw [rad]", field=name) from None
+    return found
+
+
 def action_space(model: Model) -> spaces.Box:
     """Return the space of motor commands."""
     return spaces.Box(0.0, 1.0, (model.vehicle.n_propellers,), np.float64)
@@ -102,12 +113,15 @@ class Seen:
     Arrays have the batch as first axis.
     """
 
-    def __init__(self, size: int, space: spaces.Dict, bodies: Sequence[Kind]) -> None:
+    def __init__(
+        self, size: int, space: spaces.Dict, bodies: Sequence[Kind], clock_offset: float
+    ) -> None:
         n = space["sent"].shape
         assert n is not None
         self._steps, self.sent = np.zeros(size, int), np.zeros((size, *n))
         self._high = {name: space[name].high for name in bodies}  # pyright: ignore
-        self._stamp = {name: np.zeros(size) for name in bodies}
+        self._stamp = {name: np.full(size, clock_offset) for name in bodies}
+        self._clock_offset = clock_offset
         self.pose = {name: np.zeros((size, 3)) for name in bodies}
         self.rate = {name: np.zeros((size, 3)) for name in bodies}
 
@@ -124,7 +138,8 @@ class Seen:
         rate: Float[np.ndarray, "R 3"] | float = 0.0,
     ) -> None:
         """Begin with the exact initial pose of a body."""
-        self._steps[rows], self.sent[rows], self._stamp[body][rows] = 0, 0.0, 0.0
+        self._steps[rows], self.sent[rows] = 0, 0.0
+        self._stamp[body][rows] = self._clock_offset
         self.pose[body][rows], self.rate[body][rows] = self._inside(body, pose), rate
 
     def command(self, rows: Bool[np.ndarray, " B"], sent: Float[np.ndarray, "B n"]) -> None:
@@ -195,11 +210,12 @@ class CourseTask:
         self._after, self._left = np.zeros((size, count + 1)), np.zeros(size)
 
     def draw(
-        self, row: int, rng: np.random.Generator, options: Mapping[str, Any]
+        self, row: int, rng: np.random.Generator, given: Mapping[str, np.ndarray]
     ) -> tuple[Float[np.ndarray, " 3"], int]:
         """Begin an episode of one craft; return its start, and the twin's seed."""
         start, goal, via = self._fixed or (*(self._pose(rng) for _ in range(2)), ())
-        start, goal = np.array(options.get("start", start)), np.array(options.get("goal", goal))
+        start = np.array(given["start"][row] if "start" in given else start)
+        goal = np.array(given["goal"][row] if "goal" in given else goal)
         for pose in (start, goal):
             check_pose(pose, self._table, self._radius)
         self.goal[row], self.points[row] = goal, [*via, goal[:2]]

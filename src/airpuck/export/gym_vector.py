@@ -22,6 +22,7 @@ from airpuck.export.gym_task import (
     action_space,
     checked_action,
     checked_limit,
+    given_poses,
     observation_space,
     read_world,
 )
@@ -63,7 +64,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         self.single_observation_space = space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
-        self._seen = Seen(num_envs, space, ("pose",))
+        self._seen = Seen(num_envs, space, ("pose",), settings.motion_capture.clock_offset_s)
         self._batch = TwinBatch(craft, settings, num_envs, limit_s, PERIOD, self.np_random)
         self._generators: list[np.random.Generator] = []
         self._over = np.zeros(num_envs, bool)
@@ -77,7 +78,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
             first = int(self.np_random.integers(2**31)) if seed is None else seed
             self._generators = [np_random(first + row)[0] for row in range(self.num_envs)]
             self._batch.rng = self.np_random
-        self._begin(np.arange(self.num_envs), options or {})
+        self._begin(np.arange(self.num_envs), given_poses(options, self.num_envs))
         return self._observation(), self._info(np.zeros(self.num_envs, bool))
 
     def step(
@@ -100,19 +101,9 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         self._over = there | late
         return self._observation(), np.where(moving, reward, 0.0), there, late, self._info(there)
 
-    def _begin(self, rows: Int[np.ndarray, " R"], options: dict[str, Any]) -> None:
+    def _begin(self, rows: Int[np.ndarray, " R"], given: dict[str, np.ndarray]) -> None:
         """Begin the episodes of some rows."""
-        each = {
-            name: np.broadcast_to(np.asarray(pose, float), (self.num_envs, 3))
-            for name, pose in options.items()
-            if name in ("start", "goal")
-        }
-        drawn = [
-            self._task.draw(
-                row, self._generators[row], {n: poses[row] for n, poses in each.items()}
-            )
-            for row in rows.tolist()
-        ]
+        drawn = [self._task.draw(row, self._generators[row], given) for row in rows.tolist()]
         starts = np.array([start for start, _ in drawn])
         self._batch.reset(rows, starts, [seed for _, seed in drawn])
         self._seen.begin(rows, "pose", starts)
