@@ -1,6 +1,5 @@
 """The model in C against the physics in Python: all rungs, layouts, frames and effects."""
 
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +101,7 @@ def test_same_motion_as_in_python(name: str, tmp_path: Path) -> None:
             np.testing.assert_allclose(ours, theirs, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang")
+@pytest.mark.slow
 def test_clang_compiles_it_without_warnings(tmp_path: Path) -> None:
     model = MODELS["everything"]
     for options in ((), SINGLE):

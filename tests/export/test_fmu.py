@@ -1,7 +1,6 @@
 """The FMI unit: described as the standard says, equal to the twin, and safe from any caller."""
 
 import os
-import shutil
 import subprocess
 import sys
 import zipfile
@@ -314,7 +313,7 @@ def test_no_call_does_harm(unit: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.skipif(shutil.which("clang") is None, reason="needs clang")
+@pytest.mark.slow
 def test_clang_compiles_it_without_warnings(unit: Path, tmp_path: Path) -> None:
     build(tmp_path / "abuse", [*(unit / "sources").glob("*.c"), ABUSE], using="clang")
 
