@@ -171,6 +171,13 @@ def _params(folder: Path) -> Path:
     return _written(folder, "params.json", json.dumps(content, indent=1))
 
 
+def _controllers_params(folder: Path) -> Path:
+    from airpuck.export.holohover import params_yaml
+    from airpuck.model.model_file import read_model
+
+    return _written(folder, "holohover_params.yaml", params_yaml(read_model("paper:M3")))
+
+
 def _definition(folder: Path) -> Path:
     from tests.apparatus.bags import COMMAND_TEXT, POSE_TEXT
 
@@ -287,6 +294,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             functools.partial(_read_definition, idl=True),
         ),
         "params.json": Kind(_params, text, _read_model, ("present",)),
+        "params.yaml": Kind(_controllers_params, text, _read_model, ("present",)),
         "model": Kind(_model, text, _read_model, ("present",)),
         "vehicle": Kind(
             functools.partial(_packaged, "holohover.toml"),

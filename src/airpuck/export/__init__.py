@@ -1,6 +1,7 @@
 """Models and controllers for other tools: one module for each kind of export.
 
-Entry points: `write`, and the functions of the kinds' modules that return objects.
+Entry points: `kinds.write`; functions that return objects: `casadi.functions`, `mjcf.xml`,
+`holohover.params_json`, `holohover.params_yaml`, `matlab.parameters`.
 """
 
 from airpuck.export.kinds import KINDS, Kind, Subject, Written, refuse_effects, write
