@@ -160,22 +160,7 @@ def identify_puck(
     play = play or AirHockey()
     listed = [recordings] if isinstance(recordings, Recording) else list(recordings)
     rates = np.array([play.puck.drag_1_s, play.puck.drag_1_s, play.puck.spin_drag_1_s])
-    flights, parts, noises, turns = [], [], [], True
-    for recording in listed:
-        time, pose = _poses(recording, "puck")
-        turns = turns and bool(np.isfinite(pose[:, 2]).all())
-        pose[:, 2] = np.nan_to_num(pose[:, 2])
-        noise = np.maximum(noise_of(time, pose), 1e-9)
-        if np.isnan(noise).any():
-            raise InputError(_TOO_LITTLE, file=recording.source)
-        found = find_flights(time, pose, noise, max(float(rates[0]), 0.01))
-        moving = [f for f in found if np.ptp(f.pose[:, :2], axis=0).max() > 20 * noise[0]]
-        parts.append(len(moving))
-        flights += moving
-        noises.append(noise)
-    if len(flights) < 2:
-        raise InputError(_TOO_LITTLE, file=listed[0].source)
-    noise = np.median(noises, axis=0)
+    flights, parts, noise, turns = _flights(listed, max(float(rates[0]), 0.01))
     lines, drag, error, used = fit_flights(flights, noise, rates)
     # Results of an earlier identification are kept.
     puck, errors, notes = play.puck, dict(play.puck.standard_error), list[str]()
@@ -221,6 +206,28 @@ def identify_puck(
     before, after = _normal_speeds(bounces).T
     seen = float(noise[0]), -before, -after / before
     return PuckFit(found, int(used.sum()), seconds, counts, *seen, tuple(notes))
+
+
+def _flights(
+    recordings: Sequence[Recording], drag: float
+) -> tuple[list[Flight], list[int], Float[np.ndarray, " 3"], bool]:
+    """Return all flights, their numbers by recording, the noise, and whether angles are known."""
+    flights, parts, noises, turns = [], [], [], True
+    for recording in recordings:
+        time, pose = _poses(recording, "puck")
+        turns = turns and bool(np.isfinite(pose[:, 2]).all())
+        pose[:, 2] = np.nan_to_num(pose[:, 2])
+        noise = np.maximum(noise_of(time, pose), 1e-9)
+        if np.isnan(noise).any():
+            raise InputError(_TOO_LITTLE, file=recording.source)
+        found = find_flights(time, pose, noise, drag)
+        moving = [f for f in found if np.ptp(f.pose[:, :2], axis=0).max() > 20 * noise[0]]
+        parts.append(len(moving))
+        flights += moving
+        noises.append(noise)
+    if len(flights) < 2:
+        raise InputError(_TOO_LITTLE, file=recordings[0].source)
+    return flights, parts, np.median(noises, axis=0), turns
 
 
 def _poses(
