@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -20,8 +21,22 @@ from airpuck.export.gym import ENVIRONMENTS
 from airpuck.export.gym_game import GameEnv
 
 
-def returns(name: str, scripted: bool, episodes: int) -> tuple[list[float], list[bool]]:
-    """Return the sums of rewards, and which episodes succeeded."""
+def random_flights(name: str, episodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return sums of rewards and successes of random commands, all episodes at once."""
+    env = gymnasium.make_vec(f"airpuck/{name}-v0", num_envs=episodes)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    totals, success, over = np.zeros(episodes), np.zeros(episodes, bool), np.zeros(episodes, bool)
+    while not over.all():
+        _, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+        totals += np.where(over, 0.0, reward)
+        success |= terminated & ~over
+        over |= terminated | truncated
+    return totals, success
+
+
+def returns(name: str, scripted: bool, episodes: int):
+    """Return sums of rewards and successes of the single environment."""
     env, totals, successes = gymnasium.make(f"airpuck/{name}-v0").unwrapped, [], []
     for seed in range(episodes):
         observation, info = env.reset(seed=seed)
@@ -70,6 +85,7 @@ def speed(env, count: int, steps: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=30)
+    parser.add_argument("--only", nargs="*", default=[*ENVIRONMENTS], help="environments")
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--craft", type=int, nargs="+", default=[1, 64, 1024])
     parser.add_argument("--steps", type=int, default=500)
@@ -83,13 +99,16 @@ def main() -> None:
             found = speed(many, count, options.steps)
             print(f"vector of {count}: {found:.0f} steps/s, {found / single:.1f} times", flush=True)
         return
-    for name in ENVIRONMENTS:
+    for name in options.only:
         for scripted in (True, False):
-            totals, successes = returns(name, scripted, options.episodes)
+            at_once = not scripted and gymnasium.spec(f"airpuck/{name}-v0").vector_entry_point
+            fly = random_flights if at_once else partial(returns, scripted=scripted)
+            totals, successes = fly(name, episodes=options.episodes)
             kind = "scripted" if scripted else "random"
             mean, share = np.mean(totals), np.mean(successes)
-            print(f"{name:9} {kind:9} return {mean:6.2f}, success {100 * share:.0f} %", flush=True)
-    results = games(options.episodes)
+            error = np.std(totals, ddof=1) / len(totals) ** 0.5
+            print(f"{name:8} {kind:8} {mean:7.2f} ± {error:.2f}, success {share:.0%}", flush=True)
+    results = games(options.episodes // 2)
     won, lost = results.count(1.0), results.count(-1.0)
     print(f"Game      scripted against random: {won} won, {lost} lost of {len(results)}")
 

@@ -193,7 +193,7 @@ def test_rewards_add_up_to_the_decrease_of_the_remaining_length_minus_time():
 
 
 def test_a_race_ends_at_the_goal_after_all_points_in_order():
-    task = CourseTask(MODEL, SETTINGS, "slalom", 2)
+    task = CourseTask(MODEL, SETTINGS, "slalom", size=2)
     start, goal, points = COURSES["slalom"]
     for row in range(2):
         task.draw(row, np.random.default_rng(0), {})

@@ -34,7 +34,6 @@ from airpuck.export.gym_task import (
     TwinSource,
     action_space,
     checked_action,
-    checked_limit,
     given_poses,
     observation_space,
     read_world,
@@ -176,7 +175,7 @@ class CourseEnv(TwinEnv):
         limit_s: float = LONGEST,
     ) -> None:
         craft, settings = read_world(model, twin)
-        self._task, self._limit = CourseTask(craft, settings, course, 1), checked_limit(limit_s)
+        self._task = CourseTask(craft, settings, course, limit_s)
         self._plant = build_plant(craft, settings)
         self._build(craft, settings, ("pose",), **self._task.space())
 
@@ -202,7 +201,7 @@ class CourseEnv(TwinEnv):
         self._fly(action)
         seen = self._seen
         reward, (there,) = self._task.judge(seen.pose["pose"], seen.rate["pose"])
-        late = bool(seen.time[0] >= self._limit)
+        late = bool(seen.time[0] >= self._task.limit)
         success = {"is_success": bool(there)}
         return self._observation(), float(reward[0]), bool(there), late and not there, success
 
@@ -274,7 +273,7 @@ class PuckEnv(TwinEnv):
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write model, twin settings and a package that registers the environments of this craft."""
-    CourseTask(subject.model, subject.twin, None, 1)
+    CourseTask(subject.model, subject.twin)  # checks that there is room
     subject.model.save(folder / "model.toml")
     subject.twin.save(folder / "twin.toml")
     (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")

@@ -17,6 +17,7 @@ from airpuck.boundary.settings import unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Kind, Measurement
 from airpuck.hockey.game import PERIOD
+from airpuck.hockey.skills import LONGEST
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.angle import wrapped
 from airpuck.twin.race import COURSES, arrived, passes
@@ -61,12 +62,6 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "*n
         size = " × ".join(map(str, shape))
         raise InputError(f"needs {size} finite numbers, one for each motor", field="action")
     return np.clip(command, 0.0, 1.0)
-
-
-def checked_limit(limit_s: float) -> float:
-    """Return the time limit of an episode; raise InputError if it is out of range [s]."""
-    numbers.GAME_TIME.check(limit_s, "limit_s")
-    return limit_s
 
 
 def given_poses(options: Mapping[str, Any] | None, size: int) -> dict[str, np.ndarray]:
@@ -191,11 +186,20 @@ class CourseTask:
 
     The reward is the decrease of the remaining length, minus the time [s]: a metre is worth a
     second. The remaining length is the path over the next points to the goal, plus the rotation
-    that is left, times the craft's radius [m]. As a difference of potentials it does not change
-    which policy is best (Ng, Harada and Russell, 1999).
+    that is left, times the craft's radius [m]. It is a potential (Ng, Harada and Russell, 1999):
+    its decreases add up to the same for all flights that arrive, so the fastest is the best.
     """
 
-    def __init__(self, model: Model, settings: TwinSettings, course: str | None, size: int) -> None:
+    def __init__(
+        self,
+        model: Model,
+        settings: TwinSettings,
+        course: str | None = None,
+        limit_s: float = LONGEST,
+        size: int = 1,
+    ) -> None:
+        numbers.GAME_TIME.check(limit_s, "limit_s")
+        self.limit = limit_s
         if course is not None and course not in COURSES:
             raise InputError(unknown(course, list(COURSES)), field="course")
         self._fixed = None if course is None else COURSES[course]

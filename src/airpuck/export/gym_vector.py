@@ -21,7 +21,6 @@ from airpuck.export.gym_task import (
     TwinSource,
     action_space,
     checked_action,
-    checked_limit,
     given_poses,
     observation_space,
     read_world,
@@ -57,8 +56,8 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         if num_envs < 1:
             raise InputError("must be at least 1", field="num_envs")
         craft, settings = read_world(model, twin)
-        self.num_envs, self._limit = num_envs, checked_limit(limit_s)
-        self._task = CourseTask(craft, settings, course, num_envs)
+        self.num_envs = num_envs
+        self._task = CourseTask(craft, settings, course, limit_s, num_envs)
         self.single_action_space = action_space(craft)
         space = observation_space(craft, settings, ("pose",), **self._task.space())
         self.single_observation_space = space
@@ -97,7 +96,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         seen.see(moving & arrived, "pose", stamp, pose)
         reward, there = self._task.judge(seen.pose["pose"], seen.rate["pose"])
         there &= moving
-        late = (seen.time >= self._limit) & ~there
+        late = (seen.time >= self._task.limit) & ~there
         self._over = there | late
         return self._observation(), np.where(moving, reward, 0.0), there, late, self._info(there)
 
