@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
@@ -38,11 +39,13 @@ class Result:
 
 
 def plain(value: Any) -> Any:
-    """Convert arrays, results and non-finite numbers to values that JSON can represent."""
+    """Convert arrays, results, paths and non-finite numbers to values that JSON can represent."""
     if hasattr(value, "tolist"):  # NumPy's types, which this package does not import
         value = value.tolist()
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
     if isinstance(value, Mapping):
         return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):

@@ -111,7 +111,10 @@ BELIEVED = Setting("Model of the craft.", metavar="MODEL")
 BelievedModel = Annotated[str, BELIEVED]
 Truth = Annotated[str, Setting("Truth of the twin.", metavar="MODEL")]
 ModelName = Annotated[
-    str, Argument(metavar="MODEL", help="A model.toml, the authors' params.json, or paper:M0 … M4.")
+    str,
+    Argument(
+        metavar="MODEL", help="A model.toml, the authors' params.json or YAML, or paper:M0 … M4."
+    ),
 ]
 Experiment = Annotated[
     ExcitationPlan,

@@ -64,13 +64,13 @@ class Kind:
 
 #: A new kind is a module with `write`, and an entry here.
 KINDS: dict[str, Kind] = {
+    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
+    "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
+    "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
     "holohover": Kind("the files of the paper's authors", "airpuck.export.holohover"),
     "matlab": Kind("function files for MATLAB and Octave", "airpuck.export.matlab"),
     "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
-    "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
-    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
-    "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
 }
 
 

@@ -1,0 +1,67 @@
+"""`airpuck.export.write`, and the command, whatever the kind."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from airpuck import export
+from airpuck.boundary.errors import InputError
+from airpuck.control.tuning import default_tuning
+from airpuck.export import kinds
+from airpuck.twin.settings import default_twin_settings
+from tests.apparatus.commands import airpuck, refused
+from tests.apparatus.export_crafts import PAPER
+
+M4 = PAPER["M4"]
+
+
+def test_an_unknown_kind_names_the_kinds(tmp_path):
+    with pytest.raises(InputError, match=r"must be 'c' or 'casadi' or .*, not 'cassadi'"):
+        export.write(M4, "cassadi", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [("casadi", {"twin": default_twin_settings()}), ("mjcf", {"tuning": default_tuning()})],
+)
+def test_settings_that_a_kind_does_not_use_are_rejected(kind, given, tmp_path):
+    with pytest.raises(InputError, match=f"is not part of an export to {kind}"):
+        export.write(M4, kind, tmp_path / "out", **given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failed_export_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
+    export.write(M4, "mjcf", tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    failing = replace(kinds.KINDS["mjcf"], module=__name__)
+    monkeypatch.setitem(kinds.KINDS, "mjcf", failing)
+    with pytest.raises(InputError, match="the disk is full"):
+        export.write(PAPER["M2"], "mjcf", tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def write(subject, folder):
+    """Write one of two files, as a kind of export that fails."""
+    (folder / "craft.xml").write_text("half")
+    raise OSError(28, "the disk is full")
+
+
+def test_files_of_others_in_the_folder_stay(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    written = export.write(M4, "mjcf", tmp_path)
+    assert "notes.txt" not in written.files
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_the_command_prints_files_and_facts_as_json(tmp_path):
+    done = airpuck("export", "paper:M4", "--to", "mjcf", "-o", tmp_path, "--json", "-")
+    found = json.loads(done.stdout)
+    assert (found["kind"], found["folder"]) == ("mjcf", str(tmp_path))
+    assert all((tmp_path / name).is_file() for name in found["files"])
+    assert found["facts"]["time step"] == "0.25 ms"
+
+
+def test_what_cannot_be_exported_is_one_line(tmp_path):
+    done = airpuck("export", "paper:M3", "--to", "mjcf", "-o", tmp_path)
+    assert refused(done, "centre of mass that is fixed to the world")
