@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from jaxtyping import Float
 
 import airpuck
 from airpuck.control.law import Step
+from airpuck.control.mpc import Ongoing
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint, TimedPath, course
 from airpuck.control.tracking import TrackingController
@@ -92,6 +94,12 @@ class CompiledController(Pilot):
         self._library.access_estimate(self._craft, self._numbers(found))
         estimate = Estimate(time, found[3:9], found[12:], found[9:12])
         return Step(command, STATUSES[status], found[:3], estimate)
+
+    def take_plan(self, plan: Ongoing) -> None:
+        """Replace the latest plan of the predictive law."""
+        since, answered, way = map(ctypes.c_double, (plan.since, plan.answered, float(plan.way)))
+        commands = self._numbers(plan.plan)
+        self._library.access_plan(self._craft, commands, since, answered, way)
 
     def limits(self) -> np.ndarray:
         """Return which limits of the last plan are active."""
@@ -193,7 +201,11 @@ def reference(random: np.random.Generator, now: float) -> Any:
 
 
 def compare(
-    python: TrackingController, c: CompiledController, steps: int, seed: int = 0
+    python: TrackingController,
+    c: CompiledController,
+    steps: int,
+    seed: int = 0,
+    after: Callable[[], object] = lambda: None,
 ) -> Comparison:
     """Fly both controllers side by side, on the same poses and commands."""
     table, found = Table(python.model, python.tuning.period_s, seed), Comparison()
@@ -204,8 +216,12 @@ def compare(
             python.pose(stamp, pose)
             c.pose(stamp, pose)
         now = table.now + table.period
+        if isinstance(python.state, Ongoing):
+            # Each plan depends on the one before, so differences would grow from step to step.
+            c.take_plan(python.state)
         ours, theirs = python.step(now), c.step(now)
         found.steps.append(_difference(ours, theirs))
+        after()
         table.fly(ours.command)
         for time, command in table.commands(ours.command):
             python.sent(time, command)

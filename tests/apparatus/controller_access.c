@@ -20,6 +20,7 @@ void access_sent(airpuck *craft, double time, const double *command);
 int access_step(airpuck *craft, double now, const double *given, double *command);
 void access_estimate(const airpuck *craft, double *result);
 int access_limits(const airpuck *craft, int *active);
+void access_plan(airpuck *craft, const double *commands, double since, double answered, double way);
 
 size_t access_size(void)
 {
@@ -75,5 +76,21 @@ int access_limits(const airpuck *craft, int *active)
     (void)craft;
     (void)active;
     return 0;
+#endif
+}
+
+/* Replace the plan. */
+void access_plan(airpuck *craft, const double *commands, double since, double answered, double way)
+{
+#if AIRPUCK_STEPS > 0
+    for (int b = 0; b < AIRPUCK_BLOCKS; b++)
+        narrowed(commands + b * AIRPUCK_MOTORS, craft->plan.commands[b], AIRPUCK_MOTORS);
+    craft->plan.since = since;
+    craft->plan.answered = answered;
+    craft->plan.way = (airpuck_real)way;
+#else
+    (void)craft;
+    (void)commands;
+    (void)(since + answered + way);
 #endif
 }

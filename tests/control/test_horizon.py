@@ -14,7 +14,7 @@ from airpuck.control.authority import control_authority
 
 # The stages contain the assumed braking acceleration, but mixed with other numbers.
 # The same problem is written down by hand, with the same damping.
-from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages, _brake, linearised, stages
+from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages, braking, linearised, stages
 from airpuck.control.tuning import SoftLimits, default_tuning
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import published_model
@@ -30,7 +30,7 @@ SPEED = RANDOM.uniform(0.2, 0.8, 6)
 START = np.concatenate([STATE, SPEED])
 COMMANDS = RANDOM.uniform(0.1, 0.9, (8, 6))
 #: [m/s²].
-BRAKE = float(_brake(np, MODEL.dynamics, MODEL.vehicle.command_max))
+BRAKE = float(braking(np, MODEL.dynamics, MODEL.vehicle.command_max))
 PUSH = np.array([0.3, -0.2, 1.5])
 DRAGGED = replace(MODEL.dynamics, effects=(Drag(0.4),))
 
@@ -132,7 +132,7 @@ def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
 
 
 @pytest.mark.parametrize("motor", range(6))
-def test_a_motor_that_is_nearly_dead_does_not_brake(motor):
+def test_a_motor_that_is_nearly_dead_does_notbraking(motor):
     shares = np.where(np.arange(6) == motor, 0.05, 1.0)
     # The same craft, made of weak propellers.
     thrust = MODEL.parameters.thrust * shares[:, None]

@@ -10,9 +10,10 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.control.horizon import Condensed
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import default_tuning
+from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
 from airpuck.flight.loop import fly
 from airpuck.twin.twin import Twin
 
@@ -25,6 +26,18 @@ M4 = PAPER["M4"]
 HOME = SetPoint(0.0, 0.0, 0.0)
 #: Inputs of the address sanitizer: exit on an error, without a search for leaks.
 ENVIRONMENT = {**os.environ, "ASAN_OPTIONS": "detect_leaks=0"}
+
+
+#: Statuses after which a plan of the predictive law is in force.
+PLANNED = ("optimal", "softened")
+
+
+def predictive() -> Tuning:
+    """A short horizon with every kind of limit."""
+    tuning = default_tuning().with_regulator("mpc")
+    limits = SoftLimits(speed_m_s=0.8, spin_rad_s=5.0, keep_out_m=((0.4, 0.2, 0.2),))
+    changed = {"horizon_s": 0.2, "limits": limits}
+    return tuning.model_copy(update={"regulator": tuning.regulator.model_copy(update=changed)})
 
 
 def program(folder: Path, main: str, *options: str, using: str = "gcc") -> Path:
@@ -104,17 +117,44 @@ def test_the_program_reads_poses_and_writes_commands(exported):
     assert "time x y yaw" in bad.stderr
 
 
-@pytest.mark.parametrize("precision", ["double", "single"])
-def test_the_stated_size_is_the_compilers(exported, tmp_path, precision):
-    facts = airpuck.export.write(M4, "c", tmp_path / "again").facts
-    options = {"double": (), "single": ("-DAIRPUCK_SINGLE",)}[precision]
-    (tmp_path / "size.c").write_text(
-        '#include "airpuck.h"\n'
-        f"typedef char same[sizeof(airpuck) == {facts[f'state in {precision} precision, bytes']}"
-        " ? 1 : -1];\nsame airpuck_same;\n"
-    )
-    (tmp_path / "again" / "size.c").write_bytes((tmp_path / "size.c").read_bytes())
-    build(tmp_path / "size.o", [tmp_path / "again" / "size.c"], "-c", *options)
+@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
+def test_the_stated_sizes_are_the_compilers(regulator, tmp_path):
+    tuning = default_tuning().with_regulator(regulator)
+    facts = airpuck.export.write(M4, "c", tmp_path, tuning=tuning).facts
+    for precision, options in (("double", ()), ("single", ("-DAIRPUCK_SINGLE",))):
+        stated = facts[f"state in {precision} precision, bytes"]
+        (tmp_path / "size.c").write_text(
+            '#include "airpuck.h"\n'
+            f"typedef char same[sizeof(airpuck) == {stated} ? 1 : -1];\n"
+            "extern same airpuck_same;\n"
+        )
+        build(tmp_path / "size.o", [tmp_path / "size.c"], "-c", *options)
+
+
+@pytest.mark.parametrize("name", ["M4", pytest.param("all effects", marks=pytest.mark.slow)])
+def test_the_predictive_law_plans_as_in_python(name, tmp_path, monkeypatch):
+    model, tuning, bound = MODELS[name], predictive(), []
+    solve = Condensed.solve
+
+    def recorded(self, formed):
+        answer = solve(self, formed)
+        bound.append(None if answer is None else answer.binding)
+        return answer
+
+    monkeypatch.setattr(Condensed, "solve", recorded)
+    python = TrackingController(model, HOME, tuning, compiled=False)
+    c = CompiledController(library(model, tmp_path / "c", tuning=tuning), model, tuning)
+    bound.clear()
+    sets = []
+    found = compare(python, c, 60, after=lambda: sets.append(c.limits()))
+    assert found.same == 1
+    assert found.worst("command") < 1e-7
+    assert found.worst("state") < 1e-9
+    assert {"optimal", "softened"} <= set(found.seen)
+    solved = [k for k, step in enumerate(found.steps) if step.statuses[0] in PLANNED]
+    assert len(solved) == len(bound)
+    for k, binding in zip(solved, bound, strict=True):
+        assert (sets[k] == binding).all()
 
 
 def test_a_flight_on_the_twin_ends_where_pythons_does(tmp_path):

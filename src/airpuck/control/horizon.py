@@ -173,7 +173,7 @@ def stages(
         turned_over = (apart * way < 0) & (xp.abs(way) > _UNDECIDED) & (xp.abs(apart) > _UNDECIDED)
         apart = apart + 2 * np.pi * xp.sign(way) * turned_over
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
-        brake = _brake(xp, believed, most)
+        brake = braking(xp, believed, most)
         limited = _limits(xp, limits, brake, states[:, :6], fence, discs)
         asked = error, accelerations - feedforward, weights, terminal
         bend = _bend(xp, believed, effort, blocks.step, along, asked)
@@ -251,7 +251,7 @@ def linearised(
     return states, felt(after).T + pushed, by_state, by_motion
 
 
-def _brake(xp: Any, dynamics: Dynamics, most: float) -> Num[Any, ""]:
+def braking(xp: Any, dynamics: Dynamics, most: float) -> Num[Any, ""]:
     """Return an acceleration that a craft can reach in every direction [m/s²].
 
     A fraction of the acceleration that the working propellers reach in their weakest direction: the

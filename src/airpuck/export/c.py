@@ -15,10 +15,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.lqr import motor_lag, regulator
+from airpuck.control.horizon import Blocks, Sizes, braking
+from airpuck.control.law import LawOptions
+from airpuck.control.lqr import cost_to_go, motor_lag, point_mass, regulator
+from airpuck.control.mpc import MPC
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning
+from airpuck.control.tuning import Regulator, Tuning
 from airpuck.estimate.axis_filter import INITIAL_DISTURBANCE, INITIAL_VELOCITY
 from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.golden import golden_flight
@@ -35,12 +38,14 @@ _SOURCES = (
     "airpuck_selftest.c",
     "airpuck.h",
     "airpuck.c",
-    "airpuck_lqr.h",
+    "airpuck_laws.h",
     "airpuck_lqr.c",
     "airpuck_qp.h",
     "airpuck_qp.c",
     "airpuck_daqp.c",
 )
+#: More of them, for the predictive law.
+_PREDICTIVE = ("airpuck_mpc.h", "airpuck_mpc.c", "airpuck_slopes.h", "airpuck_slopes.c")
 #: DAQP's, which they include.
 _DAQP = (
     "LICENSE",
@@ -58,8 +63,13 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "AIRPUCK_STEPS": 0,
         "AIRPUCK_HELD": math.ceil((_REMEMBERED + model.transport_delay) / tuning.period_s) + 4,
     }
-    tuned = constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))
-    write_model(model, folder, sizes=sizes, data={"airpuck.h": tuned})
+    numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
+    if tuning.regulator.kind == "mpc":
+        sizes |= _prediction_sizes(tuning.regulator)
+        horizon = _horizon(model, tuning)
+        numbers.append(constant("airpuck_horizon", "airpuck_predicted", horizon))
+        copy_sources(_PREDICTIVE, folder)
+    write_model(model, folder, sizes=sizes, data={"airpuck.h": "\n\n".join(numbers)})
     copy_sources(_SOURCES, folder)
     (folder / "daqp").mkdir()
     copy_sources([f"daqp/{name}" for name in _DAQP], folder / "daqp")
@@ -72,16 +82,48 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     }
 
 
-def _state_bytes(sizes: Mapping[str, int], motors: int, number: Any) -> int:
+def _most_active(variables: int, soft: int) -> int:
+    """Return the C macro AIRPUCK_QP_ACTIVE."""
+    return variables + soft + 1
+
+
+def _program_numbers(n: int, rows: int, soft: int) -> int:
+    """Return the C macro AIRPUCK_QP_NUMBERS."""
+    active = _most_active(n, soft)
+    own = n * (n + 1) // 2 + rows * n + 5 * (n + rows) + 4 * n + rows
+    return own + active * (active + 11) // 2
+
+
+def _memory(sizes: Mapping[str, int], n: int) -> tuple[int, int]:
+    """Return the C macros AIRPUCK_NUMBERS and AIRPUCK_ACTIVE, for n motors."""
+    allocation = _program_numbers(n + 2, 3, 0)
+    if not sizes["AIRPUCK_STEPS"]:
+        return allocation, _most_active(n + 2, 0)
+    commands, rows = n * sizes["AIRPUCK_BLOCKS"], sizes["AIRPUCK_STEPS"] * sizes["AIRPUCK_LIMITS"]
+    active = _most_active(commands, rows)
+    factor = active * (active + 1) // 2
+    scratch = sizes["AIRPUCK_STEPS"] * (6 + 2 * n) + (6 + n) * commands + allocation
+    return _program_numbers(commands, rows, rows) + max(scratch, factor) - factor, active
+
+
+def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
     """Return the size of the C struct `airpuck`, whose layout this repeats."""
-    n, allocated = motors, motors + 2
-    most = allocated + 1
-    numbers = allocated * (allocated + 1) // 2 + 3 * allocated + 5 * (allocated + 3)
-    numbers += 4 * allocated + 3 + most * (most + 11) // 2
     whole, time = ctypes.c_int, ctypes.c_double
+    numbers, active = _memory(sizes, n)
 
     class Held(ctypes.Structure):
         _fields_: ClassVar = [("begins", time), ("command", number * n)]
+
+    class Plan(ctypes.Structure):
+        _fields_: ClassVar = [
+            ("commands", number * (n * sizes.get("AIRPUCK_BLOCKS", 0))),
+            ("times", time * 2),
+            ("way", number),
+            ("limits", whole),
+            ("borders", number * (4 + 3 * (sizes.get("AIRPUCK_DISCS", 0) + 1))),
+            ("astray", whole),
+            ("sense", whole * (active - 1)),
+        ]
 
     class Craft(ctypes.Structure):
         _fields_: ClassVar = [
@@ -96,8 +138,9 @@ def _state_bytes(sizes: Mapping[str, int], motors: int, number: Any) -> int:
             ("belief", number * (36 + n)),
             ("held", whole),
             ("commands", Held * sizes["AIRPUCK_HELD"]),
+            *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),
             ("numbers", number * numbers),
-            ("active", whole * most),
+            ("active", whole * active),
         ]
 
     return ctypes.sizeof(Craft)
@@ -106,7 +149,7 @@ def _state_bytes(sizes: Mapping[str, int], motors: int, number: Any) -> int:
 def _check(model: Model, tuning: Tuning) -> None:
     """Raise InputError for what the C sources do not hold."""
     kind = tuning.regulator.kind
-    if kind not in ("lqr",):
+    if kind not in ("lqr", "mpc"):
         raise InputError(f"{kind!r} has no C; choose 'lqr' or 'mpc'", field="regulator.kind")
     if tuning.estimation.estimator != "kalman":
         problem = f"{tuning.estimation.estimator!r} has no C; choose 'kalman'"
@@ -141,4 +184,50 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "initial_variance": np.square(np.array([noise.pose, INITIAL_VELOCITY, disturbed])).T,
         "acceleration_density": np.square(noise.acceleration),
         "disturbance_density": np.square(noise.disturbance),
+    }
+
+
+def _prediction_sizes(regulator: Regulator) -> dict[str, int]:
+    """Return the macros that size a prediction."""
+    blocks, limits = Blocks.of(regulator), regulator.limits
+    speed, spin = limits.speed_m_s is not None, limits.spin_rad_s is not None
+    discs = len(limits.keep_out_m)
+    return {
+        "AIRPUCK_STEPS": len(blocks.owner),
+        "AIRPUCK_BLOCKS": len(blocks.lengths),
+        "AIRPUCK_LIMITS": 2 + speed + spin + discs,
+        "AIRPUCK_LIMITS_SPEED": int(speed),
+        "AIRPUCK_LIMITS_SPIN": int(spin),
+        "AIRPUCK_DISCS": discs,
+    }
+
+
+def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
+    """Return the fields of the C struct `airpuck_horizon`."""
+    regulator, law = tuning.regulator, MPC(model, tuning, LawOptions(compiled=False))
+    limits, blocks = regulator.limits, Blocks.of(regulator)
+    sizes, h = Sizes(model.vehicle, blocks, regulator), blocks.step
+    weights = regulator.weights.errors * h
+    terminal = cost_to_go(*point_mass(h), np.diag(weights), np.diag(sizes.effort))
+    n, rows = model.vehicle.n_propellers, _prediction_sizes(regulator)["AIRPUCK_LIMITS"]
+    penalty = np.full(sizes.m + rows * len(blocks.owner), sizes.penalty)
+    return {
+        "step": h,
+        "owner": blocks.owner,
+        "lasting": h * np.array(blocks.lengths),
+        "weights": weights,
+        "terminal": (terminal + terminal.T) / 2,
+        "effort": sizes.effort,
+        "used": sizes.used[::n],
+        "damping": float(sizes.changed[0] - sizes.used[0]),
+        "first": float(law.init().plan[0, 0]),
+        "brake": float(braking(np, model.dynamics, model.vehicle.command_max)),
+        "headway": limits.headway_s,
+        "speed": limits.speed_m_s or 0.0,
+        "spin": limits.spin_rad_s or 0.0,
+        "fence": law.fence,
+        "keep_out": np.concatenate([law.keep_out, np.zeros((1, 3))]),
+        "iterations": sizes.most,
+        "penalty": penalty,
+        "softness": 1 / penalty,
     }

@@ -99,6 +99,11 @@ class Effect:
         return (0.0, 0.0) if type(self).acceleration is Effect.acceleration else None
 
 
+def _magnitude(xp: Any, value: Any) -> Any:
+    """Return |x|, also for complex steps, whose derivative abs() would lose."""
+    return xp.where(value.real < 0, -value, value) if np.iscomplexobj(value) else xp.abs(value)
+
+
 def _scaled(low: Any, high: Any, least: Any, most: Any) -> tuple[Any, Any]:
     """Bound thrusts times factors, where each factor lies anywhere within its range."""
     corners = np.stack(np.broadcast_arrays(low * least, low * most, high * least, high * most))
@@ -127,7 +132,7 @@ class Drag(Effect):
         # Smooth at rest, where |v| is not differentiable.
         speed = xp.sqrt(motion.forward**2 + motion.left**2 + 1e-12)
         rate = self.linear + self.quadratic * speed
-        spin_rate = self.spin_linear + self.spin_quadratic * xp.abs(motion.spin)
+        spin_rate = self.spin_linear + self.spin_quadratic * _magnitude(xp, motion.spin)
         return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 #include "airpuck.h"
 
-#include "airpuck_lqr.h"
+#include "airpuck_laws.h"
 
 #include <string.h>
 

@@ -81,10 +81,22 @@ extern const airpuck_tuning airpuck_tuned;
 #include "airpuck_mpc.h"
 #endif
 
-#if AIRPUCK_STEPS == 0
-#define AIRPUCK_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
+/* Memory of the quadratic programs: of the allocation, or of the prediction if that needs more. */
+#if AIRPUCK_STEPS > 0
+#define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_COMMANDS, AIRPUCK_ROWS)
+#define AIRPUCK_NUMBERS                                                                           \
+    (AIRPUCK_QP_NUMBERS(AIRPUCK_COMMANDS, AIRPUCK_ROWS, AIRPUCK_ROWS) +                           \
+     (AIRPUCK_SCRATCH > AIRPUCK_FACTOR ? AIRPUCK_SCRATCH : AIRPUCK_FACTOR) - AIRPUCK_FACTOR)
+/* States, curvatures and changes of a prediction, which share memory with a factor of DAQP. */
+#define AIRPUCK_SCRATCH                                                                           \
+    (AIRPUCK_STEPS * (AIRPUCK_STATES + AIRPUCK_MOTORS) + AIRPUCK_STATES * AIRPUCK_COMMANDS +      \
+     AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0))
+#define AIRPUCK_FACTOR (AIRPUCK_ACTIVE * (AIRPUCK_ACTIVE + 1) / 2)
+#else
 #define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_ALLOCATED, 0)
+#define AIRPUCK_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
 #endif
+
 
 /* A controller. The first fields describe the last step; the rest is its memory. */
 typedef struct {

@@ -1,4 +1,4 @@
-#include "airpuck_lqr.h"
+#include "airpuck_laws.h"
 
 #define N AIRPUCK_MOTORS
 #define PI AIRPUCK_R(3.14159265358979323846)

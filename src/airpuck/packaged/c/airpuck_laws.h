@@ -1,12 +1,22 @@
-/* The law of the regulator: accelerations that lead to the target, thrusts that produce them. */
-#ifndef AIRPUCK_LQR_H
-#define AIRPUCK_LQR_H
+/* The laws, and the few functions that they share with the rest of the controller. */
+#ifndef AIRPUCK_LAWS_H
+#define AIRPUCK_LAWS_H
 
 #include "airpuck.h"
 
 /* Compute a command from the prediction in `craft`; set craft->request. */
 airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
                            airpuck_real command[AIRPUCK_MOTORS]);
+
+#if AIRPUCK_STEPS > 0
+/* The first plan. */
+void airpuck_plan_begin(airpuck_plan *plan);
+
+/* Compute a command by the predictive law, or by airpuck_lqr if there is no plan. */
+airpuck_status airpuck_mpc(airpuck *craft, double now,
+                           const airpuck_target targets[AIRPUCK_TARGETS],
+                           airpuck_real command[AIRPUCK_MOTORS]);
+#endif
 
 /* An angle, shifted by whole turns to between -pi and pi. */
 airpuck_real airpuck_wrapped(airpuck_real angle);

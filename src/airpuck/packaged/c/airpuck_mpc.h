@@ -1,0 +1,56 @@
+/* The predictive law: the commands over a horizon that track best within all limits.
+ *
+ * Each step linearises the physics along the previous plan, shifted in time, and solves one
+ * quadratic program for a better plan. Included by airpuck.h. */
+#ifndef AIRPUCK_MPC_H
+#define AIRPUCK_MPC_H
+
+/* Decision variables, and limits of the motion over all steps. */
+#define AIRPUCK_COMMANDS (AIRPUCK_MOTORS * AIRPUCK_BLOCKS)
+#define AIRPUCK_ROWS (AIRPUCK_STEPS * AIRPUCK_LIMITS)
+
+/* Limits that are active somewhere in a plan. */
+enum {
+    AIRPUCK_MOTOR_ACTIVE = 1,
+    AIRPUCK_RAIL_ACTIVE = 2,
+    AIRPUCK_SPEED_ACTIVE = 4,
+    AIRPUCK_SPIN_ACTIVE = 8,
+    AIRPUCK_DISC_ACTIVE = 16
+};
+
+/* Settings chosen at export; weights include the duration of a step. */
+typedef struct {
+    airpuck_real step;                  /* Duration of a step [s]. */
+    int owner[AIRPUCK_STEPS];           /* The block of each step; a block has one command. */
+    airpuck_real lasting[AIRPUCK_BLOCKS]; /* Duration of each block [s]. */
+    airpuck_real weights[6];            /* Of squared errors of the state. */
+    airpuck_real terminal[6][6];        /* Of the error at the end of the horizon. */
+    airpuck_real effort[3];             /* Of squared accelerations. */
+    airpuck_real used[AIRPUCK_BLOCKS];  /* Of squared commands above idle. */
+    airpuck_real damping;               /* Of squared changes of a command. */
+    airpuck_real first;                 /* Commands of the first plan. */
+    airpuck_real brake;                 /* Acceleration that is possible in all directions [m/s^2]. */
+    airpuck_real headway;               /* Time by which the fence must be kept in advance [s]. */
+    airpuck_real speed, spin;           /* Limits along the plan, if any [m/s, rad/s]. */
+    airpuck_real fence[2][2];           /* Lowest and highest x, y of the craft's centre [m]. */
+    airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one more at the end. */
+    int iterations;                     /* Of the solver, at most. */
+    /* Cost of exceeding limits: linear, and the reciprocal of the quadratic part. */
+    airpuck_real penalty[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
+    airpuck_real softness[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
+} airpuck_horizon;
+
+extern const airpuck_horizon airpuck_predicted;
+
+/* The latest plan. `fence` and `keep_out` may be changed between steps. */
+typedef struct {
+    airpuck_real commands[AIRPUCK_BLOCKS][AIRPUCK_MOTORS];
+    double since, answered; /* When the plan begins, and when the solver last found one. */
+    airpuck_real way;       /* Yaw still to turn, in the chosen direction [rad]. */
+    int limits;             /* Active limits; a sum of AIRPUCK_..._ACTIVE. */
+    airpuck_real fence[2][2], keep_out[AIRPUCK_DISCS + 1][3];
+    int astray; /* Whether the last active set led nowhere. */
+    int sense[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
+} airpuck_plan;
+
+#endif
