@@ -331,7 +331,7 @@ class Fitting(Identification):
             delay = mean_delay(trajectories, craft)
             nominal = replace(rung.initial(craft), transport_delay=delay)
             elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
-            learned = rung.mask(nominal)
+            learned = rung.mask(nominal, craft)
             start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
         loss = self.loss(trajectories[0])
         return identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)

@@ -62,14 +62,17 @@ def _propeller_table(model: Model) -> Table:
     """Lay out position and effect of each propeller at full command."""
     craft, effects = model.vehicle, model.propeller_effects
     rows = []
-    for number, (propeller, effect, curve) in enumerate(
-        zip(craft.propellers, effects.T, model.dynamics.thrust, strict=True), start=1
+    for number, (channel, effect, curve) in enumerate(
+        zip(craft.actuation.channels, effects.T, model.dynamics.thrust, strict=True), start=1
     ):
-        x, y = propeller.position_m
+        x, y = channel.position_m
         turn = effect[2] / max(abs(effect).max(), 1e-300)
         turns = "left" if turn > 0.01 else "right" if turn < -0.01 else "neither way"
-        numbers = [f"{value:.1f}" for value in (1e3 * x, 1e3 * y, propeller.direction_deg)]
-        rows.append([str(number), propeller.name, *numbers, f"{sum(curve):.3f}", turns])
+        numbers = [f"{value:.1f}" for value in (1e3 * x, 1e3 * y, channel.direction_deg)]
+        strength = f"{sum(curve):.3f}"
+        if channel.is_wheel:
+            numbers, strength = ["", "", "wheel"], f"{sum(curve):.3g} m"
+        rows.append([str(number), channel.name, *numbers, strength, turns])
     headings = ("", "propeller", "x mm", "y mm", "pushes towards °", "full thrust N", "turns it")
     title = f"{craft.name}: {1e3 * craft.mass_kg:.4g} g, radius {1e3 * craft.radius_m:.4g} mm"
     return table(headings, rows, title=title, left=("propeller", "turns it"))

@@ -287,7 +287,7 @@ def record(
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
-    motors = () if vehicle is None else vehicle.propeller_names
+    motors = () if vehicle is None else vehicle.columns
     figures = record(output, live, motors=motors)
     counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
     report(figures, json_file, *counts, output, quiet=live.quiet)

@@ -154,8 +154,8 @@ class Excitation(Pilot):
             return step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
-        command = np.clip(signed, vehicle.command_min, vehicle.command_max)
-        return replace(step, command=vehicle.actuators.possible(command))
+        command = np.clip(signed, *vehicle.command_range)
+        return replace(step, command=vehicle.actuation.possible(command))
 
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, whether or not earlier steps were run."""
@@ -192,7 +192,7 @@ def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.nd
     return each
 
 
-def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n signals"]]:
+def _mixing(model: Model) -> tuple[Float[np.ndarray, "c c"], Float[np.ndarray, "c signals"]]:
     """Return two matrices that mix the controller's commands and the signals.
 
     The first maps the commands of a pair to ± their difference and leaves single propellers
@@ -211,7 +211,7 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "
                 field="pairs",
             )
     first, second = np.array(vehicle.pair_indices, dtype=int).reshape(-1, 2).T
-    each = np.eye(vehicle.n_propellers)
+    each = np.eye(len(vehicle.columns))
     mixer = [each[:, first] - each[:, second], np.delete(each, [*first, *second], axis=1)]
     signed = each.copy()
     signed[first, second] = signed[second, first] = -1.0

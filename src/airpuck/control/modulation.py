@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import Tuning
-from airpuck.craft.actuators import OnOff
+from airpuck.craft.actuators import Actuation, OnOff
 from airpuck.model.model_file import Model
 
 #: Relative difference up to which a controller's period counts as the craft's PWM period.
@@ -97,6 +97,29 @@ class SigmaDelta(Modulator):
         return opens.astype(float)
 
 
+class BothWays(Modulator):
+    """Joins the two ways of each actuator, and commands wheels."""
+
+    def __init__(self, actuation: Actuation, thrusters: Modulator, tick: float) -> None:
+        self._actuation, self._thrusters = actuation, thrusters
+        self._first_wheel = actuation.n_columns - len(actuation.wheels)
+        #: Change of the commanded speed per period at full torque; 0 if torques are commanded.
+        gains = [tick / w.spin_up_s if w.commanded == "speed" else 0.0 for w in actuation.wheels]
+        self._gain, self._speed = np.array(gains), np.zeros(len(gains))
+
+    def reset(self) -> None:
+        """Forget the past; a wheel at rest has no speed."""
+        self._thrusters.reset()
+        self._speed = np.zeros_like(self._speed)
+
+    def command(self, now: float, duty: Float[np.ndarray, " n"]) -> Float[np.ndarray, " c"]:
+        """Return the command to send now."""
+        joined, first = self._actuation.joined(duty), self._first_wheel
+        self._speed = np.clip(self._speed + self._gain * joined[first:], -1.0, 1.0)
+        wheels = np.where(self._gain > 0, self._speed, joined[first:])
+        return np.concatenate([self._thrusters.command(now, joined[:first]), wheels])
+
+
 #: Modulators by name.
 MODULATORS: dict[str, Callable[..., Modulator]] = {
     "pulse_width": PulseWidth,
@@ -106,10 +129,14 @@ MODULATORS: dict[str, Callable[..., Modulator]] = {
 
 def modulator_for(model: Model, tuning: Tuning) -> Modulator:
     """Return the modulator that a craft needs."""
-    kind = model.vehicle.actuators
-    if not isinstance(kind, OnOff):
-        return Modulator()
-    return MODULATORS[tuning.modulation.kind](kind, tuning)
+    kind, actuation = model.vehicle.actuators, model.vehicle.actuation
+    if isinstance(kind, OnOff):
+        thrusters = MODULATORS[tuning.modulation.kind](kind, tuning)
+    else:
+        thrusters = Modulator()
+    if not actuation.two_way.any():
+        return thrusters
+    return BothWays(actuation, thrusters, tuning.period_s)
 
 
 def of_means(model: Model) -> Model:

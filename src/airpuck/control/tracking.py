@@ -102,7 +102,7 @@ class TrackingController(Pilot):
             )
         self.model, self.reference, self.tuning = model, reference, tuning
         self.compensate_delay = compensate_delay
-        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
+        self._idle = vehicle.idle
         options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
         self.law: Law = law_named(tuning.regulator.kind)(of_means(model), tuning, options)
         self.law.stage = stage_of_means(model, self.law.stage)

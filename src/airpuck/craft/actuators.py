@@ -1,18 +1,23 @@
 """Kinds of actuators: how commands drive them, and how their force follows.
 
 The force of every kind is a thrust curve of a state that follows its drive in [0, 1] with a
-first-order lag, a transport delay after the command. So the physics is the same for all kinds.
+first-order lag, a transport delay after the command. An actuator that pushes both ways has two
+drives, one for each way (`Channel`). So the physics is the same for all kinds, each way has its own
+thrust curve, and every thrust is positive. A reaction wheel gives a moment instead of a force.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck.boundary.files import NonNegative, Section
+from airpuck.boundary.files import NonNegative, Positive, Section
 
 #: Each packet starts a PWM period if the usual interval is this close to it [relative].
 _SAME_PERIOD = 0.1
@@ -20,6 +25,8 @@ _SAME_PERIOD = 0.1
 _ONE_EVENT = 1e-9
 #: Longest plausible times of a valve, and of a PWM period [s].
 _VALVE_TIME, _PWM_TIME = 0.5, 2.0
+#: Changes of a wheel's speed below this are rounding [fraction of the largest speed].
+_NO_SPEED = 1e-12
 
 
 class Propellers(Section):
@@ -133,3 +140,193 @@ class OnOff(Section):
 
 
 Actuators = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]
+
+
+class Wheel(Section):
+    """A reaction wheel: a pure moment, until the wheel reaches its largest speed."""
+
+    #: The column of a command that drives it.
+    name: str = pydantic.Field(min_length=1)
+    #: Torque at full command; if speeds are commanded, torque while the wheel changes its speed.
+    torque_Nm: Positive
+    #: Moment of inertia of the wheel, and its largest speed.
+    inertia_kg_m2: Positive
+    max_speed_rad_s: Positive
+    #: First-order lag of its torque; by default that of the propellers.
+    lag_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] | None = None
+    #: What a command in [-1, 1] is a fraction of: `torque_Nm` or `max_speed_rad_s`.
+    commanded: Literal["torque", "speed"] = "torque"
+    #: Which way a positive command turns the craft: against the wheel.
+    turns_craft: Literal["left", "right"] = "right"
+
+    @property
+    def spin_up_s(self) -> float:
+        """Time from rest to the largest speed at full torque."""
+        return self.inertia_kg_m2 * self.max_speed_rad_s / self.torque_Nm
+
+    @property
+    def couple(self) -> float:
+        """Moment on the craft per torque of a positive command."""
+        return 1.0 if self.turns_craft == "left" else -1.0
+
+
+class Spinning:
+    """The speed of a wheel under its commands: it starts at rest."""
+
+    def __init__(self, wheel: Wheel) -> None:
+        self._wheel = wheel
+        #: Fraction of the largest speed, at the time of the last command.
+        self.speed = 0.0
+        self._since, self.command = -math.inf, 0.0
+
+    def follow(self, time: float, command: float) -> None:
+        """Receive a command; times must not decrease."""
+        drive, lasts = self.drive()
+        if drive:
+            elapsed = min(max(time - self._since, 0.0), lasts)
+            self.speed += drive * elapsed / self._wheel.spin_up_s
+        self._since, self.command = time, command
+
+    def drive(self) -> tuple[float, float]:
+        """Return the torque from the last command on, as a fraction, and how long it lasts [s]."""
+        command, full = self.command, self._wheel.spin_up_s
+        away = command - self.speed
+        drive = math.copysign(1.0, away) if self._by_speed else command
+        left = away if self._by_speed else math.copysign(1.0, drive) - self.speed
+        # A wheel at its largest speed cannot be accelerated.
+        lasting = drive * left > _NO_SPEED
+        return (drive, full * left / drive) if lasting else (0.0, math.inf)
+
+    @property
+    def ends(self) -> float:
+        """When the present torque ends [s]."""
+        return self._since + self.drive()[1]
+
+    def changes(self, time: float, command: float) -> list[tuple[float, float]]:
+        """Receive a command; return the drives that it causes, with their start times."""
+        self.follow(time, command)
+        drive, lasts = self.drive()
+        return [(time, drive)] if lasts == math.inf else [(time, drive), (time + lasts, 0.0)]
+
+    @property
+    def _by_speed(self) -> bool:
+        return self._wheel.commanded == "speed"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One way in which an actuator pushes: what the model calls a propeller."""
+
+    name: str
+    #: Column of the command, and its sign that makes the actuator push this way.
+    column: int
+    sign: int
+    #: Where it pushes, the direction of its force, counter-clockwise from the body's x axis, and
+    #: its moment per thrust beside that of the force.
+    position_m: tuple[float, float]
+    direction_deg: float
+    couple: float = 0.0
+    #: Thrust relative to the actuator's nominal one.
+    strength: float = 1.0
+
+    @property
+    def is_wheel(self) -> bool:
+        """Whether it turns the craft without pushing it."""
+        return self.couple != 0
+
+
+@dataclass(frozen=True)
+class Actuation:
+    """All actuators of a craft: between the columns of a command and the drives of channels."""
+
+    kind: Propellers | OnOff
+    wheels: tuple[Wheel, ...]
+    channels: tuple[Channel, ...]
+    #: Nominal lag of the propellers [s].
+    lag_s: float = 0.0
+
+    @property
+    def n_columns(self) -> int:
+        """Number of columns of a command."""
+        return 1 + max(channel.column for channel in self.channels)
+
+    @property
+    def two_way(self) -> np.ndarray:
+        """Whether each column takes commands in [-1, 1] instead of [0, 1]."""
+        return np.isin(np.arange(self.n_columns), [c.column for c in self.channels if c.sign < 0])
+
+    @property
+    def _first_wheel(self) -> int:
+        return self.n_columns - len(self.wheels)
+
+    @property
+    def _lags(self) -> list[float | None]:
+        return [wheel.lag_s for wheel in self.wheels]
+
+    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
+        """Return the lags behind a drive; `time_constant` is the thrusters' mean."""
+        lag, own = self.kind.lag(xp, drive, time_constant), self._lags
+        first = self._first_wheel
+        for k, channel in enumerate(self.channels):
+            if channel.is_wheel and (its := own[channel.column - first]) is not None:
+                lag = xp.where(np.arange(len(self.channels)) == k, its, lag)
+        return lag
+
+    def spinning(self) -> tuple[Spinning, ...]:
+        """Return the wheels at rest."""
+        return tuple(map(Spinning, self.wheels))
+
+    def split(self, command: Float[np.ndarray, "*n c"]) -> Float[np.ndarray, "*n n"]:
+        """Return the drives of channels, given one drive in [-1, 1] for each column."""
+        if len(self.channels) == self.n_columns:
+            return command
+        columns, signs = np.array([(c.column, c.sign) for c in self.channels]).T
+        return np.maximum(command[..., columns] * signs, 0.0)
+
+    def joined(self, drive: Float[np.ndarray, "*n n"]) -> Float[np.ndarray, "*n c"]:
+        """Return one drive for each column: what one way leaves of the other."""
+        if len(self.channels) == self.n_columns:
+            return drive
+        joined = np.zeros((*drive.shape[:-1], self.n_columns))
+        for k, channel in enumerate(self.channels):
+            joined[..., channel.column] += channel.sign * drive[..., k]
+        return joined
+
+    def possible(self, command: Float[np.ndarray, "*n c"]) -> Float[np.ndarray, "*n c"]:
+        """Return the nearest command that the actuators can follow exactly."""
+        first = self._first_wheel
+        thrusters = self.kind.possible(command[..., :first])
+        return np.concatenate([thrusters, command[..., first:]], axis=-1)
+
+    def drive(
+        self,
+        time: Float[np.ndarray, " K"],
+        command: Float[np.ndarray, "K c"],
+        spinning: Sequence[Spinning] | None = None,
+    ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
+        """Return the drives that commands cause, and their start times.
+
+        Wheels are at rest before the first command unless `spinning` gives them; it is updated.
+        Otherwise a wheel with another lag than the propellers acts later by the difference, since
+        models have one lag for all.
+        """
+        first = self._first_wheel
+        times, drives = self.kind.drive(time, command[:, :first])
+        if not self.wheels:
+            return times, self.split(drives)
+        parts = [(times, drives)]
+        wheels = spinning or self.spinning()
+        for wheel, column, lag in zip(wheels, command[:, first:].T, self._lags, strict=True):
+            changes = [(-math.inf, 0.0)]
+            for begins, value in zip(time.tolist(), column.tolist(), strict=True):
+                # The next command replaces what the last one has not done yet.
+                while changes[-1][0] >= begins:
+                    changes.pop()
+                changes += wheel.changes(begins, value)
+            begun, values = np.array(changes[1:]).T
+            if lag is not None and spinning is None:
+                begun = begun + lag - self.lag_s
+            parts.append((begun, values[:, None]))
+        every = np.unique(np.concatenate([begun for begun, _ in parts]))
+        held = [values[np.searchsorted(begun, every, side="right") - 1] for begun, values in parts]
+        return every, self.split(np.hstack(held))

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pydantic
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import (
@@ -27,7 +28,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.craft.actuators import Actuators, Propellers
+from airpuck.craft.actuators import Actuation, Actuators, Channel, Propellers, Wheel
 
 #: Plausible radii of craft on a table [m].
 _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
@@ -36,6 +37,16 @@ _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
 _FARTHEST, _MASS, _INERTIA = 5.0, (0.03, 2000.0), (0.01, 20.0)
 #: Largest plausible ratio of a propeller's thrust to the craft's weight; longest lag and delay [s].
 _THRUST, _TIME = 10.0, 1.0
+#: Largest plausible thrust of a propeller backwards, relative to forwards. Blades are made for one
+#: way, so it is usually below 1.
+_REVERSE = 2.0
+#: Shortest lever arm that tells the inertia [radii of gyration]. The centre of mass is uncertain by
+#: a tenth of that.
+_LEVER = 0.2
+#: Most reaction wheels of a craft: one is usual.
+_MOST_WHEELS = 4
+#: Ending of the name of the way that a negative command drives.
+_BACKWARDS = "_reverse"
 _GRAVITY = 9.81
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _MASSES = {"grams": 1e-3}
@@ -53,6 +64,8 @@ class Propeller(Section):
     position_m: tuple[float, float]
     #: Direction of the force on the craft, counter-clockwise from the body's x axis.
     direction_deg: float
+    #: Of a propeller that reverses: its nominal thrust backwards, relative to that forwards.
+    reverse: Annotated[float, pydantic.Field(gt=0, le=_REVERSE)] | None = None
 
 
 class Nominal(Section):
@@ -72,6 +85,10 @@ class Nominal(Section):
 class Vehicle(Section):
     """A craft: mass, propellers, pairs, command limits, nominal values (seq:model).
 
+    A propeller that reverses, or a wheel, is two propellers in all arrays: one for each way, the
+    second named after the first with the ending ``_reverse``. Commands have one column for each
+    actuator (`columns`), in [-1, 1] if it pushes both ways.
+
     Attributes
     ----------
     name : str
@@ -84,6 +101,8 @@ class Vehicle(Section):
         Range of a motor command; at the minimum the motor still turns.
     propellers : tuple of Propeller
         Propellers, in the order of a command's columns.
+    wheels : tuple of Wheel
+        Reaction wheels; their columns follow those of the propellers.
     pairs : tuple of pairs of str
         Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
         other: push in opposite directions, and turn the craft in opposite directions about its
@@ -101,12 +120,18 @@ class Vehicle(Section):
     command_max: Fraction = 1.0
     pairs: tuple[tuple[str, str], ...] = ()
     propellers: tuple[Propeller, ...] = pydantic.Field(min_length=1, max_length=PROPELLERS)
+    wheels: tuple[Wheel, ...] = pydantic.Field(default=(), max_length=_MOST_WHEELS)
     actuators: Actuators = Propellers()
     nominal: Nominal
 
     @pydantic.model_serializer(mode="wrap")
     def _without_default(self, dump: Any) -> dict[str, Any]:
         content = dump(self)
+        for propeller in content["propellers"]:
+            if propeller["reverse"] is None:
+                del propeller["reverse"]
+        if not self.wheels:
+            del content["wheels"]
         if self.actuators == Propellers():
             del content["actuators"]
         else:  # TOML has no null
@@ -116,25 +141,30 @@ class Vehicle(Section):
 
     @pydantic.model_validator(mode="after")
     def _consistent(self) -> Vehicle:
-        names = self.propeller_names
-        if len(set(names)) != len(names):
-            raise ValueError("two propellers have the same name")
-        for pair in self.pairs:
-            for name in pair:
-                if name not in names:
-                    raise ValueError(f"pairs: unknown propeller {name!r}")
-        paired = [name for pair in self.pairs for name in pair]
-        if len(set(paired)) != len(paired):
-            raise ValueError("pairs: a propeller can be in one pair only")
-        if self.command_min >= self.command_max:
-            raise ValueError("command_min must be below command_max")
         derived = self.actuators.nominal()
         for name in self.nominal.model_fields_set & derived.keys():
             del derived[name]
         # The class is frozen: assignment would fail, even here.
         nominal = self.nominal.model_copy(update=derived)
         object.__setattr__(self, "nominal", nominal)
-        curves = _nominal_thrust(nominal.thrust_N, len(names))
+        names = self.propeller_names
+        two_way = {self.columns[k] for k in np.flatnonzero(self.actuation.two_way)}
+        if len(set(names)) != len(names):
+            raise ValueError("two propellers have the same name")
+        if self.actuators.pulsed and any(one.reverse is not None for one in self.propellers):
+            raise ValueError("propellers: on/off thrusters have no reverse")
+        for pair in self.pairs:
+            for name in pair:
+                if name not in names:
+                    raise ValueError(f"pairs: unknown propeller {name!r}")
+                if name in two_way:
+                    raise ValueError(f"pairs: {name!r} pushes both ways and needs no partner")
+        paired = [name for pair in self.pairs for name in pair]
+        if len(set(paired)) != len(paired):
+            raise ValueError("pairs: a propeller can be in one pair only")
+        if self.command_min >= self.command_max:
+            raise ValueError("command_min must be below command_max")
+        curves = _nominal_thrust(nominal.thrust_N, len(self.propellers))
         self.actuators.check_thrust(curves.shape[1])
         full = float(curves.sum(axis=1).max())
         check_sizes(self.mass_kg, self.radius_m, self.positions, nominal.inertia_kg_m2)
@@ -148,26 +178,84 @@ class Vehicle(Section):
             return NotImplemented
         return all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
 
+    @cached_property
+    def actuation(self) -> Actuation:
+        """How commands drive the actuators, with a channel for each way in which one pushes."""
+        forwards = [
+            Channel(one.name, k, 1, one.position_m, one.direction_deg)
+            for k, one in enumerate(self.propellers)
+        ]
+        backwards = [
+            replace(
+                channel,
+                name=f"{channel.name}{_BACKWARDS}",
+                sign=-1,
+                direction_deg=(channel.direction_deg + 180) % 360,
+                strength=one.reverse,
+            )
+            for channel, one in zip(forwards, self.propellers, strict=True)
+            if one.reverse is not None
+        ]
+        wheels = [
+            Channel(wheel.name, k, 1, (0.0, 0.0), 0.0, wheel.couple, wheel.torque_Nm)
+            for k, wheel in enumerate(self.wheels, start=len(forwards))
+        ]
+        against = [
+            replace(one, name=f"{one.name}{_BACKWARDS}", sign=-1, couple=-one.couple)
+            for one in wheels
+        ]
+        channels = (*forwards, *wheels, *backwards, *against)
+        lag = self.nominal.motor_time_constant_s
+        return Actuation(self.actuators, self.wheels, channels, lag)
+
     @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of a command's columns: of the propellers, then of the wheels."""
+        return tuple(one.name for one in (*self.propellers, *self.wheels))
+
+    @cached_property
+    def command_range(self) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+        """Lowest and highest command of each column."""
+        two_way, most = self.actuation.two_way, self.command_max
+        return np.where(two_way, -most, self.command_min), np.full(len(two_way), most)
+
+    @property
+    def idle(self) -> Float[np.ndarray, " c"]:
+        """The command at which nothing pushes more than it must."""
+        return np.maximum(self.command_range[0], 0.0)
+
+    @cached_property
     def propeller_names(self) -> tuple[str, ...]:
-        """Names of the propellers, in the order of a command's columns."""
-        return tuple(propeller.name for propeller in self.propellers)
+        """Names of the propellers; those that push both ways have two."""
+        return tuple(channel.name for channel in self.actuation.channels)
 
     @property
     def n_propellers(self) -> int:
-        """Number of propellers."""
-        return len(self.propellers)
+        """Number of propellers; those that push both ways count twice."""
+        return len(self.actuation.channels)
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "n 2"]:
         """Propeller positions in the body frame [m]."""
-        return np.array([propeller.position_m for propeller in self.propellers])
+        return np.array([channel.position_m for channel in self.actuation.channels])
 
     @cached_property
     def directions(self) -> Float[np.ndarray, "n 2"]:
-        """Unit vectors of thrust in the body frame."""
-        angles = np.deg2rad([propeller.direction_deg for propeller in self.propellers])
-        return np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        """Unit vectors of thrust in the body frame; zero for wheels."""
+        channels = self.actuation.channels
+        angles = np.deg2rad([channel.direction_deg for channel in channels])
+        vectors = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        return np.where(self.is_wheel[:, None], 0.0, vectors)
+
+    @cached_property
+    def couples(self) -> Float[np.ndarray, " n"]:
+        """Moment of each propeller per thrust, beside that of its force; ±1 for wheels."""
+        return np.array([channel.couple for channel in self.actuation.channels])
+
+    @cached_property
+    def is_wheel(self) -> Bool[np.ndarray, " n"]:
+        """Which propellers are a way of a wheel."""
+        return self.couples != 0
 
     @cached_property
     def pair_indices(self) -> tuple[tuple[int, int], ...]:
@@ -176,9 +264,29 @@ class Vehicle(Section):
         return tuple((names.index(first), names.index(second)) for first, second in self.pairs)
 
     @cached_property
+    def opposed(self) -> tuple[tuple[int, int], ...]:
+        """`pair_indices`, and both ways of each actuator that has two."""
+        channels, first = self.actuation.channels, len(self.columns)
+        ways = ((channel.column, k) for k, channel in enumerate(channels) if k >= first)
+        return (*self.pair_indices, *ways)
+
+    @cached_property
+    def propellers_turn(self) -> bool:
+        """Whether propellers have lever arms by which a recording can tell the inertia."""
+        (px, py), (dx, dy) = self.positions.T, self.directions.T
+        arms = np.abs(px * dy - py * dx)
+        return float(arms.max()) > _LEVER * math.sqrt(self.nominal.inertia_kg_m2 / self.mass_kg)
+
+    @cached_property
     def nominal_thrust(self) -> Float[np.ndarray, "n degree"]:
-        """Nominal thrust coefficients, one row for each propeller [N]."""
-        return _nominal_thrust(self.nominal.thrust_N, self.n_propellers)
+        """Nominal thrust coefficients, one row for each propeller [N]; of wheels [N m]."""
+        curves = _nominal_thrust(self.nominal.thrust_N, len(self.propellers))
+        if self.n_propellers == len(curves):
+            return curves
+        channels = self.actuation.channels
+        line = np.eye(1, curves.shape[1])[0]
+        rows = [line if channel.is_wheel else curves[channel.column] for channel in channels]
+        return np.array([c.strength for c in channels])[:, None] * rows
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the vehicle as TOML.
@@ -253,11 +361,12 @@ def unnamed_columns(n: int) -> tuple[str, ...]:
 
 def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) -> list[int]:
     """Return which column of a recorded command drives each propeller, or raise InputError."""
-    names = vehicle.propeller_names
+    names = vehicle.columns
     if len(columns) != len(names):
+        wheels = f" and {len(vehicle.wheels)} wheels" if vehicle.wheels else ""
         raise InputError(
-            f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle "
-            f"{vehicle.name!r} has {len(names)} propellers; give the right file or model",
+            f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle {vehicle.name!r} "
+            f"has {len(vehicle.propellers)} propellers{wheels}; give the right file or model",
             file=source,
         )
     if columns == unnamed_columns(len(columns)) and set(columns) != set(names):

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.compiled import program
+from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
@@ -41,8 +42,9 @@ _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 class HeldCommands:
     """Motor commands, each in force until the next one begins to act."""
 
-    def __init__(self, idle: Command) -> None:
+    def __init__(self, idle: Command, vehicle: Vehicle) -> None:
         self._begun: deque[tuple[float, Command]] = deque([(-math.inf, idle)])
+        self._actuation, self._spinning = vehicle.actuation, vehicle.actuation.spinning()
 
     def __len__(self) -> int:
         return len(self._begun)
@@ -54,11 +56,11 @@ class HeldCommands:
             self._begun.pop()
         self._begun.append((begins, np.array(command, dtype=float)))
 
-    def send(self, time: float, command: Command, model: Model) -> None:
-        """Record the drives that a command causes, sent last."""
-        times, drives = model.vehicle.actuators.drive(np.array([time]), command[None])
+    def send(self, time: float, command: Float[np.ndarray, " c"], delay: float) -> None:
+        """Record the drives that a command causes after a delay, sent last."""
+        times, drives = self._actuation.drive(np.array([time]), command[None], self._spinning)
         for begins, drive in zip(times.tolist(), drives, strict=True):
-            self.add(begins + model.transport_delay, drive)
+            self.add(begins + delay, drive)
 
     def drop(self, time: float) -> None:
         """Drop commands older than the command that acts at a time."""
@@ -126,7 +128,7 @@ class KalmanFilter:
         self._belief: Any = ()
         self._motor_speed = self._idle
         #: Commands, from the one in force at the oldest stored time on.
-        self._commands = HeldCommands(self._idle)
+        self._commands = HeldCommands(self._idle, self.model.vehicle)
         #: Time of the motor speeds, if later than the belief's.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
@@ -139,17 +141,17 @@ class KalmanFilter:
         """Time of the last measurement; None before the first pose [s]."""
         return self._time
 
-    def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+    def command(self, time: float, command: Float[np.ndarray, " c"]) -> None:
         """Record a command that was sent.
 
         Parameters
         ----------
         time : float
             Time of sending [s]. The command begins to act a transport delay later.
-        command : array, shape (n,)
-            Motor commands. The array is copied.
+        command : array, shape (c,)
+            A command for each actuator. The array is copied.
         """
-        self._commands.send(time, command, self.model)
+        self._commands.send(time, command, self.model.transport_delay)
 
     def run_motors(self, time: float) -> None:
         """Advance only the motors, up to the last command that begins to act before a time.

@@ -109,8 +109,10 @@ def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[Ma
             listed += _entries(model, quantity)
     # A linear curve is one number.
     linear = np.shape(model.parameters.thrust)[1] == 1
-    for motor, name in enumerate(model.vehicle.propeller_names):
-        for speed in speeds[-1:] if linear else speeds:
+    for motor, channel in enumerate(model.vehicle.actuation.channels):
+        name, wheel = channel.name, channel.is_wheel
+        what, unit = ("torque", "N m") if wheel else ("thrust", "N")
+        for speed in speeds[-1:] if linear or wheel else speeds:
 
             def force(m: Model, motor: int = motor, speed: float = speed) -> Any:
                 return thrust(physical_thrust(m)[motor : motor + 1], np.array([speed]))[0]
@@ -118,8 +120,8 @@ def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[Ma
             at = "full speed" if speed == 1 else f"φ = {speed:g}"
             listed.append(
                 MainQuantity(
-                    f"F({speed:g}) {name}", f"thrust of {name} at {at}", "N", "thrust", None,
-                    ".4f", force, motor=motor,
+                    f"F({speed:g}) {name}", f"{what} of {name} at {at}", unit, "thrust", None,
+                    ".4g" if wheel else ".4f", force, motor=motor,
                 )
             )  # fmt: skip
     return listed

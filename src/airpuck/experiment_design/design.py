@@ -335,7 +335,7 @@ def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationP
         {"hold_s": max(round(factor * plan.hold_s, 3), period)} for factor in _STRETCHES
     ]
     changes.append({"margin_m": sum(_MARGINS) / len(_MARGINS)})
-    signals = model.vehicle.n_propellers - len(model.vehicle.pairs)
+    signals = len(model.vehicle.columns) - len(model.vehicle.pairs)
     for weak in range(signals if signals > 1 else 0):
         amplitude = np.broadcast_to(plan.amplitude, signals).astype(float)
         amplitude[weak] *= _WEAKER

@@ -51,14 +51,16 @@ _HALF_TURN = 0.5
 _AS_GOOD = 0.8
 #: Least improvement of the explained correlation by another choice of signs, of at most 2.
 _MARGIN = 0.15
-#: Longest transport delay tried [s].
-_LONGEST_DELAY = 0.1
+#: Longest transport delay tried [s], and multiple of the vehicle file's that is tried.
+_LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
 #: Rotation of the whole layout that is worth mentioning [rad].
 _TURNED = 0.3
 #: Standard error of the effect of a motor that never ran [1/kg].
 _UNKNOWN = 1e9
 #: If a verdict would need this multiple of the flight's length, the motors were barely used.
 _TOO_LONG = 100.0
+#: Parts of a sample in which commands that change faster are held.
+_PARTS = 8
 #: Shortest usable recording from which anything is concluded [s].
 _SHORTEST = 2.0
 #: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
@@ -321,7 +323,7 @@ def check_layout(
     """
     check_propellers(vehicle, trajectory)
     stated, forces = nominal_model(vehicle).propeller_effects, _nominal_thrusts(trajectory, vehicle)
-    signs = find_axis_signs(trajectory, stated @ forces, _LONGEST_DELAY)
+    signs = find_axis_signs(trajectory, stated @ forces, _longest_delay(vehicle))
     tried = [
         _with_signs(trajectory, vehicle, forces, one, tuple(axes))
         for one in dict.fromkeys((signs, AxisSigns()))
@@ -345,7 +347,7 @@ def _with_signs(
     stated = nominal.propeller_effects
     used = float(np.sum(trajectory.usable)) * trajectory.sample_period
     effects = np.asarray(nominal.dynamics.configuration)
-    found = regress_windows(signs.undone(trajectory), forces, effects, _LONGEST_DELAY)
+    found = regress_windows(signs.undone(trajectory), forces, effects, _longest_delay(vehicle))
     if found is None:
         unknown = tuple(PropellerCheck(name, 0.0, name, "not judged") for name in names)
         return LayoutCheck(unknown, 0.0, 1.0, 0.0, 0.0, signs, usable=used, axes=axes)
@@ -411,9 +413,12 @@ def _propeller_checks(
             back = measured
     verdicts = _unclear(back, error, stated, agrees)
     verdicts |= {k: _verdict(match, k, names, agrees) for k, match in matches.items()}
-    force, full = stated[:2], np.linalg.norm(stated[:2], axis=0)
-    strength = np.sum(force * back[:2], axis=0) / full**2
-    deviation = np.sqrt(np.sum((force * error[:2]) ** 2, axis=0)) / full**2
+    # Forces depend on the mass only, which is known; a wheel has nothing but its moment.
+    along, pushes = stated.copy(), np.linalg.norm(stated[:2], axis=0) > 0
+    along[2, pushes] = 0.0
+    full = np.linalg.norm(along, axis=0)
+    strength = np.sum(along * back, axis=0) / full**2
+    deviation = np.sqrt(np.sum((along * error) ** 2, axis=0)) / full**2
     return tuple(
         PropellerCheck(
             name=name,
@@ -458,9 +463,29 @@ def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
     """Return the thrusts of nominal motors without a transport delay."""
-    command = hold(trajectory.command_time, trajectory.command, trajectory.time)
-    speed = motor_speeds(trajectory.time, command, vehicle.nominal.motor_time_constant_s)
-    return thrust(vehicle.nominal_thrust, speed.T)
+    # Pulses that are shorter than a sample are averaged over it.
+    parts, count = _parts(trajectory), len(trajectory)
+    fine = np.interp(np.arange(count * parts) / parts, np.arange(count), trajectory.time)
+    command = hold(trajectory.command_time, trajectory.command, fine)
+    speed = motor_speeds(fine, command, vehicle.nominal.motor_time_constant_s)
+    force = thrust(vehicle.nominal_thrust, speed.T)
+    if parts == 1:
+        return force
+    around = np.arange(count)[:, None] * parts + np.arange(parts) - parts // 2
+    return force[:, np.clip(around, 0, count * parts - 1)].mean(axis=-1)
+
+
+def _longest_delay(vehicle: Vehicle) -> float:
+    """Return the longest transport delay to try [s]."""
+    return max(_LONGEST_DELAY, _OF_STATED_DELAY * vehicle.nominal.transport_delay_s)
+
+
+def _parts(trajectory: Trajectory) -> int:
+    """Return into how many parts a sample is divided, if commands change faster than that."""
+    pace = np.diff(trajectory.command_time)
+    if not len(pace) or np.mean(pace) >= trajectory.sample_period:
+        return 1
+    return _PARTS
 
 
 def _verdict(match: EffectMatch, k: int, names: tuple[str, ...], agrees: str) -> str:

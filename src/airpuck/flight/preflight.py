@@ -172,6 +172,8 @@ def judge_pulses(
     """Compare the effects of pulses with the model."""
     n, names = model.vehicle.n_propellers, model.vehicle.propeller_names
     pose = np.column_stack([pose[:, :2], _continuous(pose[:, 2])])
+    if model.vehicle.actuation.two_way.any():
+        command = np.maximum(model.vehicle.actuation.split(command), model.vehicle.command_min)
     running = (command > model.vehicle.command_min + 1e-6).any(axis=1)
     rest = time < (command_time[running.argmax()] if running.any() else np.inf)
     checks = [_pose_check(time, pose, rest)]

@@ -72,7 +72,12 @@ class PulseTest(Pilot):
             raise InputError(f"must be above the command of an idle motor, {idle:g}", field="level")
         if not vehicle.actuators.possible(np.array([self.plan.level])).all():
             raise InputError("is too low to open a valve; give 1 for switches", field="level")
-        paired = [index for pair in vehicle.pair_indices for index in pair]
+        if any(wheel.commanded == "speed" for wheel in vehicle.wheels):
+            raise InputError(
+                "a wheel whose speed is commanded gives no pulse of torque; use `airpuck check`",
+                field="wheels.commanded",
+            )
+        paired = [index for pair in vehicle.opposed for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         self._order = [*paired, *single] * self.plan.rounds
         self.reach = np.array((table or Table()).reach(vehicle.radius_m))
@@ -103,7 +108,7 @@ class PulseTest(Pilot):
 
     def step(self, time: float) -> Step:
         """Return the command to send now; see `Pilot`."""
-        idle = np.full(self.vehicle.n_propellers, self.vehicle.command_min)
+        idle = self.vehicle.idle
         if not self.poses:
             return Step(idle, "no pose", np.zeros(3), None)
         if time - self._stepped > _PAUSE:
@@ -118,7 +123,8 @@ class PulseTest(Pilot):
         elapsed = time - self._begun - self.plan.rest + 1e-9
         turn, phase = divmod(elapsed, self.plan.length + self.plan.rest)
         if 0 <= turn < len(self._order) and phase < self.plan.length - 2e-9:
-            idle[self._order[int(turn)]] = self.plan.level
+            channel = self.vehicle.actuation.channels[self._order[int(turn)]]
+            idle[channel.column] = channel.sign * self.plan.level
         return Step(idle, "open loop", np.zeros(3), None)
 
     def _begin(self, time: float) -> None:

@@ -205,7 +205,7 @@ def replay(
         )
     if fit_gains:
         # A motor at its limit carries no information about gains.
-        used = np.flatnonzero(compared & (sent.max(axis=1) < 0.98))
+        used = np.flatnonzero(compared & (np.abs(sent).max(axis=1) < 0.98))
         _fit_gains(controller, [estimates[k] for k in used], time[used], sent[used])
     computed, status = _steer(controller, estimates, time)
     poses = [e.state[:3] if isinstance(e, Estimate) else np.full(3, np.nan) for e in estimates]
@@ -218,7 +218,7 @@ def replay(
         pose=np.array(poses),
         gains=Gains.of(controller.law.gain) if isinstance(controller.law, LQR) else None,
         fitted=fit_gains,
-        motors=model.vehicle.propeller_names,
+        motors=model.vehicle.columns,
         compared=compared,
         span=inside,
     )
@@ -258,7 +258,7 @@ def _steer(
     controller: TrackingController, estimates: Estimates, times: Float[np.ndarray, " K"]
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
     """Compute all commands."""
-    idle = np.full(controller.model.vehicle.n_propellers, controller.model.vehicle.command_min)
+    idle = controller.model.vehicle.idle
     commands, status = [], []
     for estimate, time in zip(estimates, times.tolist(), strict=True):
         if not isinstance(estimate, Estimate):
@@ -311,8 +311,9 @@ def _regression(
     """
     dynamics, period = controller.model.dynamics, controller.tuning.period_s
     lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
+    driven = controller.model.vehicle.actuation.split(sent)
     rows = []
-    for estimate, target, command in zip(estimates, targets, sent, strict=True):
+    for estimate, target, command in zip(estimates, targets, driven, strict=True):
         assert isinstance(estimate, Estimate)
         speed = estimate.motor_speed
         following, matrix, offset = look_ahead(

@@ -71,8 +71,8 @@ class Track:
     command: Float[np.ndarray, "K n"]
     #: Names of the motors.
     motors: tuple[str, ...]
-    #: The lowest command.
-    command_min: float
+    #: The command of idle motors.
+    idle: Float[np.ndarray, " c"]
 
     @classmethod
     def of(cls, recording: Recording, vehicle: Vehicle, label: str) -> Track:
@@ -86,8 +86,8 @@ class Track:
             set_points=recorded_set_points(recording, aligned.recorder_epoch + start),
             command_time=commands.time - start,
             command=commands.values,
-            motors=vehicle.propeller_names,
-            command_min=vehicle.command_min,
+            motors=vehicle.columns,
+            idle=vehicle.idle,
         )
 
     @property
@@ -154,7 +154,7 @@ class Track:
         beyond = np.max(-np.sign(error[0]) * error, axis=0, initial=0.0)
         steady = time >= stop - min(_STEADY_S, _STEADY_SHARE * (stop - start))
         given = (self.command_time >= start) & (self.command_time < stop)
-        above = self.command[given] - self.command_min
+        above = self.command[given] - self.idle
         return SetPointResult(
             start=start,
             stop=stop,

@@ -111,7 +111,7 @@ class Problem:
     def free(self) -> Bool[np.ndarray, " P"]:
         """Which parameters are learned."""
         delay = self.start.mask(frozenset({"transport_delay"}))
-        return self.rung.mask(self.start) | (delay & self.learns_delay)
+        return self.rung.mask(self.start, self.vehicle) | (delay & self.learns_delay)
 
     def loss_on(self, trajectories: Sequence[Trajectory]) -> PredictionLoss:
         """Return the loss on prepared trajectories."""

@@ -134,7 +134,7 @@ def fly_live(
     """
     prioritize(first=True)
     with Process(name, settings or LiveSettings()) as process:
-        process.refuse_second("command", vehicle.propeller_names, "controller")
+        process.refuse_second("command", vehicle.columns, "controller")
         # Other spectators need not wait for the compiler.
         prioritize(first=False)
         pilot = make_pilot()
@@ -143,7 +143,7 @@ def fly_live(
             _warm_up(pilot, period)
         prioritize(first=True)
         # Another controller may have started meanwhile.
-        process.refuse_second("command", vehicle.propeller_names, "controller")
+        process.refuse_second("command", vehicle.columns, "controller")
         for spectator in spectators:
             spectator.begin(process, pilot)
         flight = _Flight(process, pilot, vehicle, limits, period, spectators)
@@ -265,7 +265,7 @@ class _Flight:
         self._wishes = Inbox(process, "reference") if follows else None
         self._link = GraphLink(
             process,
-            vehicle.propeller_names,
+            vehicle.columns,
             announces=not follows,
             others=pilot.watches,
             spectators=spectators,
@@ -276,8 +276,8 @@ class _Flight:
         self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
         self._until_plan = 0
         self._guard = Guard(limits)
-        self._idle = np.full(vehicle.n_propellers, vehicle.command_min)
-        self._pilot = GuardedPilot(pilot, self._guard, self._idle, process.events.log)
+        self._idle, lowest = vehicle.idle, vehicle.command_range[0]
+        self._pilot = GuardedPilot(pilot, self._guard, lowest, process.events.log)
         self._timing, self._recent = LoopTiming(period), LoopTiming(period)
         self._outcomes: Counter[str] = Counter()
         self._quit = False

@@ -134,16 +134,16 @@ class Guard:
 class GuardedPilot(Pilot):
     """A pilot whose commands pass a guard.
 
-    `idle` is the command of idling motors, and the lowest command that is sent.
+    Commands are at least `lowest`. Idling motors get it, or zero if it is negative.
     """
 
     def __init__(
-        self, pilot: Pilot, guard: Guard, idle: Float[np.ndarray, " n"], log: _Log
+        self, pilot: Pilot, guard: Guard, lowest: Float[np.ndarray, " c"], log: _Log
     ) -> None:
         self.pilot, self.guard, self.watches = pilot, guard, pilot.watches
         #: The pilot's reference at its latest step.
         self.reference = pilot.reference
-        self._idle, self._log = idle, log
+        self._lowest, self._idle, self._log = lowest, np.maximum(lowest, 0.0), log
         #: Why the motors idle, as last logged; None while they run.
         self._logged: str | None = ""
 
@@ -179,7 +179,7 @@ class GuardedPilot(Pilot):
                 command = np.asarray(step.command, dtype=float)
                 if command.shape == self._idle.shape and np.isfinite(command).all():
                     self._log_change(None if step.flies else step.status)
-                    return replace(step, command=np.clip(command, self._idle, 1.0))
+                    return replace(step, command=np.clip(command, self._lowest, 1.0))
                 reason = f"the controller's command is not {len(self._idle)} finite numbers"
             self.guard.fault(reason)
         self._log_change(reason)

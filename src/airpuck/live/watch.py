@@ -37,7 +37,7 @@ class Observer:
         self.clock = process.clock
         # Commands before poses: a pose may show the effect of a command that came with it.
         self._inboxes = {
-            "command": Inbox(process, "command", model.vehicle.propeller_names, quiet=True),
+            "command": Inbox(process, "command", model.vehicle.columns, quiet=True),
             **{k: Inbox(process, k, quiet=True) for k in ("pose", "reference", "estimate")},
         }
         #: Newest numbers of each stream, and when they came [s].

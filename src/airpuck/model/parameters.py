@@ -177,6 +177,7 @@ class Parameters(_Values):
                 self.inertia,
                 self.angle_offset,
                 self.center_of_mass,
+                vehicle.couples,
             )
         coefficients = {name: getattr(self, name) for name in EFFECTS}
         return Dynamics(
@@ -221,7 +222,7 @@ def make_effects(coefficients: Mapping[str, Any], layout: Layout) -> tuple[Effec
 
 
 def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
-    """Return the factor that converts each thrust to newtons.
+    """Return the factor that converts each thrust to newtons; a wheel's columns are never learned.
 
     By Newton's law the linear part of a propeller's column of Π has the length 1/m. If Π is learned
     directly, s times the thrust and 1/s times the column give the same motion.
@@ -230,7 +231,10 @@ def thrust_scale(xp: Any, parameters: Parameters, vehicle: Vehicle) -> Any:
     if matrix is None:
         return np.ones(vehicle.n_propellers)
     # Not hypot, which does not support complex steps.
-    return vehicle.mass_kg * xp.sqrt(matrix[0] ** 2 + matrix[1] ** 2)
+    squared = matrix[0] ** 2 + matrix[1] ** 2
+    if vehicle.wheels:
+        squared = xp.where(vehicle.is_wheel, vehicle.mass_kg**-2, squared)
+    return vehicle.mass_kg * xp.sqrt(squared)
 
 
 def nominal_parameters(vehicle: Vehicle, degree: int | None = None) -> Parameters:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
-from airpuck.model.parameters import Parameters, nominal_parameters
+from airpuck.model.parameters import Parameters, change_degree, nominal_parameters
 from airpuck.model.quantities import EFFECTS, QUANTITIES
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
@@ -43,7 +43,10 @@ class Rung:
         """Return the initial parameters of a fit of this rung."""
         parameters = nominal_parameters(vehicle, self.degree)
         if self.powers is not None:
-            parameters = replace(parameters, thrust=_only(parameters.thrust, self.powers))
+            curves = _only(parameters.thrust, self.powers)
+            wheels = change_degree(vehicle.nominal_thrust, max(self.powers))
+            curves = np.where(vehicle.is_wheel[:, None], wheels, curves)
+            parameters = replace(parameters, thrust=curves)
         try:
             vehicle.actuators.check_thrust(parameters.thrust.shape[1])
         except ValueError as error:
@@ -59,14 +62,25 @@ class Rung:
             **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
         )
 
-    def mask(self, parameters: Parameters) -> Bool[np.ndarray, " P"]:
-        """Mark the free entries."""
+    def mask(
+        self, parameters: Parameters, vehicle: Vehicle | None = None
+    ) -> Bool[np.ndarray, " P"]:
+        """Mark the free entries; a craft with wheels needs its vehicle."""
         mask = parameters.mask(self.free.union(self.effects))
+        n, degree = np.shape(parameters.thrust)
+        # The thrust coefficients come first in the vector.
+        curves = mask[: n * degree].reshape(n, degree)
         if self.powers is not None:
-            n, degree = np.shape(parameters.thrust)
-            # The thrust coefficients come first in the vector.
-            of_power = np.isin(np.arange(1, degree + 1), self.powers)
-            mask[: n * degree] &= np.tile(of_power, n)
+            curves &= np.isin(np.arange(1, degree + 1), self.powers)
+        if vehicle is not None and vehicle.wheels:
+            wheels = vehicle.is_wheel
+            # A wheel's torque is proportional to its drive, and only turns the craft.
+            curves[wheels] = np.arange(degree) == 0
+            entries = np.flatnonzero(parameters.mask(frozenset({"configuration_matrix"})))
+            mask[entries.reshape(3, -1)[:, wheels[: entries.size // 3]]] = False
+            if not vehicle.propellers_turn:
+                # Recordings then tell the torque of wheels over the inertia.
+                mask &= ~parameters.mask(frozenset({"inertia"}))
         return mask
 
 

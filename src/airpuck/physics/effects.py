@@ -227,8 +227,8 @@ class VoltageSag(Effect):
 
     @classmethod
     def of(cls, layout: Layout, value: Any) -> Effect:
-        """Count all propellers of the vehicle; see `Effect.of`."""
-        return cls(value, np.ones(layout.vehicle.n_propellers) * layout.scale)
+        """Count all propellers of the vehicle, but no wheels; see `Effect.of`."""
+        return cls(value, ~layout.vehicle.is_wheel * layout.scale)
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Reduce thrusts; see `Effect.thrust`."""

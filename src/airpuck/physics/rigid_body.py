@@ -81,18 +81,20 @@ def configuration_matrix(
     inertia: Any,
     angle_offset: Any,
     center_of_mass: Any,
+    couples: Any = 0.0,
 ) -> Any:
     """Compute Π(θ), shape (3, n), from first principles (subsec:configuration_matrix).
 
     Forces add up to the acceleration of the centre of mass, their moments about it to the angular
-    acceleration. The angle offset α turns both positions (n, 2) and directions (n, 2).
+    acceleration. The angle offset α turns both positions (n, 2) and directions (n, 2). A reaction
+    wheel has no direction but a couple: a moment per unit of its thrust.
     """
     cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
     dx = cos * directions[:, 0] - sin * directions[:, 1]
     dy = sin * directions[:, 0] + cos * directions[:, 1]
     px = cos * positions[:, 0] - sin * positions[:, 1] - center_of_mass[0]
     py = sin * positions[:, 0] + cos * positions[:, 1] - center_of_mass[1]
-    return xp.stack([dx / mass, dy / mass, (px * dy - py * dx) / inertia])
+    return xp.stack([dx / mass, dy / mass, (px * dy - py * dx + couples) / inertia])
 
 
 def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> Any:

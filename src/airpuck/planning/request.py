@@ -124,6 +124,12 @@ def checked_request(
 ) -> Request:
     """Check a request; raise InputError, naming the field and the problem."""
     vehicle = model.vehicle
+    if vehicle.actuation.two_way.any():
+        raise InputError(
+            f"plans are for propellers that push one way, but {vehicle.name!r} has wheels or "
+            "propellers that reverse; steer it with the LQR or MPC",
+            field="model",
+        )
     begin = _numbers(start, "start", (3, 6, 6 + vehicle.n_propellers))
     begin = np.append(begin, np.zeros(max(0, 6 - len(begin))))
     if len(begin) == 6:  # motors idle

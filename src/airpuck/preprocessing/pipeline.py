@@ -151,7 +151,7 @@ def preprocess(
         *find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS),
         *short,
     )
-    driven, drive = vehicle.actuators.drive(commands.time, commands.values)
+    driven, drive = vehicle.actuation.drive(commands.time, commands.values)
     trajectory = Trajectory(
         time=time,
         state=np.concatenate([values, rates], axis=1),
@@ -176,7 +176,8 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
     order = match_columns(vehicle, command.columns, source=recording.source)
     aligned = align_clocks(pose, command)
     check_poses(pose, aligned.pose_time, recording.source)
-    check_commands(command, aligned.command_time, recording.source)
+    lowest = np.where(vehicle.actuation.two_way, -1.0, 0.0)[np.argsort(order)]
+    check_commands(command, aligned.command_time, recording.source, lowest)
     poses = drop_disorder(aligned.pose_time, pose.values, "pose")
     commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
     return poses, commands, aligned
@@ -187,7 +188,7 @@ def _crop_to_commands(
 ) -> slice:
     """Find the poses between the first command that moves the craft and the last command."""
     time, command, _ = commands
-    moving = np.flatnonzero(command.max(axis=1) > begins_above)
+    moving = np.flatnonzero(np.abs(command).max(axis=1) > begins_above)
     if len(moving) == 0:
         raise InputError(
             f"no command exceeds {begins_above:g}: the motors never moved the craft", file=source

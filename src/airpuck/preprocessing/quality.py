@@ -98,8 +98,13 @@ def _other_unit(period: float, stream: str) -> str:
     return "; check the column or field of the time"
 
 
-def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) -> None:
-    """Raise InputError for commands outside [0, 1] or at an implausible rate."""
+def check_commands(
+    command: Stream,
+    time: Float[np.ndarray, " K"],
+    source: str,
+    lowest: float | Float[np.ndarray, " c"] = 0.0,
+) -> None:
+    """Raise InputError for commands below the lowest, above 1, or at an implausible rate."""
     _check_finite(command, time, "command", source)
     period = _period(time) if len(time) > _FEW else 0.0
     if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
@@ -109,12 +114,14 @@ def check_commands(command: Stream, time: Float[np.ndarray, " K"], source: str) 
             file=source,
             field="time",
         )
-    outside = (command.values < 0) | (command.values > 1)
+    least = np.broadcast_to(lowest, command.values.shape[1:])
+    outside = (command.values < least) | (command.values > 1)
     if outside.any():
         row, column = np.argwhere(outside)[0]
         raise InputError(
-            f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside [0, 1]; "
-            "give a mapping with their scale, command = {scale = 0.01} for percent",
+            f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside "
+            f"[{least[column]:.0f}, 1]; give a mapping with their scale, "
+            "command = {scale = 0.01} for percent",
             file=source,
             field=command.columns[column],
         )

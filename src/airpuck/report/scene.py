@@ -134,7 +134,9 @@ def read_scene(
     aligned = align_clocks(pose, command)
     time, poses = _poses(pose, aligned.pose_time, recording.source)
     command_time, commands = _usable(command, aligned.command_time, "command")
-    check_commands(commands, command_time, recording.source)
+    actuation = vehicle.actuation
+    lowest = np.where(actuation.two_way, -1.0, 0.0)[np.argsort(order)]
+    check_commands(commands, command_time, recording.source, lowest)
 
     def on_axis(
         stream: Stream, kind: str
@@ -168,7 +170,7 @@ def read_scene(
         pose=poses[shown],
         pause=_longest_pause(time),
         command_time=command_time[in_force],
-        command=commands.values[in_force][:, order],
+        command=actuation.split(commands.values[in_force][:, order]),
         command_pause=COMMAND_GAP_PERIODS * _period(command_time),
         reference_time=reference_time[asked],
         reference=reference[asked],

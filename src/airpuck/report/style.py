@@ -132,7 +132,7 @@ def propeller_colors(vehicle: Vehicle) -> list[str]:
 
 def propeller_groups(vehicle: Vehicle) -> list[tuple[int, ...]]:
     """Return the pairs, and each unpaired propeller as its own group."""
-    groups: list[tuple[int, ...]] = [tuple(sorted(pair)) for pair in vehicle.pair_indices]
+    groups: list[tuple[int, ...]] = [tuple(sorted(pair)) for pair in vehicle.opposed]
     paired = {index for pair in groups for index in pair}
     groups += [(index,) for index in range(vehicle.n_propellers) if index not in paired]
     return sorted(groups)

@@ -14,7 +14,7 @@ from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import Motors, TwinSettings
-from airpuck.twin.valves import DRIVERS
+from airpuck.twin.valves import driver_of
 
 #: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
 #: is straight to a micrometre.
@@ -55,12 +55,12 @@ class MotorUnit:
         if now < s.unarmed_s:
             return np.zeros_like(command)
         if s.starting_delay_s > 0:
-            idles = command < s.idle_below
+            idles = np.abs(command) < s.idle_below
             begins = ~idles & np.isinf(self._released)
             self._released[idles] = np.inf
             self._released[begins] = now + s.starting_delay_s
             follows = idles | (self._released <= now)
-            command = np.where(follows, command, np.minimum(command, s.idle_below))
+            command = np.where(follows, command, np.clip(command, -s.idle_below, s.idle_below))
         for motor, start, stop in self._stalls:
             if start <= now < stop:
                 command = command.copy()
@@ -111,12 +111,15 @@ class Craft:
         pose: tuple[float, float, float],
         logs: bool,
     ) -> None:
-        n = model.vehicle.n_propellers
-        self.state: Float[np.ndarray, " s"] = np.concatenate([pose, np.zeros(3 + n)])
-        self.plant, self.radius = plant, model.vehicle.radius_m
-        self.radio = RadioLink(settings.radio, np.random.default_rng([seed, 0]), n)
-        self.motors = MotorUnit(settings.motors, model.vehicle.propeller_names)
-        self.driver = DRIVERS[model.vehicle.actuators.kind](model.vehicle.actuators, n)
+        vehicle = model.vehicle
+        still = np.zeros(3 + vehicle.n_propellers)
+        self.state: Float[np.ndarray, " s"] = np.concatenate([pose, still])
+        self.plant, self.radius = plant, vehicle.radius_m
+        random = np.random.default_rng([seed, 0])
+        self.radio = RadioLink(settings.radio, random, len(vehicle.columns))
+        self.motors = MotorUnit(settings.motors, vehicle.columns)
+        self.driver = driver_of(vehicle.actuation)
+        self._column = [channel.column for channel in vehicle.actuation.channels]
         self.contacts: list[tuple[float, float]] = []
         self._logs = logs
         self._sag = settings.effects.battery_sag_1_s
@@ -135,7 +138,7 @@ class Craft:
 
     def thrust_left(self, time: float) -> Float[np.ndarray, " n"]:
         """Return the fraction of the thrust that battery and motors still give."""
-        return max(1 - self._sag * time, 0.0) * self.motors.share(time)
+        return max(1 - self._sag * time, 0.0) * self.motors.share(time)[self._column]
 
     def pose(self) -> Float[np.ndarray, " 3"]:
         """Return its true pose."""

@@ -189,10 +189,10 @@ def track(
     if gain is not None and (np.shape(gain) != (3, 6) or not np.isfinite(gain).all()):
         raise InputError("must be 3 rows of 6 finite numbers", field="gain")
     truth = truth or model
-    if truth.vehicle.n_propellers != model.vehicle.n_propellers:
+    if len(truth.vehicle.columns) != len(model.vehicle.columns):
         raise InputError(
-            f"the controller's model has {model.vehicle.n_propellers} propellers, the twin "
-            f"{truth.vehicle.n_propellers}"
+            f"the controller's model has {len(model.vehicle.columns)} propellers, the twin "
+            f"{len(truth.vehicle.columns)}"
         )
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
     if make_pilot is not None:

@@ -223,8 +223,11 @@ def check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
             "of the centre of mass, mass, radius and kinds of effects",
             field="models",
         )
-    if any(model.vehicle.actuators.pulsed for model in models):
-        raise InputError("on/off thrusters cannot fly in a fleet; use Twin", field="models")
+    if any(m.vehicle.actuators.pulsed or m.vehicle.actuation.two_way.any() for m in models):
+        raise InputError(
+            "on/off thrusters, wheels and propellers that reverse cannot fly in a fleet; use Twin",
+            field="models",
+        )
     if settings.motors.starting_delay_s or settings.motors.stalls or settings.motors.weak:
         raise InputError(
             "motors of a fleet neither start late nor stall; use Twin", field="settings.motors"

@@ -66,10 +66,10 @@ def radio_delay(model: Model) -> float:
 class RadioLink:
     """Packets in transit, and the last packet that the craft received."""
 
-    def __init__(self, settings: Radio, rng: np.random.Generator, n_propellers: int) -> None:
+    def __init__(self, settings: Radio, rng: np.random.Generator, n_columns: int) -> None:
         self._settings, self._rng = settings, rng
         self._flying: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
-        self._stopped = np.zeros(n_propellers)
+        self._stopped = np.zeros(n_columns)
         self._received, self._received_at = self._stopped, -math.inf
         self._last_arrival = -math.inf
 

@@ -89,7 +89,7 @@ class Tracked(Result):
     @property
     def saturated(self) -> Bool[np.ndarray, "K n"]:
         """Which commands are at the motors' maximum."""
-        return self.log.command >= self.vehicle.command_max - 1e-6
+        return np.abs(self.log.command) >= self.vehicle.command_max - 1e-6
 
     @property
     def step_times(self) -> list[float]:

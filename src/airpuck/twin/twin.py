@@ -78,6 +78,7 @@ class Twin:
     ) -> None:
         check_seed(seed)
         self.model = model
+        self._lowest = np.where(model.vehicle.actuation.two_way, -1.0, 0.0)
         settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
@@ -152,8 +153,8 @@ class Twin:
 
         Parameters
         ----------
-        command : array, shape (n,)
-            Motor commands; values outside [0, 1] are clipped, as by a real radio.
+        command : array, shape (c,)
+            A command for each actuator; values outside its range are clipped, as by a real radio.
 
         Raises
         ------
@@ -161,10 +162,11 @@ class Twin:
             If there is not one finite number for each motor.
         """
         command = np.array(command, dtype=float)
-        n = self.model.vehicle.n_propellers
+        lowest = self._lowest
+        n = len(lowest)
         if command.shape != (n,) or not np.isfinite(command).all():
             raise InputError(f"needs {n} finite numbers, one for each motor", field="command")
-        command = np.clip(command, 0.0, 1.0)
+        command = np.clip(command, lowest, 1.0)
         if self._logs:
             self._sent.append((self.now, command))
         self.craft.radio.send(self.now, command)
@@ -204,7 +206,7 @@ class Twin:
             Streams ``pose``, ``command``, and if present ``reference``, ``imu``, ``mouse``,
             ``puck``, ``mallet``. Stamps are the senders'; arrivals are on the recorder's clock.
         """
-        names = self.model.vehicle.propeller_names
+        names = self.model.vehicle.columns
         streams = self._sensors.streams()
         if self._sent:
             streams["command"] = command_stream(self._sent, names)

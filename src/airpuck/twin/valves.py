@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.craft.actuators import OnOff, Propellers
+from airpuck.craft.actuators import Actuation, OnOff, Propellers
 
 Command = Float[np.ndarray, " n"]
 #: A packet that comes with the end of a PWM period counts as in time; stamps are rounded [s].
@@ -87,5 +87,39 @@ class Valves:
         return (self._duty >= 1) | (now < self._begun + self._duty * period)
 
 
-#: Drivers by kind of actuator.
-DRIVERS: dict[str, Callable[..., Direct | Valves]] = {"propeller": Direct, "on_off": Valves}
+class BothWays:
+    """Drives both ways of actuators, and wheels, beside the thrusters' own driver."""
+
+    def __init__(self, actuation: Actuation, thrusters: Direct | Valves) -> None:
+        self._split, self._thrusters = actuation.split, thrusters
+        self._first_wheel = actuation.n_columns - len(actuation.wheels)
+        self._wheels = actuation.spinning()
+
+    def next_change(self, now: float, command: Callable[[float], Command]) -> float:
+        """Return when a drive next changes under the present command."""
+        self.drive(now, command(now))
+        changes = [wheel.ends for wheel in self._wheels if wheel.ends > now]
+        first = self._first_wheel
+        event = self._thrusters.next_change(now, lambda time: command(time)[:first])
+        return min([event, *changes])
+
+    def drive(self, now: float, command: Command) -> Command:
+        """Return the drives now; times must not decrease."""
+        drives = list(self._thrusters.drive(now, command[: self._first_wheel]))
+        commanded = command[self._first_wheel :].tolist()
+        for wheel, value in zip(self._wheels, commanded, strict=True):
+            if value != wheel.command:
+                wheel.follow(now, value)
+            drives.append(wheel.drive()[0] if now < wheel.ends else 0.0)
+        return self._split(np.array(drives))
+
+
+#: Drivers of thrusters by kind.
+_DRIVERS: dict[str, Callable[..., Direct | Valves]] = {"propeller": Direct, "on_off": Valves}
+
+
+def driver_of(actuation: Actuation) -> Direct | Valves | BothWays:
+    """Return the driver of a craft's actuators at rest."""
+    kind = actuation.kind
+    thrusters = _DRIVERS[kind.kind](kind, actuation.n_columns - len(actuation.wheels))
+    return BothWays(actuation, thrusters) if actuation.two_way.any() else thrusters
