@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import Tuning
-from airpuck.craft.actuators import Actuation, OnOff
+from airpuck.craft.actuators import ActuatorSet, OnOff
 from airpuck.model.model_file import Model
 
 #: Relative difference up to which a controller's period counts as the craft's PWM period.
@@ -97,10 +97,10 @@ class SigmaDelta(Modulator):
         return opens.astype(float)
 
 
-class BothWays(Modulator):
+class TwoWayModulator(Modulator):
     """Joins the two ways of each actuator, and commands wheels."""
 
-    def __init__(self, actuation: Actuation, thrusters: Modulator, tick: float) -> None:
+    def __init__(self, actuation: ActuatorSet, thrusters: Modulator, tick: float) -> None:
         self._actuation, self._thrusters = actuation, thrusters
         self._first_wheel = actuation.n_columns - len(actuation.wheels)
         #: Change of the commanded speed per period at full torque; 0 if torques are commanded.
@@ -136,7 +136,7 @@ def modulator_for(model: Model, tuning: Tuning) -> Modulator:
         thrusters = Modulator()
     if not actuation.two_way.any():
         return thrusters
-    return BothWays(actuation, thrusters, tuning.period_s)
+    return TwoWayModulator(actuation, thrusters, tuning.period_s)
 
 
 def of_means(model: Model) -> Model:

@@ -236,7 +236,7 @@ class Channel:
 
 
 @dataclass(frozen=True)
-class Actuation:
+class ActuatorSet:
     """All actuators of a craft: between the columns of a command and the drives of channels."""
 
     kind: Propellers | OnOff

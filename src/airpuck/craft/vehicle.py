@@ -28,7 +28,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.craft.actuators import Actuation, Actuators, Channel, Propellers, Wheel
+from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers, Wheel
 
 #: Plausible radii of craft on a table [m].
 _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
@@ -127,16 +127,15 @@ class Vehicle(Section):
     @pydantic.model_serializer(mode="wrap")
     def _without_default(self, dump: Any) -> dict[str, Any]:
         content = dump(self)
-        for propeller in content["propellers"]:
-            if propeller["reverse"] is None:
-                del propeller["reverse"]
+        # TOML has no null.
+        content["propellers"], content["wheels"] = (
+            [_without_null(one) for one in content[key]] for key in ("propellers", "wheels")
+        )
+        content["actuators"] = _without_null(content["actuators"])
         if not self.wheels:
             del content["wheels"]
         if self.actuators == Propellers():
             del content["actuators"]
-        else:  # TOML has no null
-            kept = {k: v for k, v in content["actuators"].items() if v is not None}
-            content["actuators"] = kept
         return content
 
     @pydantic.model_validator(mode="after")
@@ -179,7 +178,7 @@ class Vehicle(Section):
         return all(getattr(self, n) == getattr(other, n) for n in type(self).model_fields)
 
     @cached_property
-    def actuation(self) -> Actuation:
+    def actuation(self) -> ActuatorSet:
         """How commands drive the actuators, with a channel for each way in which one pushes."""
         forwards = [
             Channel(one.name, k, 1, one.position_m, one.direction_deg)
@@ -206,7 +205,7 @@ class Vehicle(Section):
         ]
         channels = (*forwards, *wheels, *backwards, *against)
         lag = self.nominal.motor_time_constant_s
-        return Actuation(self.actuators, self.wheels, channels, lag)
+        return ActuatorSet(self.actuators, self.wheels, channels, lag)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -297,6 +296,11 @@ class Vehicle(Section):
             The file to write.
         """
         write_toml(path, self.model_dump(mode="json"), header="An airpuck vehicle.")
+
+
+def _without_null(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a table without fields that are None."""
+    return {name: value for name, value in content.items() if value is not None}
 
 
 def _nominal_thrust(

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.compiled import program
-from airpuck.craft.vehicle import Vehicle
+from airpuck.craft.actuators import Spinning
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
@@ -42,9 +42,10 @@ _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 class HeldCommands:
     """Motor commands, each in force until the next one begins to act."""
 
-    def __init__(self, idle: Command, vehicle: Vehicle) -> None:
+    def __init__(self, idle: Command) -> None:
         self._begun: deque[tuple[float, Command]] = deque([(-math.inf, idle)])
-        self._actuation, self._spinning = vehicle.actuation, vehicle.actuation.spinning()
+        #: Reaction wheels; None before the first command.
+        self._wheels: tuple[Spinning, ...] | None = None
 
     def __len__(self) -> int:
         return len(self._begun)
@@ -56,11 +57,14 @@ class HeldCommands:
             self._begun.pop()
         self._begun.append((begins, np.array(command, dtype=float)))
 
-    def send(self, time: float, command: Float[np.ndarray, " c"], delay: float) -> None:
-        """Record the drives that a command causes after a delay, sent last."""
-        times, drives = self._actuation.drive(np.array([time]), command[None], self._spinning)
+    def send(self, time: float, command: Float[np.ndarray, " c"], model: Model) -> None:
+        """Record the drives that a command causes, sent last."""
+        actuation = model.vehicle.actuation
+        if self._wheels is None:
+            self._wheels = actuation.spinning()
+        times, drives = actuation.drive(np.array([time]), command[None], self._wheels)
         for begins, drive in zip(times.tolist(), drives, strict=True):
-            self.add(begins + delay, drive)
+            self.add(begins + model.transport_delay, drive)
 
     def drop(self, time: float) -> None:
         """Drop commands older than the command that acts at a time."""
@@ -128,7 +132,7 @@ class KalmanFilter:
         self._belief: Any = ()
         self._motor_speed = self._idle
         #: Commands, from the one in force at the oldest stored time on.
-        self._commands = HeldCommands(self._idle, self.model.vehicle)
+        self._commands = HeldCommands(self._idle)
         #: Time of the motor speeds, if later than the belief's.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
@@ -151,7 +155,7 @@ class KalmanFilter:
         command : array, shape (c,)
             A command for each actuator. The array is copied.
         """
-        self._commands.send(time, command, self.model.transport_delay)
+        self._commands.send(time, command, self.model)
 
     def run_motors(self, time: float) -> None:
         """Advance only the motors, up to the last command that begins to act before a time.

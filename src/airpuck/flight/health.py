@@ -192,7 +192,7 @@ class HealthMonitor:
         self._free = np.array(Table().reach(model.vehicle.radius_m)) - _AT_RAIL
         n = model.vehicle.n_propellers
         #: Commands back to the first prediction's beginning.
-        self._commands = HeldCommands(np.full(n, model.vehicle.command_min), model.vehicle)
+        self._commands = HeldCommands(np.full(n, model.vehicle.command_min))
         self._commanded = -math.inf
         self._since: float | None = None
         #: Predictions that have not ended yet: start time and initial state, with motor speeds.
@@ -205,7 +205,7 @@ class HealthMonitor:
             return
         self._filter.command(time, command)
         self._commanded = time
-        self._commands.send(time, command, self.model.transport_delay)
+        self._commands.send(time, command, self.model)
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Receive a pose."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
-from airpuck.craft.actuators import Actuation
+from airpuck.craft.actuators import ActuatorSet
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import make_effects
@@ -71,7 +71,7 @@ class Plant:
     disc: CraftBody
     table: Table
     #: The actuators; None: propellers that push one way.
-    actuation: Actuation | None = None
+    actuation: ActuatorSet | None = None
     #: Whether `advance` is compiled, or run in NumPy.
     compiled: bool = True
 

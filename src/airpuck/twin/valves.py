@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.craft.actuators import Actuation, OnOff, Propellers
+from airpuck.craft.actuators import ActuatorSet, OnOff, Propellers
 
 Command = Float[np.ndarray, " n"]
 #: A packet that comes with the end of a PWM period counts as in time; stamps are rounded [s].
@@ -87,10 +87,10 @@ class Valves:
         return (self._duty >= 1) | (now < self._begun + self._duty * period)
 
 
-class BothWays:
+class TwoWayDriver:
     """Drives both ways of actuators, and wheels, beside the thrusters' own driver."""
 
-    def __init__(self, actuation: Actuation, thrusters: Direct | Valves) -> None:
+    def __init__(self, actuation: ActuatorSet, thrusters: Direct | Valves) -> None:
         self._split, self._thrusters = actuation.split, thrusters
         self._first_wheel = actuation.n_columns - len(actuation.wheels)
         self._wheels = actuation.spinning()
@@ -118,8 +118,8 @@ class BothWays:
 _DRIVERS: dict[str, Callable[..., Direct | Valves]] = {"propeller": Direct, "on_off": Valves}
 
 
-def driver_of(actuation: Actuation) -> Direct | Valves | BothWays:
+def driver_of(actuation: ActuatorSet) -> Direct | Valves | TwoWayDriver:
     """Return the driver of a craft's actuators at rest."""
     kind = actuation.kind
     thrusters = _DRIVERS[kind.kind](kind, actuation.n_columns - len(actuation.wheels))
-    return BothWays(actuation, thrusters) if actuation.two_way.any() else thrusters
+    return TwoWayDriver(actuation, thrusters) if actuation.two_way.any() else thrusters

@@ -1,0 +1,133 @@
+"""Propellers that reverse, and reaction wheels: vehicle file, drives and speed limit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airpuck import InputError, named_rung, read_vehicle
+from airpuck.craft.actuators import Spinning, Wheel
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.model_file import nominal_model
+
+#: Three propellers at 120° that reverse, through the centre, and a wheel: 3 s to its largest speed.
+TRIANGLE = """
+name = "triangle"
+mass_kg = 2.0
+radius_m = 0.15
+propellers = [
+    {name = "a", position_m = [0.1, 0.0], direction_deg = 0.0, reverse = 0.5},
+    {name = "b", position_m = [-0.05, 0.0866], direction_deg = 120.0, reverse = 0.5},
+    {name = "c", position_m = [-0.05, -0.0866], direction_deg = 240.0},
+]
+[[wheels]]
+name = "wheel"
+torque_Nm = 0.02
+inertia_kg_m2 = 1e-4
+max_speed_rad_s = 600.0
+COMMANDED
+[nominal]
+thrust_N = [0.1, 0.3]
+inertia_kg_m2 = 0.022
+motor_time_constant_s = 0.06
+"""
+
+
+def triangle(tmp_path: Path, commanded: str = "", **changes: str) -> Vehicle:
+    text = TRIANGLE.replace("COMMANDED", commanded)
+    for old, new in changes.items():
+        text = text.replace(old, new)
+    (tmp_path / "triangle.toml").write_text(text)
+    return read_vehicle(tmp_path / "triangle.toml")
+
+
+def test_each_way_is_a_propeller_of_the_model(tmp_path: Path) -> None:
+    vehicle = triangle(tmp_path)
+    assert vehicle.columns == ("a", "b", "c", "wheel")
+    assert vehicle.propeller_names == (
+        "a", "b", "c", "wheel", "a_reverse", "b_reverse", "wheel_reverse",
+    )  # fmt: skip
+    effects = np.asarray(nominal_model(vehicle).dynamics.configuration)
+    np.testing.assert_allclose(effects[:, [4, 5, 6]], -effects[:, [0, 1, 3]], atol=1e-12)
+    # A positive command turns the wheel counter-clockwise and the craft against it.
+    np.testing.assert_allclose(effects[:, 3], [0, 0, -1 / 0.022])
+    full = vehicle.nominal_thrust.sum(axis=1)
+    np.testing.assert_allclose(full, [0.4, 0.4, 0.4, 0.02, 0.2, 0.2, 0.02])
+    vehicle.save(tmp_path / "again.toml")
+    assert read_vehicle(tmp_path / "again.toml") == vehicle
+
+
+def test_one_way_craft_have_no_further_columns(tmp_path: Path) -> None:
+    vehicle = default_vehicle()
+    assert vehicle.columns == vehicle.propeller_names
+    vehicle.save(tmp_path / "holohover.toml")
+    text = (tmp_path / "holohover.toml").read_text()
+    assert "reverse" not in text
+    assert "wheels" not in text
+    drive = np.random.default_rng(0).uniform(size=(5, 6))
+    assert vehicle.actuation.split(drive) is vehicle.actuation.joined(drive) is drive
+
+
+def test_negative_commands_drive_the_other_way(tmp_path: Path) -> None:
+    actuation = triangle(tmp_path).actuation
+    command = np.array([[0.5, -0.4, 0.3, -0.2], [-1.0, 1.0, 0.0, 1.0]])
+    times, drives = actuation.drive(np.array([0.0, 1.0]), command)
+    assert times.tolist() == [0.0, 1.0, pytest.approx(1.0 + 3 * (1 + 0.2 / 3))]
+    np.testing.assert_allclose(drives[0], [0.5, 0, 0.3, 0, 0, 0.4, 0.2])
+    np.testing.assert_allclose(drives[1], [0, 1, 0, 1, 1, 0, 0])
+    np.testing.assert_allclose(drives[2], [0, 1, 0, 0, 1, 0, 0])
+    np.testing.assert_allclose(actuation.joined(drives)[:2], command)
+
+
+@pytest.mark.parametrize("commanded", ["torque", "speed"])
+def test_a_wheel_gives_no_more_momentum_than_its_speed_limit(commanded: str) -> None:
+    wheel = Wheel(
+        name="w", torque_Nm=0.02, inertia_kg_m2=1e-4, max_speed_rad_s=600.0, commanded=commanded
+    )
+    spinning, rng = Spinning(wheel), np.random.default_rng(1)
+    now = speed = drive = 0.0
+    for command in rng.uniform(-1, 1, size=300) ** 3:
+        step = rng.uniform(0.01, 4.0)
+        end = now + step
+        changes = [*spinning.changes(now, command), (end, 0.0)]
+        for (begin, drive), (stop, _) in zip(changes, changes[1:], strict=False):
+            speed += drive * (min(stop, end) - min(begin, end)) * 0.02 / 1e-4 / 600
+        assert abs(speed) <= 1 + 1e-9
+        if commanded == "speed" and len(changes) > 1 and changes[-2][0] < end:
+            assert speed == pytest.approx(command, abs=1e-9)
+        now = end
+
+
+def test_a_wheel_with_its_own_lag_acts_at_another_time(tmp_path: Path) -> None:
+    quick = triangle(tmp_path, "lag_s = 0.02").actuation
+    times, drives = quick.drive(np.array([0.0]), np.array([[1.0, 0.0, 0.0, 1.0]]))
+    assert times.tolist() == [pytest.approx(-0.04), 0.0, pytest.approx(2.96)]
+    assert drives[:, 3].tolist() == [1.0, 1.0, 0.0]
+    lags = quick.lag(np, np.zeros(7), 0.06)
+    np.testing.assert_allclose(lags, [0.06, 0.06, 0.06, 0.02, 0.06, 0.06, 0.02])
+
+
+def test_a_fit_learns_one_number_for_each_way_of_a_wheel(tmp_path: Path) -> None:
+    vehicle = triangle(tmp_path)
+    rung = named_rung("M3")
+    start = rung.initial(vehicle)
+    free = dict(zip(start.labels(vehicle.propeller_names), rung.mask(start, vehicle), strict=True))
+    assert free["thrust wheel φ^1"]
+    assert not free["thrust wheel φ^2"]
+    # No propeller has a lever arm: the torque of the wheel cannot be told from the inertia.
+    assert not free["inertia"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("reverse = 0.5", "reverse = 0.0", "propellers.0.reverse"),
+        ('name = "wheel"', 'name = "a"', "same name"),
+        ("max_speed_rad_s = 600.0", 'commanded = "angle"', "wheels.0"),
+        ("[nominal]", '[actuators]\nkind = "on_off"\n[nominal]', "no reverse"),
+        ("propellers = [", 'pairs = [["a", "b"]]\npropellers = [', "needs no partner"),
+    ],
+)
+def test_errors_name_the_field(old: str, new: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        triangle(tmp_path, **{old: new})
