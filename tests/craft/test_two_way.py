@@ -1,5 +1,6 @@
 """Propellers that reverse, and reaction wheels: vehicle file, drives and speed limit."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -90,7 +91,7 @@ def test_a_wheel_gives_no_more_momentum_than_its_speed_limit(commanded: str) -> 
         step = rng.uniform(0.01, 4.0)
         end = now + step
         changes = [*spinning.changes(now, command), (end, 0.0)]
-        for (begin, drive), (stop, _) in zip(changes, changes[1:], strict=False):
+        for (begin, drive), (stop, _) in pairwise(changes):
             speed += drive * (min(stop, end) - min(begin, end)) * 0.02 / 1e-4 / 600
         assert abs(speed) <= 1 + 1e-9
         if commanded == "speed" and len(changes) > 1 and changes[-2][0] < end:
