@@ -32,7 +32,7 @@ def track(pose, set_points, *, duration=4.0, command=None, label="a"):
         command_time=command_time,
         command=command,
         motors=MOTORS,
-        command_min=0.03,
+        idle=np.full(6, 0.03),
     )
 
 
@@ -267,7 +267,8 @@ def test_a_recording_is_read_from_its_first_command_on():
     # If two set points have the same time, the last one is in force.
     np.testing.assert_array_equal(found.set_points.poses, [[0, 0, 0], [1, 0.3, 1.5]])
     np.testing.assert_allclose(found.command[0], np.linspace(0.1, 0.6, 6))
-    assert (found.motors, found.command_min, found.label) == (MOTORS, 0.03, "flight")
+    assert (found.motors, found.label) == (MOTORS, "flight")
+    np.testing.assert_array_equal(found.idle, 0.03)
 
 
 def test_columns_of_commands_are_put_in_the_vehicles_order():

@@ -111,13 +111,14 @@ def identify(
     loss: Loss,
     preparation: Preparation,
     model: Annotated[
-        str,
+        str | None,
         Setting(
             "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "model that predicts held-out parts of the recordings as well as the best.",
+            "model that predicts held-out parts of the recordings as well as the best. By default "
+            "M3, on a clearly tilted table M3+tilt.",
             complete=_rung_names,
         ),
-    ] = "M3",
+    ] = None,
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
     report_folder: Annotated[
         Path | None, options.output("DIR", "Write a page with figures, too.", "--report")
@@ -162,11 +163,13 @@ def identify(
     ] = 0,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
+    from airpuck.data.trajectory import vehicle_of
+    from airpuck.faults.strengths import usual_rung
     from airpuck.identification.bootstrap import bootstrap as resample
     from airpuck.identification.selection import LADDER
     from airpuck.model.rungs import named_rung
 
-    names = LADDER if model == "auto" else (model,)
+    names = LADDER if model == "auto" else (model or "M3",)
     rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
@@ -174,6 +177,9 @@ def identify(
         raise InputError("takes neither --bootstrap nor --model auto", field="adam")
     optimiser = airpuck.LevenbergMarquardt() if adam is None else airpuck.Adam(epochs=adam)
     trajectories = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
+    if model is None and adam is None:
+        names = (usual_rung(trajectories[0], vehicle or vehicle_of(trajectories)),)
+        rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
     if stride is not None or adam is not None:

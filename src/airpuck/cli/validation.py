@@ -120,7 +120,8 @@ def faults(
     model: Annotated[
         str | None,
         Setting(
-            "Model of the healthy craft; by default M3, fitted to the recording.", metavar="MODEL"
+            "Model of the healthy craft; by default M3, or M3+tilt, fitted to the recording.",
+            metavar="MODEL",
         ),
     ] = None,
     output: options.PageFolder = None,
@@ -131,17 +132,18 @@ def faults(
     quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
-    from airpuck.data.trajectory import left_out_words
-    from airpuck.faults.strengths import actuator_strengths
+    from airpuck.data.trajectory import left_out_words, vehicle_of
+    from airpuck.faults.strengths import actuator_strengths, on_table_of, usual_rung
 
     healthy = read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else vehicle
     trajectory = load(recording, craft, mapping, span=span, quiet=quiet)
     if healthy is None:
-        fit = airpuck.identify(trajectory, vehicle=craft)
+        craft = craft or vehicle_of([trajectory])
+        fit = airpuck.identify(trajectory, usual_rung(trajectory, craft), vehicle=craft)
         warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
         healthy = fit.model
-    found = airpuck.find_faults(trajectory, healthy)
+    found = airpuck.find_faults(trajectory, on_table_of(healthy, trajectory))
     strengths, page = actuator_strengths(healthy, trajectory), None
     if output is not None:
         from airpuck.report.fault_report import fault_report

@@ -8,13 +8,14 @@ all strengths alike and is no actuator's fault.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
+from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.main_quantities import physical_thrust
 from airpuck.faults.layout_check import PropellerCheck, check_layout
@@ -108,7 +109,8 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
     effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
-    fit is spoilt, and all strengths are those of the check.
+    fit is spoilt, and all strengths are those of the check. So they are if the table is tilted and
+    the model has no tilt.
 
     Parameters
     ----------
@@ -131,6 +133,8 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
         # Strengths that a constraint holds have no error of their own.
         held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
+        if check.tilt is not None and model.parameters.tilt is None:
+            held = np.full(len(value), True)  # the fit explained the slope by thrusts
         if check.conclusive:
             seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
             value, error = (
@@ -154,6 +158,23 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         ),
         common,
     )
+
+
+def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
+    """Name the model to fit if none is named: M3, with the tilt if the table is clearly tilted."""
+    return "M3" if check_layout(trajectory, vehicle).tilt is None else "M3+tilt"
+
+
+def on_table_of(model: Model, trajectory: Trajectory) -> Model:
+    """Return the model on the table of a recording: with its slope, if the model has none."""
+    parameters = model.parameters
+    tilt = None if parameters.tilt is not None else check_layout(trajectory, model.vehicle).tilt
+    if tilt is None:
+        return model
+    free = {q.name: model.free[parameters.mask(frozenset({q.name}))] for q in parameters.quantities}
+    parameters = replace(parameters, tilt=np.array(tilt))
+    free = parameters.laid_out(free, False)
+    return replace(model, parameters=parameters, free=free, uncertainty=None)
 
 
 def _wrong_way(one: PropellerCheck) -> str:

@@ -7,7 +7,8 @@ tells whether the commands explain anything, however small their fraction of the
 disturbances make neighbours alike; as many fewer windows then count as an autoregression needs.
 
 The curvature of a motion is its acceleration, averaged with the weight (1 - u²)², where u runs from
--1 to 1 over the window. Constant accelerations of the table frame, such as a slope, are left out.
+-1 to 1 over the window. A constant acceleration of the table frame, which a slope causes, is found
+beside the effects.
 """
 
 from __future__ import annotations
@@ -57,9 +58,10 @@ class _FTest:
         values: Float[np.ndarray, " M"],
         nuisance: Float[np.ndarray, "M c"],
         stated: Float[np.ndarray, " k"],
+        count: int,
     ) -> _FTest:
-        """Regress values on columns, besides nuisance columns; test the columns."""
-        basis = np.linalg.qr(nuisance)[0]
+        """Regress values of `count` windows on columns and nuisance columns; test the columns."""
+        basis, axes = np.linalg.qr(nuisance)[0], len(nuisance) // count
         columns = columns - basis @ (basis.T @ columns)
         values = values - basis @ (basis.T @ values)
         size, directions = np.linalg.eigh(columns.T @ columns)
@@ -68,8 +70,8 @@ class _FTest:
         slope = directions @ (directions.T @ (columns.T @ values))
         left = values - columns @ slope
         fitted = columns @ slope
-        alike = _alike(left, basis) * _alike(fitted, basis)
-        alike = max(alike, _alike(left * fitted, basis))
+        alike = _alike(left, axes) * _alike(fitted, axes)
+        alike = max(alike, _alike(left * fitted, axes))
         grown = (1 + alike) / (1 - alike)
         degrees = len(values) / grown - basis.shape[1] - rank
         total, rest = float(values @ values), float(left @ left)
@@ -85,9 +87,9 @@ class _FTest:
         return cls(slope, error, max(share, 0.0), log_p, size)
 
 
-def _alike(values: Float[np.ndarray, " N"], channels: Float[np.ndarray, "N c"]) -> float:
+def _alike(values: Float[np.ndarray, " N"], axes: int) -> float:
     """Return the correlation of neighbouring windows, which slow disturbances leave."""
-    parts = np.split(values, channels.shape[1])
+    parts = np.split(values, axes)
     before, after = (np.concatenate([part[end] for part in parts]) for end in (_FIRST, _LATER))
     size = float(values @ values)
     return float(np.clip(before @ after / size, 0.0, 0.9)) if size > 0 else 0.0
@@ -125,6 +127,9 @@ class WindowRegression:
     length: float
     #: Logarithm of the probability that chance explains forces and moments as well.
     evidence: float
+    #: Constant acceleration in the table frame, which a slope causes [m/s²], and standard errors.
+    pull: Float[np.ndarray, " 2"]
+    pull_error: Float[np.ndarray, " 2"]
     #: The regression, of forces or moments, that would show the stated effects more clearly.
     clearer: _FTest
     #: Factor by which the recording must be longer if the motors have the stated effects.
@@ -196,8 +201,9 @@ def _of_length(
         linear = np.block([[along, -across], [across, along]])
         turning = np.einsum("nmw,w->mn", force, weight)
         table, both = np.kron(np.eye(2), constant), measured[:, :2].T.reshape(-1)
-        forward = _FTest.of(linear, both, table, stated[:2].reshape(-1))
-        spin = _FTest.of(turning, measured[:, 2], constant, stated[2])
+        forward = _FTest.of(linear, both, table, stated[:2].reshape(-1), count)
+        slope = _FTest.of(table, both, linear, np.zeros(2), count)
+        spin = _FTest.of(turning, measured[:, 2], constant, stated[2], count)
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
             error=np.vstack([forward.error.reshape(2, n), spin.error]),
@@ -206,6 +212,8 @@ def _of_length(
             delay=shift * period,
             length=samples * period,
             evidence=forward.log_p + spin.log_p,
+            pull=slope.slope,
+            pull_error=slope.error,
             clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
         )
 
