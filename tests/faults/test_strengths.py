@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.faults.strengths import actuator_strengths
+from airpuck.data.trajectory import Trajectory
+from airpuck.faults.find import find_faults
+from airpuck.faults.layout_check import check_layout
+from airpuck.faults.strengths import actuator_strengths, on_table_of, usual_rung
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Uncertainty
@@ -135,3 +138,44 @@ def test_a_fit_to_a_craft_with_a_dead_propeller_names_it():
     (found,) = strengths.remarkable
     assert found.verdict == "dead"
     assert max(abs(one.of_nominal - 1) for one in strengths.actuators[1:]) < 0.1
+
+
+TILT = (0.05, -0.03)
+
+
+def flight_on_a_slope(*scale: float) -> Trajectory:
+    """A flight with some thrusts scaled, on a table that is not level."""
+    model = truth(craft(6), *scale)
+    return fly(
+        replace(model, parameters=replace(model.parameters, tilt=np.array(TILT))), 15.0, seed=2
+    )
+
+
+def test_a_level_table_is_not_called_tilted():
+    flight = fly(truth(craft(6), 0.6), 15.0, seed=2)
+    assert check_layout(flight, craft(6)).tilt is None
+    assert usual_rung(flight, craft(6)) == "M3"
+    model = nominal_model(craft(6))
+    assert on_table_of(model, flight) is model
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.6])
+def test_a_tilted_table_is_no_actuators_fault(scale):
+    flight = flight_on_a_slope(scale)
+    check = check_layout(flight, craft(6))
+    assert check.agrees
+    np.testing.assert_allclose(check.tilt, TILT, atol=3 * max(check.tilt_error))
+    assert "tilted" in check.remarks[0]
+    assert usual_rung(flight, craft(6)) == "M3+tilt"
+    # A fit without the slope explains it by thrusts: one seems weak, whichever is.
+    spoilt = fitted(truth(craft(6), 1.0, 0.5), 0.02)
+    found = {one.name: one.verdict for one in actuator_strengths(spoilt, flight).remarkable}
+    assert found == ({} if scale == 1 else {craft(6).propeller_names[0]: "weak"})
+
+
+def test_faults_are_searched_on_the_tilted_table():
+    flight = flight_on_a_slope()
+    model = on_table_of(fitted(nominal_model(craft(6)), 0.02), flight)
+    np.testing.assert_allclose(model.parameters.tilt, TILT, atol=5e-3)
+    assert not model.free[model.parameters.mask(frozenset({"tilt"}))].any()
+    assert find_faults(flight, model) == ()
