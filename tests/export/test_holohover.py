@@ -146,6 +146,14 @@ def test_a_damaged_file_is_one_line(line, message, tmp_path):
     assert "holohover_params.yaml" in str(caught.value)
 
 
+@pytest.mark.parametrize("text", ["", "[1, 2]", "mass: 0.1", "? [1, 2]\n: 3\n", "2001-01-01: 1\n"])
+def test_another_yaml_is_one_line(text, tmp_path):
+    path = tmp_path / "holohover_params.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"holohover_params\.yaml"):
+        read_model(path)
+
+
 def with_vehicle(**changed):
     return replace(PAPER["M2"], vehicle=PAPER["M2"].vehicle.model_copy(update=changed))
 

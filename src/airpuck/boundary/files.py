@@ -130,7 +130,9 @@ def checked(
     try:
         # Validate as JSON: there, strict mode concerns types (booleans and strings are not numbers)
         # instead of Python's containers.
-        return adapter.validate_json(json.dumps(content, default=str), strict=True)
+        # YAML's keys can be dates or lists.
+        text = json.dumps(content, default=str, skipkeys=True)
+        return adapter.validate_json(text, strict=True)
     except pydantic.ValidationError as error:
         # A misspelt key also leaves the right one missing: report the spelling.
         found = error.errors()

@@ -60,8 +60,8 @@ def parse_json(text: str, *, file: str | os.PathLike[str]) -> dict[str, Any]:
     return content
 
 
-def load_yaml(path: str | os.PathLike[str]) -> Any:
-    """Read a YAML file."""
+def load_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
+    """Read a YAML file that holds a table."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -74,5 +74,7 @@ def load_yaml(path: str | os.PathLike[str]) -> Any:
             content = YAML(typ="safe").load(text)
         except (YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
             raise InputError(f"is not valid YAML: {error}", file=path) from error
+    if not isinstance(content, dict):
+        raise InputError("must hold a table of keys and values", file=path)
     check_tree(content, file=path)
     return content

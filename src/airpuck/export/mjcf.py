@@ -173,7 +173,6 @@ def _add_craft(world: ElementTree.Element, model: Model) -> np.ndarray:
     _add(body, "geom", type="cylinder", size=(radius, 0.01), rgba="0.2 0.4 0.8 1", **seen)
     # A sphere touches a rail at one point.
     _add(body, "geom", name="hull", type="sphere", size=radius, group=3, **seen)
-    _add(body, "site", name="center", size=0.004, rgba="1 1 1 1")
     turned = model.parameters.angle_offset
     cos, sin = math.cos(turned), math.sin(turned)
     places = vehicle.positions @ np.array([[cos, sin], [-sin, cos]])
@@ -271,8 +270,7 @@ def _actuator(name: str, k: int) -> str:
 def _add_sensors(root: ElementTree.Element, model: Model) -> None:
     """Add pose and velocity of the geometric centre, and the forces of the actuators."""
     sensors = _add(root, "sensor")
-    _add(sensors, "framepos", name="position", objtype="site", objname="center")
-    _add(sensors, "framequat", name="orientation", objtype="site", objname="center")
+    # No framepos: mujoco.sysid divides by each channel's size, and the height is always zero.
     for joint, rate in (("x", "vx"), ("y", "vy"), ("yaw", "spin")):
         _add(sensors, "jointpos", name=f"pose_{joint}", joint=joint)
         _add(sensors, "jointvel", name=rate, joint=joint)

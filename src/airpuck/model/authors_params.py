@@ -104,7 +104,9 @@ def read_params_yaml(path: Path) -> dict[str, Any]:
 
     Its positions and directions include the angle offset, so the model has none.
     """
-    content = checked(load_yaml(path), _ControllersValues, file=path)
+    found = load_yaml(path)
+    known = {key: found[key] for key in _ControllersValues.model_fields if key in found}
+    content = checked(known, _ControllersValues, file=path)
     directions = content.of_motors("learned_motor_vec")
     if (np.abs(np.hypot(*directions.T) - 1) > _SINGLE).any():
         raise InputError("must be unit vectors", file=path, field="learned_motor_vec")
@@ -120,12 +122,12 @@ def read_params_yaml(path: Path) -> dict[str, Any]:
         section["configuration_matrix_SI"] = np.reshape(
             content.configuration_matrix, (3, 6)
         ).tolist()
-    known = default_vehicle()
+    usual = default_vehicle()
     angles = np.rad2deg(np.arctan2(*directions.T[::-1])).tolist()
     propellers = [
         {"name": propeller.name, "position_m": place, "direction_deg": angle}
         for propeller, place, angle in zip(
-            known.propellers, content.of_motors("motor_pos").tolist(), angles, strict=True
+            usual.propellers, content.of_motors("motor_pos").tolist(), angles, strict=True
         )
     ]
     changed = {
@@ -134,7 +136,7 @@ def read_params_yaml(path: Path) -> dict[str, Any]:
         "command_min": content.idle_signal,
         "propellers": propellers,
     }
-    vehicle = checked(known.model_dump() | changed, Vehicle, file=path)
+    vehicle = checked(usual.model_dump() | changed, Vehicle, file=path)
     parameters = with_nominal_delay(section, vehicle, file=path)
     return {
         "name": path.stem,

@@ -74,8 +74,8 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
 def _metadata(path: Path) -> dict[str, Any]:
     """Return the recorder's summary; empty if it is missing or incomplete."""
     try:
-        information = load_yaml(path)["rosbag2_bagfile_information"]
-    except (InputError, KeyError, TypeError):
+        information = load_yaml(path).get("rosbag2_bagfile_information")
+    except InputError:
         return {}
     return information if isinstance(information, dict) else {}
 
