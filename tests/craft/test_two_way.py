@@ -99,15 +99,6 @@ def test_a_wheel_gives_no_more_momentum_than_its_speed_limit(commanded: str) -> 
         now = end
 
 
-def test_a_wheel_with_its_own_lag_acts_at_another_time(tmp_path: Path) -> None:
-    quick = triangle(tmp_path, "lag_s = 0.02").actuation
-    times, drives = quick.drive(np.array([0.0]), np.array([[1.0, 0.0, 0.0, 1.0]]))
-    assert times.tolist() == [pytest.approx(-0.04), 0.0, pytest.approx(2.96)]
-    assert drives[:, 3].tolist() == [1.0, 1.0, 0.0]
-    lags = quick.lag(np, np.zeros(7), 0.06)
-    np.testing.assert_allclose(lags, [0.06, 0.06, 0.06, 0.02, 0.06, 0.06, 0.02])
-
-
 def test_a_fit_learns_one_number_for_each_way_of_a_wheel(tmp_path: Path) -> None:
     vehicle = triangle(tmp_path)
     rung = named_rung("M3")

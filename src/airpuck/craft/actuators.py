@@ -152,8 +152,6 @@ class Wheel(Section):
     #: Moment of inertia of the wheel, and its largest speed.
     inertia_kg_m2: Positive
     max_speed_rad_s: Positive
-    #: First-order lag of its torque; by default that of the propellers.
-    lag_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] | None = None
     #: What a command in [-1, 1] is a fraction of: `torque_Nm` or `max_speed_rad_s`.
     commanded: Literal["torque", "speed"] = "torque"
     #: Which way a positive command turns the craft: against the wheel.
@@ -242,8 +240,6 @@ class ActuatorSet:
     kind: Propellers | OnOff
     wheels: tuple[Wheel, ...]
     channels: tuple[Channel, ...]
-    #: Nominal lag of the propellers [s].
-    lag_s: float = 0.0
 
     @property
     def n_columns(self) -> int:
@@ -258,19 +254,6 @@ class ActuatorSet:
     @property
     def _first_wheel(self) -> int:
         return self.n_columns - len(self.wheels)
-
-    @property
-    def _lags(self) -> list[float | None]:
-        return [wheel.lag_s for wheel in self.wheels]
-
-    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
-        """Return the lags behind a drive; `time_constant` is the thrusters' mean."""
-        lag, own = self.kind.lag(xp, drive, time_constant), self._lags
-        first = self._first_wheel
-        for k, channel in enumerate(self.channels):
-            if channel.is_wheel and (its := own[channel.column - first]) is not None:
-                lag = xp.where(np.arange(len(self.channels)) == k, its, lag)
-        return lag
 
     def spinning(self) -> tuple[Spinning, ...]:
         """Return the wheels at rest."""
@@ -307,8 +290,6 @@ class ActuatorSet:
         """Return the drives that commands cause, and their start times.
 
         Wheels are at rest before the first command unless `spinning` gives them; it is updated.
-        Otherwise a wheel with another lag than the propellers acts later by the difference, since
-        models have one lag for all.
         """
         first = self._first_wheel
         times, drives = self.kind.drive(time, command[:, :first])
@@ -316,7 +297,7 @@ class ActuatorSet:
             return times, self.split(drives)
         parts = [(times, drives)]
         wheels = spinning or self.spinning()
-        for wheel, column, lag in zip(wheels, command[:, first:].T, self._lags, strict=True):
+        for wheel, column in zip(wheels, command[:, first:].T, strict=True):
             changes = [(-math.inf, 0.0)]
             for begins, value in zip(time.tolist(), column.tolist(), strict=True):
                 # The next command replaces what the last one has not done yet.
@@ -324,8 +305,6 @@ class ActuatorSet:
                     changes.pop()
                 changes += wheel.changes(begins, value)
             begun, values = np.array(changes[1:]).T
-            if lag is not None and spinning is None:
-                begun = begun + lag - self.lag_s
             parts.append((begun, values[:, None]))
         every = np.unique(np.concatenate([begun for begun, _ in parts]))
         held = [values[np.searchsorted(begun, every, side="right") - 1] for begun, values in parts]

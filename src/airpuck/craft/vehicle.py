@@ -204,8 +204,7 @@ class Vehicle(Section):
             for one in wheels
         ]
         channels = (*forwards, *wheels, *backwards, *against)
-        lag = self.nominal.motor_time_constant_s
-        return ActuatorSet(self.actuators, self.wheels, channels, lag)
+        return ActuatorSet(self.actuators, self.wheels, channels)
 
     @property
     def columns(self) -> tuple[str, ...]:

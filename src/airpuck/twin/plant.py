@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
-from airpuck.craft.actuators import ActuatorSet
+from airpuck.craft.actuators import Actuators, Propellers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import make_effects
@@ -48,7 +48,7 @@ def build_plant(
     dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
     body = CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m)
-    return Plant(dynamics, body, settings.table, vehicle.actuation, compiled)
+    return Plant(dynamics, body, settings.table, vehicle.actuators, compiled)
 
 
 @dataclass(frozen=True)
@@ -70,8 +70,8 @@ class Plant:
     dynamics: Dynamics
     disc: CraftBody
     table: Table
-    #: The actuators; None: propellers that push one way.
-    actuation: ActuatorSet | None = None
+    #: Kind of the thrusters.
+    actuators: Actuators = field(default_factory=Propellers)
     #: Whether `advance` is compiled, or run in NumPy.
     compiled: bool = True
 
@@ -84,9 +84,8 @@ class Plant:
 
         def advanced(xp: Any, state: Any, drive: Any, duration: Any, scale: Any) -> Any:
             dynamics = scaled(self.dynamics, scale[:, None])
-            if self.actuation is not None:
-                lag = self.actuation.lag(xp, drive, dynamics.motor_time_constant)
-                dynamics = replace(dynamics, motor_time_constant=lag)
+            lag = self.actuators.lag(xp, drive, dynamics.motor_time_constant)
+            dynamics = replace(dynamics, motor_time_constant=lag)
             free = step(xp, dynamics, state, drive, duration)
             state = rebound(xp, replace(self, dynamics=dynamics), free)
             return state, (state != free).any()

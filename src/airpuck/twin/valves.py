@@ -103,7 +103,7 @@ class TwoWayDriver:
         event = self._thrusters.next_change(now, lambda time: command(time)[:first])
         return min([event, *changes])
 
-    def drive(self, now: float, command: Command) -> Command:
+    def drive(self, now: float, command: Float[np.ndarray, " c"]) -> Command:
         """Return the drives now; times must not decrease."""
         drives = list(self._thrusters.drive(now, command[: self._first_wheel]))
         commanded = command[self._first_wheel :].tolist()
