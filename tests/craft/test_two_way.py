@@ -8,38 +8,11 @@ import pytest
 
 from airpuck import InputError, named_rung, read_vehicle
 from airpuck.craft.actuators import Spinning, Wheel
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.export import write
 from airpuck.model.model_file import nominal_model
 
-#: Three propellers at 120° that reverse, through the centre, and a wheel: 3 s to its largest speed.
-TRIANGLE = """
-name = "triangle"
-mass_kg = 2.0
-radius_m = 0.15
-propellers = [
-    {name = "a", position_m = [0.1, 0.0], direction_deg = 0.0, reverse = 0.5},
-    {name = "b", position_m = [-0.05, 0.0866], direction_deg = 120.0, reverse = 0.5},
-    {name = "c", position_m = [-0.05, -0.0866], direction_deg = 240.0},
-]
-[[wheels]]
-name = "wheel"
-torque_Nm = 0.02
-inertia_kg_m2 = 1e-4
-max_speed_rad_s = 600.0
-COMMANDED
-[nominal]
-thrust_N = [0.1, 0.3]
-inertia_kg_m2 = 0.022
-motor_time_constant_s = 0.06
-"""
-
-
-def triangle(tmp_path: Path, commanded: str = "", **changes: str) -> Vehicle:
-    text = TRIANGLE.replace("COMMANDED", commanded)
-    for old, new in changes.items():
-        text = text.replace(old, new)
-    (tmp_path / "triangle.toml").write_text(text)
-    return read_vehicle(tmp_path / "triangle.toml")
+from ..apparatus.two_way_craft import triangle
 
 
 def test_each_way_is_a_propeller_of_the_model(tmp_path: Path) -> None:
@@ -123,3 +96,17 @@ def test_a_fit_learns_one_number_for_each_way_of_a_wheel(tmp_path: Path) -> None
 def test_errors_name_the_field(old: str, new: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         triangle(tmp_path, **{old: new})
+
+
+def test_kinds_name_what_other_stages_ask_for(tmp_path: Path) -> None:
+    assert default_vehicle().actuation.kinds == ("propeller",)
+    kinds = triangle(tmp_path).actuation.kinds
+    assert kinds == ("propeller", "reversible propeller", "reaction wheel")
+
+
+@pytest.mark.parametrize("kind", ["c", "fmu", "mjcf", "holohover", "gym"])
+def test_exports_refuse_them_by_name(kind: str, tmp_path: Path) -> None:
+    pytest.importorskip("gymnasium")
+    model = nominal_model(triangle(tmp_path))
+    with pytest.raises(InputError, match="revers"):
+        write(model, kind, tmp_path / kind)

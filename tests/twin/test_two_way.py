@@ -12,7 +12,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
-from ..craft.test_two_way import triangle
+from ..apparatus.two_way_craft import triangle
 
 #: Angular momentum of the wheel at its largest speed over the craft's inertia [rad/s].
 MOST_SPIN = 1e-5 * 600 / 0.022

@@ -242,6 +242,13 @@ class ActuatorSet:
     channels: tuple[Channel, ...]
 
     @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of the actuators, by name: ``propeller``, ``on_off``, …."""
+        reverses = any(channel.sign < 0 and not channel.is_wheel for channel in self.channels)
+        more = {"reversible propeller": reverses, "reaction wheel": bool(self.wheels)}
+        return (self.kind.kind, *(name for name, present in more.items() if present))
+
+    @property
     def n_columns(self) -> int:
         """Number of columns of a command."""
         return 1 + max(channel.column for channel in self.channels)

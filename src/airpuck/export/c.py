@@ -157,9 +157,11 @@ def _check(model: Model, tuning: Tuning) -> None:
     if tuning.allocation.solver != "daqp":
         problem = f"{tuning.allocation.solver!r} has no C; choose 'daqp'"
         raise InputError(problem, field="allocation.solver")
-    if model.vehicle.actuators.pulsed:
+    if model.vehicle.actuation.kinds != ("propeller",):
         raise InputError(
-            "on/off thrusters have no C; only propellers have", field="vehicle.actuators"
+            "on/off thrusters, wheels and propellers that reverse have no C; only propellers that "
+            "push one way have",
+            field="vehicle.actuators",
         )
     # Raises InputError for a craft that cannot be steered.
     TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)

@@ -14,9 +14,8 @@ from xml.etree import ElementTree as Xml
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.craft.actuators import Propellers
 from airpuck.export.c_source import coefficients, constant, copy_sources, title, write_model
-from airpuck.export.kinds import Subject
+from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.twin.plant import CraftBody, build_plant
 from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import Motors, TwinSettings
@@ -93,12 +92,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 def check(subject: Subject) -> None:
     """Raise InputError for what the unit cannot represent."""
     model, twin = subject.model, subject.twin
-    if not isinstance(model.vehicle.actuators, Propellers):
-        raise InputError(
-            f"has actuators of the kind {model.vehicle.actuators.kind}, which an export to fmu "
-            "cannot represent",
-            field="MODEL",
-        )
+    refuse_actuators(model, "fmu")
     for name in model.vehicle.propeller_names:
         if not name.isprintable():
             raise InputError(f"has a propeller called {name!r}; rename it", field="MODEL")

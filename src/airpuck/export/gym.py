@@ -274,6 +274,7 @@ class PuckEnv(TwinEnv):
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write model, twin settings and a package that registers the environments of this craft."""
     CourseTask(subject.model, subject.twin)  # checks that there is room
+    action_space(subject.model)  # checks the actuators
     subject.model.save(folder / "model.toml")
     subject.twin.save(folder / "twin.toml")
     (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")

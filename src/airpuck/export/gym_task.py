@@ -77,6 +77,11 @@ def given_poses(options: Mapping[str, Any] | None, size: int) -> dict[str, np.nd
 
 def action_space(model: Model) -> spaces.Box:
     """Return the space of motor commands."""
+    if model.vehicle.actuation.two_way.any():
+        raise InputError(
+            "has wheels or propellers that reverse, but environments are for actions in [0, 1]",
+            field="MODEL",
+        )
     return spaces.Box(0.0, 1.0, (model.vehicle.n_propellers,), np.float64)
 
 

@@ -171,10 +171,10 @@ def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effec
 
 def refuse_actuators(model: Model, kind: str) -> None:
     """Raise InputError for actuators that an export cannot represent: all but propellers."""
-    actuators = model.vehicle.actuators.kind
-    if actuators != "propeller":
+    others = [name for name in model.vehicle.actuation.kinds if name != "propeller"]
+    if others:
         raise InputError(
-            f"has actuators of the kind {actuators}, which an export to {kind} cannot represent",
+            f"has actuators of the kind {others[0]}, which an export to {kind} cannot represent",
             field="MODEL",
         )
 

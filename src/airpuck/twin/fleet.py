@@ -223,7 +223,7 @@ def check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
             "of the centre of mass, mass, radius and kinds of effects",
             field="models",
         )
-    if any(m.vehicle.actuators.pulsed or m.vehicle.actuation.two_way.any() for m in models):
+    if any(model.vehicle.actuation.kinds != ("propeller",) for model in models):
         raise InputError(
             "on/off thrusters, wheels and propellers that reverse cannot fly in a fleet; use Twin",
             field="models",
