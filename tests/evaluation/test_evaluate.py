@@ -142,3 +142,25 @@ def test_every_start_holds_those_of_the_protocol(flight):
     assert len(shared) == len(evaluation.start[::2])
     np.testing.assert_allclose(everywhere.errors[:, there], evaluation.at_horizon[:, here])
     assert evaluation.to_json()["every_start"]["interval_95"]["x_m"] is None  # 4 s are too short
+
+
+def test_another_horizon_lengthens_predictions_only_if_it_must():
+    usual = Protocol()
+    near, far = usual.after(0.1), usual.after(1.0)
+    assert (near.horizon, near.prediction_time) == (0.1, usual.prediction_time)
+    assert (far.horizon, far.prediction_time) == (1.0, 1.0)
+
+
+def test_a_causal_protocol_estimates_effectiveness_from_the_past_alone(flight):
+    # Poses after the start of a prediction must not change the error at its start.
+    model = replace(published_model("M3"), indexing="start")
+    protocol = Protocol("causal", causal=True, longest_past=40 / 240)
+    whole = evaluate(model, flight, protocol=protocol, encoder="actuation")
+    state = flight.state.copy()
+    later = len(state) // 2
+    state[later:, :2] += 0.05 * np.sin(np.arange(len(state) - later))[:, None]
+    other = evaluate(model, replace(flight, state=state), protocol=protocol, encoder="actuation")
+    # Whole windows that end before the change; a smoothed estimate would look beyond.
+    before = whole.start + 80 / 240 < flight.time[later]
+    assert 0 < before.sum() < len(before)
+    np.testing.assert_array_equal(whole.errors[:, :, before], other.errors[:, :, before])
