@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck.craft.vehicle import read_vehicle
+from airpuck.craft.vehicle import Vehicle, read_vehicle
 from airpuck.model.model_file import Model, nominal_model, published_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -32,6 +32,15 @@ ALL_EFFECTS = replace(
 )
 FOUR = nominal_model(read_vehicle(EXAMPLES / "four_propellers/vehicle.toml"))
 ON_OFF = nominal_model(read_vehicle(EXAMPLES / "free_flyers/atmos.toml"))
+_FOUR = FOUR.vehicle.model_dump() | {"pairs": ()}
+#: Four propellers that reverse: eight ways to push, with a command each.
+REVERSING = nominal_model(
+    Vehicle.model_validate(
+        _FOUR | {"propellers": [one | {"reverse": 0.6} for one in _FOUR["propellers"]]}
+    )
+)
+_WHEEL = {"name": "wheel", "torque_Nm": 0.01, "inertia_kg_m2": 1e-5, "max_speed_rad_s": 600.0}
+WHEELED = nominal_model(Vehicle.model_validate(_FOUR | {"wheels": [_WHEEL]}))
 
 
 def random_states(model: Model, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -175,7 +175,7 @@ def test_what_has_no_c_is_named(tmp_path):
         (M4, tuning.with_estimator("actuation"), "actuation"),
         (M4, tuning.with_regulator("own.py:Law"), "own.py:Law"),
         (M4, tuning.model_copy(update={"allocation": allocation}), "piqp"),
-        (ON_OFF, tuning, "on/off"),
+        (ON_OFF, tuning, "on_off"),
         (
             replace(M4, parameters=replace(M4.parameters, thrust=-M4.parameters.thrust)),
             tuning,

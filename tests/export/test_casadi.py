@@ -20,11 +20,19 @@ from tests.apparatus.export_crafts import (
     FOUR,
     ON_OFF,
     PAPER,
+    REVERSING,
     random_states,
     with_vector,
 )
 
-CRAFT = {**PAPER, **EFFECTS, "all effects": ALL_EFFECTS, "four": FOUR, "on/off": ON_OFF}
+CRAFT = {
+    **PAPER,
+    **EFFECTS,
+    "all effects": ALL_EFFECTS,
+    "four": FOUR,
+    "on/off": ON_OFF,
+    "reversing": REVERSING,
+}
 
 
 def numbers(value):

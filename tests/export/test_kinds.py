@@ -1,6 +1,7 @@
 """`airpuck.export.write`, and the command, whatever the kind."""
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,7 @@ from airpuck.control.tuning import default_tuning
 from airpuck.export import kinds
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
-from tests.apparatus.export_crafts import PAPER
+from tests.apparatus.export_crafts import ON_OFF, PAPER, REVERSING, WHEELED
 
 M4 = PAPER["M4"]
 
@@ -45,6 +46,22 @@ def write(subject, folder):
     """Write one of two files, as a kind of export that fails."""
     (folder / "craft.xml").write_text("half")
     raise OSError(28, "the disk is full")
+
+
+HELD = {
+    "on_off": (ON_OFF, {"casadi", "gym", "matlab"}),
+    "reversible propeller": (REVERSING, {"casadi", "matlab"}),
+    "reaction wheel": (WHEELED, set()),
+}
+
+
+@pytest.mark.parametrize("kind", export.KINDS)
+@pytest.mark.parametrize("actuators", HELD)
+def test_actuators_that_a_kind_cannot_represent_are_rejected_by_name(kind, actuators, tmp_path):
+    model, held = HELD[actuators]
+    expected = pytest.raises(InputError, match=f"the kind {actuators}, which an export to {kind} ")
+    with nullcontext() if kind in held else expected:
+        export.write(model, kind, tmp_path)
 
 
 def test_files_of_others_in_the_folder_stay(tmp_path):

@@ -12,7 +12,15 @@ from airpuck.export.matlab import parameters
 from airpuck.model.statespace import linearize, trim
 from airpuck.physics.effects import Effect
 from tests.apparatus.c_programs import compiler
-from tests.apparatus.export_crafts import ALL_EFFECTS, EFFECTS, FOUR, ON_OFF, PAPER, random_states
+from tests.apparatus.export_crafts import (
+    ALL_EFFECTS,
+    EFFECTS,
+    FOUR,
+    ON_OFF,
+    PAPER,
+    REVERSING,
+    random_states,
+)
 
 CRAFT = {
     **PAPER,
@@ -21,6 +29,7 @@ CRAFT = {
     "all effects": ALL_EFFECTS,
     "four": FOUR,
     "on/off": ON_OFF,
+    "reversing": REVERSING,
 }
 YAW, PERIOD, STATES = 0.7, 0.02, 12
 DRIVER = """

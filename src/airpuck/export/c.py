@@ -25,7 +25,7 @@ from airpuck.control.tuning import Regulator, Tuning
 from airpuck.estimate.axis_filter import INITIAL_DISTURBANCE, INITIAL_VELOCITY
 from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.golden import golden_flight
-from airpuck.export.kinds import Subject
+from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
 
 #: Time for which unconfirmed commands are kept [s]; `airpuck_sent` forgets older ones.
@@ -157,12 +157,7 @@ def _check(model: Model, tuning: Tuning) -> None:
     if tuning.allocation.solver != "daqp":
         problem = f"{tuning.allocation.solver!r} has no C; choose 'daqp'"
         raise InputError(problem, field="allocation.solver")
-    if model.vehicle.actuation.kinds != ("propeller",):
-        raise InputError(
-            "on/off thrusters, wheels and propellers that reverse have no C; only propellers that "
-            "push one way have",
-            field="vehicle.actuators",
-        )
+    refuse_actuators(model, "c")
     # Raises InputError for a craft that cannot be steered.
     TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)
 

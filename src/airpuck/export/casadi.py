@@ -12,7 +12,7 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.arrays import with_symbols
-from airpuck.export.kinds import Subject
+from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.physics import rigid_body
 
@@ -58,6 +58,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
                 + ", ".join(names),
                 field="free",
             )
+    refuse_actuators(model, "casadi", ["on_off", "reversible propeller"])
     mask = model.parameters.mask(frozenset(free))
     states, n = len(_state_units(model)), model.vehicle.n_propellers
     z, u, h = casadi.SX.sym("state", states), casadi.SX.sym("command", n), casadi.SX.sym("period")
@@ -106,7 +107,10 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "vehicle": vehicle.name,
         "state": units,
         "command": dict.fromkeys(vehicle.propeller_names, "1"),
-        "command_range": [vehicle.command_min, vehicle.command_max],
+        "command_range": [
+            [vehicle.idle[channel.column], vehicle.command_max]
+            for channel in vehicle.actuation.channels
+        ],
         "period": "s",
         "theta": dict(zip(labels.tolist(), model.parameters.to_vector()[mask], strict=True)),
         "transport_delay_s": model.transport_delay,

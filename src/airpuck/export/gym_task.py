@@ -16,6 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Kind, Measurement
+from airpuck.export.kinds import refuse_actuators
 from airpuck.hockey.game import PERIOD
 from airpuck.hockey.skills import LONGEST
 from airpuck.model.model_file import Model, read_model
@@ -77,11 +78,7 @@ def given_poses(options: Mapping[str, Any] | None, size: int) -> dict[str, np.nd
 
 def action_space(model: Model) -> spaces.Box:
     """Return the space of motor commands."""
-    if model.vehicle.actuation.two_way.any():
-        raise InputError(
-            "has wheels or propellers that reverse, but environments are for actions in [0, 1]",
-            field="MODEL",
-        )
+    refuse_actuators(model, "gym", ["on_off"])
     return spaces.Box(0.0, 1.0, (model.vehicle.n_propellers,), np.float64)
 
 

@@ -169,14 +169,14 @@ def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effec
             )
 
 
-def refuse_actuators(model: Model, kind: str) -> None:
-    """Raise InputError for actuators that an export cannot represent: all but propellers."""
-    others = [name for name in model.vehicle.actuation.kinds if name != "propeller"]
-    if others:
-        raise InputError(
-            f"has actuators of the kind {others[0]}, which an export to {kind} cannot represent",
-            field="MODEL",
-        )
+def refuse_actuators(model: Model, kind: str, held: Sequence[str] = ()) -> None:
+    """Raise InputError for actuators, apart from propellers, that an export cannot represent."""
+    for name in model.vehicle.actuation.kinds:
+        if name not in ("propeller", *held):
+            raise InputError(
+                f"has actuators of the kind {name}, which an export to {kind} cannot represent",
+                field="MODEL",
+            )
 
 
 def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 import airpuck
 from airpuck.export.c_source import check_effects, coefficients
-from airpuck.export.kinds import Subject
+from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.model.statespace import trim
 from airpuck.physics.motor import IDLE
@@ -48,6 +48,7 @@ def parameters(model: Model) -> str:
         If the model has an effect that the function files do not compute.
     """
     check_effects(model, "matlab")
+    refuse_actuators(model, "matlab", ["on_off", "reversible propeller"])
     dynamics, vehicle = model.dynamics, model.vehicle
     fields = coefficients(model, dynamics)
     fields |= {
@@ -56,7 +57,9 @@ def parameters(model: Model) -> str:
         "effects": int(bool(dynamics.effects)),
         "idle_speed": IDLE,
         "hover": trim(replace(dynamics, effects=())),
-        "command_range": np.array([vehicle.command_min, vehicle.command_max]),
+        "command_range": np.array(
+            [[vehicle.idle[one.column], vehicle.command_max] for one in vehicle.actuation.channels]
+        ),
         "transport_delay": model.transport_delay,
     }
     lines = [f"    p.{name} = {_literal(value)};" for name, value in fields.items()]
