@@ -95,6 +95,11 @@ class CompiledController(Pilot):
         estimate = Estimate(time, found[3:9], found[12:], found[9:12])
         return Step(command, STATUSES[status], found[:3], estimate)
 
+    @property
+    def iterations(self) -> int:
+        """Iterations of the last quadratic program."""
+        return self._library.access_iterations(self._craft)
+
     def take_plan(self, plan: Ongoing) -> None:
         """Replace the latest plan of the predictive law."""
         since, answered, way = map(ctypes.c_double, (plan.since, plan.answered, float(plan.way)))
@@ -166,7 +171,8 @@ class Table:
                 self.frame += random.integers(10, 40)
             elif fault < 0.3:
                 pose[2] += 2 * math.pi * random.integers(-2, 3)
-            received.append((float(stamp), pose))
+            # A float holds these too, so both precisions get the same poses.
+            received.append((float(stamp), pose.astype(np.float32).astype(float)))
         return received
 
     def commands(self, command: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -187,7 +193,7 @@ class Table:
         """Advance by one period."""
         self.now += self.period
         self.state = step(np, self.model.dynamics, self.state, command, self.period)
-        if abs(self.state[:2]).max() > 3 or abs(self.state[5]) > 60:
+        if abs(self.state[:2]).max() > 1.2 or abs(self.state[5]) > 60:
             self.state[:6] = 0.0
 
 
@@ -233,7 +239,9 @@ def _difference(ours: Step, theirs: Step) -> Difference:
     state = 0.0
     if ours.estimate is not None and theirs.estimate is not None:
         pairs = zip(_estimated(ours.estimate), _estimated(theirs.estimate), strict=True)
-        state = max(float(np.abs(a - b).max()) for a, b in pairs)
+        apart = np.concatenate([a - b for a, b in pairs])
+        apart[2] = math.remainder(apart[2], math.tau)
+        state = float(np.abs(apart).max())
     command = float(np.abs(ours.command - theirs.command).max())
     return Difference(command, state, (ours.status, theirs.status))
 

@@ -20,6 +20,7 @@ void access_sent(airpuck *craft, double time, const double *command);
 int access_step(airpuck *craft, double now, const double *given, double *command);
 void access_estimate(const airpuck *craft, double *result);
 int access_limits(const airpuck *craft, int *active);
+int access_iterations(const airpuck *craft);
 void access_plan(airpuck *craft, const double *commands, double since, double answered, double way);
 
 size_t access_size(void)
@@ -62,6 +63,12 @@ void access_estimate(const airpuck *craft, double *result)
     result = widened(craft->state, result, 6);
     result = widened(craft->disturbance, result, 3);
     widened(craft->motor_speed, result, AIRPUCK_MOTORS);
+}
+
+/* Of the last quadratic program. */
+int access_iterations(const airpuck *craft)
+{
+    return craft->iterations;
 }
 
 /* Which limits of the last plan are active; return their number. */

@@ -17,7 +17,7 @@ from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
 from airpuck.flight.loop import fly
 from airpuck.twin.twin import Twin
 
-from ..apparatus.c_programs import SANITIZED, build, compiler
+from ..apparatus.c_programs import SANITIZED, SINGLE, build, compiler
 from ..apparatus.compiled_controllers import CompiledController, compare, library
 from ..apparatus.export_crafts import ALL_EFFECTS, FOUR, ON_OFF, PAPER
 
@@ -70,18 +70,26 @@ def test_commands_and_states_are_pythons(name, tmp_path):
         assert {"nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
 
 
-def test_the_flight_of_the_export_repeats(exported):
+@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
+def test_the_flight_of_the_export_repeats(regulator, exported, tmp_path):
+    if regulator == "mpc":
+        exported = tmp_path
+        airpuck.export.write(M4, "c", exported, tuning=predictive())
     golden = (exported / "golden.csv").read_text()
-    assert {"exact", "scaled", "stale pose", "jumping pose", "bad input"} <= {
+    flying = {"lqr": {"exact", "scaled"}, "mpc": {"optimal", "softened"}}[regulator]
+    assert flying | {"stale pose", "jumping pose", "bad input"} <= {
         line.split(",")[2] for line in golden.splitlines() if line.startswith("step")
     }
-    for options in (SANITIZED, ()):
+    for options in (SANITIZED, SINGLE, ()):
         selftest = program(exported, "airpuck_selftest.c", *options)
         words = [selftest, exported / "golden.csv"]
         done = subprocess.run(words, capture_output=True, text=True, env=ENVIRONMENT)
         assert done.returncode == 0, done.stdout + done.stderr
     # The test notices a difference.
-    (exported / "wrong.csv").write_text(golden.replace("scaled", "exact", 1))
+    wrong = golden.replace(
+        *{"lqr": ("scaled", "exact"), "mpc": ("optimal", "softened")}[regulator], 1
+    )
+    (exported / "wrong.csv").write_text(wrong)
     assert subprocess.run([selftest, exported / "wrong.csv"], capture_output=True).returncode == 1
 
 
@@ -90,6 +98,13 @@ def test_no_compiler_warns(exported, using):
     compiler(using)
     for options in ((), ("-DAIRPUCK_SINGLE",)):
         program(exported, "main.c", *options, using=using)
+
+
+def test_single_precision_decides_alike(tmp_path):
+    c = CompiledController(library(M4, tmp_path / "c", "-DAIRPUCK_SINGLE"), M4)
+    found = compare(TrackingController(M4, HOME, compiled=False), c, 300)
+    assert found.same > 0.99
+    assert np.quantile([step.command for step in found.steps], 0.9) < 1e-4
 
 
 def test_no_memory_is_allocated(exported, tmp_path):

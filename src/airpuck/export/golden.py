@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from airpuck.control.mpc import Ongoing
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
@@ -15,8 +16,8 @@ from airpuck.physics.rigid_body import step
 
 #: Rate of poses [1/s], and number of control steps.
 _RATE, _STEPS = 240, 120
-#: Set points, each for the same time: near, turned, unreachable, back.
-_TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-9.0, 3.0, -1.0), (0.0, 0.0, 0.0))
+#: Set points, each for the same time: near, turned, far, back.
+_TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-0.6, 0.3, -1.0), (0.0, 0.0, 0.0))
 #: Frames that are lost, that are not finite, and that show something else.
 _LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)
 #: Standard deviation of the poses [m, m, rad].
@@ -24,7 +25,7 @@ _NOISE = (5e-5, 5e-5, 6e-4)
 
 
 def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
-    """Yield the lines of a flight: targets, poses, commands sent, and results of steps.
+    """Yield the lines of a flight: targets, poses, plans, results of steps, and commands sent.
 
     The motors act without delay, so that the controller has something to correct.
     """
@@ -47,6 +48,10 @@ def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
                 pilot.pose(frame / _RATE, seen)
                 yield _line("pose", frame / _RATE, *seen)
             frame += 1
+        if isinstance(pilot.state, Ongoing):
+            # Every plan depends on the one before: without this, rounding would add up.
+            plan = pilot.state
+            yield _line("plan", plan.since, plan.answered, float(plan.way), *plan.plan.ravel())
         result = pilot.step(now)
         yield _line("step", now, result.status, *result.command)
         pilot.sent(now, result.command)

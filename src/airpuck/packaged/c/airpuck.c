@@ -142,8 +142,10 @@ static void correct(airpuck_real mean[3], airpuck_real p[3][3], airpuck_real inn
     for (int i = 0; i < 3; i++) {
         airpuck_real gain = column[i] / (column[0] + variance);
         mean[i] += gain * innovation;
+        /* What the measurement leaves of its own row and column is a product, not a difference. */
+        airpuck_real left = variance / (column[0] + variance);
         for (int j = 0; j < 3; j++)
-            p[i][j] -= gain * column[j];
+            p[i][j] = i * j == 0 ? p[i][j] * left : p[i][j] - gain * column[j];
     }
 }
 
@@ -198,6 +200,10 @@ static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
                airpuck_tuned.disturbance_density[axis]);
         correct(mean[axis], covariance, innovation[axis], airpuck_tuned.pose_variance[axis]);
     }
+#ifdef AIRPUCK_SINGLE
+    /* The digits of a float are few; whole turns would take some. */
+    mean[2][0] = airpuck_wrapped(mean[2][0]);
+#endif
     memcpy(craft->belief.mean, mean, sizeof mean);
     memcpy(craft->belief.motor_speed, speed, sizeof speed);
     craft->filtered = time;

@@ -125,31 +125,122 @@ static int pose_problem(const airpuck *craft, const airpuck_real following[6],
            airpuck_finite(posed->upper, AIRPUCK_ALLOCATED);
 }
 
-/* Solve the program; return whether it is feasible. */
-static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+/* Find the least x'x with rows * x = wanted and x within bounds, for n variables; return whether
+ * there is one. `price` is its derivative by `wanted`. */
+static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_real wanted[3],
+                       const airpuck_real *lower, const airpuck_real *upper, airpuck_real *x,
+                       airpuck_real price[3])
 {
     airpuck_qp qp;
     int sense[AIRPUCK_ALLOCATED + 3];
-    airpuck_qp_begin(&qp, AIRPUCK_ALLOCATED, 3, 0, posed->rows[0], craft->numbers, craft->active,
-                     sense);
-#ifndef AIRPUCK_SINGLE
+    airpuck_qp_begin(&qp, n, 3, 0, rows, craft->numbers, craft->active, sense);
+#ifdef AIRPUCK_SINGLE
+    qp.settings.primal_tol = AIRPUCK_R(2e-6);
+#else
     /* The defaults call small requests with nearly parallel columns infeasible, and miss others. */
     qp.settings.sing_tol = AIRPUCK_R(1e-14);
     qp.settings.primal_tol = AIRPUCK_R(1e-9);
 #endif
-    for (int i = 0; i < AIRPUCK_ALLOCATED + 3; i++) {
-        int equality = i >= AIRPUCK_ALLOCATED;
+    for (int i = 0; i < n + 3; i++) {
+        int equality = i >= n;
         sense[i] = equality ? DAQP_ACTIVE | DAQP_IMMUTABLE : 0;
-        qp.lower[i] = equality ? posed->wanted[i - AIRPUCK_ALLOCATED] : posed->lower[i];
-        qp.upper[i] = equality ? posed->wanted[i - AIRPUCK_ALLOCATED] : posed->upper[i];
+        qp.lower[i] = equality ? wanted[i - n] : lower[i];
+        qp.upper[i] = equality ? wanted[i - n] : upper[i];
     }
     airpuck_qp_factor_twice_identity(&qp);
     int flag = airpuck_qp_solve(&qp);
-    craft->iterations = qp.work.iterations;
-    for (int i = 0; i < AIRPUCK_ALLOCATED; i++)
+    craft->iterations += qp.work.iterations;
+    for (int i = 0; i < n; i++)
         x[i] = qp.work.x[i];
+    for (int i = 0; i < qp.work.n_active; i++)
+        if (qp.work.WS[i] >= n)
+            price[qp.work.WS[i] - n] = -qp.work.lam_star[i];
     return flag == DAQP_EXIT_OPTIMAL;
 }
+
+#ifndef AIRPUCK_SINGLE
+
+/* Solve the program; return whether it is feasible. */
+static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    airpuck_real price[3];
+    return solve_least(craft, AIRPUCK_ALLOCATED, posed->rows[0], posed->wanted, posed->lower,
+                       posed->upper, x, price);
+}
+
+#else
+
+/* A float cannot hold thrusts beside slacks that cost a million times as much. In single precision
+ * the program is solved in two parts: without scaling the request, which gives the thrusts of an
+ * exact solution; and, if that is impossible, the least scaling. There the thrusts are all but
+ * unique, so their cost may be that of leaving the previous solution, a few times over. */
+#define PASSES 12
+
+/* Thrusts that change little compared with a request's size are as cheap as scaling it. */
+static airpuck_real thrust_unit(const allocation *posed)
+{
+    airpuck_real column = 0, asked = 0;
+    for (int i = 0; i < AIRPUCK_ALLOCATED; i++) {
+        airpuck_real square = 0;
+        for (int axis = 0; axis < 3; axis++)
+            square += posed->rows[axis][i] * posed->rows[axis][i];
+        if (i < N)
+            column = square > column ? square : column;
+        else
+            asked = square > asked ? square : asked;
+    }
+    return 20 * airpuck_tuned.slack_root * AIRPUCK_F(sqrt)(asked / column);
+}
+
+static int solve_exact(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    airpuck_real rows[3][N], price[3] = {0};
+    for (int axis = 0; axis < 3; axis++)
+        for (int i = 0; i < N; i++)
+            rows[axis][i] = posed->rows[axis][i];
+    if (!solve_least(craft, N, rows[0], posed->wanted, posed->lower, posed->upper, x, price))
+        return 0;
+    /* Scaling the request a little would save some thrust: the slack that balances its cost. */
+    for (int slack = N; slack < AIRPUCK_ALLOCATED; slack++) {
+        airpuck_real saved = 0;
+        for (int axis = 0; axis < 3; axis++)
+            saved += price[axis] * posed->rows[axis][slack];
+        x[slack] = saved > 0 ? saved / 2 : 0;
+    }
+    return 1;
+}
+
+static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    if (solve_exact(craft, posed, x))
+        return 1;
+    airpuck_real force[N] = {0}, unit = thrust_unit(posed), root = airpuck_tuned.slack_root;
+    for (int pass = 0; pass < PASSES; pass++) {
+        airpuck_real rows[3][AIRPUCK_ALLOCATED], wanted[3], price[3];
+        airpuck_real lower[AIRPUCK_ALLOCATED], upper[AIRPUCK_ALLOCATED];
+        for (int j = 0; j < AIRPUCK_ALLOCATED; j++) {
+            lower[j] = j < N ? (posed->lower[j] - force[j]) / unit : 0;
+            upper[j] = j < N ? (posed->upper[j] - force[j]) / unit : 1;
+            for (int axis = 0; axis < 3; axis++)
+                rows[axis][j] = posed->rows[axis][j] * (j < N ? unit : root);
+        }
+        for (int axis = 0; axis < 3; axis++) {
+            wanted[axis] = posed->wanted[axis];
+            for (int i = 0; i < N; i++)
+                wanted[axis] -= posed->rows[axis][i] * force[i];
+        }
+        if (!solve_least(craft, AIRPUCK_ALLOCATED, rows[0], wanted, lower, upper, x, price))
+            return pass > 0 && airpuck_finite(x, AIRPUCK_ALLOCATED);
+        for (int i = 0; i < N; i++)
+            x[i] = force[i] =
+                airpuck_clipped(force[i] + unit * x[i], posed->lower[i], posed->upper[i]);
+        for (int slack = N; slack < AIRPUCK_ALLOCATED; slack++)
+            x[slack] *= root;
+    }
+    return 1;
+}
+
+#endif
 
 /* Find the acceleration nearest to a scaled request: min |Ax - b|^2 + (small weights) x^2 over
  * thrusts and slacks 1 - s within their bounds. Return whether it was found. */

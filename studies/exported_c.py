@@ -1,0 +1,61 @@
+"""The exported controller against the one in Python: commands, states and statuses step by step.
+
+    python -m studies.exported_c --steps 100000
+    python -m studies.exported_c --regulator mpc --steps 10000
+    python -m studies.exported_c --single
+
+Targets are random, many out of reach; poses are lost, not finite, stale, or jump; commands are lost
+or reported late. Both controllers get the same poses and commands. The predictive law's plan is
+copied before each step, because every plan depends on the one before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from tests.apparatus.compiled_controllers import CompiledController, compare, library
+
+import airpuck
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--model", default="paper:M4")
+    parser.add_argument("--regulator", default="lqr", choices=("lqr", "mpc"))
+    parser.add_argument("--steps", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--single", action="store_true", help="compile in single precision")
+    options = parser.parse_args()
+    model = airpuck.read_model(options.model)
+    tuning = default_tuning().with_regulator(options.regulator)
+    with tempfile.TemporaryDirectory() as folder:
+        flags = ("-O2", *["-DAIRPUCK_SINGLE"] * options.single)
+        shared = library(model, Path(folder), *flags, tuning=tuning)
+        python = TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning)
+        c = CompiledController(shared, model, tuning)
+        iterations = []
+        found = compare(
+            python, c, options.steps, options.seed, lambda: iterations.append(c.iterations)
+        )
+    print(f"{options.steps} steps, {options.model}, {options.regulator}, seed {options.seed}")
+    worst = found.worst("state")
+    print(f"equal statuses: {found.same:.4%}; largest difference of a state {worst:.2g}")
+    print(f"iterations: mean {np.mean(iterations):.1f}, most {max(iterations)}")
+    print(
+        f"{'status':>16} {'steps':>7} {'p50':>8} {'p99.9':>8} {'max':>8}   difference of commands"
+    )
+    for status, count in found.seen.most_common():
+        apart = [s.command for s in found.steps if s.statuses == (status, status)]
+        if apart:
+            p50, high = np.quantile(apart, [0.5, 0.999])
+            print(f"{status:>16} {count:>7} {p50:8.1g} {high:8.1g} {max(apart):8.1g}")
+
+
+if __name__ == "__main__":
+    main()
