@@ -4,12 +4,14 @@ import json
 from contextlib import nullcontext
 from dataclasses import replace
 
+import mujoco
 import pytest
 
 from airpuck import export
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import default_tuning
 from airpuck.export import kinds
+from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
 from tests.apparatus.export_crafts import ON_OFF, PAPER, REVERSING, WHEELED
@@ -62,6 +64,18 @@ def test_actuators_that_a_kind_cannot_represent_are_rejected_by_name(kind, actua
     expected = pytest.raises(InputError, match=f"the kind {actuators}, which an export to {kind} ")
     with nullcontext() if kind in held else expected:
         export.write(model, kind, tmp_path)
+
+
+def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):
+    vehicle = M4.vehicle.model_copy(update={"name": "a--b\nmass: 1\n'%-->"})
+    model = replace(M4, name="M\n4", source="x\ny", vehicle=vehicle)
+    for kind in ("casadi", "holohover", "matlab", "mjcf"):
+        export.write(model, kind, tmp_path)
+    assert read_model(tmp_path / "holohover_params.yaml").vehicle.mass_kg == vehicle.mass_kg
+    assert json.loads((tmp_path / "arguments.json").read_text("utf-8"))["vehicle"] == vehicle.name
+    mujoco.MjModel.from_xml_path(str(tmp_path / "craft.xml"))
+    lines = (tmp_path / "airpuck_parameters.m").read_text("utf-8").splitlines()
+    assert all(line.startswith(("function", "%", "    ", "end")) for line in lines)
 
 
 def test_files_of_others_in_the_folder_stay(tmp_path):

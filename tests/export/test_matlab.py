@@ -108,8 +108,3 @@ def test_an_effect_of_ones_own_is_rejected():
     model.__dict__["dynamics"] = replace(model.dynamics, effects=(Unknown(),))
     with pytest.raises(InputError, match="effect Unknown, which an export to matlab cannot"):
         parameters(model)
-
-
-def test_names_cannot_end_a_line_or_a_string():
-    model = replace(PAPER["M3"], source="a\nb'c", name="M3")
-    assert "\n% Source: ab_c\n" in parameters(model)

@@ -10,7 +10,7 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.export.kinds import Subject, refuse_actuators, refuse_effects, refuse_frame
+from airpuck.export.kinds import Subject, printable, refuse_actuators, refuse_effects, refuse_frame
 from airpuck.model.authors_params import MOTORS
 from airpuck.model.model_file import Model
 
@@ -126,8 +126,8 @@ def params_yaml(model: Model) -> str:
     values = model.parameters
     places, directions = _turned(model)
     head = _PROPERTIES.format(
-        name=model.name,
-        vehicle=model.vehicle.name,
+        name=printable(model.name),
+        vehicle=printable(model.vehicle.name),
         mass=model.vehicle.mass_kg,
         center=[*np.asarray(values.center_of_mass).tolist(), 0.0],
         inertia=float(values.inertia),

@@ -187,3 +187,8 @@ def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
             f"cannot represent; identify it with --com-frame {frame}",
             field="MODEL",
         )
+
+
+def printable(text: str) -> str:
+    """Return text that cannot end a line, a string in quotes or a comment."""
+    return "".join(filter(str.isprintable, text)).replace("'", "_").replace("--", "__")

@@ -11,7 +11,7 @@ import numpy as np
 
 import airpuck
 from airpuck.export.c_source import check_effects, coefficients
-from airpuck.export.kinds import Subject, refuse_actuators
+from airpuck.export.kinds import Subject, printable, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.model.statespace import trim
 from airpuck.physics.motor import IDLE
@@ -63,12 +63,12 @@ def parameters(model: Model) -> str:
         "transport_delay": model.transport_delay,
     }
     lines = [f"    p.{name} = {_literal(value)};" for name, value in fields.items()]
-    names = ", ".join(f"'{_printable(name)}'" for name in vehicle.propeller_names)
+    names = ", ".join(f"'{printable(name)}'" for name in vehicle.propeller_names)
     lines.append(f"    p.motors = {{{names}}};")
     return _PARAMETERS.format(
-        name=_printable(model.name),
-        vehicle=_printable(vehicle.name),
-        source=_printable(model.source or "-"),
+        name=printable(model.name),
+        vehicle=printable(vehicle.name),
+        source=printable(model.source or "-"),
         version=airpuck.__version__,
         fields="\n".join(lines),
     )
@@ -91,8 +91,3 @@ def _literal(value: Any) -> str:
     rows = [" ".join(map(repr, row)) for row in np.atleast_2d(value).tolist()]
     inside = "\n        ".join(rows)
     return f"[{inside}]" if np.ndim(value) > 1 else f"[{inside}]'"
-
-
-def _printable(text: str) -> str:
-    """Return text that cannot end a line or a string."""
-    return "".join(filter(str.isprintable, text)).replace("'", "_")

@@ -12,7 +12,7 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.export.kinds import Subject, refuse_actuators, refuse_effects, refuse_frame
+from airpuck.export.kinds import Subject, printable, refuse_actuators, refuse_effects, refuse_frame
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import GRAVITY, Tilt
 
@@ -69,7 +69,9 @@ def xml(model: Model, table: Table) -> str:
     root.append(
         ElementTree.Comment(
             _HEADER.format(
-                name=model.name, vehicle=model.vehicle.name, delay=1e3 * model.transport_delay
+                name=printable(model.name),
+                vehicle=printable(model.vehicle.name),
+                delay=1e3 * model.transport_delay,
             )
         )
     )
@@ -116,7 +118,9 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
     """Append an element; numbers are written so that they are read back bit for bit."""
     values = {
-        name: value if isinstance(value, str) else " ".join(map(_number, np.ravel(value)))
+        name: printable(value)
+        if isinstance(value, str)
+        else " ".join(map(_number, np.ravel(value)))
         for name, value in attributes.items()
     }
     return ElementTree.SubElement(parent, tag, values)
