@@ -53,7 +53,7 @@ test: dev  ## the quick tests, in minutes: while you work
 
 test-all: dev  ## all tests but the studies and the browser; those in real time at the end, alone
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not realtime"
-	$(BIN)/python -m pytest -n 0 -m realtime
+	$(BIN)/python -m pytest -n 0 -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py

