@@ -73,6 +73,7 @@ def test_only_what_is_missing_is_computed(here, spec, tmp_path):
     assert len((tmp_path / "results.csv").read_text().splitlines()) == 4
 
 
+@pytest.mark.slow
 def test_failures_are_kept_and_run_again_when_asked(here, spec, tmp_path):
     # 0.01 s of flight have fewer poses than an identification needs.
     text = 'kind = "recovery"\nseeds = {seeds}\nbase.duration_s = 0.02\n'

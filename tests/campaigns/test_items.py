@@ -85,6 +85,7 @@ def test_recovery_errors_by_hand():
     assert found == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_craft_of_a_fleet_come_apart_as_much_as_they_differ():
     item = Fleet(craft=64, duration_s=0.3, hold_s=0.3, twin={"radio": {"jitter_s": 0.0}}, seed=2)
     same, near, far = (

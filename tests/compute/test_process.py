@@ -61,6 +61,7 @@ def cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
+@pytest.mark.slow
 def test_commands_keep_what_they_compile(cache, tmp_path):
     process = airpuck_process("excite", "--duration", "0.5", "-o", tmp_path / "bag")
     assert process.returncode == 0, process.stderr

@@ -73,6 +73,7 @@ def test_slopes_are_those_of_finite_differences():
             np.testing.assert_allclose(felt[k, :, j - 2], slope, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_compiled_it_is_the_same():
     given = START, COMMANDS, PUSH
 

@@ -215,6 +215,7 @@ def test_it_stops_before_rails_that_a_target_is_beyond():
     assert "rail" in steps[-1].prediction.active
 
 
+@pytest.mark.slow
 def test_limits_of_speed_spin_fence_and_discs_are_kept():
     ours = law(
         speed_m_s=0.8,

@@ -67,6 +67,7 @@ def test_the_loop_on_the_nominal_craft_is_python_controls_linear_one():
     np.testing.assert_allclose(states[-1], target, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_compiled_and_numpy_give_the_same_commands():
     random = np.random.default_rng(0)
     pair = [controller(SetPoint(0.05, 0, 0.3), compiled=c) for c in (True, False)]

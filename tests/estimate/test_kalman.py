@@ -141,6 +141,7 @@ def test_any_data_are_filtered_as_the_textbook_says(seed):
     agrees(ahead, book)
 
 
+@pytest.mark.slow
 def test_compiled_and_numpy_agree():
     random = np.random.default_rng(5)
     filters = [KalmanFilter(MODEL, NOISE, compiled=compiled) for compiled in (True, False)]

@@ -196,6 +196,7 @@ def test_many_blocks_find_what_the_residuals_are_made_of():
     np.testing.assert_allclose(found * 9 / 10, stretch, rtol=0.35)
 
 
+@pytest.mark.slow
 def test_a_flight_of_one_block_is_refused():
     with pytest.raises(InputError, match="two blocks"):
         information_of(fly(MODEL, duration=1.5), MODEL, 1.5)

@@ -72,6 +72,7 @@ def weak(share):
     return replace(model, parameters=parameters)
 
 
+@pytest.mark.slow
 def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     model = airpuck.read_model("paper:M3")

@@ -186,7 +186,7 @@ def test_poses_that_jump_into_a_goal(place, frames):
 @pytest.mark.slow
 def test_poses_that_are_anywhere_and_nothing():
     cameras = Cameras()
-    for k in range(5000):
+    for k in range(2000):
         x, y = cameras.random.uniform((-1.2, -0.6), (1.2, 0.6))
         cameras.see(x, y, puck=bool(k % 3))
         cameras.keeper.puck(cameras.time, np.full(3, math.nan))
@@ -239,15 +239,14 @@ def test_after_the_end_the_next_puck_begins_another_game():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
-def test_it_agrees_with_the_referee_of_a_game(seed):
+def test_it_agrees_with_the_referee_of_a_game():
     """Two scripted humans play; the cameras lose frames and have noise."""
     rules = Rules(goals=100, limit_s=50.0)
     settings = default_twin_settings()
     cameras = settings.motion_capture.model_copy(update={"dropped": 0.05})
     settings = settings.model_copy(update={"motion_capture": cameras})
     players = contestant("human:hard"), contestant("human:easy")
-    game = Game(*players, rules=rules, settings=settings, seed=seed)
+    game = Game(*players, rules=rules, settings=settings, seed=0)
     game.play()
     poses, frames = (game.recording()[name] for name in ("puck", "pose"))
     keeper, said = Scorekeeper(PLAY, rules), []

@@ -113,6 +113,7 @@ def test_flights_end_as_those_of_the_twins_puck():
     assert missed <= 1
 
 
+@pytest.mark.slow
 def test_the_chance_is_the_share_of_drawn_shots_that_score():
     rng = np.random.default_rng(2)
     covariance = np.diag([2e-3, 2e-3, 1e-2, 0.05, 0.05, 1.0]) ** 2
@@ -207,6 +208,7 @@ def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] 
     return float(chance), person.puck.goal > 0
 
 
+@pytest.mark.slow
 def test_a_person_lets_past_what_is_expected():
     rng = np.random.default_rng(0)
     drawn = (shot_at_a_person(rng, seed) for seed in range(400))

@@ -32,6 +32,7 @@ def noisy_loss(model, noise=0.002, duration=6.0):
     return PredictionLoss(windows, VEHICLE, PaperEncoder())
 
 
+@pytest.mark.slow
 def test_finds_the_minimum_of_scipy_and_plain_equations():
     loss = noisy_loss(published_model("M3"))
     start = RUNGS["M3"].initial(VEHICLE)
@@ -88,6 +89,7 @@ def test_bounds_hold():
     assert 1e-4 <= outcome.parameters.motor_time_constant < 3e-3
 
 
+@pytest.mark.slow
 def test_a_bound_that_holds_is_met_exactly():
     # A craft that something pushes along has negative drag.
     truth = published_model("M3")

@@ -71,10 +71,10 @@ def plain_jacobian(parameters, windows, encoder, frame):
     [
         ("M3", "body"),
         ("M3", "world"),
-        ("quadratic", "body"),
-        (ALL_TERMS, "body"),
+        pytest.param("quadratic", "body", marks=pytest.mark.slow),
+        pytest.param(ALL_TERMS, "body", marks=pytest.mark.slow),
         # M4's own columns, and terms that take a thrust in newtons.
-        ("M4+inflow+pair+sag", "body"),
+        pytest.param("M4+inflow+pair+sag", "body", marks=pytest.mark.slow),
     ],
 )
 def test_equals_the_plain_jacobian(windows, name, frame):
@@ -143,6 +143,7 @@ def test_thinned_where_there_are_many(windows):
     assert many.clusters is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 257])
 def test_padding_of_batches_does_not_count(windows, count):
     starts = np.resize(windows.starts, count)
@@ -153,6 +154,7 @@ def test_padding_of_batches_does_not_count(windows, count):
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_one_window_over_the_whole_flight():
     windows = make_windows(fly(published_model("M3"), duration=3.0), 20, None)
     parameters = moved("M3")

@@ -100,6 +100,7 @@ def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
         assert (found.share == 0) is doubted
 
 
+@pytest.mark.slow
 def test_one_window_over_the_whole_flight_is_not_cut(clean):
     short = clean.slice(0, 0.1)
     assert identify(short, "M0", loss=Loss(whole=True)).exclusion is None

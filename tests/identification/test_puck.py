@@ -123,6 +123,7 @@ def test_several_recordings_count_together():
     assert both.play.puck.standard_error["drag_1_s"] < one.play.puck.standard_error["drag_1_s"]
 
 
+@pytest.mark.slow
 def test_rails_elsewhere_are_noticed():
     wider = AirHockey(table=Table(length_m=2.2 - 0.012, width_m=1.1 - 0.012))
     fit = identify_puck(recorded(TRUTH, 3), wider)

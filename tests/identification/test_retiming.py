@@ -93,6 +93,7 @@ def test_stretches_too_short_to_smooth_are_left_alone():
     assert (smoothed.state[65:, 3:] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_velocities_are_not_smoothed_across_switches():
     """With perfect cameras the only error is smoothing; the true model removes nearly all of it."""
     flight = flown(0.0, 10.0, noise=False)
@@ -160,6 +161,7 @@ def test_spread_is_found_below_unequal_errors(spread):
     assert jitter.standard_deviation_s == pytest.approx(spread, rel=0.06)
 
 
+@pytest.mark.slow
 def test_standard_error_is_the_spread_of_estimates():
     rng = np.random.default_rng(1)
     found = [delay_jitter([some(rng.normal(0, 6e-3, 150), 1e-3)]) for _ in range(400)]

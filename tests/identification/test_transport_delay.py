@@ -26,7 +26,7 @@ VEHICLE = default_vehicle()
 FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")
 TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
 #: Number of samples after which the first command no longer matters.
-LONG = Loss(encoder_time=0.5, spacing=3 / 240)
+LONG = Loss(encoder_time=0.5)
 
 
 def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Trajectory:
@@ -128,6 +128,7 @@ def test_predictions_use_the_delay_that_was_learned(flight, tmp_path):
     np.testing.assert_array_equal(again.rmse, exact)
 
 
+@pytest.mark.slow
 def test_shifted_commands_count_from_the_nominal_delay():
     """If the author had already shifted the commands, the amount is unknown."""
     fit = identify(fly(TRUTH, duration=6.0), preparation=LEARNED, loss=LONG)

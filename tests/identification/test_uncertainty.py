@@ -63,6 +63,7 @@ def dense_jacobian(loss, parameters, free):
     return residuals(vector), np.stack(columns, axis=-1)
 
 
+@pytest.mark.slow
 def test_equals_a_dense_computation():
     loss = clustered_loss()
     clusters = loss.clusters

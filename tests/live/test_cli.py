@@ -139,6 +139,7 @@ def test_set_points_of_a_file_stay_within_the_geofence(tmp_path):
         run("fly-setpoints", "nowhere.toml", *MODEL)
 
 
+@pytest.mark.slow
 def test_a_recorder_that_finds_the_disk_full_says_so(domain, tmp_path, monkeypatch):
     from airpuck.live.record import BagFile, record
     from airpuck.live.settings import LiveSettings

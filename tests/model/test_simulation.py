@@ -86,6 +86,7 @@ def test_simulations_agree_under_numpy_jax_and_casadi_and_for_a_batch():
     np.testing.assert_allclose(symbolic.full(), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_jax_differentiates_a_simulation_by_its_commands_and_by_the_parameters():
     state, command = state_and_command(4)
     commands = np.tile(command, (10, 1))
@@ -150,6 +151,7 @@ def uncertain(errors: dict[int, float]) -> airpuck.Model:
     return replace(M3, uncertainty=known)
 
 
+@pytest.mark.slow
 def test_samples_have_the_covariance_of_the_estimate():
     entries = {18: 3e-6, 19: 4e-4}  # inertia and lag: some percent of each
     model = uncertain(entries)
@@ -159,6 +161,7 @@ def test_samples_have_the_covariance_of_the_estimate():
     assert (drawn[:, untouched] == model.parameters.to_vector()[untouched]).all()
 
 
+@pytest.mark.slow
 def test_samples_follow_the_key_and_are_crafts():
     model = uncertain({0: 0.2, 18: 2e-4})  # wide enough to leave the bounds
     first = [m.parameters.to_vector() for m in model.sample(20, key=jax.random.key(3))]

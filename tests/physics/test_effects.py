@@ -222,6 +222,7 @@ def test_a_batch_is_many_single_craft():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [STILL, np.array([0.4, 1.0, -0.5, 2.0])])
 def test_jax_agrees_and_its_derivatives_are_finite_even_at_rest(motion):
     dynamics, speed = replace(BASE, effects=ALL), np.full(6, 0.3)

@@ -210,6 +210,7 @@ def test_by_itself_a_puck_never_gains_energy(motion, restitution, grip, friction
         before = after
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hundred", range(2))
 def test_random_games(hundred):
     games = study("random_games")

@@ -41,6 +41,7 @@ def test_recovers_a_synthetic_flight(recording):
     assert np.abs(error[:, 5]).max() < 1.0
 
 
+@pytest.mark.slow
 def test_the_whole_way_from_recording_to_parameters():
     trajectory = preprocess(record(duration=20.0, noise=5e-5))
     fit = identify(trajectory)

@@ -27,9 +27,10 @@ def milliseconds(image: Image.Image) -> list[int]:
     return durations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed", "rate"), [(1.0, 25.0), (2.0, 12.0), (0.5, 30.0)])
 def test_a_gif_has_its_frames_and_takes_its_time(tmp_path, speed, rate):
-    recording = flight(duration=1.0)
+    recording = flight(duration=0.5)
     path = animate(recording, tmp_path / "a.gif", speed=speed, frames_per_second=rate)
     with Image.open(path) as image:
         assert image.format == "GIF"
@@ -48,6 +49,7 @@ def table_pixels(path, k) -> np.ndarray:
         return np.asarray(image.convert("RGB")).astype(int)
 
 
+@pytest.mark.slow
 def test_the_craft_is_drawn_where_it_was(tmp_path):
     """A craft with a distinctive propeller in its centre: find its colour in the picture."""
     vehicle = Vehicle.model_validate(
@@ -155,10 +157,11 @@ def test_a_recording_without_set_points_has_none_in_its_page(tmp_path):
     assert re.search(r'<option value="0.3" selected', text)
 
 
+@pytest.mark.slow
 def test_the_same_flight_gives_the_same_bytes(tmp_path):
     for suffix in (".gif", ".html"):
         files = [
-            animate(flight(duration=0.4), tmp_path / f"{k}{suffix}").read_bytes() for k in "ab"
+            animate(flight(duration=0.2), tmp_path / f"{k}{suffix}").read_bytes() for k in "ab"
         ]
         assert files[0] == files[1]
 
@@ -229,6 +232,7 @@ def test_what_cannot_be_used_is_refused_and_the_old_file_kept(tmp_path, problem,
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one", "twelve", "silent"])
 def test_any_vehicle_can_be_drawn(tmp_path, name):
     fields = CRAFT.model_dump()
@@ -249,6 +253,7 @@ def test_any_vehicle_can_be_drawn(tmp_path, name):
         assert path.stat().st_size > 5_000
 
 
+@pytest.mark.slow
 def test_a_set_point_far_away_is_no_trouble(tmp_path):
     recording = flight(duration=0.3)
     far = stream([0.0], [[1e7, -2e6, 1.0, 0, 0, 0]], COLUMNS["reference"])

@@ -8,6 +8,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model, read_model
+from airpuck.physics.thrust import is_monotone
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.report.prediction_figures import touched_by
 from airpuck.report.reproduce import FAULTS, PRINTED, TRAINING, VALIDATION, reproduce
@@ -109,7 +110,10 @@ def test_known_faults_hold_the_largest_errors(reproduction):
 @pytest.mark.data
 def test_fits_beat_the_published_loss(reproduction):
     losses = reproduction.study.reference_losses
-    assert all(fit.loss < losses[fit.model.name] for fit in reproduction.study.fits)
+    for fit in reproduction.study.fits:
+        assert fit.loss < losses[fit.model.name]
+        assert fit.converged
+        assert is_monotone(fit.model.parameters.thrust).all()
 
 
 def test_a_folder_that_is_no_dataset_is_refused(tmp_path):

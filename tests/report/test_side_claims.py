@@ -41,6 +41,7 @@ def test_published_m4_thrusts_are_larger_only_by_their_scale():
     assert (np.abs(thrusts["M4_scaled_N"] / first - 1) < 0.06).all()
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_without_the_condition_some_thrust_curves_fall(recordings):
     (trial,) = claims.drop_monotonicity(*recordings, cases=(("M3", 3),))

@@ -41,6 +41,7 @@ def test_courses_are_on_the_table():
             assert abs(point[1]) < reach[1] - 0.02
 
 
+@pytest.mark.slow
 def test_points_and_discs_are_no_task_for_a_set_point_and_motion_no_start(planned):
     states = planned.samples[1]
     x, y = states[len(states) // 2, :2].tolist()  # the plan passes there

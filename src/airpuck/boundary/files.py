@@ -103,6 +103,7 @@ def _adapter(schema: type) -> Any:
     return pydantic.TypeAdapter(schema)
 
 
+@cache
 def _keys(schema: type) -> list[set[str]]:
     """Return the keys of a schema, then those of its tables."""
     with warnings.catch_warnings():
