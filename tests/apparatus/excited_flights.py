@@ -12,6 +12,7 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
+from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin import craft as craft_module
@@ -94,5 +95,5 @@ def flown(jitter: float, duration: float, seed: int = 0, noise: bool = True) -> 
 
 @once
 def fit_of_flown(jitter: float, duration: float) -> Fit:
-    """M3 of such a flight."""
-    return identify(flown(jitter, duration).trajectory)
+    """M3 of such a flight, which has no faults."""
+    return identify(flown(jitter, duration).trajectory, preparation=Preparation(faults="keep"))

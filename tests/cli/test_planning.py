@@ -26,7 +26,7 @@ def planned(tmp_path_factory):
             "0",
             "0.5",
             "--reserve",
-            "0.1",
+            "0.02",
             "--intervals",
             "20",
         ],

@@ -122,7 +122,9 @@ def test_an_error_above_the_usual_one_is_kept_in_reserve():
 @pytest.mark.slow
 def test_times_of_another_craft_miss_its_plans_by_what_they_say(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    # Fewer plans than for a player.
+    # Fewer plans than for a player, from fewer starts.
+    starts = ((0.0, 0.0), (1.8, 0.0), (-1.8, 0.0))
+    monkeypatch.setattr("airpuck.planning.search._FREE", starts)
     monkeypatch.setattr("airpuck.hockey.minimal_time._FITTED", 5)
     monkeypatch.setattr("airpuck.hockey.minimal_time._CHECKED", 4)
     model, told = weak(0.4), []

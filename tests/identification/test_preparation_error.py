@@ -17,7 +17,7 @@ from airpuck.identification.retiming import (
 from airpuck.identification.settings import Preparation
 from airpuck.identification.uncertainty import grown, sandwich, shared_at_borders, varying, widened
 
-from ..apparatus.excited_flights import TRUTH, flown
+from ..apparatus.excited_flights import TRUTH, fit_of_flown, flown
 
 NOTHING = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
 LAG, DELAY, ANGLE = (
@@ -32,8 +32,8 @@ def flight():
 
 
 @pytest.fixture(scope="module")
-def fit(flight):
-    return identify(flight, preparation=Preparation(faults="keep"))
+def fit():
+    return fit_of_flown(0.007, 40.0)
 
 
 def found(fit, flights, delays=None):

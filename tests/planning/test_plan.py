@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,6 +50,9 @@ def fastest(start, goal, near=None, *, table=None, limits=None, intervals=40):
 
 def integrated(model, path):
     """The final state by diffrax, from the start state and the commands alone."""
+    # It takes seconds to import.
+    import diffrax
+
     times, commands = jnp.array(path.times), jnp.array(path.commands)
 
     def rates(t, state, _):

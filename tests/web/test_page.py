@@ -28,7 +28,6 @@ from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT
 from ..apparatus.arena import Arena
 
 pytestmark = pytest.mark.browser
-sync_api = pytest.importorskip("playwright.sync_api")
 
 ROOT = Path(__file__).parents[2]
 VERMILLION = (213, 94, 0)
@@ -37,6 +36,7 @@ VERMILLION = (213, 94, 0)
 @pytest.fixture(scope="module")
 def browser(chromium) -> Iterator[Any]:
     """Headless Chromium."""
+    sync_api = pytest.importorskip("playwright.sync_api")
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         yield browser
