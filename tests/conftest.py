@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import signal
@@ -70,6 +71,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker(marker):
                 item.add_marker(mark)
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and collected tests out of garbage collection."""
+    gc.freeze()
 
 
 def pytest_runtest_setup() -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections import Counter
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -20,12 +19,14 @@ check = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 #: Number of calls of each function that are checked in each test.
 CHECKED = 3
-_calls: Counter[tuple[str, str]] = Counter()
+#: Calls of each function in this test, in a list of one: loops make millions of these look-ups.
+_calls: dict[tuple[str, str], list[int]] = {}
 
 
 def start_again() -> None:
     """Restart the count: the next calls belong to another test."""
-    _calls.clear()
+    for calls in _calls.values():
+        calls[0] = 0
 
 
 def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
@@ -41,7 +42,7 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         if dataclasses.is_dataclass(fn) and "__init__" in vars(fn):
             fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
         return fn
-    place = fn.__module__, fn.__qualname__
+    calls = _calls.setdefault((fn.__module__, fn.__qualname__), [0])
     # The check of a nested function is built anew for each outer call.
     checked = 1 if "<locals>" in fn.__qualname__ else CHECKED
     fn.typechecker = typechecker
@@ -49,9 +50,9 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
     @wraps(fn)
     def call(*arguments: Any, **named: Any) -> Any:
         __tracebackhide__ = True
-        if _calls[place] >= checked:
+        if calls[0] >= checked:
             return fn(*arguments, **named)
-        _calls[place] += 1
+        calls[0] += 1
         if not hasattr(fn, "checked"):
             fn.checked = always_checked(fn, typechecker=fn.typechecker)
         return fn.checked(*arguments, **named)

@@ -19,7 +19,7 @@ from ..apparatus.synthetic_flights import fly
 
 #: The encoder starts its motors at the first command of a window. After this many samples they
 #: have forgotten it; after the paper's 20 they have not, which biases thrust by a few percent.
-LONG = Loss(encoder_time=200 / 240)
+LONG = Loss(encoder_time=200 / 240, spacing=3 / 240)
 
 
 def with_offset_center(model: Model) -> Model:

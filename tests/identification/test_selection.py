@@ -32,7 +32,7 @@ RICH = Effects(
 SHORT_LADDER = ("M2", "M3", "M5+drag")
 
 
-def flight(effects=None, duration=14.0, seed=0):
+def flight(effects=None, duration=20.0, seed=0):
     # Without jitter: a pair interaction smooths the steps of a force, as late packets do.
     changed: dict = {"radio": Radio(delay_s=5 / 240), "effects": effects or Effects()}
     settings = default_twin_settings().model_copy(update=changed)
@@ -61,7 +61,7 @@ def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
 @pytest.mark.slow
 def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
     told = []
-    selection = select_model(flight(RICH), SHORT_LADDER, progress=told.append)
+    selection = select_model(flight(RICH, 14.0), SHORT_LADDER, progress=told.append)
     assert selection.fit.model.name == "M5+drag"
     assert len(told) == 3
     for candidate in selection.candidates[1:]:

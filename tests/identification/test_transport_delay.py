@@ -26,7 +26,7 @@ VEHICLE = default_vehicle()
 FIXED, LEARNED = Preparation(delay="fixed"), Preparation(delay="fit")
 TRUTH = replace(published_model("M3"), frame="body", indexing="start").with_delay(0.01873)
 #: Number of samples after which the first command no longer matters.
-LONG = Loss(encoder_time=0.5)
+LONG = Loss(encoder_time=0.5, spacing=3 / 240)
 
 
 def flown(truth: Model = TRUTH, applied: float = 5 / 240, seed: int = 0) -> Trajectory:
