@@ -215,6 +215,22 @@ def test_a_thrust_that_is_not_known_needs_excitation():
     assert "F(1) motor_a_1" in " ".join(found.sentences)
 
 
+def test_a_delay_learned_beside_unknown_thrusts_says_nothing_about_clocks(flight):
+    # A fit to a craft that hovers: thrusts unknown, and a delay of 71 ± 2 ms where it is 21 ms.
+    delay = MODEL.free | MODEL.parameters.mask(frozenset({"transport_delay"}))
+    outcomes = {}
+    for error in (0.9, 1e-3):
+        model = known(**{f"thrust motor_a_1 φ^{k}": error for k in (1, 2, 3)})
+        late = replace(model, free=delay).with_delay(0.071)
+        assert model.uncertainty is not None
+        uncertainty = replace(model.uncertainty, estimate=late.parameters.to_vector())
+        timed = replace(
+            flight, command_time=flight.command_time - 0.021, delay=0.021, delay_known=True
+        )
+        outcomes[error] = judged(replace(late, uncertainty=uncertainty), timed).outcome
+    assert outcomes == {0.9: "not_enough_excitation", 1e-3: "suspect_recording"}
+
+
 def test_a_motor_known_to_be_dead_is_known():
     model = known()
     assert model.uncertainty is not None

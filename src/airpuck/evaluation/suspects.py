@@ -22,12 +22,16 @@ _DIRECTION_LIMIT = 0.2
 _SEEN = 0.3
 
 
-def clock_suspect(model: Model, trajectory: Trajectory) -> list[str]:
-    """Report commands that act implausibly late or early: the clocks of the recording disagree."""
+def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = True) -> list[str]:
+    """Report commands that act implausibly late or early: the clocks of the recording disagree.
+
+    A learned delay counts only if the model is `determined` by its data: beside undetermined
+    thrusts, the delay takes on any value.
+    """
     seen = visible_delay(trajectory, model.dynamics)
     if seen is None:
         return []
-    learned = model.transport_delay if model.delay_learned else seen
+    learned = model.transport_delay if model.delay_learned and determined else seen
     longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
     # The recording determines the delay in whole samples.
     if learned <= 0 or seen < -trajectory.sample_period:

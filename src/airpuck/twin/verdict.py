@@ -206,12 +206,13 @@ def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
         uncertain = _uncertain(*evidence.by_chance)
         return ("not_enough_excitation", uncertain) if uncertain else ("not_judged", [])
     quiet, order = _quiet(evidence), order_suspect(model, evidence.effects)
-    clock = clock_suspect(model, evidence.trajectory)
+    uncertain = _uncertain(*evidence.by_chance)
+    clock = clock_suspect(model, evidence.trajectory, determined=not uncertain)
     if suspects := [*clock, *order, *([] if quiet else unit_suspect(model))]:
         return "suspect_recording", suspects
     if quiet or evidence.effects is None:
         return "not_enough_excitation", quiet
-    if uncertain := _uncertain(*evidence.by_chance):
+    if uncertain:
         return "not_enough_excitation", uncertain
     if wrong := _wrong(*evidence.total, evidence.effects):
         return "not_trusted", wrong
