@@ -31,7 +31,8 @@ def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = Tr
     seen = visible_delay(trajectory, model.dynamics)
     if seen is None:
         return []
-    learned = model.transport_delay if model.delay_learned and determined else seen
+    counts = model.delay_learned and determined
+    learned = model.transport_delay if counts else seen
     longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
     # The recording determines the delay in whole samples.
     if learned <= 0 or seen < -trajectory.sample_period:
@@ -40,7 +41,8 @@ def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = Tr
             "poses are probably stamped early: check that the clocks of cameras and controller are "
             "synchronised."
         ]
-    if max(learned, seen - 2 * trajectory.sample_period) <= longest:
+    certain = seen - 2 * trajectory.sample_period
+    if max(certain, learned if counts else certain) <= longest:
         return []
     return [
         f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps; up to "
