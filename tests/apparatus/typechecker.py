@@ -42,7 +42,8 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         if dataclasses.is_dataclass(fn) and "__init__" in vars(fn):
             fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
         return fn
-    calls = _calls.setdefault((fn.__module__, fn.__qualname__), [0])
+    # Kept with the function for the same reason.
+    fn.calls = _calls.setdefault((fn.__module__, fn.__qualname__), [0])
     # The check of a nested function is built anew for each outer call.
     checked = 1 if "<locals>" in fn.__qualname__ else CHECKED
     fn.typechecker = typechecker
@@ -50,9 +51,9 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
     @wraps(fn)
     def call(*arguments: Any, **named: Any) -> Any:
         __tracebackhide__ = True
-        if calls[0] >= checked:
+        if fn.calls[0] >= checked:
             return fn(*arguments, **named)
-        calls[0] += 1
+        fn.calls[0] += 1
         if not hasattr(fn, "checked"):
             fn.checked = always_checked(fn, typechecker=fn.typechecker)
         return fn.checked(*arguments, **named)
