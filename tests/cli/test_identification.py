@@ -86,7 +86,7 @@ def test_the_ladder_is_shown_with_what_each_rung_buys():
     candidates = (tried("M2", 8.0, np.nan), tried("M3", 4.04, 0.505), tried("M5", 4.0, 0.99))
     candidates += (tried("M5+drag", 4.0, 0.9998),)
     chosen = Fit(candidates[1].model, 0.0, (), True, "", 10, 0.0, ())
-    selection = Selection(candidates, chosen, 5, np.arange(10.0))
+    selection = Selection(candidates, chosen, 5, np.arange(10.0), 0.2)
     shown, words = _ladder_summary(selection)
     printer = Console(width=160, file=io.StringIO())
     printer.print(shown)

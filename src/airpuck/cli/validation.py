@@ -55,13 +55,13 @@ def evaluate(
     """Measure how well a model predicts a recording."""
     from airpuck.data.trajectory import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS, better_from, coasting
-    from airpuck.evaluation.time_scale import showing_time
+    from airpuck.preprocessing.time_scale import showing_time
     from airpuck.twin.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon)
     # A slow craft is predicted for longer, to see from when on the model helps.
-    needed = showing_time(trajectory, judged.vehicle)
+    needed = showing_time([trajectory], judged.vehicle)
     chosen = replace(chosen, prediction_time=max(needed, chosen.prediction_time))
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said, since = verdict(judged, trajectory, found), better_from(found, trajectory)

@@ -86,11 +86,16 @@ def information_of(
     trajectory: Trajectory, model: Model, duration: float, delays: Sequence[PacketDelays] = ()
 ) -> Information:
     """Compute the information in a flight of a known model."""
-    loss = loss_of(model).on(
-        [_whole_seconds(trajectory)],
-        model.vehicle,
-        frame=model.frame,
-        learns_delay=model.delay_learned,
+    whole = [_whole_seconds(trajectory)]
+    loss = (
+        loss_of(model)
+        .suited(whole, model.vehicle)
+        .on(
+            whole,
+            model.vehicle,
+            frame=model.frame,
+            learns_delay=model.delay_learned,
+        )
     )
     quadratic = loss.quadratic(model.parameters)
     # The loss is a mean over windows; information and scores are sums.

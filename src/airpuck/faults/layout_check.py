@@ -26,11 +26,12 @@ from airpuck.faults.effect_match import (
     turned,
     unit_columns,
 )
-from airpuck.faults.window_regression import LEVEL, WindowRegression, regress_windows
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.effects import GRAVITY
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
+from airpuck.preprocessing.time_scale import smoothed_as_measured
+from airpuck.preprocessing.window_regression import LEVEL, WindowRegression, regress_windows
 
 #: Axes of a mapping that renames none.
 AXES = ("x", "y", "z")
@@ -228,7 +229,8 @@ def check_layout(
     """
     check_propellers(vehicle, trajectory)
     stated, forces = nominal_model(vehicle).propeller_effects, _nominal_thrusts(trajectory, vehicle)
-    signs = find_axis_signs(trajectory, stated @ forces, _longest_delay(vehicle))
+    modelled = smoothed_as_measured(trajectory, (stated @ forces).T).T
+    signs = find_axis_signs(trajectory, modelled, _longest_delay(vehicle))
     tried = [
         _with_signs(trajectory, vehicle, forces, one, tuple(axes))
         for one in dict.fromkeys((signs, AxisSigns()))

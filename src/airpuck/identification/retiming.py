@@ -29,7 +29,8 @@ from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
-from airpuck.preprocessing.quality import stretches
+from airpuck.preprocessing.quality import smooth_stretches
+from airpuck.preprocessing.time_scale import smoothing_time
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9
@@ -88,13 +89,13 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     time, state = trajectory.time, trajectory.state.copy()
     modelled = modelled_acceleration(trajectory, model)
     fewest = shortest_stretch(trajectory.sample_period)
-    for part in stretches(time):
+    duration = smoothing_time(time, state[:, :2], model.vehicle)
+    for part in smooth_stretches(time, duration, trajectory.excluded):
         if len(time[part]) < fewest:
             continue  # excluded by preprocessing, which has no velocities there either
         gained, moved = integrated(modelled[part], np.diff(time[part])[:, None])
-        state[part, 3:] = gained + velocity(
-            time[part], state[part, :3] - moved, trajectory.sample_period
-        )
+        smoothed = velocity(time[part], state[part, :3] - moved, trajectory.sample_period, duration)
+        state[part, 3:] = gained + smoothed
     return replace(trajectory, state=state)
 
 

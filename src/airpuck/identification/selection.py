@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, as_trajectories
+from airpuck.data.trajectory import Trajectory, as_trajectories, vehicle_of
 from airpuck.data.windows import Windows, make_windows
 from airpuck.evaluation.evaluate import hold_for, prediction_errors
 from airpuck.evaluation.statistical_tests import log_mean_square_errors, rmse_ratio
@@ -37,10 +37,11 @@ from airpuck.identification.problem import Exclusion, Problem
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import Rung, named_rung
+from airpuck.preprocessing.time_scale import showing_time
 
 #: Rungs that are tried, the simplest first.
 LADDER = ("M0", "M2", "M3", "M5", "M5+drag", "M5+drag+idle")
-#: Prediction horizon for the comparison, and time between starts [s].
+#: Least prediction horizon for the comparison, and time between starts [s].
 _HORIZON, _SPACING = 0.2, 4 / 240
 #: Logarithm of a negligible ratio of mean squares: half a percent of the root.
 _NEGLIGIBLE = 0.01
@@ -59,8 +60,8 @@ class CandidateModel(Result):
     model : Model
         Fitted to all data, as prepared for the richest rung.
     errors : array, shape (4, W)
-        Errors of W held-out predictions after 0.2 s: x, y [m], yaw [rad], and the root of the sum
-        of their weighted squares, by which rungs are compared.
+        Errors of W held-out predictions at the horizon: x, y [m], yaw [rad], and the root of the
+        sum of their weighted squares, by which rungs are compared.
     change : array, shape (4,)
         Ratio of root mean squares to the next simpler rung's; NaN for the first.
     interval : array, shape (2, 4)
@@ -125,14 +126,20 @@ class Selection(Result):
         Number of blocks of time that were held out in turn.
     start : array, shape (W,)
         Start time of each held-out prediction [s].
+    horizon : float
+        Time from the start of a prediction to its error [s].
     """
 
-    JSON = "chosen=fit.model.name best=best.name folds predictions=start.size rungs=candidates"
+    JSON = (
+        "chosen=fit.model.name best=best.name folds horizon_s=horizon predictions=start.size "
+        "rungs=candidates"
+    )
 
     candidates: tuple[CandidateModel, ...]
     fit: Fit
     folds: int
     start: Float[np.ndarray, " W"]
+    horizon: float
 
     @property
     def best(self) -> CandidateModel:
@@ -186,12 +193,13 @@ def select_model(
     if loss.whole:
         raise InputError("needs windows shorter than the recording", field="whole")
     trajectories = as_trajectories(trajectories)
+    loss = loss.suited(trajectories, vehicle or vehicle_of(trajectories))
     rungs = [named_rung(rung) if isinstance(rung, str) else rung for rung in ladder]
     settings: Any = {"vehicle": vehicle, "loss": loss}
     richest = identify(trajectories, rungs[-1], preparation=preparation, **settings)
     healthy = richest.exclusion.trajectories if richest.exclusion else tuple(trajectories)
     settings["preparation"] = replace(preparation, faults="keep")
-    held_out = _HeldOut.of(healthy, loss.suited(richest.model.vehicle), folds)
+    held_out = _HeldOut.of(healthy, loss, richest.model.vehicle, folds)
     models, errors = [], []
     for rung in rungs:
         model, objective = _learned(Problem.of(healthy, rung, **settings), richest.objective)
@@ -203,9 +211,9 @@ def select_model(
     fit = richest
     if chosen != len(rungs) - 1:
         fit = identify(healthy, rungs[chosen], **settings)
-    return Selection(
-        candidates, _recorded(fit, richest.exclusion, candidates), folds, held_out.start
-    )
+    fit = _recorded(fit, richest.exclusion, candidates)
+    horizon = held_out.windows.prediction_length * healthy[0].sample_period
+    return Selection(candidates, fit, folds, held_out.start, horizon)
 
 
 #: Headings of `selection_rows`.
@@ -236,8 +244,8 @@ def selection_rows(selection: Selection) -> list[list[str]]:
 def selection_title(selection: Selection) -> str:
     """Return the title of the table of `selection_rows`."""
     return (
-        f"Errors after 0.2 s on {selection.folds} blocks of time held out in turn, "
-        f"{len(selection.start)} predictions"
+        f"Errors after {selection.horizon:.2g} s on {selection.folds} blocks of time held out in "
+        f"turn, {len(selection.start)} predictions"
     )
 
 
@@ -277,11 +285,15 @@ class _HeldOut:
     edges: Int[np.ndarray, " E"]
 
     @classmethod
-    def of(cls, trajectories: Sequence[Trajectory], loss: Loss, folds: int) -> _HeldOut:
+    def of(
+        cls, trajectories: Sequence[Trajectory], loss: Loss, vehicle: Vehicle, folds: int
+    ) -> _HeldOut:
         """Cut the data into blocks of equally many predictions."""
         before, ahead, _ = loss.samples(trajectories)
         steps = trajectories[0].steps
-        ahead = min(steps(_HORIZON), ahead or 1)
+        # A slow craft is predicted for longer, to see the models' differences.
+        horizon = max(_HORIZON, showing_time(trajectories, vehicle))
+        ahead = min(steps(horizon), ahead or 1)
         windows = make_windows(trajectories, before, ahead, steps(_SPACING))
         cuts = np.arange(1, folds) * len(windows) // folds
         edges = np.concatenate([[0], windows.starts[cuts], [len(windows.time)]])

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
-
-import numpy as np
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
@@ -24,8 +21,6 @@ if TYPE_CHECKING:
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 #: Shortest default times of encoder and prediction [s]: 40 and 50 samples at 240 Hz.
 _ENCODER, _PREDICTION = 40 / 240, 50 / 240
-#: Motion that a default prediction should contain [m]; longest default [s].
-_VISIBLE, _LONGEST = 0.01, 3.0
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
 
@@ -137,23 +132,25 @@ class Loss(Settings):
         for weight in self.weights:
             numbers.WEIGHT.check(weight, "weights")
 
-    def suited(self, vehicle: Vehicle) -> Loss:
+    def suited(self, trajectories: Sequence[Trajectory], vehicle: Vehicle) -> Loss:
         """Return the loss with the times that are not given, long enough for a craft.
 
         Parameters
         ----------
+        trajectories : sequence of Trajectory
+            Recordings of the craft.
         vehicle : Vehicle
             The craft; a slow one must be watched for longer.
 
         Returns
         -------
         Loss
-            With encoder and prediction at least as long as a usual actuator at full command takes
-            to move the craft by 1 cm, far above the noise of motion capture.
+            With encoder and prediction at least as long as thrust takes to show above the noise of
+            poses (`airpuck.preprocessing.time_scale`).
         """
-        thrust = float(np.median(vehicle.nominal_thrust.sum(axis=1)))
-        slow = math.sqrt(2 * _VISIBLE * vehicle.mass_kg / thrust) if thrust > 0 else 0.0
-        slow = min(slow, _LONGEST)
+        from airpuck.preprocessing.time_scale import showing_time
+
+        slow = showing_time(trajectories, vehicle)
         return replace(
             self,
             encoder_time=self.encoder_time or max(_ENCODER, slow),
@@ -190,7 +187,7 @@ class Loss(Settings):
         from airpuck.identification.objective import PredictionLoss
         from airpuck.identification.uncertainty import cluster_windows
 
-        before, ahead, stride = self.suited(vehicle).samples(trajectories)
+        before, ahead, stride = self.samples(trajectories)
         windows = make_windows(trajectories, before, ahead, stride)
         return PredictionLoss(
             windows,

@@ -10,6 +10,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
+from airpuck.preprocessing.time_scale import smoothed_as_measured
 
 #: Longest delay that the search covers.
 LONGEST_S = numbers.DELAY.high
@@ -49,7 +50,9 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
         motion = slice(max(shift, 0), len(time) + min(shift, 0))
         cause = slice(max(-shift, 0), len(time) - max(shift, 0))
         state = trajectory.state[motion, 2:]
-        modelled = np.stack(model_acceleration(np, dynamics, state.T, speed[cause].T))
+        caused = np.zeros_like(trajectory.acceleration)
+        caused[motion] = np.stack(model_acceleration(np, dynamics, state.T, speed[cause].T), axis=1)
+        modelled = smoothed_as_measured(trajectory, caused)[motion].T
         # Mask only one of the two: gaps common to both would correlate at zero lag.
         measured = trajectory.acceleration[motion].T * trajectory.usable[motion]
         best = [_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)]

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.trajectory import usual_period
 
 #: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
-#: and 15 samples at 240 Hz [s].
+#: and 15 samples at 240 Hz [s]. Both grow alike for a slow craft
+#: (`airpuck.preprocessing.time_scale`).
 POLYNOMIAL_ORDER = 3
 VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
 #: Minimum number of samples for a second derivative.
 _FEWEST = 5
+#: Number of samples in windows handled at once, which bounds memory.
+_AT_ONCE = 1 << 20
 
 
 def window_length(duration: float, period: float) -> int:
@@ -46,6 +51,7 @@ def smooth(
     """
     own = usual_period(time)
     window = window_length(duration, own if period is None else period)
+    window = min(window, len(time) - 1 + len(time) % 2)
     if window <= POLYNOMIAL_ORDER + 1:
         return values
     if own != np.median(np.diff(time)):
@@ -73,17 +79,38 @@ def _smooth_unevenly(
     return np.einsum("np,nwp,nwk->nk", basis[each, each - first], basis, values[index])
 
 
+def acceleration_time(duration: float) -> float:
+    """Return the time span of smoothing for accelerations, given that for velocities [s]."""
+    return ACCELERATION_TIME * (duration / VELOCITY_TIME)
+
+
 def velocity(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], period: float | None = None
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    period: float | None = None,
+    duration: float = VELOCITY_TIME,
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate once: smooth over 46 ms, then second-order differences."""
-    return np.gradient(smooth(time, values, VELOCITY_TIME, period), time, axis=0, edge_order=2)
+    """Differentiate once: smooth over 46 ms, then second-order differences.
+
+    With more smoothing, return the slopes of local polynomials, which contain less noise.
+    """
+    if duration > VELOCITY_TIME:
+        return _local_derivative(time, values, duration, period, 1)
+    return np.gradient(smooth(time, values, duration, period), time, axis=0, edge_order=2)
 
 
 def acceleration(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], period: float | None = None
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    period: float | None = None,
+    duration: float = VELOCITY_TIME,
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate twice: smooth over 62 ms, then the second divided difference."""
+    """Differentiate twice: smooth over 62 ms, then the second divided difference.
+
+    With more smoothing for velocities, return the curvatures of local polynomials.
+    """
+    if duration > VELOCITY_TIME:
+        return _local_derivative(time, values, acceleration_time(duration), period, 2)
     smoothed = smooth(time, values, ACCELERATION_TIME, period)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (
@@ -96,3 +123,29 @@ def acceleration(
         for part, end in ((slice(0, 4), 0), (slice(-4, None), -1))
     ]
     return np.concatenate([ends[0], inner, ends[1]])
+
+
+def _local_derivative(
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    duration: float,
+    period: float | None,
+    order: int,
+) -> Float[np.ndarray, "N k"]:
+    """Return a derivative of cubic polynomials through the neighbours of each sample."""
+    window = window_length(duration, usual_period(time) if period is None else period)
+    # A long window shrinks to a short stretch.
+    window = min(max(window, _FEWEST), len(time) - 1 + len(time) % 2)
+    found = np.empty_like(values)
+    size = max(_AT_ONCE // window, 1)
+    for each in np.split(np.arange(len(time)), range(size, len(time), size)):
+        first = np.clip(each - window // 2, 0, len(time) - window)
+        index = first[:, None] + np.arange(window)
+        half = (time[first + window - 1] - time[first])[:, None] / 2
+        powers = ((time[index] - time[each, None]) / half)[..., None] ** np.arange(
+            POLYNOMIAL_ORDER + 1
+        )
+        moments = np.swapaxes(powers, 1, 2)
+        coefficients = np.linalg.solve(moments @ powers, moments @ values[index])
+        found[each] = math.factorial(order) * coefficients[:, order] / half**order
+    return found

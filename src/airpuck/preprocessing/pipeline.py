@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,8 +34,9 @@ from airpuck.preprocessing.quality import (
     find_frozen,
     find_gaps,
     find_jumps,
-    stretches,
+    smooth_stretches,
 )
+from airpuck.preprocessing.time_scale import smoothing_time
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
@@ -143,11 +145,12 @@ def preprocess(
     kept = _crop_to_commands(poses.time, commands, begins_above, recording.source)
     time, values = poses.time[kept], poses.values[kept]
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
-    rates, accelerations, short = _velocity_and_acceleration(time, values)
+    jumps = find_jumps(time, values)
+    rates, accelerations, short = _velocity_and_acceleration(time, values, jumps, vehicle)
     unusable = (
         *find_gaps(time),
         *find_frozen(time, values),
-        *find_jumps(time, values),
+        *jumps,
         *find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS),
         *short,
     )
@@ -206,19 +209,22 @@ def _crop_to_commands(
 
 
 def _velocity_and_acceleration(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N 3"],
+    jumps: Sequence[Span],
+    vehicle: Vehicle,
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
     """Differentiate each stretch between gaps separately; mark those that are too short."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
     short, period = [], usual_period(time)
-    fewest = shortest_stretch(period)
-    for part in stretches(time):
+    fewest, duration = shortest_stretch(period), smoothing_time(time, values[:, :2], vehicle)
+    for part in smooth_stretches(time, duration, jumps):
         within = time[part]
-        if len(within) < fewest:
+        if len(within) >= fewest:
+            rates[part] = velocity(within, values[part], period, duration)
+            accelerations[part] = acceleration(within, values[part], period, duration)
+        elif not any(jump.start <= within[0] and within[-1] <= jump.stop for jump in jumps):
             short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
-            continue
-        rates[part] = velocity(within, values[part], period)
-        accelerations[part] = acceleration(within, values[part], period)
     return rates, accelerations, short
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Span, runs, usual_period
-from airpuck.preprocessing.derivative import ACCELERATION_TIME, window_length
+from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, window_length
 from airpuck.recording.stream import Stream
 
 #: A pause longer than this many sample periods is a gap.
@@ -26,6 +27,8 @@ _JUMP_RATIO = 10.0
 _JUMP_SPEED = (0.24, 0.24, 4.8)
 #: Time span of a step's neighbours, centred on the step [s].
 _NEIGHBOURS = 11 / 240
+#: Cause of a span around a jump.
+_JUMP = "jumping pose"
 #: Number of windows sorted at once, which bounds memory.
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
@@ -178,10 +181,24 @@ def find_gaps(
     return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
 
 
-def stretches(time: Float[np.ndarray, " N"]) -> list[slice]:
-    """Cut a stream at its gaps."""
-    edges = [0, *np.searchsorted(time, [gap.stop for gap in find_gaps(time)]).tolist(), len(time)]
-    return [slice(first, last) for first, last in pairwise(edges)]
+def stretches(time: Float[np.ndarray, " N"], cuts: Sequence[float] = ()) -> list[slice]:
+    """Cut a stream at its gaps, and at more times."""
+    cuts = sorted({*(gap.stop for gap in find_gaps(time)), *cuts})
+    inside = [k for k in np.searchsorted(time, cuts).tolist() if 0 < k < len(time)]
+    return [slice(first, last) for first, last in pairwise([0, *inside, len(time)])]
+
+
+def smooth_stretches(
+    time: Float[np.ndarray, " N"], duration: float, spans: Sequence[Span]
+) -> list[slice]:
+    """Cut a stream where smoothing must not reach across: gaps, and jumps among excluded spans.
+
+    The usual smoothing spoils no poses beyond the span of a jump.
+    """
+    if duration <= VELOCITY_TIME:
+        return stretches(time)
+    jumps = [span for span in spans if span.cause == _JUMP]
+    return stretches(time, [edge for jump in jumps for edge in (jump.start, jump.stop)])
 
 
 def find_frozen(
@@ -218,8 +235,7 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     for after in (np.flatnonzero(jumps) + 1).tolist():
         spoilt[max(after - reach, 0) : after + reach] = True
     return tuple(
-        Span(float(time[first]), float(time[last - 1]), "jumping pose")
-        for first, last in runs(spoilt)
+        Span(float(time[first]), float(time[last - 1]), _JUMP) for first, last in runs(spoilt)
     )
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.time_scale import showing_time
 from airpuck.model.model_file import nominal_model
+from airpuck.preprocessing.time_scale import showing_time
 
 
 def watched(period: float, noise: float, push: float, seed: int = 0) -> tuple[Trajectory, float]:

@@ -1,0 +1,110 @@
+"""How long a craft must be watched, and poses smoothed, until its thrust shows above their noise.
+
+Both times follow from the white noise of poses σ, their rate f and the acceleration a by a usual
+actuator at full command. They matter to craft that are slower than the paper's only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory, usual_period, vehicle_of
+from airpuck.model.model_file import nominal_model
+from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration_time, smooth
+from airpuck.preprocessing.quality import smooth_stretches
+
+#: Displacement that is clear, in standard deviations of the noise: the fits of an air-bearing
+#: satellite are best with predictions of about this length.
+_CLEAR = 50.0
+#: Longest useful times [s]: cables, slopes and draughts then weigh more than the noise of poses.
+_LONGEST, _LONGEST_SMOOTHING = 3.0, 1.0
+#: Differences of poses, which leave little of the motion, and their growth of white noise.
+_DIFFERENCES = 3
+_GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
+#: Standard deviation of the same differences of a motion whose acceleration changes at every
+#: sample, in accelerations times squared sample periods: between 1.1 and 1.5.
+_OF_MOTION = 1.5
+#: Variance of the slope of a cubic over L is 75 σ²/(f L³). Its bias where the acceleration jumps by
+#: a is 0.039 a L at the jump and less beside it; this is its usual size in a L.
+_SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
+#: Longest pause between poses that are compared, in sample periods.
+_NO_GAP = 1.5
+
+
+def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
+    """Return the time after which thrust stands out from the noise of all recordings' poses [s].
+
+    A craft of acceleration a moves by a t²/2. At most 3; 0 if recordings are too short.
+    """
+    push = usual_push(vehicle)
+    noise = (pose_noise(one.time, one.state[:, :2], push) for one in trajectories)
+    return min(math.sqrt(2 * _CLEAR * max(noise) / push), _LONGEST) if push > 0 else 0.0
+
+
+def smoothing_time(
+    time: Float[np.ndarray, " N"], position: Float[np.ndarray, "N 2"], vehicle: Vehicle
+) -> float:
+    """Return the time over which poses are smoothed for their velocity: at least 46 ms [s].
+
+    It balances the noise of the velocity and its bias where an actuator switches.
+    """
+    push = usual_push(vehicle)
+    if not push > 0 or len(time) < 2:
+        return VELOCITY_TIME
+    noise = pose_noise(time, position, push)
+    ratio = (noise / (_SLOPE_BIAS * push)) ** 2 * usual_period(time)
+    best = (1.5 * _SLOPE_NOISE * ratio) ** 0.2
+    return min(max(best, VELOCITY_TIME), _LONGEST_SMOOTHING)
+
+
+def smoothed_as_measured(
+    trajectory: Trajectory, modelled: Float[np.ndarray, "N k"]
+) -> Float[np.ndarray, "N k"]:
+    """Smooth modelled accelerations like the measured ones of a slow craft.
+
+    The usual smoothing is too short to matter.
+    """
+    time, position = trajectory.time, trajectory.state[:, :2]
+    duration = smoothing_time(time, position, vehicle_of([trajectory]))
+    if duration <= VELOCITY_TIME:
+        return modelled
+    smoothed = modelled.copy()
+    for part in smooth_stretches(time, duration, trajectory.excluded):
+        smoothed[part] = smooth(
+            time[part], modelled[part], acceleration_time(duration), trajectory.sample_period
+        )
+    return smoothed
+
+
+def usual_push(vehicle: Vehicle) -> float:
+    """Return the acceleration by a usual actuator at full command; 0 if none pushes [m/s²]."""
+    model = nominal_model(vehicle)
+    full = np.abs(np.asarray(model.dynamics.thrust).sum(axis=1))
+    each = np.hypot(*np.asarray(model.dynamics.configuration)[:2]) * full
+    return float(np.median(each[each > 0])) if each.any() else 0.0
+
+
+def pose_noise(
+    time: Float[np.ndarray, " N"], position: Float[np.ndarray, "N 2"], push: float
+) -> float:
+    """Return the standard deviation of the white noise of positions [m]; 0 if there are too few.
+
+    Differences of poses contain the motion of a craft with the acceleration `push`, too.
+    """
+    if len(time) <= _DIFFERENCES:
+        return 0.0
+    period = usual_period(time)
+    near = np.diff(time) < _NO_GAP * period
+    whole = np.lib.stride_tricks.sliding_window_view(near, _DIFFERENCES).all(axis=1)
+    steps = np.diff(position, n=_DIFFERENCES, axis=0)[whole]
+    if not len(steps):
+        return 0.0
+    # The median: jumps and blows do not count.
+    seen = float(np.median(np.abs(steps))) / 0.6745
+    motion = _OF_MOTION * push * period**2
+    return math.sqrt(max(seen**2 - motion**2, 0.0) / _GROWN)
