@@ -34,6 +34,7 @@ from airpuck.identification.retiming import (
     error_growth,
     retime_packets,
     score_derivatives,
+    smoothed_along,
     variance_of_mean,
 )
 from airpuck.identification.settings import Loss, Preparation
@@ -53,6 +54,11 @@ from airpuck.model.parameters import Parameters, fix_gauge
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
+from airpuck.preprocessing.time_scale import is_slow
+
+#: Preparations that count for errors if the first was along the nominal model: nearly all, since
+#: what poses do not tell keeps its nominal value.
+_ALONG_NOMINAL = 50
 
 
 def identify(
@@ -227,8 +233,17 @@ def leave_out_faults(solution: Solution) -> Solution:
 
 
 def retime(solution: Solution) -> Solution:
-    """Move packets to the arrival times under a first fit's model, then under a second fit's."""
-    for _ in range(solution.problem.retimings):
+    """Move packets to the arrival times under a first fit's model, then under a second fit's.
+
+    Long smoothing spreads every switch of an actuator, which looks like a lag. So the poses of a
+    slow craft are smoothed along the nominal model before the first fit.
+    """
+    problem = solution.problem
+    if problem.retimings and any(map(is_slow, solution.trajectories)):
+        nominal = problem.model(problem.start)
+        along = tuple(smoothed_along(one, nominal) for one in solution.trajectories)
+        solution = replace(solution, retimed=along)
+    for _ in range(problem.retimings):
         solution = solution.prefit()
         _, _, model = solution.result
         retimed, packets = retime_packets(solution.trajectories, model)
@@ -296,11 +311,13 @@ def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Unce
     if solution.problem.loss.robust:
         added = information_of_weights(*loss.window_gradients(parameters))
         known = grown(known, information_growth(quadratic.hessian, added, space.basis))
-    if any(map(len, packets)) and np.isfinite(known.standard_errors).any():
+    rounds = solution.problem.retimings
+    along = rounds > 0 and any(map(is_slow, solution.trajectories))
+    if (any(map(len, packets)) or along) and np.isfinite(known.standard_errors).any():
         mixed, hessian = score_derivatives(
             loss, solution.trajectories, model, packets, known.standard_errors
         )
-        rounds = solution.problem.retimings
+        rounds = _ALONG_NOMINAL if along else rounds
         known = grown(known, error_growth(mixed, hessian, space.basis, rounds))
     if model.delay_jitter is None:
         return known

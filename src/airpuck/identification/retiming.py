@@ -30,7 +30,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import smooth_stretches
-from airpuck.preprocessing.time_scale import smoothing_time
+from airpuck.preprocessing.time_scale import is_slow, smoothing_time
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9
@@ -51,7 +51,8 @@ def retime_packets(
     """Move commands to their arrival times, and smooth velocities with the model."""
     delays = tuple(packet_delays(trajectory, model) for trajectory in trajectories)
     if not float(model.dynamics.motor_time_constant) > 0:
-        return tuple(trajectories), delays
+        slow = (smoothed_along(one, model) if is_slow(one) else one for one in trajectories)
+        return tuple(slow), delays
     spread = spread_of(delays)
     prepared = (
         smoothed_along(retimed(trajectory, found, spread), model)

@@ -62,6 +62,12 @@ def smoothing_time(
     return min(max(best, VELOCITY_TIME), _LONGEST_SMOOTHING)
 
 
+def is_slow(trajectory: Trajectory) -> bool:
+    """Return whether the poses of a recording were smoothed for longer than usual."""
+    position, vehicle = trajectory.state[:, :2], vehicle_of([trajectory])
+    return smoothing_time(trajectory.time, position, vehicle) > VELOCITY_TIME
+
+
 def smoothed_as_measured(
     trajectory: Trajectory, modelled: Float[np.ndarray, "N k"]
 ) -> Float[np.ndarray, "N k"]:
