@@ -1,45 +1,103 @@
-"""The time in which thrust shows above noise."""
+"""The times for which a craft must be watched, and its poses smoothed."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airpuck.craft.vehicle import default_vehicle
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.model.model_file import nominal_model
-from airpuck.preprocessing.time_scale import showing_time
+from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration, velocity
+from airpuck.preprocessing.time_scale import patience, showing_time, smoothing_time
+
+PAPER = default_vehicle()
 
 
-def watched(period: float, noise: float, push: float, seed: int = 0) -> tuple[Trajectory, float]:
-    """One motor switches on and off; its acceleration while on is `push` times the nominal one."""
+def pushing(push: float) -> Vehicle:
+    """A craft whose actuators accelerate it by `push` at full command [m/s²]."""
+    nominal = PAPER.nominal.model_copy(update={"thrust_N": (push * PAPER.mass_kg,)})
+    return PAPER.model_copy(update={"nominal": nominal})
+
+
+def watched(period: float, noise: float, push: float, seed: int = 0) -> Trajectory:
+    """A motion with the acceleration ± push along x, which changes at random, and noise."""
     rng = np.random.default_rng(seed)
-    vehicle = default_vehicle()
-    matrix = np.asarray(nominal_model(vehicle).dynamics.configuration)[:2, 0]
     time = period * np.arange(2000)
-    command = np.zeros((len(time), 6))
-    command[:, 0] = push * np.repeat(rng.integers(0, 2, 200), 10)
-    force = vehicle.nominal_thrust[0] @ command[:, 0] ** np.arange(1, 4)[:, None]
-    acceleration = force[:, None] * matrix
-    position = period**2 * np.cumsum(np.cumsum(acceleration, axis=0), axis=0)
+    moved = period**2 * np.cumsum(np.cumsum(push * np.repeat(rng.choice([-1, 1], 200), 10)))
     state = np.zeros((len(time), 6))
-    state[:, :2] = position + noise * rng.normal(size=position.shape)
-    flight = Trajectory(
+    state[:, :2] = np.stack([moved, 0 * moved], axis=1) + noise * rng.normal(size=(len(time), 2))
+    return Trajectory(
         time=time,
         state=state,
         acceleration=np.zeros((len(time), 3)),
         command_time=time,
-        command=command,
-        propellers=vehicle.propeller_names,
+        command=np.zeros((len(time), 6)),
+        propellers=PAPER.propeller_names,
     )
-    return flight, float(np.sqrt(np.mean(np.sum(acceleration**2, axis=1)) / 2))
 
 
-@pytest.mark.parametrize("noise", [1e-3, 1e-2])
-def test_the_time_is_that_of_fifty_standard_deviations(noise):
-    flight, usual = watched(0.02, noise, 0.3)
-    expected = np.sqrt(2 * 50 * noise / usual)
-    assert showing_time(flight, default_vehicle()) == pytest.approx(min(expected, 3.0), rel=0.05)
+@pytest.mark.parametrize(("noise", "push"), [(1e-4, 0.02), (1e-2, 0.02), (1e-2, 1.0)])
+def test_the_time_is_that_of_fifty_standard_deviations(noise, push):
+    expected = np.sqrt(2 * 50 * noise / push)
+    found = showing_time([watched(0.02, noise, push)], pushing(push))
+    assert found == pytest.approx(min(expected, 3.0), rel=0.1)
 
 
 def test_motion_between_rare_poses_is_no_noise():
-    flight, _ = watched(0.125, 0.0, 1.0)
-    assert showing_time(flight, default_vehicle()) < 0.05
+    assert showing_time([watched(0.125, 0.0, 1.0)], pushing(1.0)) < 0.05
+
+
+def test_pauses_between_poses_are_no_noise():
+    flight = watched(0.02, 1e-4, 0.02)
+    kept = np.random.default_rng(1).random(len(flight)) > 0.1
+    thinned = replace(
+        flight,
+        time=flight.time[kept],
+        state=flight.state[kept],
+        acceleration=flight.acceleration[kept],
+    )
+    whole = showing_time([flight], pushing(0.02))
+    assert showing_time([thinned], pushing(0.02)) == pytest.approx(whole, rel=0.1)
+
+
+def test_the_noisiest_recording_counts():
+    flights = [watched(0.02, noise, 0.02) for noise in (1e-4, 4e-4)]
+    assert showing_time(flights, pushing(0.02)) == showing_time(flights[1:], pushing(0.02))
+
+
+def test_the_smoothing_of_the_papers_craft_does_not_change():
+    flight = watched(1 / 240, 7e-5, 3.0)
+    assert smoothing_time(flight.time, flight.state[:, :2], PAPER) == VELOCITY_TIME
+    assert patience(PAPER) == patience(pushing(30.0)) == 1.0
+
+
+@pytest.mark.parametrize(("noise", "push"), [(5e-5, 0.0125), (2e-4, 0.1), (1e-3, 0.1)])
+def test_smoothing_is_near_the_best_for_velocities(noise, push):
+    period, hold = 1 / 100, 2.0
+    rng = np.random.default_rng(0)
+    time = period * np.arange(30_000)
+    signs = np.repeat(rng.choice([-1, 1], len(time)), round(hold / period))[: len(time)]
+    truth = period * (np.cumsum(push * signs) - push * signs / 2)
+    moved = period * np.cumsum(truth + push * signs * period / 2)
+    position = np.stack([moved, 0 * moved], axis=1) + noise * rng.normal(size=(len(time), 2))
+    truth = np.gradient(moved, time)
+
+    def error(duration: float) -> float:
+        found = velocity(time, position, period, duration)[:, 0]
+        return float(np.sqrt(np.mean((found - truth) ** 2)))
+
+    chosen = smoothing_time(time, position, pushing(push))
+    assert error(chosen) < 1.5 * min(error(d) for d in np.geomspace(0.05, 1.0, 8))
+
+
+def test_long_smoothing_keeps_cubics_on_uneven_samples():
+    time = np.cumsum(np.random.default_rng(2).uniform(0.01, 0.02, 300))
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.3])
+    values = cubic(time)[:, None]
+    for found, order in ((velocity, 1), (acceleration, 2)):
+        expected = cubic.deriv(order)(time)[:, None]
+        np.testing.assert_allclose(found(time, values, 0.015, 0.3), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_patience_grows_with_the_time_for_a_centimetre():
+    assert patience(pushing(0.02)) == pytest.approx(1.0 / 0.075)

@@ -65,9 +65,6 @@ def evaluate(
     chosen = replace(chosen, prediction_time=max(needed, chosen.prediction_time))
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said, since = verdict(judged, trajectory, found), better_from(found, trajectory)
-    longest = len(found.errors) * found.sample_period
-    beats = f"better than constant velocity from {since:.2g} s on" if since else "not better"
-    helps = f"positions up to {longest:.2g} s ahead: {beats}"
     page = None
     if output is not None:
         from airpuck.report.evaluation_report import evaluation_report
@@ -77,12 +74,14 @@ def evaluate(
     figures = {
         **found.to_json(),
         "constant_velocity": coasting(found, trajectory).to_json(),
-        "better_from_s": since,
+        **since.to_json(),
         "name": model,
         "verdict": said.to_json(),
         **left_out_json(trajectory),
     }
-    report(figures, json_file, *said.sentences, *shown, helps, left_out_words(trajectory), page)
+    report(
+        figures, json_file, *said.sentences, *shown, str(since), left_out_words(trajectory), page
+    )
 
 
 @app.command(rich_help_panel=PANEL)

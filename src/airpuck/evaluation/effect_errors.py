@@ -23,9 +23,10 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.thrust import thrust
+from airpuck.preprocessing.time_scale import patience, showing_time
 
-#: Time before and after the present of a window [s]. Jitter of the radio biases accelerations by 3
-#: % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
+#: Time before and after the present of a window [s]; the latter is longer for a slow craft. Jitter
+#: of the radio biases accelerations by 3 % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
 _PAST_S, _AHEAD_S = 40 / 240, 0.4
 #: Step of the finite differences in transport delay and lag [s].
 _STEP_S = 1e-3
@@ -33,7 +34,7 @@ _STEP_S = 1e-3
 #: fraction of full thrust by which a curve bends [1], other accelerations [m/s², rad/s²] and those
 #: per speed [1/s].
 _EFFECT_UNIT, _TIME_UNIT, _BEND_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.2, 0.1
-#: Length of the blocks of time behind the standard errors [s], and the fewest blocks.
+#: Least length of the blocks of time behind the standard errors [s], and the fewest blocks.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
 #: A motor whose modelled full thrust is below this fraction of the median gets the median curve: a
 #: motor that the model takes for dead may run.
@@ -76,18 +77,21 @@ class EffectErrors:
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     """Estimate the systematic errors of a model; None if the recording is too short."""
     before = trajectory.steps(_PAST_S, least=2)
-    ahead = trajectory.steps(_AHEAD_S)
+    # A slow craft shows its thrust later.
+    lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle))
+    ahead = trajectory.steps(lasting)
     count = len(trajectory.window_starts(before + ahead, ahead))
-    if count * _AHEAD_S < _FEWEST_BLOCKS * _BLOCK_S:
+    block = max(_BLOCK_S, 2 * lasting)
+    if count * lasting < _FEWEST_BLOCKS * block:
         return None
     windows = make_windows(trajectory, before, ahead, stride=ahead)
     # Poses are linear in small delays only: the second pass starts where the first ended.
-    first = _estimated(model, windows, 0.0)
-    found = _estimated(model, windows, first.later)
+    first = _estimated(model, windows, 0.0, block)
+    found = _estimated(model, windows, first.later, block)
     return replace(found, later=first.later + found.later)
 
 
-def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
+def _estimated(model: Model, windows: Windows, moved: float, block: float) -> EffectErrors:
     """Estimate the errors of a model whose transport delay is `moved` [s]."""
     curves = _curves(model)
     columns, values = _regression(model, curves, windows, moved)
@@ -97,7 +101,7 @@ def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
     units = np.concatenate(
         [
             _EFFECT_UNIT * np.tile([force, force, moment], n),
-            np.full(2, _TIME_UNIT),
+            np.full(2, patience(model.vehicle) * _TIME_UNIT),
             np.full(n, _BEND_UNIT),
             np.full(columns.shape[2] - (_PER_MOTOR + 1) * n - 2, _OTHER_UNIT),
         ]
@@ -105,7 +109,7 @@ def _estimated(model: Model, windows: Windows, moved: float) -> EffectErrors:
     spread = np.maximum(np.sqrt(np.mean(values**2, axis=0)), 1e-12)
     period = windows.trajectories[0].sample_period
     estimate, covariance, _ = block_regression(
-        columns * units / spread[:, None], values / spread, period, _BLOCK_S
+        columns * units / spread[:, None], values / spread, period, block
     )
     told = _TOLD * values.shape[1] * len(windows)
     covariance *= told / max(told - len(units), 1)

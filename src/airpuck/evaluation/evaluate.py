@@ -21,7 +21,7 @@ from airpuck.data.trajectory import Trajectory, as_trajectories, check_propeller
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder
-from airpuck.evaluation.statistical_tests import BLOCK_S, rmse_interval
+from airpuck.evaluation.statistical_tests import BLOCK_S, redrawn_means, rmse_interval
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics, rollout
 
@@ -297,18 +297,61 @@ def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
     )
 
 
-def better_from(evaluation: Evaluation, trajectory: Trajectory) -> float | None:
-    """Return the horizon from which positions are predicted better than by coasting [s].
+@dataclass(frozen=True)
+class BetterFrom(Result):
+    """The horizon from which positions are predicted better than by coasting."""
 
-    None if a craft that coasts is predicted as well at the longest horizon.
-    """
-    model, idle = (
-        np.mean(one.errors[:, :2] ** 2, axis=(1, 2))
+    JSON = "better_from_s=since better_from_interval_95_s=interval"
+
+    #: The horizon; None if a craft that coasts is predicted as well at the longest one [s].
+    since: float | None
+    #: 95 % interval by block bootstrap; an end beyond the longest horizon is None. None if the
+    #: recording is too short [s].
+    interval: tuple[float | None, float | None] | None
+    #: Longest horizon [s].
+    longest: float
+
+    def __str__(self) -> str:
+        """Describe the result in a sentence."""
+        begun = f"positions up to {self.longest:.2g} s ahead: "
+        begun += "not better" if self.since is None else "better"
+        begun += " than constant velocity" + (f" from {self.since:.2g} s on" if self.since else "")
+        if self.interval is None:
+            return begun
+        low, high = self.interval
+        if low is None:
+            return begun + f" (with 95 % confidence not before {self.longest:.2g} s)"
+        end = f"{high:.2g} s" if high else f"beyond {self.longest:.2g} s"
+        return begun + f" (95 % interval {low:.2g} s to {end})"
+
+
+def better_from(evaluation: Evaluation, trajectory: Trajectory) -> BetterFrom:
+    """Return the horizon from which positions are predicted better than by coasting."""
+    period, steps = evaluation.sample_period, len(evaluation.errors)
+    squares = [
+        np.sum(one.errors[:, :2] ** 2, axis=1)
         for one in (evaluation, coasting(evaluation, trajectory))
-    )
-    worse = np.flatnonzero(model >= idle)
-    first = int(worse[-1]) + 1 if len(worse) else 0
-    return (first + 1) * evaluation.sample_period if first < len(model) else None
+    ]
+
+    def first(means: Float[np.ndarray, "S D"]) -> Float[np.ndarray, " D"]:
+        """Return the first of the last steps that are all better; infinite if there is none."""
+        model, idle = np.split(means, 2)
+        last = np.where(model >= idle, np.arange(1, steps + 1)[:, None], 0).max(axis=0)
+        return np.where(last < steps, (last + 1) * period, np.inf)
+
+    together = np.concatenate(squares)
+    drawn = redrawn_means(together, evaluation.start)
+    since = _finite(float(first(together.mean(axis=1, keepdims=True))[0]))
+    interval = None
+    if drawn is not None:
+        low, high = np.quantile(first(drawn), [0.025, 0.975], method="nearest").tolist()
+        interval = _finite(low), _finite(high)
+    return BetterFrom(since, interval, steps * period)
+
+
+def _finite(number: float) -> float | None:
+    """Return a number, or None for infinity."""
+    return number if np.isfinite(number) else None
 
 
 def _samples(trajectory: Trajectory, protocol: Protocol) -> tuple[int, int]:

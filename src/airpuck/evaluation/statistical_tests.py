@@ -211,6 +211,24 @@ def log_mean_square_errors(
     return np.atleast_2d(np.cov(drawn)) * count / (count - 1), count - 1
 
 
+def redrawn_means(
+    values: Float[np.ndarray, "C W"], start: Float[np.ndarray, " W"]
+) -> Float[np.ndarray, "C D"] | None:
+    """Return means over moving blocks of time that are drawn with replacement; None if too few.
+
+    All rows are drawn together; see `log_mean_square_errors`.
+    """
+    count, length = blocks(start), _block_length(start)
+    if count < FEWEST_BLOCKS:
+        return None
+    sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
+    of_block = (sums[:, length:] - sums[:, :-length]) / length
+    places = of_block.shape[1]
+    chosen = np.random.default_rng(0).integers(places, size=(_DRAWS, round(count)))
+    often = np.stack([np.bincount(draw, minlength=places) for draw in chosen], axis=1)
+    return of_block @ often / chosen.shape[1]
+
+
 def rmse_interval(
     errors: Float[np.ndarray, "C W"], start: Float[np.ndarray, " W"]
 ) -> Float[np.ndarray, "2 C"]:

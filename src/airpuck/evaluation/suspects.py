@@ -8,9 +8,11 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.delay import visible_delay
+from airpuck.preprocessing.time_scale import patience
 
 #: Longest transport delay that is plausible without further knowledge, and the largest excess over
-#: the vehicle file's delay [s]: as large as the error of the response time that control tolerates.
+#: the vehicle file's delay [s]: as large as the error of the response time that control
+#: tolerates; for a slow craft, each is larger by its `patience`.
 _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
@@ -33,7 +35,9 @@ def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = Tr
         return []
     counts = model.delay_learned and determined
     learned = model.transport_delay if counts else seen
-    longest = max(_LONGEST_DELAY, model.vehicle.nominal.transport_delay_s + _DELAY_ABOVE)
+    bears = patience(model.vehicle)
+    stated = model.vehicle.nominal.transport_delay_s
+    longest = max(bears * _LONGEST_DELAY, stated + bears * _DELAY_ABOVE)
     # The recording determines the delay in whole samples.
     if learned <= 0 or seen < -trajectory.sample_period:
         return [

@@ -10,7 +10,9 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
+from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.time_scale import smoothed_as_measured
+from airpuck.preprocessing.window_regression import LEVEL, regress_windows
 
 #: Longest delay that the search covers.
 LONGEST_S = numbers.DELAY.high
@@ -27,6 +29,14 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
     if correlation < _CAUSED or not trajectory.delay_known:
         return None
     return trajectory.delay + shift * trajectory.sample_period
+
+
+def commands_explain(trajectory: Trajectory, dynamics: Dynamics) -> bool:
+    """Return whether commands explain the motion beyond chance, however small their share."""
+    speed = motor_speeds(trajectory.time, trajectory.input, float(dynamics.motor_time_constant))
+    forces, effects = thrust(dynamics.thrust, speed.T), np.asarray(dynamics.configuration)
+    found = regress_windows(trajectory, forces, effects, LONGEST_S)
+    return found is not None and found.p_value < LEVEL
 
 
 def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:

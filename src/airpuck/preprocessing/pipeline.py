@@ -18,7 +18,7 @@ from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import Aligned, align_clocks
-from airpuck.preprocessing.delay import estimate_delay
+from airpuck.preprocessing.delay import commands_explain, estimate_delay
 from airpuck.preprocessing.derivative import (
     acceleration,
     shortest_stretch,
@@ -241,7 +241,8 @@ def _compensate_delay(
                 f"the motion precedes the commands by {-samples} samples; no delay was "
                 "compensated: check the clocks of both streams"
             )
-        if correlation < _WEAK_CORRELATION:
+        # A low correlation may be noise: windows tell whether commands cause the motion.
+        if correlation < _WEAK_CORRELATION and not commands_explain(trajectory, nominal):
             warnings.append(
                 f"the commands explain little of the motion (correlation {correlation:.2f}): "
                 "check motor order and signs with `airpuck check`"

@@ -32,6 +32,9 @@ _OF_MOTION = 1.5
 #: Variance of the slope of a cubic over L is 75 σ²/(f L³). Its bias where the acceleration jumps by
 #: a is 0.039 a L at the jump and less beside it; this is its usual size in a L.
 _SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
+#: A distance [m], and the time that a craft may take for it without being called slow [s]: the
+#: paper's takes 65 ms.
+_CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
 #: Longest pause between poses that are compared, in sample periods.
 _NO_GAP = 1.5
 
@@ -85,6 +88,16 @@ def smoothed_as_measured(
             time[part], modelled[part], acceleration_time(duration), trajectory.sample_period
         )
     return smoothed
+
+
+def patience(vehicle: Vehicle) -> float:
+    """Return by what factor a craft bears larger errors of time than the paper's: at least 1.
+
+    An error of time costs a slow craft less: its controllers act over longer times, in proportion
+    to the time in which an actuator at full command moves it by a centimetre.
+    """
+    push = usual_push(vehicle)
+    return max(1.0, math.sqrt(2 * _CENTIMETRE / push) / _USUAL_MOVE) if push > 0 else 1.0
 
 
 def usual_push(vehicle: Vehicle) -> float:
