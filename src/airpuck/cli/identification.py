@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
+    from airpuck.faults.strengths import Strengths
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.method import Method
     from airpuck.identification.selection import Selection
@@ -164,7 +165,7 @@ def identify(
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
     from airpuck.data.trajectory import vehicle_of
-    from airpuck.faults.strengths import usual_rung
+    from airpuck.faults.strengths import actuator_strengths, usual_rung
     from airpuck.identification.bootstrap import bootstrap as resample
     from airpuck.identification.selection import LADDER
     from airpuck.model.rungs import named_rung
@@ -191,10 +192,11 @@ def identify(
             fit = resample(fit, bootstrap, seed=seed, progress=partial(tell, total=bootstrap))
     fit.model.save(output)
     found = None if other is None else airpuck.evaluate(fit.model, other)
+    strengths = actuator_strengths(fit.model, trajectories[0])
     if report_folder is not None:
-        _write_report(fit, trajectories, other, found, selection, report_folder)
+        _write_report(fit, trajectories, other, found, selection, strengths, report_folder)
     warn(fit.warnings, quiet)
-    said, judged, figures = _judged(fit, trajectories, other, found)
+    said, judged, figures = _judged(fit, strengths, trajectories, other, found)
     tried = _ladder_summary(selection) if selection else ()
     figures.update({"selection": selection.to_json()} if selection else {})
     told = *tried, *said, *judged, *_fit_summary(fit, verbose), output
@@ -202,16 +204,16 @@ def identify(
 
 
 def _judged(
-    fit: Fit, training: Sequence[Trajectory], other: Trajectory | None, found: Evaluation | None
+    fit: Fit,
+    strengths: Strengths,
+    training: Sequence[Trajectory],
+    other: Trajectory | None,
+    found: Evaluation | None,
 ) -> tuple[list[str], list[Table], dict[str, Any]]:
     """Judge a fit: lines, tables, and figures for JSON."""
-    from airpuck.faults.strengths import actuator_strengths
     from airpuck.twin.verdict import verdict
 
-    judged, strengths = (
-        verdict(fit.model, other or training[0], found),
-        actuator_strengths(fit.model, training[0]),
-    )
+    judged = verdict(fit.model, other or training[0], found)
     said = [*judged.sentences, *strengths.sentences]
     figures = {**fit.to_json(), "verdict": judged.to_json(), "strengths": strengths.to_json()}
     if found is None or other is None:
@@ -300,6 +302,7 @@ def _write_report(
     other: Trajectory | None,
     found: Evaluation | None,
     selection: Selection | None,
+    strengths: Strengths,
     folder: Path,
 ) -> None:
     """Write a page on a fit, its predictions of another recording, and its selection."""
@@ -308,7 +311,9 @@ def _write_report(
 
     judged = None if other is None or found is None else JudgedModels(other, (found,))
     more = () if selection is None else (selection_section(selection),)
-    fit_report(fit, training, folder, judged=judged, more=more, origin=origin())
+    fit_report(
+        fit, training, folder, judged=judged, more=more, strengths=strengths, origin=origin()
+    )
 
 
 def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:

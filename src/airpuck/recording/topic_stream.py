@@ -190,7 +190,7 @@ def may_hold(stream: str, topic: TopicLog) -> bool:
 def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tuple[Stream, bool]:
     """Decode one topic, and report whether its messages carry their times."""
     msgtype = topic.msgtype
-    own = _own(stream, msgtype, mapping)
+    own = section_of(stream, msgtype, mapping)
     if stream not in COMMANDS and not (msgtype in PATHS[stream] or getattr(own, "position", ())):
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
@@ -202,7 +202,7 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     def read(paths: Sequence[str]) -> Decoded:
         return decode(topic.messages, types, msgtype, paths)
 
-    return stream_of(stream, msgtype, flatten(types, msgtype), read, received, mapping)
+    return stream_of(stream, msgtype, flatten(types, msgtype), read, received, own)
 
 
 def stream_of(
@@ -211,10 +211,9 @@ def stream_of(
     fields: Sequence[Field],
     read: Callable[[Sequence[str]], Decoded],
     received: Int64[np.ndarray, " N"],
-    mapping: RecordingMapping,
+    own: PoseMapping | CommandMapping,
 ) -> tuple[Stream, bool]:
     """Convert the fields that `read` decodes to a stream; report whether messages carry times."""
-    own = _own(stream, msgtype, mapping)
     usual = PATHS.get(stream, {}).get(msgtype, ())
     if isinstance(own, PoseMapping):
         names, convert = _pose_plan(usual, own)
@@ -248,7 +247,9 @@ def _is_number(name: str, codes: Mapping[str, str]) -> bool:
     return bool(_number(code)) and (code[0] == "<") == (entry is None)
 
 
-def _own(stream: str, msgtype: str, mapping: RecordingMapping) -> PoseMapping | CommandMapping:
+def section_of(
+    stream: str, msgtype: str, mapping: RecordingMapping
+) -> PoseMapping | CommandMapping:
     """Return the mapping's section for a stream, completed by its type."""
     section = CommandMapping()
     if stream in POSES:

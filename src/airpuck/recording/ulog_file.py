@@ -23,7 +23,7 @@ from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
 from airpuck.recording.mapping import ENTRY, RecordingMapping
 from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topic_stream import stream_of
+from airpuck.recording.topic_stream import section_of, stream_of
 
 ULOG = ".ulg"
 #: Default topics: the first one that the log has. Motion capture comes before PX4's own estimates.
@@ -113,7 +113,9 @@ def _stream(
         raise ValueError("has no timestamp")
     arrived = found["timestamp"].astype(np.int64) * _MICROSECOND_NS
     read = partial(_chosen, found)
-    return stream_of(stream, _TYPES.get(topic, topic), fields, read, arrived, mapping)[0]
+    msgtype = _TYPES.get(topic, topic)
+    own = section_of(stream, msgtype, mapping)
+    return stream_of(stream, msgtype, fields, read, arrived, own)[0]
 
 
 def _chosen(found: Mapping[str, np.ndarray], paths: Sequence[str]) -> dict[str, np.ndarray]:

@@ -15,7 +15,7 @@ from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
-from airpuck.faults.strengths import actuator_strengths
+from airpuck.faults.strengths import Strengths, actuator_strengths
 from airpuck.identification.fit_result import Fit, knowledge_words
 from airpuck.identification.selection import (
     SELECTION_HEADINGS,
@@ -243,6 +243,7 @@ def fit_report(
     truth: Model | None = None,
     title: str | None = None,
     more: Sequence[PageSection] = (),
+    strengths: Strengths | None = None,
     origin: Origin | None = None,
 ) -> Path:
     """Write a report on one or several fits.
@@ -263,6 +264,8 @@ def fit_report(
         By default the name of the craft.
     more : sequence of PageSection, optional
         Sections to add at the end.
+    strengths : Strengths, optional
+        Of the last fit's actuators; by default from `actuator_strengths`.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -290,7 +293,7 @@ def fit_report(
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    strengths = actuator_strengths(last.model, training)
+    strengths = strengths or actuator_strengths(last.model, training)
     short = _verdicts(fits, judged, training)
     if strengths.sentences:
         short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))
