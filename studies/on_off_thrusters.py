@@ -75,7 +75,8 @@ def identified(craft: str, flights: int, duration: float, first: int) -> None:
         error = found.to_vector() - truth.to_vector()
         labels = np.array(found.labels(model.vehicle.propeller_names))
         inside = np.abs(error) <= known.quantile * known.standard_errors
-        covered += inside[fit.model.free].tolist()
+        told = fit.model.free & np.isfinite(known.standard_errors)
+        covered += inside[told].tolist()
         force = 100 * (found.thrust / truth.thrust - 1).ravel()
         late = found.transport_delay - truth.transport_delay
         slow = found.motor_time_constant - truth.motor_time_constant
@@ -86,7 +87,7 @@ def identified(craft: str, flights: int, duration: float, first: int) -> None:
             f"{1e3 * late:+.1f} ± {deviation[0]:.1f} ms, lag {1e3 * slow:+.1f} ms, "
             f"both {1e3 * (late + slow):+.2f} ms; inertia "
             f"{100 * (found.inertia / truth.inertia - 1):+.2f} %; outside their intervals: "
-            f"{', '.join(labels[~inside & fit.model.free]) or 'none'}; {np.sum(covered)} of "
+            f"{', '.join(labels[~inside & told]) or 'none'}; {np.sum(covered)} of "
             f"{len(covered)} intervals hold ({time.perf_counter() - begun:.0f} s)",
             flush=True,
         )

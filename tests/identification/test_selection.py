@@ -75,7 +75,7 @@ def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
 @pytest.mark.slow
 def test_no_sample_is_both_learned_from_and_predicted(plain, monkeypatch):
     loss = Loss()
-    held_out = _HeldOut.of([plain], loss, 5)
+    held_out = _HeldOut.of([plain], loss, TRUTH.vehicle, 5)
     windows = held_out.windows
     length = windows.encoder_length + windows.prediction_length
     learned = []

@@ -19,8 +19,8 @@ from airpuck.physics.thrust import lowest_slope, slope_rows
 #: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
 #: Distance from a bound that makes no difference, in units in which the Hessian has a unit
-#: diagonal.
-_TOUCHES = 1e-7
+#: diagonal, and at most this fraction of the range: a short lag seems to have no influence.
+_TOUCHES, _TOUCHES_AT_MOST = 1e-7, 1e-3
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,9 @@ class _StepProgram:
                 damped, gradient * scale, by_step, least, lower / scale, upper / scale
             )
             # A solver stops just inside a bound: move the result onto it.
-            found = np.where(found < lower + _TOUCHES * scale, lower, found)
-            step[free] = np.where(found > upper - _TOUCHES * scale, upper, found)
+            near = np.minimum(_TOUCHES * scale, _TOUCHES_AT_MOST * (upper - lower))
+            found = np.where(found < lower + near, lower, found)
+            step[free] = np.where(found > upper - near, upper, found)
             if not self._slopes.cut((point + step)[:n].reshape(self._shape)):
                 return step
 
