@@ -135,6 +135,7 @@ def test_imports_go_downwards():
                 "hockey",
                 "identification",
                 "planning",
+                "preprocessing",
                 "twin",
             },
         ),

@@ -15,7 +15,12 @@ from jaxtyping import Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, usual_period, vehicle_of
 from airpuck.model.model_file import nominal_model
-from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration_time, smooth
+from airpuck.preprocessing.derivative import (
+    VELOCITY_TIME,
+    acceleration_time,
+    shortest_stretch,
+    smooth,
+)
 from airpuck.preprocessing.quality import smooth_stretches
 
 #: Displacement that is clear, in standard deviations of the noise: the fits of an air-bearing
@@ -83,10 +88,11 @@ def smoothed_as_measured(
     if duration <= VELOCITY_TIME:
         return modelled
     smoothed = modelled.copy()
+    period = trajectory.sample_period
     for part in smooth_stretches(time, duration, trajectory.excluded):
-        smoothed[part] = smooth(
-            time[part], modelled[part], acceleration_time(duration), trajectory.sample_period
-        )
+        if len(time[part]) >= shortest_stretch(period):
+            lasting = acceleration_time(duration)
+            smoothed[part] = smooth(time[part], modelled[part], lasting, period)
     return smoothed
 
 

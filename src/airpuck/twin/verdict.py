@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
@@ -21,7 +21,7 @@ from airpuck.evaluation.evaluate import Evaluation, coasting
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect
-from airpuck.model.model_file import Model
+from airpuck.model.model_file import Model, nominal_model
 from airpuck.preprocessing.time_scale import patience
 from airpuck.twin.rehearsal import failures
 
@@ -38,6 +38,9 @@ _JUDGED_RESPONSE = 0.006
 #: Lowest acceptable maximum of each motor's commands, relative to the largest: thrusts beyond are
 #: an extrapolation of the curve.
 _REACHED = 0.6
+#: Nominal acceleration, relative to that in the best direction, up to which a craft is not built to
+#: accelerate in a direction.
+_ABLE = 0.05
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
 #: Correlation of motor lag and transport delay below which the data determine only their sum.
@@ -111,6 +114,13 @@ class _Evidence:
         return None if self.trajectory is None else effect_errors(self.model, self.trajectory)
 
     @cached_property
+    def able(self) -> Bool[np.ndarray, " 6"]:
+        """The directions in which the craft is built to accelerate; others are not judged."""
+        most = largest_acceleration(nominal_model(self.model.vehicle))
+        best = np.repeat([most[:4].max(), most[4:].max()], [4, 2])
+        return most > _ABLE * best
+
+    @cached_property
     def by_chance(self) -> tuple[Float[np.ndarray, " 6"], float]:
         """Standard errors of the fit: of the largest accelerations, and the response time [s]."""
         if self.model.known is None:
@@ -119,6 +129,7 @@ class _Evidence:
         relative = np.where(np.isfinite(error), error, np.inf)
         relative /= np.maximum(largest_acceleration(self.model), 1e-12)
         response = float(self.model.standard_error(_response_time))
+        relative = np.where(self.able, relative, 0.0)
         return relative, response if np.isfinite(response) else np.inf
 
     @cached_property
@@ -127,7 +138,8 @@ class _Evidence:
         (chance, response), effects = self.by_chance, self.effects
         if effects is None:
             return chance, response
-        return np.hypot(chance, effects.push), float(np.hypot(response, effects.later))
+        push = np.where(self.able, effects.push, 0.0)
+        return np.hypot(chance, push), float(np.hypot(response, effects.later))
 
     @cached_property
     def missed(self) -> Float[np.ndarray, " 3"] | None:
@@ -244,12 +256,13 @@ def _quiet(evidence: _Evidence) -> list[str]:
     effects, trajectory = evidence.effects, evidence.trajectory
     if effects is None or trajectory is None:
         return [f"The recording is too short to judge a model by it. {fly}"]
-    worst = int(np.argmax(effects.push_error))
+    error = np.where(evidence.able, effects.push_error, 0.0)
+    worst = int(np.argmax(error))
     found = []
-    if effects.push_error[worst] > ACCELERATION_LIMIT:
+    if error[worst] > ACCELERATION_LIMIT:
         found.append(
             f"The recording determines the largest acceleration {_way(worst)} to "
-            f"{percent(float(effects.push_error[worst]))} only; {percent(ACCELERATION_LIMIT)} are "
+            f"{percent(float(error[worst]))} only; {percent(ACCELERATION_LIMIT)} are "
             "needed."
         )
     judged = patience(evidence.model.vehicle) * _JUDGED_RESPONSE
