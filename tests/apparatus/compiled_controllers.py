@@ -81,15 +81,22 @@ class CompiledController(Pilot):
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         self._library.access_sent(self._craft, ctypes.c_double(time), self._numbers(command))
 
-    def step(self, time: float) -> Step:
+    def targets(self, time: float) -> np.ndarray:
+        """Return the targets of a step, one in each row."""
         wanted = course(self.reference, time, self._ahead)
         first = self.reference.at(time, float(self._ahead[0]))
-        targets = np.hstack([wanted.states, wanted.accelerations])
-        targets[0] = np.concatenate([first.state, first.acceleration])
+        rows = np.hstack([wanted.states, wanted.accelerations])
+        rows[0] = np.concatenate([first.state, first.acceleration])
+        return rows
+
+    def run(self, time: float, targets: np.ndarray, command: np.ndarray) -> int:
+        """Call the library: set the command, return the number of the status."""
+        given, result = self._numbers(targets), self._numbers(command)
+        return self._library.access_step(self._craft, ctypes.c_double(time), given, result)
+
+    def step(self, time: float) -> Step:
         command = np.zeros(self._n)
-        status = self._library.access_step(
-            self._craft, ctypes.c_double(time), self._numbers(targets), self._numbers(command)
-        )
+        status = self.run(time, self.targets(time), command)
         found = np.zeros(12 + self._n)
         self._library.access_estimate(self._craft, self._numbers(found))
         estimate = Estimate(time, found[3:9], found[12:], found[9:12])
