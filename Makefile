@@ -20,7 +20,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev live play demo test test-all test-browser lint format studies bench clean
+.PHONY: help install dev live play demo test test-all test-browser lint format docs studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -58,6 +58,9 @@ test-all: dev  ## all tests but the studies and the browser; those in real time 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py
 
+docs: dev  ## the site, in docs/_build/html; its notebooks run once and are cached
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
 studies: dev  ## the long studies; then ten minutes of the live loop on an otherwise idle machine
 	$(BIN)/python -m pytest -m study -n $(WORKERS)
 	$(BIN)/python studies/live_loop.py --duration 600
@@ -75,4 +78,4 @@ format: dev  ## let ruff rewrite what it can
 	$(BIN)/ruff format .
 
 clean:  ## remove everything that make and the tools created
-	rm -rf $(VENV) demo out dist build .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo out dist build docs/_build docs/reference .pytest_cache .ruff_cache .hypothesis

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,7 +60,7 @@ def decelerations(recordings) -> np.ndarray:
     return np.array(rows)
 
 
-def drag_laws(rows: np.ndarray) -> dict[str, dict[str, object]]:
+def drag_laws(rows: np.ndarray) -> dict[str, dict[str, Any]]:
     """Fit each law robustly; a smaller information criterion is better."""
     from scipy.optimize import least_squares
 

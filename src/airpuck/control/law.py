@@ -137,7 +137,7 @@ class Law:
     Attributes
     ----------
     stage : callable or None
-        (array namespace, state, motor speeds, disturbance, effectiveness, *inputs) to arrays; None
+        (array namespace, state, motor speeds, disturbance, effectiveness, inputs) to arrays; None
         if the law has no stage.
     inputs : tuple of array
         Inputs of the stage besides the estimate, as examples of their shapes.

@@ -153,12 +153,12 @@ class Plan(Result):
         ----------
         now : float
             Present time [s].
-        ahead : float or array, shape (*K)
+        ahead : float or array, shape (...)
             Time ahead of now [s].
 
         Returns
         -------
-        array, shape (*K, 6 + n)
+        array, shape (..., 6 + n)
             States; before the beginning the initial one, after the end the final one.
         """
         times, states = self.samples
@@ -176,12 +176,12 @@ class Plan(Result):
         ----------
         now : float
             Present time [s].
-        ahead : float or array, shape (*K)
+        ahead : float or array, shape (...)
             Time ahead of now [s].
 
         Returns
         -------
-        array, shape (*K, n)
+        array, shape (..., n)
             Commands; idle before the beginning and after the end.
         """
         time = now + ahead - self.begin

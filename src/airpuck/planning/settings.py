@@ -24,7 +24,7 @@ class Limits(Settings):
     margin : float, default 0
         Distance that the craft keeps from the rails and from discs [m].
     smoothing : float, default 0
-        Weight κ of ∫ |u'|² dt, the squared rates of the commands until the motors idle. This term
+        Weight κ of ∫ u'² dt, the squared rates of the commands until the motors idle. This term
         is added to the minimised time [s²]. A late packet does less harm to a gradual change. For
         flights use 2e-4.
 

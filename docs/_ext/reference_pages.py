@@ -1,0 +1,107 @@
+"""Sphinx extension: reference pages that are generated from the package itself."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import airpuck
+
+#: Pages outside docs/ that are part of the site, by their link.
+_OUTSIDE = {"../examples/README.md": "examples.md"}
+
+
+def setup(app: Any) -> dict[str, Any]:
+    """Generate the pages before Sphinx reads the sources."""
+    app.connect("builder-inited", _write)
+    app.connect("source-read", _relink)
+    return {"parallel_read_safe": True}
+
+
+def _write(app: Any) -> None:
+    """Write the pages whose content has changed, and remove those that are no longer there."""
+    folder = Path(app.srcdir) / "reference"
+    pages = {"api.md": _contents(), "commands.md": _commands()}
+    pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
+    folder.mkdir(exist_ok=True)
+    for path in folder.iterdir():
+        if path.name not in pages:
+            path.unlink()
+    for name, text in pages.items():
+        path = folder / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def _relink(app: Any, page: str, source: list[str]) -> None:
+    """Point links to pages that only the site has."""
+    for link, own in _OUTSIDE.items():
+        source[0] = source[0].replace(f"]({link}", f"]({own}")
+
+
+def _groups() -> dict[str, list[str]]:
+    """Group the public names by package."""
+    groups: dict[str, list[str]] = {}
+    for name in airpuck.__all__:
+        home = getattr(getattr(airpuck, name), "__module__", "airpuck.report.plot")
+        groups.setdefault(home.split(".")[1], []).append(name)
+    return dict(sorted(groups.items()))
+
+
+def _contents() -> str:
+    """List the public names with their first sentences."""
+    lines = ["# Python reference", "", "All names are attributes of `airpuck`.", ""]
+    for package, names in _groups().items():
+        lines += [f"## {package}", "", "| | |", "|---|---|"]
+        for name in names:
+            sentence = (inspect.getdoc(getattr(airpuck, name)) or "").partition("\n\n")[0]
+            sentence = " ".join(sentence.split()).replace("|", "\\|")
+            lines.append(f"| {{py:obj}}`airpuck.{name}` | {sentence} |")
+        lines.append("")
+    pages = [f"python_{package}" for package in _groups()]
+    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *pages, "```", ""])
+
+
+def _members(package: str, names: list[str]) -> str:
+    """Document the public names of a package."""
+    lines = [f"{package}", "=" * len(package), "", ".. currentmodule:: airpuck", ""]
+    for name in names:
+        found = getattr(airpuck, name)
+        if inspect.isclass(found):
+            lines += [f".. autoclass:: airpuck.{name}", "   :members:", ""]
+        elif inspect.ismodule(found):
+            lines += [f".. automodule:: {found.__name__}", "   :members:", ""]
+        else:
+            lines += [f".. autofunction:: airpuck.{name}", ""]
+    return "\n".join(lines)
+
+
+def _commands() -> str:
+    """Describe every command with all its options."""
+    from typer.main import get_command
+
+    from airpuck.cli.app import app as cli
+
+    group: Any = get_command(cli)
+    lines = ["# Command reference", "", "`airpuck COMMAND --help-all` prints the same.", ""]
+    for name, command in group.commands.items():
+        help_text = inspect.cleandoc(command.help or "")
+        lines += [f"## airpuck {name}", "", help_text, ""]
+        rows = [row for parameter in command.params if (row := _row(parameter))]
+        if rows:
+            lines += ["| | | |", "|---|---|---|", *rows, ""]
+    return "\n".join(lines)
+
+
+def _row(parameter: Any) -> str | None:
+    """Return the row of an argument or option; None for those without help."""
+    text = " ".join((getattr(parameter, "help", "") or "").split())
+    if not text:
+        return None
+    option = parameter.param_type_name == "option"
+    shown = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
+    choices = getattr(getattr(parameter, "type_descriptor", None), "choices", None) or ()
+    value = parameter.metavar or " | ".join(map(str, choices))
+    cells = (shown if option else f"`{value}`", f"`{value}`" if option and value else "", text)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

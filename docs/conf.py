@@ -1,0 +1,47 @@
+"""Configuration of the documentation's site: `make docs`."""
+
+import os
+import sys
+from pathlib import Path
+
+import airpuck
+
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+project = "airpuck"
+author = "the airpuck developers"
+version = release = airpuck.__version__
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "numpydoc",
+    "sphinx_copybutton",
+    "reference_pages",
+]
+exclude_patterns = ["_build", "_ext"]
+nitpicky = False
+
+html_theme = "furo"
+html_title = "airpuck"
+html_static_path = []
+html_theme_options = {"source_directory": "docs/"}
+html_show_sphinx = False
+# Mathematics is drawn in the browser; nothing comes from other hosts.
+mathjax_path = "mathjax/tex-svg.js"
+
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 4
+# Notebooks run when the site is built, unless nothing in them has changed.
+nb_execution_mode = os.environ.get("AIRPUCK_DOCS_NOTEBOOKS", "cache")
+nb_execution_timeout = 600  # a busy machine takes long; each page needs less than two minutes of it
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+# A notebook that is not run has no lexer.
+suppress_warnings = ["myst-nb.lexer"]
+nb_execution_in_temp = True
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+copybutton_selector = "div:not(.output) > div.highlight pre"

@@ -1,0 +1,34 @@
+"""The documentation's site builds without a warning: no dead link, no undocumented public name."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import airpuck
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path):
+    # A copy, since pages are generated into it; the notebooks run in `make docs` only.
+    shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "reference"))
+    for folder in ("examples", "studies"):
+        shutil.copytree(DOCS.parent / folder, tmp_path / folder)
+    built = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "site"],
+        cwd=tmp_path,
+        env={**os.environ, "AIRPUCK_DOCS_NOTEBOOKS": "off"},
+        capture_output=True,
+        text=True,
+    )
+    assert built.returncode == 0, built.stderr
+    pages = "".join(path.read_text() for path in (tmp_path / "site").rglob("*.html"))
+    names = {f"airpuck.{name}" for name in airpuck.__all__} - {"airpuck.plot"}  # a module
+    assert not {name for name in names if f'id="{name}"' not in pages}
+    assert 'id="airpuck.report.plot.thrust"' in pages
+    assert "https://cdn" not in pages
