@@ -29,7 +29,10 @@ def accelerations_by_motor(
     dynamics: Dynamics, state: Float[np.ndarray, "E z B"], speed: Float[np.ndarray, "E n B"]
 ) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
     """Return each motor's accelerations along measured states, and the remaining accelerations."""
-    motion = np.moveaxis(np.asarray(state)[:, 2:6], 1, 0)
+    everything = np.moveaxis(np.asarray(state), 1, 0)
+    motion = everything[2:6]
+    if dynamics.of_place:
+        motion = np.concatenate([motion, everything[:2]])
     by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
 

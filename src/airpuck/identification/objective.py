@@ -109,7 +109,8 @@ def normal_equations(
         """Accelerations, and derivatives by each argument of `accelerate`, (3, ·, B)."""
         point = force, linear, center, motion
         each = jnp.ones(batch)
-        along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), jnp.eye(4)[..., None] * each
+        moving = jnp.eye(len(motion))[..., None] * each
+        along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), moving
 
         def slopes(k: int) -> Any:
             _, push = jax.linearize(
@@ -119,24 +120,29 @@ def normal_equations(
 
         return accelerate(*point), [slopes(k) for k in range(len(point))]
 
-    # Without effects nothing depends on the velocity.
-    felt = range(4) if linear[1] else (0, 3)
+    # Without effects nothing depends on the velocity, and few effects depend on the position.
+    of_place = any(effect.of_place for effect in linear[1])
+    felt = range(6) if of_place else range(4) if linear[1] else (0, 3)
     sizes = (coefficients.size, len(basis[0]), 2, lags + 1)
     edges = list(accumulate(sizes, initial=0))
 
     # Compiled separately so that it is traced only once for all four stages.
     @jax.jit
     def rates(
-        motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any
+        motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any, *place: Any
     ) -> tuple[Any, Any]:
-        """Time derivative of (γ, vx, vy, ω), and of the sensitivities of (vx, vy, ω)."""
-        value, slopes = local(thrust(coefficients, speed), motion)
+        """Time derivative of (γ, vx, vy, ω), and of the sensitivities of (vx, vy, ω).
+
+        `place` is the position and its sensitivities, if effects depend on it.
+        """
+        everything = jnp.concatenate([motion, place[0]]) if place else motion
+        value, slopes = local(thrust(coefficients, speed), everything)
         by_force, by_direction, by_center, by_motion = slopes
         powers = jnp.stack([speed**power for power in range(1, degree + 1)], axis=1)
         by_thrust = (by_force[:, :, None] * powers).reshape(3, -1, batch)
         by_speed = by_force * thrust_slope(coefficients, speed)
         by_motor = sum(by_speed[:, None, i] * d_speed[:, i] for i in range(n))
-        d_motion = (d_yaw, *d_velocity)
+        d_motion = (d_yaw, *d_velocity, *(place[1] if place else ()))
         d_acceleration: Any = sum(by_motion[:, k, None] * d_motion[k] for k in felt)
         directly = (by_thrust, by_direction, by_center, by_motor)
         for part, (first, last) in zip(directly, pairwise(edges), strict=True):
@@ -160,13 +166,16 @@ def normal_equations(
         # As in `airpuck.physics.rigid_body.step`, with the sensitivities of every quantity.
         begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
         middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
-        k1, a1 = rates(motion, d_yaw, d_velocity, *begin)
+        there = ()
+        if of_place:
+            there = position + h / 2 * motion[1:3], d_position + h / 2 * d_velocity[:2]
+        k1, a1 = rates(motion, d_yaw, d_velocity, *begin, *there)
         d2 = d_velocity + h / 2 * a1
-        k2, a2 = rates(motion + h / 2 * k1, d_yaw + h / 2 * d_velocity[2], d2, *middle)
+        k2, a2 = rates(motion + h / 2 * k1, d_yaw + h / 2 * d_velocity[2], d2, *middle, *there)
         d3 = d_velocity + h / 2 * a2
-        k3, a3 = rates(motion + h / 2 * k2, d_yaw + h / 2 * d2[2], d3, *middle)
+        k3, a3 = rates(motion + h / 2 * k2, d_yaw + h / 2 * d2[2], d3, *middle, *there)
         d4 = d_velocity + h * a3
-        k4, a4 = rates(motion + h * k3, d_yaw + h * d3[2], d4, *end)
+        k4, a4 = rates(motion + h * k3, d_yaw + h * d3[2], d4, *end, *there)
         position += h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
         motion += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         d_pose = h * d_velocity + h**2 / 6 * (a1 + a2 + a3)

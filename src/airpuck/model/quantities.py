@@ -14,6 +14,7 @@ import numpy as np
 
 from airpuck.boundary.files import NonNegative, Positive
 from airpuck.physics.effects import (
+    Dish,
     Drag,
     Effect,
     IdleLag,
@@ -124,6 +125,9 @@ QUANTITIES = (
              default=None, effect=VoltageSag, term="sag"),
     Quantity("tilt", "tilt_rad", "rad", "sₓ, s_y", "slope of the table", Pair, bounds=(-0.5, 0.5),
              labels=("x", "y"), default=None, effect=Tilt, term="tilt", start=(0.0, 0.0)),
+    Quantity("dish", "dish_rad_m", "rad/m", "kₓ, k_y, kₓ_y", "change of the table's slope over it",
+             tuple[float, float, float], bounds=(-0.5, 0.5), labels=("x", "y", "xy"),
+             default=None, effect=Dish, term="dish", start=(0.0, 0.0, 0.0)),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     # Not part of the equations of motion.

@@ -9,7 +9,7 @@ bounds its contribution; without these bounds a plan has no lower bound on its t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -32,6 +32,9 @@ class BodyMotion:
     #: Cosine and sine of the yaw.
     cos: Any
     sin: Any
+    #: Position on the table [m]; None: unknown.
+    x: Any = None
+    y: Any = None
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,9 @@ class Effect:
     def idle_lag(self) -> Any:
         """Relative increase of the motors' lag at standstill; None: the same lag at any speed."""
         return None
+
+    #: Whether it depends on the position on the table.
+    of_place: ClassVar[bool] = False
 
     @property
     def gravity(self) -> tuple[Any, Any] | None:
@@ -279,3 +285,31 @@ class Tilt(Effect):
     def gravity(self) -> tuple[Any, Any]:
         """Accelerate the craft down the slope; see `Effect.gravity`."""
         return GRAVITY * self.x, GRAVITY * self.y
+
+
+@dataclass(frozen=True, eq=False)
+class Dish(Effect):
+    """The table is not flat: its slope is linear in the position.
+
+    Filters and laws, which do not pass the position, leave it out; it is a disturbance to them.
+    """
+
+    #: Change of the slope along x per x, along y per y, and of each per the other [rad/m].
+    xx: Any = 0.0
+    yy: Any = 0.0
+    xy: Any = 0.0
+
+    of_place: ClassVar[bool] = True
+
+    @property
+    def gravity(self) -> tuple[Any, Any]:
+        """None at the centre; see `Effect.gravity`."""
+        return 0.0, 0.0
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Accelerate the craft down the slope; see `Effect.acceleration`."""
+        if motion.x is None:
+            return 0.0, 0.0, 0.0
+        ax = GRAVITY * (self.xx * motion.x + self.xy * motion.y)
+        ay = GRAVITY * (self.xy * motion.x + self.yy * motion.y)
+        return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0

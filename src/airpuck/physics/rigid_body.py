@@ -64,6 +64,11 @@ class Dynamics:
         longer = [effect.idle_lag for effect in self.effects if effect.idle_lag is not None]
         return sum(longer) if longer else None
 
+    @property
+    def of_place(self) -> bool:
+        """Whether an effect depends on the position on the table."""
+        return any(effect.of_place for effect in self.effects)
+
 
 @cache
 def register_pytrees() -> None:
@@ -109,8 +114,9 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
         Array namespace.
     dynamics : Dynamics
         Coefficients.
-    motion : sequence of array, shape (4, ...)
-        Yaw γ [rad], velocity vx, vy [m/s], angular velocity ω [rad/s].
+    motion : sequence of array, shape (4, ...) or (6, ...)
+        Yaw γ [rad], velocity vx, vy [m/s], angular velocity ω [rad/s]; for effects that depend on
+        it, the position x, y [m].
     motor_speed : array, shape (n, ...)
         Normalised motor speeds φ.
 
@@ -119,12 +125,12 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     tuple of array, shape (3, ...)
         ax, ay in the world frame [m/s²], ω' [rad/s²].
     """
-    yaw, vx, vy, spin = motion
+    yaw, vx, vy, spin, *place = motion
     cos, sin = cos_sin(xp, yaw)
     force = thrust(dynamics.thrust, motor_speed)
     added = []
     if dynamics.effects:
-        felt = BodyMotion(cos * vx + sin * vy, cos * vy - sin * vx, spin, cos, sin)
+        felt = BodyMotion(cos * vx + sin * vy, cos * vy - sin * vx, spin, cos, sin, *place)
         for effect in dynamics.effects:
             force = effect.thrust(xp, force, felt)
             added.append(effect.acceleration(xp, felt))
@@ -164,7 +170,8 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
     """
     lagging = state.shape[0] > 6
     motor_speed = state[6:] if lagging else command
-    rates = xp.stack(acceleration(xp, dynamics, state[2:6], motor_speed))
+    motion = (*state[2:6], *state[:2]) if dynamics.of_place else state[2:6]
+    rates = xp.stack(acceleration(xp, dynamics, motion, motor_speed))
     if not lagging:
         return xp.concatenate([state[3:6], rates])
     lag = lag_at(xp, motor_speed, dynamics.motor_time_constant, dynamics.idle_lag)
@@ -192,8 +199,12 @@ def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -
     middle = motor_step(xp, begin, command, h / 2, tau, idle)
     end = motor_step(xp, begin, command, h, tau, idle)
 
+    # Such an effect changes little along a step: its value halfway is used.
+    place = state[:2] + h / 2 * state[3:5] if dynamics.of_place else None
+
     def rates(motion: Any, motor_speed: Any) -> Any:
-        return xp.stack([motion[3], *acceleration(xp, dynamics, motion, motor_speed)])
+        felt = motion if place is None else (*motion, *place)
+        return xp.stack([motion[3], *acceleration(xp, dynamics, felt, motor_speed)])
 
     motion = state[2:6]
     k1 = rates(motion, begin)
