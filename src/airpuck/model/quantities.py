@@ -25,6 +25,7 @@ from airpuck.physics.effects import (
 )
 
 Pair = tuple[float, float]
+Triple = tuple[float, float, float]
 Rows = tuple[tuple[float, ...], ...]
 
 
@@ -126,7 +127,7 @@ QUANTITIES = (
     Quantity("tilt", "tilt_rad", "rad", "sₓ, s_y", "slope of the table", Pair, bounds=(-0.5, 0.5),
              labels=("x", "y"), default=None, effect=Tilt, term="tilt", start=(0.0, 0.0)),
     Quantity("dish", "dish_rad_m", "rad/m", "kₓ, k_y, kₓ_y", "change of the table's slope over it",
-             tuple[float, float, float], bounds=(-0.5, 0.5), labels=("x", "y", "xy"),
+             Triple, bounds=(-0.5, 0.5), labels=("x", "y", "xy"),
              default=None, effect=Dish, term="dish", start=(0.0, 0.0, 0.0)),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),

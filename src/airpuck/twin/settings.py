@@ -18,7 +18,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.craft.table import AirHockey
-from airpuck.model.quantities import EFFECTS, Pair
+from airpuck.model.quantities import EFFECTS, Pair, Triple
 
 
 def _forward(interval: tuple[float, float]) -> tuple[float, float]:
@@ -85,7 +85,8 @@ def _effect_fields() -> dict[str, Any]:
     """Return one field for each coefficient of the optional physics; zero: off."""
     entries: dict[str, Any] = {}
     for q in EFFECTS.values():
-        field = (Pair, (0.0, 0.0)) if q.toml is Pair else (NonNegative, 0.0)
+        several = {Pair: (Pair, (0.0, 0.0)), Triple: (Triple, (0.0, 0.0, 0.0))}
+        field = several.get(q.toml, (NonNegative, 0.0))
         entries |= dict.fromkeys(q.settings or (q.key,), field)
     return entries
 
