@@ -87,7 +87,7 @@ def test_smoothing_is_near_the_best_for_velocities(noise, push):
         return float(np.sqrt(np.mean((found - truth) ** 2)))
 
     chosen = smoothing_time(time, position, pushing(push))
-    assert error(chosen) < 1.5 * min(error(d) for d in np.geomspace(0.05, 1.0, 8))
+    assert error(chosen) < 1.5 * min(error(d) for d in np.geomspace(0.05, 0.5, 8))
 
 
 def test_long_smoothing_keeps_cubics_on_uneven_samples():

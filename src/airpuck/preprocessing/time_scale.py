@@ -27,7 +27,7 @@ from airpuck.preprocessing.quality import smooth_stretches
 #: satellite are best with predictions of about this length.
 _CLEAR = 50.0
 #: Longest useful times [s]: cables, slopes and draughts then weigh more than the noise of poses.
-_LONGEST, _LONGEST_SMOOTHING = 3.0, 1.0
+_LONGEST, _LONGEST_SMOOTHING = 3.0, 0.5
 #: Differences of poses, which leave little of the motion, and their growth of white noise.
 _DIFFERENCES = 3
 _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
