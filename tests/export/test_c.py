@@ -65,9 +65,9 @@ def test_commands_and_states_are_pythons(name, tmp_path):
     # Where thrusts are not unique, small weights choose, and rounding shows.
     assert found.worst("command") < 1e-8
     assert found.worst("state") < 1e-9
-    assert {"exact", "scaled"} <= set(found.seen)
+    assert "exact" in found.seen
     if name == "M4":
-        assert {"nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
+        assert {"scaled", "nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
 
 
 @pytest.mark.parametrize("regulator", ["lqr", "mpc"])
