@@ -9,6 +9,7 @@ from airpuck.evaluation.statistical_tests import (
     block_regression,
     blocks,
     log_mean_square_errors,
+    redrawn_means,
     rmse_interval,
     rmse_ratio,
 )
@@ -91,3 +92,14 @@ def test_too_few_seconds_give_no_interval():
     ratio, interval, p_value = rmse_ratio(errors[:1], 2 * errors[:1], start)
     np.testing.assert_allclose(ratio, 2)
     assert np.isnan(interval).all() and np.isnan(p_value).all()
+
+
+def test_redrawn_means_spread_like_means_of_blocks():
+    rng = np.random.default_rng(0)
+    # Blocks of 3 s of one value each: the standard error is that of 30 independent values.
+    values = np.repeat(rng.normal(size=(1, 30)), 10, axis=1)
+    drawn = redrawn_means(values, 0.3 * np.arange(values.shape[1]))
+    assert drawn is not None
+    assert drawn.mean() == pytest.approx(values.mean(), abs=0.05)
+    assert drawn.std() == pytest.approx(values.std() / np.sqrt(30), rel=0.3)
+    assert redrawn_means(values[:, :30], 0.3 * np.arange(30)) is None
