@@ -42,7 +42,7 @@ def league(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Let everyone play everyone, and rate the players.
+    """Let every player play every other, and rate them.
 
     Drag and bounces of the puck differ from game to game, and no player knows them exactly.
     """
@@ -72,7 +72,7 @@ def league(
 
 
 def _ratings(found: LeagueResult) -> Table:
-    """Lay out the players, the strongest first."""
+    """Lay out the players, strongest first."""
     sums = {name: found.total(name) for name in ("games", "wins", "goals", "duration_s")}
     rows = []
     for number in (-found.intervals[:, 0]).argsort():

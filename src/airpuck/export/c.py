@@ -44,9 +44,9 @@ _SOURCES = (
     "airpuck_qp.c",
     "airpuck_daqp.c",
 )
-#: More of them, for the predictive law.
+#: Additional sources for the predictive law.
 _PREDICTIVE = ("airpuck_mpc.h", "airpuck_mpc.c", "airpuck_slopes.h", "airpuck_slopes.c")
-#: DAQP's, which they include.
+#: DAQP's sources, which these include.
 _DAQP = (
     "LICENSE",
     "types.h",
@@ -107,7 +107,7 @@ def _memory(sizes: Mapping[str, int], n: int) -> tuple[int, int]:
 
 
 def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
-    """Return the size of the C struct `airpuck`, whose layout this repeats."""
+    """Return the size of the C struct `airpuck`; its layout is repeated here."""
     whole, time = ctypes.c_int, ctypes.c_double
     numbers, active = _memory(sizes, n)
 
@@ -147,15 +147,17 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
 
 
 def _check(model: Model, tuning: Tuning) -> None:
-    """Raise InputError for what the C sources do not hold."""
+    """Raise InputError for settings that the C sources do not support."""
     kind = tuning.regulator.kind
     if kind not in ("lqr", "mpc"):
-        raise InputError(f"{kind!r} has no C; choose 'lqr' or 'mpc'", field="regulator.kind")
+        raise InputError(
+            f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="regulator.kind"
+        )
     if tuning.estimation.estimator != "kalman":
-        problem = f"{tuning.estimation.estimator!r} has no C; choose 'kalman'"
+        problem = f"{tuning.estimation.estimator!r} cannot be exported to c; choose 'kalman'"
         raise InputError(problem, field="estimation.estimator")
     if tuning.allocation.solver != "daqp":
-        problem = f"{tuning.allocation.solver!r} has no C; choose 'daqp'"
+        problem = f"{tuning.allocation.solver!r} cannot be exported to c; choose 'daqp'"
         raise InputError(problem, field="allocation.solver")
     refuse_actuators(model, "c")
     # Raises InputError for a craft that cannot be steered.
@@ -185,7 +187,7 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
 
 
 def _prediction_sizes(regulator: Regulator) -> dict[str, int]:
-    """Return the macros that size a prediction."""
+    """Return the macros that set the sizes of a prediction."""
     blocks, limits = Blocks.of(regulator), regulator.limits
     speed, spin = limits.speed_m_s is not None, limits.spin_rad_s is not None
     discs = len(limits.keep_out_m)

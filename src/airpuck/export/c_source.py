@@ -1,4 +1,4 @@
-"""Numbers of a model written as C, beside the packaged sources that compute with them."""
+"""C source with the numbers of a model, and the packaged sources that compute with them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from airpuck.model.parameters import thrust_scale
 from airpuck.physics.effects import Drag, Effect, IdleLag, Inflow, PairInteraction, Tilt, VoltageSag
 from airpuck.physics.rigid_body import Dynamics
 
-#: Effects that `airpuck_model.c` computes; those that change thrusts in its order.
+#: Effects that `airpuck_model.c` computes; those that change thrusts are in its order.
 EFFECTS: tuple[type[Effect], ...] = (Inflow, PairInteraction, VoltageSag, Drag, Tilt, IdleLag)
 #: Packaged sources of the model alone.
 MODEL_SOURCES = ("airpuck_real.h", "airpuck_model.h", "airpuck_model.c")
@@ -36,8 +36,8 @@ def write_model(
 ) -> None:
     """Write the sources of a model: packaged ones, `airpuck_sizes.h` and `airpuck_data.c`.
 
-    `dynamics` replaces the model's. `sizes` are more macros by name; `data` are more definitions
-    (`constant`), by the header that declares them.
+    `dynamics` replaces the model's. `sizes` are additional macros by name; `data` are additional
+    definitions (`constant`), by the header that declares them.
     """
     dynamics = dynamics or model.dynamics
     check_effects(model, kind, dynamics)
@@ -67,7 +67,7 @@ def copy_sources(names: Sequence[str], folder: Path) -> None:
 
 
 def check_effects(model: Model, kind: str, dynamics: Dynamics | None = None) -> None:
-    """Raise InputError for effects that the C sources do not compute, or in another order."""
+    """Raise InputError for effects that the C sources do not compute, or not in this order."""
     dynamics = dynamics or model.dynamics
     refuse_effects(dynamics, kind, EFFECTS)
     present = [type(effect) for effect in dynamics.effects]
@@ -75,8 +75,8 @@ def check_effects(model: Model, kind: str, dynamics: Dynamics | None = None) -> 
     if len(set(present)) < len(present) or changing != sorted(changing, key=EFFECTS.index):
         names = ", ".join(effect.__name__ for effect in present)
         raise InputError(
-            f"has, with the twin's settings, the effects {names}; an export to {kind} computes "
-            "each once, in the order of docs/export.md; leave one out",
+            f"has the effects {names}, those of the twin's settings included; an export to {kind} "
+            "computes each at most once, in the order of docs/export.md; leave one out",
             field="MODEL",
         )
 

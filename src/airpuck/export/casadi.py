@@ -68,7 +68,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
         return rigid_body.derivative(np, _dynamics(model, mask, entries), state, command)
 
     def following(state: Any, command: Any, period: Any, entries: Any) -> Any:
-        # Without lag the motor speeds are not states: they begin at the command.
+        # Without lag the motor speeds are not states: they equal the command.
         begin = state if states > len(_MOTION) else np.concatenate([state, command])
         dynamics = _dynamics(model, mask, entries)
         return rigid_body.step(np, dynamics, begin, command, period[0])[:states]
@@ -121,7 +121,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "state": ", ".join(f"{name} [{unit}]" for name, unit in units.items()),
         "command": f"{vehicle.command_min:g} to {vehicle.command_max:g}, "
         + ("the fraction of time open" if vehicle.actuators.pulsed else "as it reaches the motors"),
-        "theta": ", ".join(free) or "no parameter was learned",
+        "theta": ", ".join(free) or "none, since no parameter was learned",
         "transport delay": f"{1e3 * model.transport_delay:.4g} ms, not in the functions",
     }
 

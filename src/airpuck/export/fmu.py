@@ -20,7 +20,7 @@ from airpuck.twin.plant import CraftBody, build_plant
 from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import Motors, TwinSettings
 
-#: Name of the unit and of its functions' library.
+#: Name of the FMU and of its library.
 NAME = "airpuck"
 _SOURCES = ("airpuck_plant.c", "airpuck_fmu.c", "airpuck_fmu_absent.c")
 _HEADERS = (
@@ -35,7 +35,7 @@ _UNITS = {
     "m/s": {"m": 1, "s": -1},
     "rad/s": {"rad": 1, "s": -1},
 }
-#: Largest values of parameters: times [s], frames [Hz], noise [m or rad].
+#: Largest values of parameters: times [s], frame rate [Hz], noise [m or rad].
 _TIME, _RATE, _NOISE = 10.0, 1e5, 10.0
 
 
@@ -51,7 +51,7 @@ class Variable:
     low: float = -math.inf
     high: float = math.inf
     variability: str = "discrete"
-    #: Its element in the description.
+    #: XML element that describes it.
     kind: str = "Float64"
 
 
@@ -166,8 +166,8 @@ def _parameters(twin: TwinSettings, lag: float) -> Iterator[Variable]:
         ("camera.rate", "frames per second", "Hz", camera.rate_hz, _RATE),
         ("camera.position_noise", "standard deviation", "m", camera.position_noise_m, _NOISE),
         ("camera.yaw_noise", "standard deviation", "rad", camera.yaw_noise_rad, _NOISE),
-        ("camera.latency", "least age of an arriving pose", "s", camera.latency_s, _TIME),
-        ("camera.latency_jitter", "mean added age", "s", camera.latency_jitter_s, _TIME),
+        ("camera.latency", "minimum age of an arriving pose", "s", camera.latency_s, _TIME),
+        ("camera.latency_jitter", "mean additional age", "s", camera.latency_jitter_s, _TIME),
         ("camera.dropped", "fraction of missing frames", None, camera.dropped, 1.0),
     ):
         low = 1e-3 if name == "camera.rate" else 0.0
@@ -179,7 +179,7 @@ def _parameters(twin: TwinSettings, lag: float) -> Iterator[Variable]:
 
 
 def _references(listed: list[Variable]) -> dict[str, int]:
-    """Return the macros of value references that the sources use; the first of each group."""
+    """Return macros for the first value reference of each group that the sources use."""
     found: dict[str, int] = {}
     groups = {"command", "state", "speed", "pose"}
     for reference, variable in enumerate(listed):
@@ -195,7 +195,7 @@ def _references(listed: list[Variable]) -> dict[str, int]:
 
 
 def _craft(disc: CraftBody) -> str:
-    """Return the definition of the craft's numbers for contacts."""
+    """Return the definition of the craft's numbers that contacts need."""
     fields = {key: float(getattr(disc, key)) for key in ("mass", "inertia", "radius")}
     return constant("airpuck_disc", "airpuck_craft", fields)
 
@@ -270,7 +270,7 @@ def _model_description(subject: Subject, listed: list[Variable], token: str) -> 
     structure = Xml.SubElement(root, "ModelStructure")
     outputs = [str(i) for i, v in enumerate(listed) if v.causality == "output"]
     for reference in outputs:
-        # No output follows an input at the same time.
+        # No output depends on an input at the same time.
         Xml.SubElement(structure, "Output", valueReference=reference, dependencies="")
     for reference in outputs:
         Xml.SubElement(structure, "InitialUnknown", valueReference=reference)
@@ -304,7 +304,7 @@ def _save(path: Path, root: Xml.Element) -> None:
 
 
 def _zip(folder: Path, archive: Path) -> None:
-    """Write a folder as an archive that depends on the contents only."""
+    """Write a folder as an archive that depends only on the contents."""
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for path in sorted(path for path in folder.rglob("*") if path.is_file()):
             entry = zipfile.ZipInfo(path.relative_to(folder).as_posix())

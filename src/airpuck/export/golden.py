@@ -16,9 +16,9 @@ from airpuck.physics.rigid_body import step
 
 #: Rate of poses [1/s], and number of control steps.
 _RATE, _STEPS = 240, 120
-#: Set points, each for the same time: near, turned, far, back.
+#: Set points, each held for the same time: near, turned, far, back.
 _TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-0.6, 0.3, -1.0), (0.0, 0.0, 0.0))
-#: Frames that are lost, that are not finite, and that show something else.
+#: Frames that are lost, that are not finite, and that show another object.
 _LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)
 #: Standard deviation of the poses [m, m, rad].
 _NOISE = (5e-5, 5e-5, 6e-4)
@@ -27,7 +27,7 @@ _NOISE = (5e-5, 5e-5, 6e-4)
 def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
     """Yield the lines of a flight: targets, poses, plans, results of steps, and commands sent.
 
-    The motors act without delay, so that the controller has something to correct.
+    Motors act without delay, unlike the model's, so that the controller has errors to correct.
     """
     random, period = np.random.default_rng(0), tuning.period_s
     pilot = TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)
@@ -49,7 +49,7 @@ def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
                 yield _line("pose", frame / _RATE, *seen)
             frame += 1
         if isinstance(pilot.state, Ongoing):
-            # Every plan depends on the one before: without this, rounding would add up.
+            # Each plan depends on the previous one: without a copy, rounding would accumulate.
             plan = pilot.state
             yield _line("plan", plan.since, plan.answered, float(plan.way), *plan.plan.ravel())
         result = pilot.step(now)
@@ -60,5 +60,5 @@ def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
 
 
 def _line(*values: str | float) -> str:
-    """Write values with all their digits."""
+    """Format values with all their digits."""
     return ",".join(v if isinstance(v, str) else repr(float(v)) for v in values)

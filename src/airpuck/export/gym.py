@@ -1,7 +1,7 @@
 """Gymnasium environments of the twin: flights to a goal, races, skills with a puck.
 
 Importing this module registers them: ``gymnasium.make("airpuck.export.gym:airpuck/SetPoint-v0")``.
-docs/export.md describes observations, rewards and ends.
+docs/export.md describes observations, rewards and termination.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-#: Stamps that are closer than this are the same; ages round them [s].
+#: Stamps closer than this count as equal, since ages are rounded [s].
 _SAME = 1e-9
-#: A batch of one: its row, and that it takes part.
+#: A batch of one: its row, and a mask that includes it.
 _ROW, _ALL = np.zeros(1, int), np.ones(1, bool)
 
 #: Environments by name: class, vector environment if there is one, settings.
@@ -79,7 +79,7 @@ register(HERE.name, **CRAFT)
 
 
 def game(**settings):
-    """Return the game of two such craft, a PettingZoo parallel environment."""
+    """Return the game between two such craft, a PettingZoo parallel environment."""
     from airpuck.export.gym_game import GameEnv
 
     return GameEnv(**CRAFT, **settings)
@@ -98,7 +98,7 @@ def register(namespace: str = "airpuck", **settings: Any) -> None:
 
 
 class PilotPolicy:
-    """A pilot as a policy for one episode: it knows only the observations."""
+    """A pilot as a policy for one episode: it sees only the observations."""
 
     def __init__(self, pilot: Pilot) -> None:
         self._pilot = pilot
@@ -122,7 +122,7 @@ class PilotPolicy:
 
 
 class TwinEnv(gymnasium.Env[Observation, Any]):
-    """What the environments of one craft share: a twin, one control period per step."""
+    """Base of the environments of one craft: a twin, stepped by one control period."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # pyright: ignore
 
@@ -137,7 +137,7 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
         self._seen = Seen(1, space, bodies, settings.motion_capture.clock_offset_s)
 
     def _fly(self, action: Any) -> Twin:
-        """Send a command, and let a period pass."""
+        """Send a command, and advance by a control period."""
         if self._twin is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         command = checked_action(action, (self.model.vehicle.n_propellers,))
@@ -182,7 +182,7 @@ class CourseEnv(TwinEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; options: poses ``start`` and ``goal`` instead of those drawn."""
+        """Begin an episode; the options ``start`` and ``goal`` replace the random poses."""
         super().reset(seed=seed)
         start, number = self._task.draw(0, self.np_random, given_poses(options, 1))
         self._twin = Twin(
@@ -197,7 +197,7 @@ class CourseEnv(TwinEnv):
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send motor commands, and let a control period pass."""
+        """Send motor commands, and advance by a control period."""
         self._fly(action)
         seen = self._seen
         reward, (there,) = self._task.judge(seen.pose["pose"], seen.rate["pose"])
@@ -216,7 +216,7 @@ class CourseEnv(TwinEnv):
 
 
 class PuckEnv(TwinEnv):
-    """A skill of `airpuck skills`: the same starts, ends and success. The reward is the success.
+    """A skill of `airpuck skills`, with the same starts and ends; the reward is 1 for success.
 
     Parameters
     ----------
@@ -255,7 +255,7 @@ class PuckEnv(TwinEnv):
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send motor commands, and let a control period pass."""
+        """Send motor commands, and advance by a control period."""
         puck = self._fly(action).world.puck
         assert puck is not None
         over = ended(self._stage, self.skill, puck)
@@ -273,8 +273,8 @@ class PuckEnv(TwinEnv):
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write model, twin settings and a package that registers the environments of this craft."""
-    CourseTask(subject.model, subject.twin)  # checks that there is room
-    action_space(subject.model)  # checks the actuators
+    CourseTask(subject.model, subject.twin)  # check that there is room
+    action_space(subject.model)  # check the actuators
     subject.model.save(folder / "model.toml")
     subject.twin.save(folder / "twin.toml")
     (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")

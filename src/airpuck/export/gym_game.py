@@ -57,8 +57,8 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
     """Air hockey between two craft, ``left`` and ``right``, by the package's rules.
 
     Each side observes the table in its own frame, with its own goal at negative x; ``mallet`` is
-    the opponent's disc. A goal gives 1 to its scorer and -1 to the other. A game that is decided
-    terminates; one that reaches its time limit is truncated.
+    the opponent's disc. A goal gives 1 to its scorer and -1 to the other. A decided game
+    terminates; a game that reaches its time limit is truncated.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
     Attributes
     ----------
     game : Game
-        The present game: score, events, true states.
+        The current game: score, events, true states.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "airpuck_game_v0", "render_modes": []}  # pyright: ignore
@@ -137,7 +137,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         return self._observations(), {name: {} for name in _SIDES}
 
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
-        """Send both sides' motor commands, and let a control period pass."""
+        """Send both sides' motor commands, and advance by a control period."""
         playing, self.agents = self.agents, []
         if not playing:
             return {}, {}, {}, {}, {}
@@ -171,7 +171,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         return self._observations(), rewards, terminated, truncated, infos
 
     def baseline(self) -> PilotPolicy:
-        """Return a policy for one game: the package's player, in the frame of either side."""
+        """Return a policy for one game: the package's player, for either side."""
         radius = self.model.vehicle.radius_m
         return PilotPolicy(Player(self.model, self.settings, opponent_radius=radius))
 

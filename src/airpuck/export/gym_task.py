@@ -1,4 +1,4 @@
-"""What the environments share: spaces, what a controller knows, courses with their rewards."""
+"""Shared parts of the environments: spaces, a controller's knowledge, courses with rewards."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from airpuck.twin.race import COURSES, arrived, passes
 from airpuck.twin.settings import OnBoard, TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 
-#: Commands in an observation: what delay (21 ms) and lag (28 ms) of the paper's craft still hide.
+#: Commands in an observation: those whose effect delay (21 ms) and lag (28 ms) still hide.
 _REMEMBERED = 5
-#: Starts and goals keep this distance from the rails, in addition to the craft's radius [m].
+#: Distance of starts and goals from the rails, in addition to the craft's radius [m].
 _MARGIN = 0.05
 #: Largest measured distance beyond the table's edge, as of a puck in the goal mouth [m].
 _BEYOND = 0.1
-#: Poses further apart in time give no velocity: the body was out of sight [s].
+#: Poses further apart in time give no rates: the body was out of sight [s].
 _HIDDEN = 0.1
 #: Seeds of twins lie below this.
 _SEEDS = 2**31
@@ -49,7 +49,7 @@ def read_world(model: ModelSource, twin: TwinSource) -> tuple[Model, TwinSetting
         twin = default_twin_settings()
     elif not isinstance(twin, TwinSettings):
         twin = read_twin_settings(twin)
-    # Readings of on-board sensors are not part of an observation, and cost time.
+    # On-board sensors are not observed, and cost time.
     return model, twin.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
 
 
@@ -85,7 +85,7 @@ def action_space(model: Model) -> spaces.Box:
 def observation_space(
     model: Model, equipment: AirHockey, bodies: Sequence[Kind], **more: spaces.Box
 ) -> spaces.Dict:
-    """Return the space of the measured poses of some bodies, and of further entries."""
+    """Return the space of the measured poses of some bodies, and of additional entries."""
     table = equipment.table
     high = np.array([table.length_m / 2 + _BEYOND, table.width_m / 2 + _BEYOND, math.pi])
     entries = {
@@ -105,7 +105,7 @@ def real(low: float, high: float, *shape: int) -> spaces.Box:
 
 
 class Seen:
-    """What one controller, or each of a batch, knows: poses, rates, its own commands.
+    """Knowledge of one controller, or of a batch: poses, rates, its own commands.
 
     Arrays have the batch as first axis.
     """
@@ -140,7 +140,7 @@ class Seen:
         self.pose[body][rows], self.rate[body][rows] = self._inside(body, pose), rate
 
     def command(self, rows: Bool[np.ndarray, " B"], sent: Float[np.ndarray, "B n"]) -> None:
-        """Store sent commands, and let a period pass."""
+        """Store sent commands, and advance by a period."""
         latest = np.concatenate([sent[:, None], self.sent[:, :-1]], axis=1)
         self.sent = np.where(rows[:, None, None], latest, self.sent)
         self._steps += rows
@@ -152,7 +152,7 @@ class Seen:
         stamp: Float[np.ndarray, " B"],
         pose: Float[np.ndarray, "B 3"],
     ) -> None:
-        """Take measured poses; differences of poses give rates."""
+        """Store measured poses; their differences give rates."""
         passed = stamp - self._stamp[body]
         new = rows & (passed > 0)
         pose, last = self._inside(body, pose), self.pose[body]
@@ -164,7 +164,7 @@ class Seen:
         self._stamp[body] = np.where(new, stamp, self._stamp[body])
 
     def measured(self, measurements: Sequence[Measurement]) -> None:
-        """Take the latest measurement of each body, of a batch of one."""
+        """Store the latest measurement of each body, for a batch of one."""
         latest: dict[Kind, Measurement] = {m.kind: m for m in measurements if m.kind in self.pose}
         for kind, m in latest.items():
             self.see(np.ones(1, bool), kind, np.array([m.stamp]), m.values[None])
@@ -184,12 +184,12 @@ class Seen:
 
 
 class CourseTask:
-    """Starts, points and goals of a batch of craft, and how far each has come.
+    """Starts, points and goals of a batch of craft, and the progress of each.
 
     The reward is the decrease of the remaining length, minus the time [s]: a metre is worth a
-    second. The remaining length is the path over the next points to the goal, plus the rotation
-    that is left, times the craft's radius [m]. It is a potential (Ng, Harada and Russell, 1999):
-    its decreases add up to the same for all flights that arrive, so the fastest is the best.
+    second. The remaining length is the path over the next points to the goal, plus the remaining
+    rotation times the craft's radius [m]. It is a potential (Ng, Harada and Russell, 1999): its
+    decreases have the same sum for all flights that reach the goal, so the fastest is the best.
     """
 
     def __init__(
@@ -211,7 +211,7 @@ class CourseTask:
             raise InputError("has no room for the craft to move", field="table")
         count = len(self._fixed[2]) if self._fixed else 0
         self.points, self.goal = np.zeros((size, count + 1, 2)), np.zeros((size, 3))
-        #: Number of points passed; remaining length after each point, and now [m].
+        #: Number of points passed; remaining length after each point, and the current one [m].
         self._passed, self._rows = np.zeros(size, int), np.arange(size)
         self._after, self._left = np.zeros((size, count + 1)), np.zeros(size)
 
@@ -234,7 +234,7 @@ class CourseTask:
     def judge(
         self, pose: Float[np.ndarray, "B 3"], rate: Float[np.ndarray, "B 3"]
     ) -> tuple[Float[np.ndarray, " B"], Bool[np.ndarray, " B"]]:
-        """Return rewards of a period, and whether craft are at the goal, past all points."""
+        """Return rewards of a period, and whether craft passed all points and are at the goal."""
         last = self.points.shape[1] - 1
         for _ in range(last):
             self._passed += (self._passed < last) & passes(pose, self.following)

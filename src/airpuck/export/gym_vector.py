@@ -30,9 +30,9 @@ from airpuck.twin.batch import TwinBatch
 
 
 class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
-    """Many `CourseEnv` at once; row i with seed s draws like one with seed s + i.
+    """Many `CourseEnv` at once; with seed s, row i draws like a single one with seed s + i.
 
-    Only noise and latency of its poses differ. Parameters are those of `CourseEnv`.
+    Only the noise and latency of its poses differ. Parameters are those of `CourseEnv`.
 
     Raises
     ------
@@ -71,7 +71,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin all episodes; options: poses ``start`` and ``goal``, for all or for each."""
+        """Begin all episodes; options: ``start`` and ``goal``, one pose for all or one for each."""
         super().reset(seed=seed)
         if seed is not None or not self._generators:
             first = int(self.np_random.integers(2**31)) if seed is None else seed
@@ -83,7 +83,7 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
     def step(
         self, actions: Any
     ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Send motor commands, and let a control period pass; craft that are done begin anew."""
+        """Send motor commands, and advance by a control period; finished episodes restart."""
         if not self._generators:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         commands = checked_action(actions, self.action_space.shape or ())

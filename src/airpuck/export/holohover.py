@@ -1,4 +1,4 @@
-"""The files of the paper's authors: of their identification, and of their ROS 2 controller."""
+"""The files of the paper's authors, for their identification and their ROS 2 controller."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from airpuck.model.model_file import Model
 #: Middle of the first pair to each of its propellers, and from the centre to them [rad, m]
 #: (holohover-sysid, params.json).
 _HALF_ANGLE, _DISTANCE = 0.32822, 0.046532
-#: Positions and directions of the paper's craft are rounded by less than this [m, 1].
+#: Largest rounding error of the paper's positions and directions [m, 1].
 _SAME = 1e-9
 _PROPERTIES = """\
 # {name} of {vehicle}, written by airpuck for holohover_utils/config/common.

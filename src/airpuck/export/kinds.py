@@ -1,4 +1,4 @@
-"""The kinds of export, by name, and the function that writes one of them."""
+"""The kinds of export, by name, and the function that exports a model."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class Kind:
     Attributes
     ----------
     summary : str
-        What it is, in a few words.
+        A short description.
     module : str
         Module whose ``write(subject, folder)`` writes the files and returns facts for the user, by
         name.
     uses : tuple of str
-        What it needs besides the model: ``tuning``, ``twin``.
+        Inputs besides the model: ``tuning``, ``twin``.
     """
 
     summary: str
@@ -66,7 +66,7 @@ class Kind:
 KINDS: dict[str, Kind] = {
     "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
-    "fmu": Kind("the craft on its table as an FMI 3.0 unit", "airpuck.export.fmu", ("twin",)),
+    "fmu": Kind("the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)),
     "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
     "holohover": Kind("the files of the paper's authors", "airpuck.export.holohover"),
     "matlab": Kind("function files for MATLAB and Octave", "airpuck.export.matlab"),
@@ -131,7 +131,7 @@ def write(
     Raises
     ------
     InputError
-        If the kind is unknown, does not use what is given, or cannot represent the model.
+        If the kind is unknown, does not use an input that is given, or cannot represent the model.
     """
     if kind not in KINDS:
         raise InputError(unknown(kind, list(KINDS)), field="kind")
@@ -180,7 +180,7 @@ def refuse_actuators(model: Model, kind: str, held: Sequence[str] = ()) -> None:
 
 
 def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
-    """Raise InputError if the offset of the centre of mass is constant in the other frame."""
+    """Raise InputError if the centre of mass is not fixed to this frame."""
     if model.frame != frame and np.any(model.parameters.center_of_mass):
         raise InputError(
             f"has a centre of mass that is fixed to the {model.frame}, which an export to {kind} "
@@ -190,5 +190,5 @@ def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
 
 
 def printable(text: str) -> str:
-    """Return text that cannot end a line, a string in quotes or a comment."""
+    """Return text without characters that end a line, a quoted string or a comment."""
     return "".join(filter(str.isprintable, text)).replace("'", "_").replace("--", "__")

@@ -85,7 +85,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 
 
 def _literal(value: Any) -> str:
-    """Return a number, a column or a matrix; numbers are read back bit for bit."""
+    """Return a number, a column or a matrix that is read back bit for bit."""
     if np.ndim(value) == 0:
         return repr(value if isinstance(value, int) else float(value))
     rows = [" ".join(map(repr, row)) for row in np.atleast_2d(value).tolist()]

@@ -18,15 +18,15 @@ from airpuck.physics.effects import GRAVITY, Tilt
 
 #: Time step [s].
 _TIMESTEP = 2.5e-4
-#: Angular frequency of a rail that is hit [rad/s]: a contact lasts about 6 ms, 25 steps, and a
-#: craft of 1 m/s moves 2 mm into the rail.
+#: Angular frequency of a contact with a rail [rad/s]: it lasts about 6 ms, or 25 steps, and a craft
+#: at 1 m/s penetrates the rail by 2 mm.
 _RAIL = 500.0
-#: MuJoCo's largest constraint impedance: forces that push the craft into the rail change the bounce
-#: by the rest.
+#: MuJoCo's largest constraint impedance; its difference from 1 is the influence on the bounce of
+#: forces that push the craft into the rail.
 _IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
-#: Lower restitutions need a damper so strong that the contact is stiff [fraction].
+#: Lower restitutions need so much damping that the contact becomes stiff [fraction].
 _LEAST_RESTITUTION = 0.05
-#: Height and thickness of a rail, for pictures [m].
+#: Drawn height and thickness of a rail [m].
 _RAIL_HEIGHT, _RAIL_THICKNESS = 0.03, 0.05
 _HEADER = """ {name}: {vehicle}, written by airpuck.
 
@@ -116,7 +116,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 
 
 def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
-    """Append an element; numbers are written so that they are read back bit for bit."""
+    """Append an element; its numbers are read back bit for bit."""
     values = {
         name: printable(value)
         if isinstance(value, str)
@@ -127,7 +127,7 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTre
 
 
 def _number(value: Any) -> str:
-    """Return a number in as few digits as identify it."""
+    """Return a number in the fewest digits that identify it."""
     return repr(float(value)).removesuffix(".0")
 
 
@@ -195,7 +195,7 @@ def _add_craft(world: ElementTree.Element, model: Model) -> np.ndarray:
             size=0.006,
             rgba="0.9 0.5 0.1 1",
         )
-        # A learned Π may turn the craft otherwise than its forces at the propellers do.
+        # A learned Π may turn the craft differently than the forces at its propellers would.
         gear[0], gear[5] = math.hypot(*force), moment - (px * force[1] - py * force[0])
     return gears
 
@@ -220,9 +220,9 @@ def _add_contacts(root: ElementTree.Element, table: Table) -> None:
 def _damping_ratio(restitution: float) -> float:
     """Return the damping ratio of a spring and damper that bounces with a restitution.
 
-    A contact ends when spring and damper no longer push. After a time t its speed is then exp(-ζ t)
-    times the one before, with times relative to the spring's (Schwager, Pöschel, Granular Matter 9,
-    2007).
+    A contact ends when spring and damper no longer push. After a contact of duration t the speed is
+    exp(-ζ t) times that before it, with time in units of the spring's (Schwager, Pöschel, Granular
+    Matter 9, 2007).
     """
 
     def bounce(ratio: float) -> float:

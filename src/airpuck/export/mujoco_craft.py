@@ -1,9 +1,9 @@
 """Commands for a craft that airpuck exported to MuJoCo.
 
-The thrust of a motor is a polynomial of its speed φ, but the force of an actuator of MuJoCo is
-linear in its activation. So each motor has an actuator for each power of φ, named ``NAME``,
+The thrust of a motor is a polynomial of its speed φ, but the force of a MuJoCo actuator is linear
+in its activation. So each motor has an actuator for each power of φ, named ``NAME``,
 ``NAME^2``, and so on. `set_command` sets their controls for the next time step such that their
-activations are these powers of φ at its end. A plain step of MuJoCo follows.
+activations are these powers of φ at its end. An ordinary MuJoCo step follows.
 
     model = mujoco.MjModel.from_xml_path("craft.xml")
     data = mujoco.MjData(model)
@@ -57,8 +57,8 @@ def controls(model: Any, speeds: Any, commands: Any) -> np.ndarray:
     path = [np.asarray(speeds)]
     for command in u:
         path.append(command + decay * (path[-1] - command))
-    # An activation of time constant τ/p goes from a to c + (a - c) E^p with E = exp(-h/τ). It goes
-    # from one speed's power p to the next one's if c is the mean that is formed here.
+    # An activation with time constant τ/p goes from a to c + (a - c) E^p, with E = exp(-h/τ). With
+    # the weighted mean c below, it goes from power p of one speed to power p of the next.
     faded, after = decay * np.array(path[:-1]), np.array(path[1:])
     means = []
     for p in powers:

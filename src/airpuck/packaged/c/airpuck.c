@@ -5,11 +5,11 @@
 #include <string.h>
 
 #define N AIRPUCK_MOTORS
-/* Before all times. */
+/* A time before all others. */
 #define NEVER (-(double)INFINITY)
 /* No control without a pose from the last 50 ms [s]. */
 #define STALE 0.05
-/* Poses that agree with each other for this long are accepted [s]; rounding must not cost a frame. */
+/* Poses that agree with each other for this long are accepted [s]; the margin covers rounding. */
 #define BELIEVED_AFTER (STALE - 1e-6)
 /* Commands that began to act longer ago than this affect only the motor speeds [s]. */
 #define REMEMBERED 0.5
@@ -17,7 +17,7 @@
 /* A pose this far from its prediction cannot be the craft [m, m, rad]. */
 static const airpuck_real jump[3] = {AIRPUCK_R(0.1), AIRPUCK_R(0.1), AIRPUCK_R(1.0)};
 
-/* Commands in force, each until the next begins to act. */
+/* The queue of commands: each is in force until the next begins to act. */
 
 static void drop_commands(airpuck *craft, double time)
 {
@@ -66,7 +66,7 @@ static void turn_motors(airpuck *craft, double time)
 
 static void hold(airpuck *craft, double begins, const airpuck_real command[N])
 {
-    /* Earlier commands that would begin later had wrong times. */
+    /* Commands received before, but with later times, had wrong times. */
     while (craft->held > 0 && craft->commands[craft->held - 1].begins >= begins)
         craft->held--;
     if (craft->held == AIRPUCK_HELD)
@@ -82,7 +82,7 @@ static void hold(airpuck *craft, double begins, const airpuck_real command[N])
 
 /* The Kalman filter: independent axes with position, velocity and disturbance. */
 
-/* Advance a mean and motor speeds through an interval with one command, with the acceleration at
+/* Advance a mean and motor speeds through an interval with one command, using the acceleration at
  * its middle. */
 static void propagate(airpuck_real mean[3][3], airpuck_real speed[N], const airpuck_real command[N],
                       airpuck_real h)
@@ -142,7 +142,7 @@ static void correct(airpuck_real mean[3], airpuck_real p[3][3], airpuck_real inn
     for (int i = 0; i < 3; i++) {
         airpuck_real gain = column[i] / (column[0] + variance);
         mean[i] += gain * innovation;
-        /* What the measurement leaves of its own row and column is a product, not a difference. */
+        /* In the position's row and column p - gain p equals p * left, without cancellation. */
         airpuck_real left = variance / (column[0] + variance);
         for (int j = 0; j < 3; j++)
             p[i][j] = i * j == 0 ? p[i][j] * left : p[i][j] - gain * column[j];
@@ -201,7 +201,7 @@ static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
         correct(mean[axis], covariance, innovation[axis], airpuck_tuned.pose_variance[axis]);
     }
 #ifdef AIRPUCK_SINGLE
-    /* The digits of a float are few; whole turns would take some. */
+    /* A float has few digits; whole turns would use some of them. */
     mean[2][0] = airpuck_wrapped(mean[2][0]);
 #endif
     memcpy(craft->belief.mean, mean, sizeof mean);
@@ -273,7 +273,7 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
         }
 }
 
-/* Why the craft cannot be steered; AIRPUCK_EXACT if it can. */
+/* Return why the craft cannot be steered; AIRPUCK_EXACT if it can. */
 static airpuck_status refusal(airpuck *craft, double now)
 {
     if (!isfinite(now))

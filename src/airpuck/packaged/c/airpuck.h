@@ -9,8 +9,8 @@
  *     ... every AIRPUCK_PERIOD: airpuck_step(&craft, now, targets, command);
  *         send the command, then airpuck_sent(&craft, now, command);
  *
- * No memory is allocated and there are no global variables. The functions of one craft must not be
- * called at the same time, for example from an interrupt.
+ * No memory is allocated and there are no global variables. Calls for the same craft must not
+ * overlap, for example from an interrupt.
  *
  * Times are seconds on the clock of the poses, and double also in single precision: after an hour
  * a float cannot tell frames apart. Differences of times are converted at once. */
@@ -20,7 +20,7 @@
 #include "airpuck_model.h"
 #include "airpuck_qp.h"
 
-/* Targets that a step takes: for the allocation, then one for each step of a prediction. */
+/* Number of targets for a control step: one for the allocation, and one for each predicted step. */
 #define AIRPUCK_TARGETS (1 + AIRPUCK_STEPS)
 /* Variables of the thrust allocation: thrusts and two slacks. */
 #define AIRPUCK_ALLOCATED (AIRPUCK_MOTORS + 2)
@@ -29,9 +29,9 @@
 typedef enum {
     AIRPUCK_EXACT,           /* The requested acceleration is met. */
     AIRPUCK_SCALED,          /* The linear or the angular acceleration is reduced. */
-    AIRPUCK_NEAREST,         /* No reduced request can be met; the nearest acceleration. */
-    AIRPUCK_OPTIMAL,         /* A plan within all limits. */
-    AIRPUCK_SOFTENED,        /* A plan that exceeds a limit of the craft's motion. */
+    AIRPUCK_NEAREST,         /* No reduced request can be met; the nearest acceleration is used. */
+    AIRPUCK_OPTIMAL,         /* The plan meets all limits. */
+    AIRPUCK_SOFTENED,        /* The plan exceeds a limit of the craft's motion. */
     AIRPUCK_ITERATION_LIMIT, /* The solver found no plan; the previous one continues. */
     AIRPUCK_FALLBACK,        /* There is no plan; the thrust allocation steers. */
     AIRPUCK_FAILED,          /* The solver found no thrusts. */
@@ -53,7 +53,7 @@ typedef struct {
     airpuck_real command[AIRPUCK_MOTORS];
 } airpuck_held;
 
-/* What the filter knows after the last pose that it used. */
+/* The filter's estimate at the last pose that it used. */
 typedef struct {
     /* Position, velocity and disturbance of x, y and yaw; and their covariances. */
     airpuck_real mean[3][3], covariance[3][3][3];
@@ -81,13 +81,13 @@ extern const airpuck_tuning airpuck_tuned;
 #include "airpuck_mpc.h"
 #endif
 
-/* Memory of the quadratic programs: of the allocation, or of the prediction if that needs more. */
+/* Memory for the quadratic programs: the larger of allocation and prediction. */
 #if AIRPUCK_STEPS > 0
 #define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_COMMANDS, AIRPUCK_ROWS)
 #define AIRPUCK_NUMBERS                                                                           \
     (AIRPUCK_QP_NUMBERS(AIRPUCK_COMMANDS, AIRPUCK_ROWS, AIRPUCK_ROWS) +                           \
      (AIRPUCK_SCRATCH > AIRPUCK_FACTOR ? AIRPUCK_SCRATCH : AIRPUCK_FACTOR) - AIRPUCK_FACTOR)
-/* States, curvatures and changes of a prediction, which share memory with a factor of DAQP. */
+/* States, curvatures and changes of a prediction; they share memory with a factor of DAQP. */
 #define AIRPUCK_SCRATCH                                                                           \
     (AIRPUCK_STEPS * (AIRPUCK_STATES + AIRPUCK_MOTORS) + AIRPUCK_STATES * AIRPUCK_COMMANDS +      \
      AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0))
@@ -107,7 +107,7 @@ typedef struct {
     airpuck_real disturbance[3];              /* Acceleration that the model does not explain. */
     int iterations;                           /* Of the last quadratic program. */
 
-    double clock;    /* Latest time that is certain to have passed. */
+    double clock;    /* Latest time known to have passed. */
     double received; /* Stamps of the last pose received, and of the last one used. */
     double used;
     int bad;      /* Whether the last pose was not finite. */
@@ -118,7 +118,7 @@ typedef struct {
     double filtered;  /* Time of the belief; -INFINITY: none yet. */
     double motors_at; /* Time of the motor speeds, if later; otherwise -INFINITY. */
     airpuck_belief belief;
-    int held; /* Number of commands, the first of which acts at the time of the belief. */
+    int held; /* Number of commands; the first one acts at the time of the belief. */
     airpuck_held commands[AIRPUCK_HELD];
 
 #if AIRPUCK_STEPS > 0
@@ -128,34 +128,34 @@ typedef struct {
     int active[AIRPUCK_ACTIVE];
 } airpuck;
 
-/* Begin without any knowledge: motors idle, no pose. */
+/* Initialise: motors idle, no pose received. */
 void airpuck_init(airpuck *craft);
 
 /* Receive a measured pose x, y [m], yaw [rad].
  *
- * A pose that is not finite, not newer than the last, or implausibly far from its prediction is
- * ignored. Poses that agree with each other for 50 ms are accepted, wherever they are; so are the
- * first pose after a gap of 50 ms, and one more than 50 ms older than the last. */
+ * A pose is ignored if it is not finite, not newer than the last, or implausibly far from its
+ * prediction. Three exceptions are accepted anywhere: poses that agree with each other for 50 ms,
+ * the first pose after a gap of 50 ms, and a pose more than 50 ms older than the last. */
 void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3]);
 
-/* Receive the command that was actually sent. One that is not finite counts as not sent; a time
- * that is not finite, or more than 50 ms ahead, is replaced by the present. */
+/* Receive the command that was actually sent. A command that is not finite counts as not sent. A
+ * time that is not finite, or more than 50 ms ahead, is replaced by the present time. */
 void airpuck_sent(airpuck *craft, double time, const airpuck_real command[AIRPUCK_MOTORS]);
 
 /* Compute the command to send now.
  *
  * targets[0] is the target one period after the command begins to act, `transport_delay` from now;
- * a prediction uses targets[k] at the end of its step k after that time. A command is computed in
- * every case: idle, if the craft cannot be steered. */
+ * a prediction uses targets[k] at the end of its step k after that time. There is always a
+ * command: it is idle if the craft cannot be steered. */
 airpuck_status airpuck_step(airpuck *craft, double now,
                             const airpuck_target targets[AIRPUCK_TARGETS],
                             airpuck_real command[AIRPUCK_MOTORS]);
 
-/* Fill in targets that hold a pose, at rest. */
+/* Set all targets to a pose at rest. */
 void airpuck_set_point(airpuck_target targets[AIRPUCK_TARGETS], airpuck_real x, airpuck_real y,
                        airpuck_real yaw);
 
-/* The name of a status, in words. */
+/* Return the name of a status. */
 const char *airpuck_status_name(airpuck_status status);
 
 #endif

@@ -18,13 +18,13 @@ airpuck_status airpuck_mpc(airpuck *craft, double now,
                            airpuck_real command[AIRPUCK_MOTORS]);
 #endif
 
-/* An angle, shifted by whole turns to between -pi and pi. */
+/* Return an angle wrapped to between -pi and pi. */
 airpuck_real airpuck_wrapped(airpuck_real angle);
 
-/* A number, moved into a range; not a number remains. */
+/* Return a number clipped to a range; NaN stays NaN. */
 airpuck_real airpuck_clipped(airpuck_real number, airpuck_real least, airpuck_real most);
 
-/* Whether all numbers are finite. */
+/* Return whether all numbers are finite. */
 int airpuck_finite(const airpuck_real *numbers, int count);
 
 #endif

@@ -10,7 +10,7 @@
 /* Change of a motor speed at which the inverse of its thrust curve has converged. */
 #define RESOLVED AIRPUCK_R(1e-12)
 #endif
-/* Newton's method needs about five passes, bisection alone 40: this bound is never reached. */
+/* Newton's method needs about five iterations, bisection alone 40: this bound is never reached. */
 #define MOST_PASSES 100
 
 /* The quadratic program of the allocation; see airpuck_lqr. */
@@ -125,8 +125,8 @@ static int pose_problem(const airpuck *craft, const airpuck_real following[6],
            airpuck_finite(posed->upper, AIRPUCK_ALLOCATED);
 }
 
-/* Find the least x'x with rows * x = wanted and x within bounds, for n variables; return whether
- * there is one. `price` is its derivative by `wanted`. */
+/* Minimise x'x over n variables with rows * x = wanted and x within bounds; return whether that is
+ * feasible. `price` is the derivative of the minimum with respect to `wanted`. */
 static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_real wanted[3],
                        const airpuck_real *lower, const airpuck_real *upper, airpuck_real *x,
                        airpuck_real price[3])
@@ -137,7 +137,8 @@ static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_
 #ifdef AIRPUCK_SINGLE
     qp.settings.primal_tol = AIRPUCK_R(2e-6);
 #else
-    /* The defaults call small requests with nearly parallel columns infeasible, and miss others. */
+    /* With its default tolerances, DAQP calls small requests with nearly parallel columns
+     * infeasible, and misses others slightly. */
     qp.settings.sing_tol = AIRPUCK_R(1e-14);
     qp.settings.primal_tol = AIRPUCK_R(1e-9);
 #endif
@@ -170,13 +171,15 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
 
 #else
 
-/* A float cannot hold thrusts beside slacks that cost a million times as much. In single precision
- * the program is solved in two parts: without scaling the request, which gives the thrusts of an
- * exact solution; and, if that is impossible, the least scaling. There the thrusts are all but
- * unique, so their cost may be that of leaving the previous solution, a few times over. */
+/* A float cannot resolve the cost of thrusts beside that of slacks, a million times as large. In
+ * single precision the program is therefore solved in two parts: first without scaling the request,
+ * which gives the thrusts of an exact solution; if that is infeasible, with the least scaling. In
+ * the second part the thrusts are almost unique. So their cost may be that of leaving the previous
+ * pass's solution. */
 #define PASSES 12
 
-/* Thrusts that change little compared with a request's size are as cheap as scaling it. */
+/* Return the unit of thrust changes. In this unit, changes that are small compared with the request
+ * cost as little as scaling it. */
 static airpuck_real thrust_unit(const allocation *posed)
 {
     airpuck_real column = 0, asked = 0;
@@ -200,7 +203,7 @@ static int solve_exact(airpuck *craft, const allocation *posed, airpuck_real x[A
             rows[axis][i] = posed->rows[axis][i];
     if (!solve_least(craft, N, rows[0], posed->wanted, posed->lower, posed->upper, x, price))
         return 0;
-    /* Scaling the request a little would save some thrust: the slack that balances its cost. */
+    /* Scaling the request slightly saves thrust: the slack at which cost and saving balance. */
     for (int slack = N; slack < AIRPUCK_ALLOCATED; slack++) {
         airpuck_real saved = 0;
         for (int axis = 0; axis < 3; axis++)
@@ -247,8 +250,8 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
 static int solve_nearest(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
 #ifdef AIRPUCK_SINGLE
-    /* A float cannot hold the small weights beside A'A. Larger ones that keep to the previous
-     * solution lead to nearly the same. */
+    /* A float cannot resolve the small weights beside A'A. Larger weights on the distance from the
+     * previous solution give nearly the same result. */
     const airpuck_real weights[2] = {AIRPUCK_R(1e-3), AIRPUCK_R(1e-2)};
     const int passes = 4;
 #else
@@ -307,7 +310,7 @@ static airpuck_status allocate(airpuck *craft, allocation *posed, airpuck_real x
     return 1 - slack > 1 - UNSCALED ? AIRPUCK_EXACT : AIRPUCK_SCALED;
 }
 
-/* Thrust and slope of one motor's curve. */
+/* Return the thrust of one motor; set the slope of its curve. */
 static airpuck_real curve(int motor, airpuck_real speed, airpuck_real *slope)
 {
     const airpuck_real *coefficients = airpuck_identified.thrust[motor];
@@ -320,7 +323,7 @@ static airpuck_real curve(int motor, airpuck_real speed, airpuck_real *slope)
     return total;
 }
 
-/* The motor speed that gives a thrust: Newton's method in a bracket, halved where it leaves it. */
+/* Return the motor speed that gives a thrust, by Newton's method with bisection as safeguard. */
 static airpuck_real inverse_thrust(int motor, airpuck_real force)
 {
     airpuck_real slope, top = curve(motor, 1, &slope);

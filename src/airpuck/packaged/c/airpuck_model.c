@@ -1,6 +1,6 @@
 #include "airpuck_model.h"
 
-/* A motor with a shorter lag follows at once [s]. */
+/* A motor with a shorter lag follows its command at once [s]. */
 #define NO_LAG AIRPUCK_R(1e-12)
 /* Motor speed over which the additional lag of an idling motor fades. */
 #define IDLE AIRPUCK_R(0.1)
@@ -108,7 +108,7 @@ static airpuck_real lag_at(const airpuck_model *model, airpuck_real speed)
     return lag * (1 + model->idle_lag * AIRPUCK_F(exp)(-speed / IDLE));
 }
 
-/* Speed of one motor after a duration with a given lag. */
+/* Return the speed of one motor after a duration with a given lag. */
 static airpuck_real followed(airpuck_real speed, airpuck_real command, airpuck_real duration,
                              airpuck_real lag)
 {
@@ -167,7 +167,7 @@ void airpuck_model_step(const airpuck_model *model, airpuck_real state[AIRPUCK_S
     moved(motion, duration, k3, stage);
     motion_rates(model, stage, end, k4);
 
-    /* Nothing depends on the position, so its stages are sums of the velocity's stages. */
+    /* No rate depends on the position, so its stages are sums of the velocity's stages. */
     for (int i = 0; i < 2; i++)
         state[i] += duration * motion[1 + i] +
                     duration * duration / 6 * (k1[1 + i] + k2[1 + i] + k3[1 + i]);

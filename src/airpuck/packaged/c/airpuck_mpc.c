@@ -11,7 +11,7 @@
 #define PI AIRPUCK_R(3.14159265358979323846)
 /* Time for which a plan continues without an answer from the solver [s]. */
 #define FLOWN_ON 0.1
-/* Distance to a fence per yaw rate, and its maximum [m s/rad, m]. */
+/* Distance to a fence per yaw rate, and its upper limit [m s/rad, m]. */
 #define TURNING AIRPUCK_R(8e-4)
 #define MOST_ROOM AIRPUCK_R(0.015)
 /* Yaw errors between which a plan keeps its direction of rotation [rad]. */
@@ -27,7 +27,7 @@ typedef struct {
     airpuck_real onward[6][AIRPUCK_STEERED];
     airpuck_real by_speed[N], by_command[N];
     airpuck_real felt[3][AIRPUCK_MOVING];
-    airpuck_real error[6], excess[3]; /* Of state and accelerations, from the target. */
+    airpuck_real error[6], excess[3]; /* Errors of state and accelerations. */
     airpuck_real weighted[6];         /* The error times its weight. */
 } stage;
 
@@ -36,7 +36,7 @@ typedef struct {
     const airpuck *craft;
     const airpuck_target *targets;
     airpuck_real start[S];
-    airpuck_real whole_turns; /* Between the yaw and the target. */
+    airpuck_real whole_turns; /* Between the yaw and the target's. */
     airpuck_real apart;       /* Yaw still to turn. */
     airpuck_real (*states)[S], (*bend)[N], (*moved)[V];
 } prediction;
@@ -116,7 +116,7 @@ static void predict_states(prediction *p)
     }
 }
 
-/* Set the derivatives of step k. */
+/* Set the derivatives of step k with respect to state and commands. */
 static void linearise_step(const prediction *p, int k, stage *at)
 {
     const airpuck_real *before = k > 0 ? p->states[k - 1] : p->start;
@@ -157,7 +157,8 @@ static airpuck_real curvature(int motor, airpuck_real speed)
 /* The convex part of the Hessian that the curvature of the thrust curves adds.
  *
  * At full speed a thrust curve is flat, so slowing a motor down seems to cost nothing; without this
- * term the next plan would slow it down. The costate is the gradient of the cost by the state. */
+ * term the next plan would slow it down. The costate is the gradient of the cost with respect
+ * to the state. */
 static void add_curvature(prediction *p)
 {
     airpuck_real costate[S + 1] = {0}, later[S], h = horizon->step;
@@ -199,7 +200,7 @@ static void add_curvature(prediction *p)
     }
 }
 
-/* The direction of a vector; zero for one without. */
+/* Set the direction of a vector; zero if the vector is too short to have one. */
 static void direction(airpuck_real x, airpuck_real y, airpuck_real result[2])
 {
     airpuck_real length = AIRPUCK_F(sqrt)(x * x + y * y);
@@ -207,7 +208,7 @@ static void direction(airpuck_real x, airpuck_real y, airpuck_real result[2])
     result[1] = length > NOWHERE ? y / length : 0;
 }
 
-/* Limits of a state as bounded linear functions of its changes. */
+/* Write the limits of a state as bounds on linear functions of its changes. */
 static void limit_state(const prediction *p, const airpuck_real state[6],
                         airpuck_real rows[AIRPUCK_LIMITS][6], airpuck_real lower[AIRPUCK_LIMITS],
                         airpuck_real upper[AIRPUCK_LIMITS])
@@ -216,7 +217,7 @@ static void limit_state(const prediction *p, const airpuck_real state[6],
     int row = 0;
     memset(rows, 0, sizeof(airpuck_real) * AIRPUCK_LIMITS * 6);
     for (; row < 2; row++) {
-        /* A craft on its way to the fence is limited later, where it can still brake. */
+        /* For a craft that moves towards the fence, the limit applies where it can still brake. */
         rows[row][row] = 1;
         rows[row][3 + row] =
             horizon->headway + AIRPUCK_F(fabs)(state[3 + row]) / (2 * horizon->brake);
@@ -357,7 +358,7 @@ static int form(prediction *p, airpuck_qp *qp)
            airpuck_finite(qp->work.M, AIRPUCK_ROWS * V);
 }
 
-/* Which limits are active at the solution. */
+/* Return which limits are active at the solution. */
 static int active_limits(const airpuck_qp *qp)
 {
     int found = 0;
@@ -379,8 +380,8 @@ static int active_limits(const airpuck_qp *qp)
     return found;
 }
 
-/* Solve the program from the last active set, and from none if that led nowhere before; change the
- * plan. Return DAQP's exit flag; 0 if the answer is of no use. */
+/* Solve the program and update the plan. Start from the last active set, or from an empty one if
+ * the last one failed. Return DAQP's exit flag; 0 if the result is unusable. */
 static int improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS])
 {
     airpuck_plan *plan = &craft->plan;
@@ -395,7 +396,7 @@ static int improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS]
     memcpy(p.start + 6, craft->motor_speed, sizeof craft->motor_speed);
     choose_direction(&p);
     predict_states(&p);
-    /* The acceleration at the end of the first step, as the shifted plan has it. */
+    /* The acceleration at the end of the first step of the shifted plan. */
     airpuck_acceleration(&airpuck_identified, p.states[0] + 2, p.states[0] + 6, craft->request);
     for (int axis = 0; axis < 3; axis++)
         craft->request[axis] += craft->disturbance[axis];
@@ -403,7 +404,7 @@ static int improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS]
     if (!form(&p, &qp))
         return 0;
     qp.settings.iter_limit = horizon->iterations;
-    /* DAQP only reads these weights. */
+    /* The cast is safe: DAQP only reads these weights. */
     qp.work.w_ls = qp.work.w_us = (airpuck_real *)horizon->penalty;
     qp.work.rho_ls = qp.work.rho_us = (airpuck_real *)horizon->softness;
     if (plan->astray)
@@ -455,6 +456,6 @@ airpuck_status airpuck_mpc(airpuck *craft, double now,
 }
 
 #else
-/* C has no empty files. */
+/* C does not allow empty files. */
 typedef int airpuck_not_predictive;
 #endif

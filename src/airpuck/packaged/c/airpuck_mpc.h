@@ -1,4 +1,4 @@
-/* The predictive law: the commands over a horizon that track best within all limits.
+/* The predictive law: commands over a horizon that track the targets best within all limits.
  *
  * Each step linearises the physics along the previous plan, shifted in time, and solves one
  * quadratic program for a better plan. Included by airpuck.h. */
@@ -28,14 +28,14 @@ typedef struct {
     airpuck_real effort[3];             /* Of squared accelerations. */
     airpuck_real used[AIRPUCK_BLOCKS];  /* Of squared commands above idle. */
     airpuck_real damping;               /* Of squared changes of a command. */
-    airpuck_real first;                 /* Commands of the first plan. */
+    airpuck_real first;                 /* Every command of the first plan. */
     airpuck_real brake;                 /* Acceleration that is possible in all directions [m/s^2]. */
-    airpuck_real headway;               /* Time by which the fence must be kept in advance [s]. */
+    airpuck_real headway;               /* How far ahead the fence must be kept [s]. */
     airpuck_real speed, spin;           /* Limits along the plan, if any [m/s, rad/s]. */
     airpuck_real fence[2][2];           /* Lowest and highest x, y of the craft's centre [m]. */
-    airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one more at the end. */
-    int iterations;                     /* Of the solver, at most. */
-    /* Cost of exceeding limits: linear, and the reciprocal of the quadratic part. */
+    airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one spare. */
+    int iterations;                     /* Iteration limit of the solver. */
+    /* Cost of exceeding limits: linear weight, and reciprocal of the quadratic weight. */
     airpuck_real penalty[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
     airpuck_real softness[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
 } airpuck_horizon;
@@ -49,7 +49,7 @@ typedef struct {
     airpuck_real way;       /* Yaw still to turn, in the chosen direction [rad]. */
     int limits;             /* Active limits; a sum of AIRPUCK_..._ACTIVE. */
     airpuck_real fence[2][2], keep_out[AIRPUCK_DISCS + 1][3];
-    int astray; /* Whether the last active set led nowhere. */
+    int astray; /* Whether the solver failed from the last active set. */
     int sense[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
 } airpuck_plan;
 

@@ -131,7 +131,7 @@ int airpuck_qp_factor(airpuck_qp *qp)
         factor[at] = reciprocal;
     }
     work->Rinv = factor;
-    /* Kept for airpuck_qp_solve. */
+    /* Used again by airpuck_qp_solve. */
     work->fval = largest;
     return 1;
 }
@@ -177,7 +177,7 @@ static void invert_factor(airpuck_real *factor, int n)
     }
 }
 
-/* Whether a row of zeros contradicts its bounds. */
+/* Return whether a row of zeros contradicts its bounds. */
 static int zero_row_infeasible(const airpuck_qp *qp, int i)
 {
     int sense = DAQP_ZERO_ROW_SENSE(qp->work.sense[i]);
@@ -226,7 +226,7 @@ static int form_rows(airpuck_qp *qp)
         for (int j = 0; j < n; j++)
             square += m[j] * m[j];
         if (square < qp->settings.zero_tol) {
-            /* The row says nothing: it is set aside until it is not zero any more. */
+            /* The row constrains nothing: leave it out until it is no longer zero. */
             work->scaling[i] = 1;
             if (zero_row_infeasible(qp, i))
                 return 0;

@@ -1,8 +1,8 @@
-/* Quadratic programs with a positive definite Hessian, solved by DAQP in memory of the caller.
+/* Quadratic programs with a positive definite Hessian, solved by DAQP in the caller's memory.
  *
  *     min x'Hx/2 + f'x   subject to   lower <= (x, Ax) <= upper
  *
- * The first bounds are those of the variables. DAQP's solver is used as it is (folder daqp);
+ * The first bounds are those of the variables. DAQP's solver is unchanged (folder daqp);
  * airpuck_qp.c replaces the parts of DAQP that allocate memory. */
 #ifndef AIRPUCK_QP_H
 #define AIRPUCK_QP_H
@@ -14,9 +14,9 @@
 #endif
 #include "daqp/daqp.h"
 
-/* Most constraints that are active at the same time: of n variables, s of the rows soft. */
+/* Maximum number of active constraints, for n variables and s soft rows. */
 #define AIRPUCK_QP_ACTIVE(n, s) ((n) + (s) + 1)
-/* Numbers that a problem of n variables and r rows needs. */
+/* Length of the array `numbers` for n variables and r rows. */
 #define AIRPUCK_QP_NUMBERS(n, r, s)                                                              \
     ((n) * ((n) + 1) / 2 + (r) * (n) + 5 * ((n) + (r)) + 4 * (n) + (r) +                          \
      AIRPUCK_QP_ACTIVE(n, s) * (AIRPUCK_QP_ACTIVE(n, s) + 11) / 2)
@@ -46,8 +46,8 @@ void airpuck_qp_factor_twice_identity(airpuck_qp *qp);
 /* Factor H in its place; return whether it is positive definite. */
 int airpuck_qp_factor(airpuck_qp *qp);
 
-/* Return whether the minimum without constraints meets all bounds of the variables, as it has to if
- * there are no rows; work.x is then the solution. To be called between factoring and solving. */
+/* For a problem without rows: return whether the unconstrained minimum meets all bounds of the
+ * variables; work.x is then the solution. Call this between factoring and solving. */
 int airpuck_qp_unconstrained(airpuck_qp *qp);
 
 /* Solve; return DAQP's exit flag, positive if work.x is the solution. */

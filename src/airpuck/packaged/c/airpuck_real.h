@@ -1,4 +1,4 @@
-/* Numbers of the exported C: double, or float where AIRPUCK_SINGLE is defined.
+/* Number type of the exported C: double, or float where AIRPUCK_SINGLE is defined.
  *
  * Constants are written AIRPUCK_R(0.5) and functions of <math.h> AIRPUCK_F(sin), so that no double
  * appears in a single-precision build. */

@@ -2,8 +2,8 @@
  *
  * Lines: `target,x,y,yaw`, `pose,stamp,x,y,yaw`, `sent,time,command...`, and
  * `step,now,status,command...` with what the controller in Python computed. For the predictive law,
- * `plan,since,answered,way,commands...` is the plan before a step: it is copied, because every plan
- * depends on the one before, so that rounding would add up. */
+ * `plan,since,answered,way,commands...` is the plan before a step. It is copied, because rounding
+ * would otherwise accumulate from plan to plan. */
 #include "airpuck.h"
 
 #include <stdio.h>
@@ -20,7 +20,7 @@
 
 static airpuck craft;
 
-/* Read numbers that are separated by commas; return how many there are. */
+/* Read comma-separated numbers; return how many there are. */
 static int numbers(const char *text, airpuck_real *result, int count)
 {
     int found = 0;

@@ -10,7 +10,7 @@
 #define IDLE AIRPUCK_R(0.1)
 #define AT_REST AIRPUCK_R(1e-12)
 
-/* Velocity in the body frame, and its derivatives by yaw, vx, vy and yaw rate. */
+/* Velocity in the body frame, and its derivatives with respect to yaw, vx, vy and yaw rate. */
 typedef struct {
     airpuck_real forward, left, spin;
     airpuck_real forward_slopes[4], left_slopes[4];
@@ -154,7 +154,7 @@ void airpuck_acceleration_slopes(const airpuck_model *model, const airpuck_real 
     slopes[1][3] += 2 * ry * felt.spin;
 }
 
-/* Advance one motor (see airpuck_motors); set the derivatives by its speed and its command. */
+/* Advance one motor (see airpuck_motors); set derivatives with respect to speed and command. */
 static airpuck_real follow(const airpuck_model *model, airpuck_real speed, airpuck_real command,
                            airpuck_real duration, airpuck_real *by_speed, airpuck_real *by_command)
 {

@@ -8,14 +8,15 @@
 #define AIRPUCK_MOVING (4 + AIRPUCK_MOTORS)
 #define AIRPUCK_STEERED (AIRPUCK_MOVING + AIRPUCK_MOTORS)
 
-/* Compute accelerations (see airpuck_acceleration) and their derivatives by motion and speeds. */
+/* Compute accelerations (see airpuck_acceleration), and their derivatives with respect to motion
+ * and speeds. */
 void airpuck_acceleration_slopes(const airpuck_model *model, const airpuck_real motion[4],
                                  const airpuck_real speed[AIRPUCK_MOTORS], airpuck_real rates[3],
                                  airpuck_real slopes[3][AIRPUCK_MOVING]);
 
-/* Derivatives of airpuck_model_step: of x, y, yaw and their rates by motion, speeds and commands,
- * and of each motor speed by itself and by its command. The position adds to itself; it is left
- * out. */
+/* Derivatives of airpuck_model_step: of x, y, yaw and their rates with respect to motion, speeds
+ * and commands, and of each motor speed with respect to itself and its command. Those with respect
+ * to the position are left out: they are 1 for the position itself, and otherwise 0. */
 void airpuck_step_slopes(const airpuck_model *model, const airpuck_real state[AIRPUCK_STATES],
                          const airpuck_real command[AIRPUCK_MOTORS], airpuck_real duration,
                          airpuck_real slopes[6][AIRPUCK_STEERED],

@@ -5,9 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Longest simulated time [s]: times of events stay exact to a nanosecond. */
+/* Longest simulated time [s]: up to here, event times are exact to a nanosecond. */
 static const double LONGEST = 1e6;
-/* Communication points that differ by less are the same [s]. */
+/* Communication points that differ by less count as equal [s]. */
 static const double SAME_TIME = 1e-9;
 
 typedef enum { INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED } fmu_mode;
@@ -179,7 +179,7 @@ static fmi3Status check_value(const fmu *unit, const char *function, fmi3ValueRe
         snprintf(problem, sizeof problem, "%.60s cannot be set now", variable->name);
         return failed(unit, fmi3Error, function, problem);
     }
-    /* Commands beyond their range are clipped, as by a real radio. */
+    /* Commands outside their range are clipped, as by a real radio. */
     if (input ? isfinite(value) : value >= variable->low && value <= variable->high)
         return fmi3OK;
     snprintf(problem, sizeof problem, "%.60s = %g is not between %g and %g", variable->name, value,
@@ -187,7 +187,7 @@ static fmi3Status check_value(const fmu *unit, const char *function, fmi3ValueRe
     return failed(unit, fmi3Discard, function, problem);
 }
 
-/* Set a variable to a value that was checked. */
+/* Set a variable to a checked value. */
 static void set(fmu *unit, fmi3ValueReference reference, double value)
 {
     if (airpuck_variables[reference].causality == 'i') {
@@ -197,7 +197,7 @@ static void set(fmu *unit, fmi3ValueReference reference, double value)
     unit->state.plant.value[reference] = value;
 }
 
-/* Outputs of a unit that is being initialised follow from its present parameters. */
+/* During initialisation the outputs follow from the present parameters. */
 static const double *values_of(fmu *unit)
 {
     if (unit->state.mode == INITIALIZATION)
@@ -215,7 +215,7 @@ fmi3Status fmi3GetFloat64(fmi3Instance instance, const fmi3ValueReference valueR
     const double *all = values_of(unit);
     for (size_t i = 0; i < nValues; i++)
         values[i] = all[valueReferences[i]];
-    /* The plant counts time from its start. */
+    /* The plant's time begins at 0. */
     for (size_t i = 0; i < nValues; i++)
         if (airpuck_variables[valueReferences[i]].causality == 't')
             values[i] += unit->state.start_time;
@@ -275,7 +275,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     if (check_mode(unit, function, unit && unit->state.mode == STEPPING))
         return fmi3Error;
     if (!eventHandlingNeeded || !terminateSimulation || !earlyReturn || !lastSuccessfulTime)
-        return failed(unit, fmi3Error, function, "needs places for all results");
+        return failed(unit, fmi3Error, function, "a pointer to a result is NULL");
     airpuck_plant *plant = &unit->state.plant;
     double begin = currentCommunicationPoint - unit->state.start_time;
     double end = begin + communicationStepSize;

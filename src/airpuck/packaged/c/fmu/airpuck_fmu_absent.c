@@ -1,5 +1,5 @@
-/* Functions of FMI 3.0 that a co-simulation unit without events, clocks and further types must have
- * and never needs: they fail. */
+/* Functions that FMI 3.0 requires, but that a co-simulation FMU without events, clocks and further
+ * types does not support: they return an error. */
 #include "fmi3Functions.h"
 
 #if defined(__GNUC__)
@@ -18,7 +18,7 @@ typedef fmi3ValueReference reference;
     { \
         return fmi3Error; \
     }
-/* There is no variable of a type: nothing can be read or set, except nothing. */
+/* There is no variable of this type: only an empty list can be read or set. */
 #define NO_VARIABLES(type) \
     fmi3Status fmi3Get##type(fmi3Instance instance, const reference references[], size_t count, \
                              fmi3##type values[], size_t n) \

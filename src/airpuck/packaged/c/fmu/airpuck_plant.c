@@ -14,7 +14,7 @@ static double uniform(uint64_t *random)
     return (double)((mixed ^ (mixed >> 31)) >> 11) / 9007199254740992.0;
 }
 
-/* A normal number, by the method of Box and Muller. */
+/* Return a normally distributed number, by the Box-Muller method. */
 static double normal(uint64_t *random)
 {
     double radius = sqrt(-2 * log(1 - uniform(random)));
@@ -79,7 +79,7 @@ const char *airpuck_plant_start(airpuck_plant *plant)
     memset(plant->drive, 0, sizeof plant->drive);
     plant->radio.count = plant->camera.count = 0;
     plant->radio.last_arrival = plant->camera.last_arrival = -INFINITY;
-    /* Two sequences of their own. */
+    /* Radio and camera have separate random sequences. */
     plant->radio_random = (uint64_t)value[AIRPUCK_SEED] << 32;
     plant->camera_random = ~plant->radio_random;
     return airpuck_plant_run(plant, 0);
@@ -97,8 +97,8 @@ const char *airpuck_plant_send(airpuck_plant *plant, double time)
     return NULL;
 }
 
-/* Impulse of a contact along its normal and tangent: restitution, Coulomb friction that stops the
- * slip where it can. The arms lead from the centre of mass to the contact. */
+/* Set the impulse of a contact along its normal and tangent: restitution, and Coulomb friction,
+ * which stops the slip if it can. The arms lead from the centre of mass to the contact. */
 static void contact_impulse(const airpuck_plant *plant, double arm_n, double arm_t, double speed_n,
                             double slip, double impulse[2])
 {
@@ -124,7 +124,7 @@ static void contact_impulse(const airpuck_plant *plant, double arm_n, double arm
     impulse[1] = work > 0 ? 0 : t;
 }
 
-/* Push a craft back that went beyond a rail across one axis; return whether it did. */
+/* Push back a craft that crossed a rail along one axis; return whether it did. */
 static int bounce(const airpuck_plant *plant, double state[AIRPUCK_STATES], int axis)
 {
     const airpuck_disc *disc = &airpuck_craft;
@@ -147,7 +147,7 @@ static int bounce(const airpuck_plant *plant, double state[AIRPUCK_STATES], int 
     state[3] += (impulse[0] * nx - impulse[1] * ny) / disc->mass + turned * ry;
     state[4] += (impulse[0] * ny + impulse[1] * nx) / disc->mass - turned * rx;
     state[5] += turned;
-    /* The position rebounds like the speed. */
+    /* The penetration is reflected, scaled like the speed. */
     state[axis] -= side * depth * (1 + plant->value[AIRPUCK_TABLE_RESTITUTION]);
     return 1;
 }
@@ -160,7 +160,7 @@ static int advance(const airpuck_plant *plant, double state[AIRPUCK_STATES], dou
     return bounce(plant, state, 1) || met_x;
 }
 
-/* Report a contact: when it was noticed, and the speed towards the rail before. */
+/* Report a contact: when it was detected, and the speed towards the rail before it. */
 static void report_contact(airpuck_plant *plant, const double before[AIRPUCK_STATES])
 {
     const double *after = plant->state;
@@ -200,7 +200,7 @@ static void integrate(airpuck_plant *plant, double event, double until)
     }
 }
 
-/* Put the last pose that arrived until a time into the outputs. */
+/* Copy the last pose that arrived by a time to the outputs. */
 static void deliver(airpuck_plant *plant, double time)
 {
     double *value = plant->value;
@@ -210,7 +210,7 @@ static void deliver(airpuck_plant *plant, double time)
     }
 }
 
-/* Take the due frame of the camera. All random numbers are always drawn, so that one setting does
+/* Take the camera frame that is due. All random numbers are always drawn, so that one setting does
  * not change the draws of another. */
 static const char *photograph(airpuck_plant *plant, double time)
 {

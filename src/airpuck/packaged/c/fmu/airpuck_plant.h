@@ -1,7 +1,7 @@
 /* A craft on its table: radio with delay, motors, rails, and a camera that measures the pose.
  *
- * The laws are those of airpuck's simulated table, with its integration steps: they end at arrivals
- * of commands and at frames of the camera, so results do not depend on how often the plant is
+ * The laws are those of airpuck's simulated table, with its integration steps. Steps end when a
+ * command arrives or a camera frame is due, so results do not depend on how often the plant is
  * asked. Times are in seconds from the start. */
 #ifndef AIRPUCK_PLANT_H
 #define AIRPUCK_PLANT_H
@@ -42,7 +42,7 @@ typedef struct {
 typedef struct {
     double value[AIRPUCK_VARIABLES];
     airpuck_model model;
-    /* State at a time, which is that of the last event or integration step. */
+    /* State, and its time: that of the last event or integration step. */
     double time, state[AIRPUCK_STATES];
     /* Commands that the motors follow. */
     double drive[AIRPUCK_MOTORS];
