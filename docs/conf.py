@@ -26,17 +26,17 @@ html_title = "airpuck"
 html_static_path = []
 html_theme_options = {"source_directory": "docs/"}
 html_show_sphinx = False
-# Mathematics is drawn in the browser; nothing comes from other hosts.
+# The browser renders mathematics; nothing is loaded from other hosts.
 mathjax_path = "mathjax/tex-svg.js"
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 # Notebooks run when the site is built, unless nothing in them has changed.
 nb_execution_mode = os.environ.get("AIRPUCK_DOCS_NOTEBOOKS", "cache")
-nb_execution_timeout = 600  # a busy machine takes long; each page needs less than two minutes of it
+nb_execution_timeout = 600  # Each page takes less than two minutes, but a busy machine is slow.
 nb_execution_raise_on_error = True
 nb_merge_streams = True
-# A notebook that is not run has no lexer.
+# A notebook that is not executed has no lexer.
 suppress_warnings = ["myst-nb.lexer"]
 nb_execution_in_temp = True
 

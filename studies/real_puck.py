@@ -20,9 +20,9 @@ import numpy as np
 import airpuck
 from airpuck.identification.puck_flights import find_flights, noise_of
 
-#: Shorter flights tell nothing about deceleration [s].
+#: Shorter flights contain no information about deceleration [s].
 SHORTEST = 0.15
-#: Slower ones neither [m/s].
+#: Nor do slower ones [m/s].
 SLOWEST = 0.1
 LAWS = {
     "constant": (0,),

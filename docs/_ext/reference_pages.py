@@ -35,7 +35,7 @@ def _write(app: Any) -> None:
 
 
 def _relink(app: Any, page: str, source: list[str]) -> None:
-    """Point links to pages that only the site has."""
+    """Redirect links to pages that exist only on the site."""
     for link, own in _OUTSIDE.items():
         source[0] = source[0].replace(f"]({link}", f"]({own}")
 

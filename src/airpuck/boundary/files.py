@@ -131,7 +131,7 @@ def checked(
     try:
         # Validate as JSON: there, strict mode concerns types (booleans and strings are not numbers)
         # instead of Python's containers.
-        # YAML's keys can be dates or lists.
+        # Keys in YAML can be dates or lists.
         text = json.dumps(content, default=str, skipkeys=True)
         return adapter.validate_json(text, strict=True)
     except pydantic.ValidationError as error:

@@ -61,7 +61,7 @@ def parse_json(text: str, *, file: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def load_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
-    """Read a YAML file that holds a table."""
+    """Read a YAML file whose content is a mapping."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -75,6 +75,6 @@ def load_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
         except (YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
             raise InputError(f"is not valid YAML: {error}", file=path) from error
     if not isinstance(content, dict):
-        raise InputError("must hold a table of keys and values", file=path)
+        raise InputError("must contain a mapping of keys to values", file=path)
     check_tree(content, file=path)
     return content

@@ -1,4 +1,4 @@
-"""`league`: everyone plays everyone; ratings with intervals."""
+"""`league`: every player plays every other; ratings with intervals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from airpuck.model.model_file import read_model
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import check_seed
 
-#: Who plays if nobody is named.
+#: Default players.
 PLAYERS = ("airpuck:hard", "airpuck:medium", "airpuck:easy", *(f"{hand}:medium" for hand in HANDS))
 #: Half the width of a 95 % interval, in standard errors.
 _QUANTILE = 1.96
@@ -128,10 +128,10 @@ def league(
     workers: Workers = None,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> LeagueResult:
-    """Let everyone play everyone, and rate the players.
+    """Let every player play every other, and rate them.
 
-    Sides alternate from game to game. Drag and bounces of the puck are drawn anew for each game,
-    within what is known of them; no player gets the true numbers.
+    Sides alternate from game to game. Drag and bounces of the puck are drawn for each game, within
+    their uncertainty; no player gets the true numbers.
 
     Parameters
     ----------

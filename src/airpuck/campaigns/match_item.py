@@ -37,8 +37,8 @@ class Match(Item):
     model: str = "paper:M3"
     rules: Rules = pydantic.Field(default_factory=Rules)
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
-    #: Whether drag and bounces of the puck are drawn anew, within what is known of them. Nobody
-    #: gets the true numbers.
+    #: Whether drag and bounces of the puck are drawn for each game, within their uncertainty. No
+    #: player gets the true numbers.
     drawn: bool = False
     #: Folder to write the game to; does not affect the result.
     bag: Annotated[str | None, pydantic.Field(exclude=True)] = None

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-#: Points of Elo's scale for which the odds of a win are ten to one.
+#: Lead on the Elo scale at which the odds of a win are ten to one.
 ELO = 400.0
-#: Standard deviation of ratings before any game [Elo]: a player who won or lost all games still
-#: gets a finite rating. The odds of most pairs are then between 1 : 30 and 30 : 1. A guess.
+#: Prior standard deviation of ratings [Elo]: even a player who won or lost all games gets a finite
+#: rating. The odds of most pairs are then between 1 : 30 and 30 : 1. A guess.
 _SPREAD = 420.0
 #: Newton's method stops at changes below this [log odds].
 _EXACT = 1e-9
@@ -46,10 +46,10 @@ def ratings(
         gradient = (points - games * chance).sum(axis=1) - prior * value
         weight = games * chance * (1 - chance)
         hessian = np.diag(weight.sum(axis=1) + prior) - weight
-        # Far from the mode a whole step may go too far.
+        # Far from the mode a full Newton step may overshoot.
         step = np.clip(np.linalg.solve(hessian, gradient), -1.0, 1.0)
         value = value + step
-    # Relative to the mean, which games say nothing about.
+    # Relative to the mean, which games do not determine.
     centred = np.eye(count) - 1 / count
     covariance = centred @ np.linalg.inv(hessian) @ centred
     return scale * centred @ value, scale**2 * covariance

@@ -98,7 +98,7 @@ class SigmaDelta(Modulator):
 
 
 class TwoWayModulator(Modulator):
-    """Joins the two ways of each actuator, and commands wheels."""
+    """Joins the two directions of each actuator, and commands wheels."""
 
     def __init__(self, actuation: ActuatorSet, thrusters: Modulator, tick: float) -> None:
         self._actuation, self._thrusters = actuation, thrusters

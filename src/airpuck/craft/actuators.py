@@ -149,10 +149,10 @@ class Wheel(Section):
     name: str = pydantic.Field(min_length=1)
     #: Torque at full command; if speeds are commanded, torque while the wheel changes its speed.
     torque_Nm: Positive
-    #: Moment of inertia of the wheel, and its largest speed.
+    #: Moment of inertia of the wheel about its axis, and its largest speed.
     inertia_kg_m2: Positive
     max_speed_rad_s: Positive
-    #: What a command in [-1, 1] is a fraction of: `torque_Nm` or `max_speed_rad_s`.
+    #: Whether a command in [-1, 1] is a fraction of `torque_Nm` or of `max_speed_rad_s`.
     commanded: Literal["torque", "speed"] = "torque"
     #: Which way a positive command turns the craft: against the wheel.
     turns_craft: Literal["left", "right"] = "right"
@@ -169,7 +169,7 @@ class Wheel(Section):
 
 
 class Spinning:
-    """The speed of a wheel under its commands: it starts at rest."""
+    """The speed of a wheel under its commands, starting at rest."""
 
     def __init__(self, wheel: Wheel) -> None:
         self._wheel = wheel
@@ -197,7 +197,7 @@ class Spinning:
 
     @property
     def ends(self) -> float:
-        """When the present torque ends [s]."""
+        """Time at which the current torque ends [s]."""
         return self._since + self.drive()[1]
 
     def changes(self, time: float, command: float) -> list[tuple[float, float]]:
@@ -274,7 +274,7 @@ class ActuatorSet:
         return np.maximum(command[..., columns] * signs, 0.0)
 
     def joined(self, drive: Float[np.ndarray, "*n n"]) -> Float[np.ndarray, "*n c"]:
-        """Return one drive for each column: what one way leaves of the other."""
+        """Return one drive for each column: the difference of its two ways."""
         if len(self.channels) == self.n_columns:
             return drive
         joined = np.zeros((*drive.shape[:-1], self.n_columns))
@@ -307,7 +307,7 @@ class ActuatorSet:
         for wheel, column in zip(wheels, command[:, first:].T, strict=True):
             changes = [(-math.inf, 0.0)]
             for begins, value in zip(time.tolist(), column.tolist(), strict=True):
-                # The next command replaces what the last one has not done yet.
+                # The next command replaces what is left of the last one.
                 while changes[-1][0] >= begins:
                     changes.pop()
                 changes += wheel.changes(begins, value)

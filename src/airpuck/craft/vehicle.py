@@ -40,12 +40,12 @@ _THRUST, _TIME = 10.0, 1.0
 #: Largest plausible thrust of a propeller backwards, relative to forwards. Blades are made for one
 #: way, so it is usually below 1.
 _REVERSE = 2.0
-#: Shortest lever arm that tells the inertia [radii of gyration]. The centre of mass is uncertain by
-#: a tenth of that.
+#: Shortest lever arm that determines the inertia [radii of gyration]. The centre of mass is
+#: uncertain by a tenth of that.
 _LEVER = 0.2
-#: Most reaction wheels of a craft: one is usual.
+#: Largest number of reaction wheels; one is usual.
 _MOST_WHEELS = 4
-#: Ending of the name of the way that a negative command drives.
+#: Suffix of the name of the direction that a negative command drives.
 _BACKWARDS = "_reverse"
 _GRAVITY = 9.81
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
@@ -85,9 +85,9 @@ class Nominal(Section):
 class Vehicle(Section):
     """A craft: mass, propellers, pairs, command limits, nominal values (seq:model).
 
-    A propeller that reverses, or a wheel, is two propellers in all arrays: one for each way, the
-    second named after the first with the ending ``_reverse``. Commands have one column for each
-    actuator (`columns`), in [-1, 1] if it pushes both ways.
+    In all arrays, a propeller that reverses, or a wheel, counts as two propellers: one for each
+    direction. The second has the name of the first with the suffix ``_reverse``. Commands have one
+    column for each actuator (`columns`), in [-1, 1] if it pushes both ways.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ class Vehicle(Section):
 
     @property
     def idle(self) -> Float[np.ndarray, " c"]:
-        """The command at which nothing pushes more than it must."""
+        """The command at which every actuator pushes as little as possible."""
         return np.maximum(self.command_range[0], 0.0)
 
     @cached_property
@@ -270,7 +270,7 @@ class Vehicle(Section):
 
     @cached_property
     def propellers_turn(self) -> bool:
-        """Whether propellers have lever arms by which a recording can tell the inertia."""
+        """Whether propellers have lever arms long enough for identifying the inertia."""
         (px, py), (dx, dy) = self.positions.T, self.directions.T
         arms = np.abs(px * dy - py * dx)
         return float(arms.max()) > _LEVER * math.sqrt(self.nominal.inertia_kg_m2 / self.mass_kg)

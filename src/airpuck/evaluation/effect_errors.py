@@ -34,7 +34,7 @@ _STEP_S = 1e-3
 #: fraction of full thrust by which a curve bends [1], other accelerations [m/s², rad/s²] and those
 #: per speed [1/s].
 _EFFECT_UNIT, _TIME_UNIT, _BEND_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.2, 0.1
-#: Least length of the blocks of time behind the standard errors [s], and the fewest blocks.
+#: Minimum length [s] and number of the blocks of time behind the standard errors.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
 #: A motor whose modelled full thrust is below this fraction of the median gets the median curve: a
 #: motor that the model takes for dead may run.
@@ -77,7 +77,7 @@ class EffectErrors:
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     """Estimate the systematic errors of a model; None if the recording is too short."""
     before = trajectory.steps(_PAST_S, least=2)
-    # A slow craft shows its thrust later.
+    # The thrust of a slow craft stands out from the noise later.
     lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle))
     ahead = trajectory.steps(lasting)
     count = len(trajectory.window_starts(before + ahead, ahead))

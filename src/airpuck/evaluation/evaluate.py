@@ -303,7 +303,7 @@ class BetterFrom(Result):
 
     JSON = "better_from_s=since better_from_interval_95_s=interval"
 
-    #: The horizon; None if a craft that coasts is predicted as well at the longest one [s].
+    #: The horizon [s]; None if coasting predicts as well at the longest one.
     since: float | None
     #: 95 % interval by block bootstrap; an end beyond the longest horizon is None. None if the
     #: recording is too short [s].
@@ -334,7 +334,7 @@ def better_from(evaluation: Evaluation, trajectory: Trajectory) -> BetterFrom:
     ]
 
     def first(means: Float[np.ndarray, "S D"]) -> Float[np.ndarray, " D"]:
-        """Return the first of the last steps that are all better; infinite if there is none."""
+        """Return the step from which all are better; infinite if there is none."""
         model, idle = np.split(means, 2)
         last = np.where(model >= idle, np.arange(1, steps + 1)[:, None], 0).max(axis=0)
         return np.where(last < steps, (last + 1) * period, np.inf)

@@ -12,7 +12,7 @@ from airpuck.preprocessing.time_scale import patience
 
 #: Longest transport delay that is plausible without further knowledge, and the largest excess over
 #: the vehicle file's delay [s]: as large as the error of the response time that control
-#: tolerates; for a slow craft, each is larger by its `patience`.
+#: tolerates; for a slow craft, each is multiplied by its `patience`.
 _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
 _INERTIA_RANGE = (0.1, 1.0)

@@ -1,4 +1,4 @@
-"""A source-code FMI 3.0 co-simulation unit of the craft on its table."""
+"""A co-simulation FMU (FMI 3.0, source code) of the craft on its table."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _TIME, _RATE, _NOISE = 10.0, 1e5, 10.0
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the unit; its value reference is its place in the list."""
+    """A variable of the FMU; its value reference is its index in the list."""
 
     name: str
     causality: str
@@ -56,7 +56,7 @@ class Variable:
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
-    """Write the unit; see `airpuck.export.kinds.Kind`."""
+    """Write the FMU; see `airpuck.export.kinds.Kind`."""
     check(subject)
     model = subject.model
     plant = build_plant(model, subject.twin, compiled=False)
@@ -90,7 +90,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 
 
 def check(subject: Subject) -> None:
-    """Raise InputError for what the unit cannot represent."""
+    """Raise InputError for what the FMU cannot represent."""
     model, twin = subject.model, subject.twin
     refuse_actuators(model, "fmu")
     for name in model.vehicle.propeller_names:

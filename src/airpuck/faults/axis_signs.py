@@ -1,8 +1,7 @@
 """Wrong signs of the axes of a logged pose, found by the motion that commands should cause.
 
-The motion that commands should cause shows which axes of the logged pose have the wrong sign. A
-pose is logged as (sx x, sy y, sγ γ). Forces f in the body frame are R(γ) f in the world. In the log
-they are S R(γ) f with S = diag(sx, sy). Turned back by the logged yaw, they are
+A pose is logged as (sx x, sy y, sγ γ). Forces f in the body frame are R(γ) f in the world. In the
+log they are S R(γ) f with S = diag(sx, sy). Rotated back by the logged yaw, they are
 
     R(-sγ γ) S R(γ) f = S f              where sγ = det S
                       = S R(2γ) f        otherwise.
@@ -26,13 +25,13 @@ from airpuck.data.trajectory import Trajectory
 
 #: Two more flips are assumed if the forces are turned to within this of 180 degrees.
 _HALF_TURN = 0.5
-#: Least improvement of the explained correlation by another choice of signs, of at most 2.
+#: Least improvement of the sum of correlations, at most 2, by which other signs are accepted.
 _MARGIN = 0.15
 
 
 @dataclass(frozen=True)
 class AxisSigns:
-    """Signs that turn logged x, y and yaw into the true ones."""
+    """Signs by which logged x, y and yaw are multiplied to get the true ones."""
 
     x: int = 1
     y: int = 1
@@ -49,7 +48,7 @@ class AxisSigns:
         return tuple("the yaw" if name == "yaw" else f"the {name} axis" for name in self.flipped)
 
     def line(self, axes: Sequence[str]) -> str:
-        """Return the corrected line of a mapping file; `axes` are its present ones."""
+        """Return the corrected line of a mapping file; `axes` are its current ones."""
         signs = (self.x, self.y, self.yaw)
         mended = [_turned(a) if sign < 0 else a for a, sign in zip(axes, signs, strict=True)]
         return f"axes = {mended}".replace("'", '"')

@@ -37,7 +37,7 @@ from airpuck.preprocessing.window_regression import LEVEL, WindowRegression, reg
 AXES = ("x", "y", "z")
 #: Explained fraction, relative to the best, from which signs count as explaining as much.
 _AS_GOOD = 0.8
-#: Longest transport delay tried [s], and multiple of the vehicle file's that is tried.
+#: Longest transport delay to try: absolute [s], or as a multiple of the vehicle file's.
 _LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
 #: Rotation of the whole layout that is worth mentioning [rad].
 _TURNED = 0.3
@@ -45,11 +45,11 @@ _TURNED = 0.3
 _UNKNOWN = 1e9
 #: If a verdict would need this multiple of the flight's length, the motors were barely used.
 _TOO_LONG = 100.0
-#: Pull along the table, relative to one propeller's push, that changes what is said of propellers,
-#: and in standard errors. On real flights over a level table, thrusts that are not as stated look
-#: like 1.2 % and 4.6.
+#: Least slope that affects the verdicts on propellers: its pull relative to one propeller's push,
+#: and in standard errors. On real flights over a level table, errors of the stated thrusts look
+#: like a slope of 1.2 % and 4.6.
 _TILT_MATTERS, _CERTAIN_TILT = 0.05, 5.0
-#: Parts of a sample in which commands that change faster are held.
+#: Parts of a sample in each of which faster commands are held.
 _PARTS = 8
 #: Shortest usable recording from which anything is concluded [s].
 _SHORTEST = 2.0
@@ -338,7 +338,7 @@ def _propeller_checks(
             back = measured
     verdicts = _unclear(back, error, stated, agrees)
     verdicts |= {k: _verdict(match, k, names, agrees) for k, match in matches.items()}
-    # Forces depend on the mass only, which is known; a wheel has nothing but its moment.
+    # Forces depend only on the mass, which is known; a wheel has only a moment.
     along, pushes = stated.copy(), np.linalg.norm(stated[:2], axis=0) > 0
     along[2, pushes] = 0.0
     full = np.linalg.norm(along, axis=0)
@@ -388,7 +388,7 @@ def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) 
 
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
     """Return the thrusts of nominal motors without a transport delay."""
-    # Pulses that are shorter than a sample are averaged over it.
+    # Pulses shorter than a sample are averaged over it.
     parts, count = _parts(trajectory), len(trajectory)
     fine = np.interp(np.arange(count * parts) / parts, np.arange(count), trajectory.time)
     command = hold(trajectory.command_time, trajectory.command, fine)
@@ -406,7 +406,7 @@ def _longest_delay(vehicle: Vehicle) -> float:
 
 
 def _parts(trajectory: Trajectory) -> int:
-    """Return into how many parts a sample is divided, if commands change faster than that."""
+    """Return the number of parts of a sample: more than one if commands change faster."""
     pace = np.diff(trajectory.command_time)
     if not len(pace) or np.mean(pace) >= trajectory.sample_period:
         return 1

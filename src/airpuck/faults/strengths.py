@@ -109,8 +109,8 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
     effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
-    fit is spoilt, and all strengths are those of the check. So they are if the table is tilted and
-    the model has no tilt.
+    fit is useless, and all strengths are those of the check. The same applies if the table is
+    tilted and the model has no tilt.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         # Strengths that a constraint holds have no error of their own.
         held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
         if check.tilt is not None and model.parameters.tilt is None:
-            held = np.full(len(value), True)  # the fit explained the slope by thrusts
+            held = np.full(len(value), True)  # the fit attributed the slope to thrusts
         if check.conclusive:
             seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
             value, error = (
@@ -166,7 +166,7 @@ def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 
 def on_table_of(model: Model, trajectory: Trajectory) -> Model:
-    """Return the model on the table of a recording: with its slope, if the model has none."""
+    """Return the model with the slope of a recording's table, unless it has a tilt already."""
     parameters = model.parameters
     tilt = None if parameters.tilt is not None else check_layout(trajectory, model.vehicle).tilt
     if tilt is None:

@@ -71,7 +71,7 @@ class Track:
     command: Float[np.ndarray, "K n"]
     #: Names of the motors.
     motors: tuple[str, ...]
-    #: The command of idle motors.
+    #: The command at which motors idle.
     idle: Float[np.ndarray, " c"]
 
     @classmethod

@@ -158,7 +158,7 @@ class Game:
     logs : bool, default True
         Whether to keep everything for `recording`.
     believed : AirHockey, optional
-        Table and puck as both contestants know them; by default as they are.
+        Table and puck that both contestants assume; by default the true ones.
 
     Attributes
     ----------

@@ -162,9 +162,9 @@ class HumanHand(ABC):
         self._goes_by: list[PuckState] = []
         self._opponent = (0.0, 0.0)
         self._errs, self._error = 0.0, (0.0, 0.0)
-        # Separate, so that the other errors do not depend on it.
+        # A separate generator, so that other errors do not depend on these.
         self._misjudging = np.random.default_rng([seed, 1])
-        #: Error of the seen velocity, relative and in direction, and of the direction at a bounce.
+        #: Errors of the seen speed [relative], its direction, and that after a bounce [rad].
         self._misjudged = (0.0, 0.0, 0.0)
         #: Last change of the opponent's y between decisions [m].
         self._opponent_moves = 0.0

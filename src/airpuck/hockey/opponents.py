@@ -21,18 +21,18 @@ from airpuck.hockey.hand import (
 from airpuck.physics.puck import PuckState
 
 # Numbers without a source are guesses.
-#: Run-up of a stroke at an approaching puck [m], and its average share of the full speed.
+#: Run-up of a stroke at an approaching puck [m], and its mean speed as a fraction of full speed.
 _RUN_UP, _HITS_AT = 0.12, 0.7
-#: A puck that is nearer to the goal line than this is only blocked [m].
+#: A puck nearer to the goal line than this is only blocked [m].
 _TOO_DEEP = 0.15
 #: A wild hitter waits this far from its goal line [m].
 _FORWARD = 0.35
-#: The opponent moves if its y changes by more than this between two looks [m].
+#: The opponent counts as moving if its y changes by more than this between decisions [m].
 _MOVES = 0.002
 
 
 class Counter(Striker):
-    """A counter-attacker: a striker who also strikes back an approaching puck, in one touch."""
+    """A counter-attacker: a striker who also returns an approaching puck in one touch."""
 
     def decided(self, time: float, own: Place) -> Place:
         """Meet an approaching puck with a stroke, if there is time; see `HumanHand.decided`."""
@@ -58,7 +58,7 @@ class Counter(Striker):
         return None
 
     def _approaching(self) -> list[tuple[float, PuckState]]:
-        """Return when and where an approaching puck can be met: [s] from now, and its state."""
+        """Return when an approaching puck can be met [s from now], and its state then."""
         deep = -self._line + _TOO_DEEP + self._together
         return [
             (number * STEP, puck)
@@ -111,7 +111,7 @@ class Wild(HumanHand):
 def _people(levels: Mapping[str, Dexterity]) -> dict[str, Dexterity]:
     """Add the errors of a person's prediction.
 
-    The best people discriminate speeds that differ by 7 % and directions that differ by 1.8° (De
+    The best observers discriminate speeds that differ by 7 % and directions that differ by 1.8° (De
     Bruyn and Orban, Vision Research 28, 1988). The errors at a bounce are guesses.
     """
     errors = {"easy": (0.15, 0.06, 0.15), "medium": (0.10, 0.04, 0.10), "hard": (0.07, 0.03, 0.07)}

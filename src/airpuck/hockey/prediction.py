@@ -94,7 +94,7 @@ class PuckModel:
 
 
 def drawn_puck(puck: Puck, random: np.random.Generator) -> Puck:
-    """Draw a puck and its rails within what is known of them."""
+    """Draw a puck and its rails within their uncertainty."""
     for name, assumed in _ASSUMED.items():
         spread = puck.standard_error.get(name, assumed)
         puck = _changed(puck, name, float(random.normal(0.0, spread)))

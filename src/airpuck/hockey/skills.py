@@ -167,7 +167,7 @@ class Stage:
 def make_stage(
     model: Model, settings: TwinSettings | None = None, tactic: Callable[[], Tactic] | None = None
 ) -> Stage:
-    """Return a craft on its table; raise InputError if the table has no room for the skills."""
+    """Return a craft on its table; raise InputError if the table is too small for the skills."""
     settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
     stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings), tactic)
     reach, _ = settings.table.reach(stage.pitch.craft_radius)

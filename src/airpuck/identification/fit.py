@@ -57,7 +57,7 @@ from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.time_scale import is_slow
 
 #: Preparations that count for errors if the first was along the nominal model: nearly all, since
-#: what poses do not tell keeps its nominal value.
+#: what poses do not determine keeps its nominal value.
 _ALONG_NOMINAL = 50
 
 

@@ -19,7 +19,7 @@ from airpuck.physics.thrust import lowest_slope, slope_rows
 #: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
 #: Distance from a bound that makes no difference, in units in which the Hessian has a unit
-#: diagonal, and at most this fraction of the range: a short lag seems to have no influence.
+#: diagonal, and at most this fraction of the range: a short lag seems to have no effect.
 _TOUCHES, _TOUCHES_AT_MOST = 1e-7, 1e-3
 
 

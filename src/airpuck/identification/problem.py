@@ -57,7 +57,7 @@ class Problem:
         given = {name: value for name, value in options.items() if value is not None}
         if "vehicle" not in given:
             given["vehicle"] = vehicle_of(trajectories)
-        # Once, so that preparing the data does not change the windows.
+        # Chosen once, so that preparing the data does not change the windows.
         given["loss"] = given.get("loss", Loss()).suited(trajectories, given["vehicle"])
         return cls(tuple(trajectories), rung, **given)
 

@@ -39,9 +39,9 @@ _SCATTER = 0.005
 _FEWEST = 3
 #: Bounces that deviate by more robust standard deviations than this are excluded.
 _OUTLIER = 4.0
-#: Restitutions of bounces that agree within this are no outliers.
+#: Restitutions that agree to within this are not outliers.
 _LEAST_SCATTER = 0.02
-#: Rails that are found this near to where they should be are not mentioned [m].
+#: Errors of a rail's position below this are not mentioned [m].
 _RAIL_OFF = 3e-3
 _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 #: Which bounces determine which number.
@@ -77,7 +77,7 @@ class PuckFit(Result):
     noise_m : float
         Standard deviation of a measured position [m].
     rail_speed_m_s, rail_ratio : array, shape (B,)
-        Normal speed before each bounce off a rail, and the share of it that the bounce returned.
+        Normal speed before each bounce off a rail, and the fraction of it that remained.
     notes : tuple of str
         Numbers that were not identified, and anomalies.
     """
@@ -235,8 +235,8 @@ def _poses(
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times [s] and poses in order, with continuous yaw; NaN without angles.
 
-    Frames that repeat the one before are left out: a camera returns them while it has no new one,
-    or while the puck is hidden.
+    Repeated frames are dropped: a camera sends them while it has no new one, or while the puck is
+    hidden.
     """
     logged = recording[stream]
     first = recording["puck"].stamp_ns[0]
@@ -385,7 +385,7 @@ def _fit_rail(
 
 
 def _rails_elsewhere(bounces: Sequence[Bounce]) -> list[str]:
-    """Say where the rails are if not where they are expected."""
+    """Describe where the rails are, if not where they are expected."""
     beyond = float(np.median([bounce.beyond for bounce in bounces]))
     if abs(beyond) <= _RAIL_OFF:
         return []

@@ -41,7 +41,7 @@ from airpuck.preprocessing.time_scale import showing_time
 
 #: Rungs that are tried, the simplest first.
 LADDER = ("M0", "M2", "M3", "M5", "M5+drag", "M5+drag+idle")
-#: Least prediction horizon for the comparison, and time between starts [s].
+#: Minimum prediction horizon for the comparison, and time between starts [s].
 _HORIZON, _SPACING = 0.2, 4 / 240
 #: Logarithm of a negligible ratio of mean squares: half a percent of the root.
 _NEGLIGIBLE = 0.01

@@ -133,7 +133,7 @@ class Loss(Settings):
             numbers.WEIGHT.check(weight, "weights")
 
     def suited(self, trajectories: Sequence[Trajectory], vehicle: Vehicle) -> Loss:
-        """Return the loss with the times that are not given, long enough for a craft.
+        """Return the loss with missing times filled in, long enough for a craft.
 
         Parameters
         ----------

@@ -16,9 +16,9 @@ from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import with_nominal_delay
 
-#: Motors in the names of the controller's keys, and the numbers in those of the thrust curves.
+#: Motors as named in the controller's keys, and their numbers in the keys of thrust curves.
 MOTORS = {name: k for k, name in enumerate(("a_1", "a_2", "b_1", "b_2", "c_1", "c_2"), start=1)}
-#: Rounding of unit vectors in published files, which are in single precision.
+#: Rounding error of unit vectors in published files, which are in single precision.
 _SINGLE = 1e-6
 
 _Vector = tuple[float, float, float]

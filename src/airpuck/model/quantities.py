@@ -126,7 +126,7 @@ QUANTITIES = (
              default=None, effect=VoltageSag, term="sag"),
     Quantity("tilt", "tilt_rad", "rad", "sₓ, s_y", "slope of the table", Pair, bounds=(-0.5, 0.5),
              labels=("x", "y"), default=None, effect=Tilt, term="tilt", start=(0.0, 0.0)),
-    Quantity("dish", "dish_rad_m", "rad/m", "kₓ, k_y, kₓ_y", "change of the table's slope over it",
+    Quantity("dish", "dish_rad_m", "rad/m", "kₓ, k_y, kₓ_y", "change of the slope across the table",
              Triple, bounds=(-0.5, 0.5), labels=("x", "y", "xy"),
              default=None, effect=Dish, term="dish", start=(0.0, 0.0, 0.0)),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",

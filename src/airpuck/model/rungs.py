@@ -79,7 +79,7 @@ class Rung:
             entries = np.flatnonzero(parameters.mask(frozenset({"configuration_matrix"})))
             mask[entries.reshape(3, -1)[:, wheels[: entries.size // 3]]] = False
             if not vehicle.propellers_turn:
-                # Recordings then tell the torque of wheels over the inertia.
+                # Recordings then determine only the ratio of the wheels' torque to the inertia.
                 mask &= ~parameters.mask(frozenset({"inertia"}))
         return mask
 

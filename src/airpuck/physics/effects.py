@@ -291,10 +291,10 @@ class Tilt(Effect):
 class Dish(Effect):
     """The table is not flat: its slope is linear in the position.
 
-    Filters and laws, which do not pass the position, leave it out; it is a disturbance to them.
+    Filters and laws do not pass the position, so this effect is a disturbance to them.
     """
 
-    #: Change of the slope along x per x, along y per y, and of each per the other [rad/m].
+    #: Change of the slope along x with x, along y with y, and of each with the other [rad/m].
     xx: Any = 0.0
     yy: Any = 0.0
     xy: Any = 0.0

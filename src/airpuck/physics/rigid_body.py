@@ -92,7 +92,7 @@ def configuration_matrix(
 
     Forces add up to the acceleration of the centre of mass, their moments about it to the angular
     acceleration. The angle offset α turns both positions (n, 2) and directions (n, 2). A reaction
-    wheel has no direction but a couple: a moment per unit of its thrust.
+    wheel has no direction, only a couple: a moment per unit of its thrust.
     """
     cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
     dx = cos * directions[:, 0] - sin * directions[:, 1]
@@ -199,7 +199,7 @@ def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -
     middle = motor_step(xp, begin, command, h / 2, tau, idle)
     end = motor_step(xp, begin, command, h, tau, idle)
 
-    # Such an effect changes little along a step: its value halfway is used.
+    # Such an effect changes little during a step, so its value at the middle is used.
     place = state[:2] + h / 2 * state[3:5] if dynamics.of_place else None
 
     def rates(motion: Any, motor_speed: Any) -> Any:

@@ -32,7 +32,7 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
 
 
 def commands_explain(trajectory: Trajectory, dynamics: Dynamics) -> bool:
-    """Return whether commands explain the motion beyond chance, however small their share."""
+    """Return whether commands explain the motion beyond chance, however small the fraction."""
     speed = motor_speeds(trajectory.time, trajectory.input, float(dynamics.motor_time_constant))
     forces, effects = thrust(dynamics.thrust, speed.T), np.asarray(dynamics.configuration)
     found = regress_windows(trajectory, forces, effects, LONGEST_S)

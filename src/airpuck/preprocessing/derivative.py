@@ -10,13 +10,13 @@ from jaxtyping import Float
 from airpuck.data.trajectory import usual_period
 
 #: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
-#: and 15 samples at 240 Hz [s]. Both grow alike for a slow craft
+#: and 15 samples at 240 Hz [s]. Both grow in proportion for a slow craft
 #: (`airpuck.preprocessing.time_scale`).
 POLYNOMIAL_ORDER = 3
 VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
 #: Minimum number of samples for a second derivative.
 _FEWEST = 5
-#: Number of samples in windows handled at once, which bounds memory.
+#: Number of samples in windows that are processed at once, which bounds memory.
 _AT_ONCE = 1 << 20
 
 
@@ -90,9 +90,9 @@ def velocity(
     period: float | None = None,
     duration: float = VELOCITY_TIME,
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate once: smooth over 46 ms, then second-order differences.
+    """Differentiate once: smooth over 46 ms, then take second-order differences.
 
-    With more smoothing, return the slopes of local polynomials, which contain less noise.
+    For longer smoothing, return the slopes of local polynomials, which contain less noise.
     """
     if duration > VELOCITY_TIME:
         return _local_derivative(time, values, duration, period, 1)
@@ -105,9 +105,9 @@ def acceleration(
     period: float | None = None,
     duration: float = VELOCITY_TIME,
 ) -> Float[np.ndarray, "N k"]:
-    """Differentiate twice: smooth over 62 ms, then the second divided difference.
+    """Differentiate twice: smooth over 62 ms, then take the second divided difference.
 
-    With more smoothing for velocities, return the curvatures of local polynomials.
+    If velocities are smoothed for longer, return the curvatures of local polynomials.
     """
     if duration > VELOCITY_TIME:
         return _local_derivative(time, values, acceleration_time(duration), period, 2)
@@ -134,7 +134,7 @@ def _local_derivative(
 ) -> Float[np.ndarray, "N k"]:
     """Return a derivative of cubic polynomials through the neighbours of each sample."""
     window = window_length(duration, usual_period(time) if period is None else period)
-    # A long window shrinks to a short stretch.
+    # In a stretch shorter than the window, the window shrinks.
     window = min(max(window, _FEWEST), len(time) - 1 + len(time) % 2)
     found = np.empty_like(values)
     size = max(_AT_ONCE // window, 1)

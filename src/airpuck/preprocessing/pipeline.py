@@ -241,7 +241,7 @@ def _compensate_delay(
                 f"the motion precedes the commands by {-samples} samples; no delay was "
                 "compensated: check the clocks of both streams"
             )
-        # A low correlation may be noise: windows tell whether commands cause the motion.
+        # A low correlation may be due to noise: a regression decides if commands cause the motion.
         if correlation < _WEAK_CORRELATION and not commands_explain(trajectory, nominal):
             warnings.append(
                 f"the commands explain little of the motion (correlation {correlation:.2f}): "

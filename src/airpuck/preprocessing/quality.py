@@ -182,7 +182,7 @@ def find_gaps(
 
 
 def stretches(time: Float[np.ndarray, " N"], cuts: Sequence[float] = ()) -> list[slice]:
-    """Cut a stream at its gaps, and at more times."""
+    """Cut a stream at its gaps, and at additional times."""
     cuts = sorted({*(gap.stop for gap in find_gaps(time)), *cuts})
     inside = [k for k in np.searchsorted(time, cuts).tolist() if 0 < k < len(time)]
     return [slice(first, last) for first, last in pairwise([0, *inside, len(time)])]
@@ -193,7 +193,7 @@ def smooth_stretches(
 ) -> list[slice]:
     """Cut a stream where smoothing must not reach across: gaps, and jumps among excluded spans.
 
-    The usual smoothing spoils no poses beyond the span of a jump.
+    The usual smoothing affects no poses beyond the span of a jump.
     """
     if duration <= VELOCITY_TIME:
         return stretches(time)

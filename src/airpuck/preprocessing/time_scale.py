@@ -1,7 +1,7 @@
-"""How long a craft must be watched, and poses smoothed, until its thrust shows above their noise.
+"""Times of prediction and smoothing after which thrust stands out from the noise of poses.
 
-Both times follow from the white noise of poses σ, their rate f and the acceleration a by a usual
-actuator at full command. They matter to craft that are slower than the paper's only.
+Both times follow from the white noise σ of the poses, their rate f, and the acceleration a that a
+typical actuator causes at full command. They matter only for craft slower than the paper's.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from airpuck.preprocessing.derivative import (
 )
 from airpuck.preprocessing.quality import smooth_stretches
 
-#: Displacement that is clear, in standard deviations of the noise: the fits of an air-bearing
-#: satellite are best with predictions of about this length.
+#: Displacement that stands out, in standard deviations of the noise: fits of an air-bearing
+#: satellite are best when predictions last until about then.
 _CLEAR = 50.0
-#: Longest useful times [s]: cables, slopes and draughts then weigh more than the noise of poses.
+#: Longest useful times [s]: beyond them, cables, slopes and draughts matter more than pose noise.
 _LONGEST, _LONGEST_SMOOTHING = 3.0, 0.5
-#: Differences of poses, which leave little of the motion, and their growth of white noise.
+#: Order of the differences of poses, which suppress motion, and their gain for white noise.
 _DIFFERENCES = 3
 _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Standard deviation of the same differences of a motion whose acceleration changes at every
@@ -37,8 +37,8 @@ _OF_MOTION = 1.5
 #: Variance of the slope of a cubic over L is 75 σ²/(f L³). Its bias where the acceleration jumps by
 #: a is 0.039 a L at the jump and less beside it; this is its usual size in a L.
 _SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
-#: A distance [m], and the time that a craft may take for it without being called slow [s]: the
-#: paper's takes 65 ms.
+#: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
+#: takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
 #: Longest pause between poses that are compared, in sample periods.
 _NO_GAP = 1.5
@@ -57,7 +57,7 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
 def smoothing_time(
     time: Float[np.ndarray, " N"], position: Float[np.ndarray, "N 2"], vehicle: Vehicle
 ) -> float:
-    """Return the time over which poses are smoothed for their velocity: at least 46 ms [s].
+    """Return the time over which poses are smoothed for velocities: at least 46 ms [s].
 
     It balances the noise of the velocity and its bias where an actuator switches.
     """
@@ -97,17 +97,17 @@ def smoothed_as_measured(
 
 
 def patience(vehicle: Vehicle) -> float:
-    """Return by what factor a craft bears larger errors of time than the paper's: at least 1.
+    """Return how many times the timing errors of the paper's craft a craft tolerates: at least 1.
 
-    An error of time costs a slow craft less: its controllers act over longer times, in proportion
-    to the time in which an actuator at full command moves it by a centimetre.
+    A slow craft is less sensitive to timing errors, because its controllers act over longer times.
+    They are proportional to the time in which an actuator at full command moves it by 1 cm.
     """
     push = usual_push(vehicle)
     return max(1.0, math.sqrt(2 * _CENTIMETRE / push) / _USUAL_MOVE) if push > 0 else 1.0
 
 
 def usual_push(vehicle: Vehicle) -> float:
-    """Return the acceleration by a usual actuator at full command; 0 if none pushes [m/s²]."""
+    """Return a typical actuator's acceleration at full command; 0 if none pushes [m/s²]."""
     model = nominal_model(vehicle)
     full = np.abs(np.asarray(model.dynamics.thrust).sum(axis=1))
     each = np.hypot(*np.asarray(model.dynamics.configuration)[:2]) * full
@@ -129,7 +129,7 @@ def pose_noise(
     steps = np.diff(position, n=_DIFFERENCES, axis=0)[whole]
     if not len(steps):
         return 0.0
-    # The median: jumps and blows do not count.
+    # The median ignores jumps and impacts.
     seen = float(np.median(np.abs(steps))) / 0.6745
     motion = _OF_MOTION * push * period**2
     return math.sqrt(max(seen**2 - motion**2, 0.0) / _GROWN)

@@ -4,7 +4,7 @@ Raw accelerations of a slow craft are nearly all noise. The mean acceleration ov
 curvature of the parabola through its poses, whose noise falls with the window's length to the power
 2.5. Windows do not overlap, and poses are not smoothed, so their noise is independent: an F test
 tells whether the commands explain anything, however small their fraction of the variance. Slow
-disturbances make neighbours alike; as many fewer windows then count as an autoregression needs.
+disturbances correlate neighbouring windows; fewer windows then count, as for an autoregression.
 
 The curvature of a motion is its acceleration, averaged with the weight (1 - u²)², where u runs from
 -1 to 1 over the window. A constant acceleration of the table frame, which a slope causes, is found
@@ -31,11 +31,11 @@ _PER_MOTOR = 4
 _DELAYS = 7
 #: Eigenvalue of XᵀX, relative to the largest, below which a direction is undetermined.
 _RANK = 1e-12
-#: Probability of a wrong claim that commands explain the motion, over all that was tried.
+#: Probability of a wrong claim that commands explain the motion, over all delays and windows tried.
 LEVEL = 1e-3
 #: All windows but the last, and all but the first.
 _FIRST, _LATER = slice(-1), slice(1, None)
-#: Power at which more flying is recommended: the normal quantile of 90 %.
+#: Statistical power that a recommended flight should have: the normal quantile of 90 %.
 _POWER = 1.2816
 
 
@@ -230,10 +230,10 @@ def _curvatures(
 
 
 def _longer(one: _FTest, level: float) -> float:
-    """Return the factor of the duration at which stated effects would be found.
+    """Return the factor by which a longer flight would reveal the stated effects.
 
-    F times its degrees of freedom is a noncentral χ², nearly, with mean k + λ and variance 2 (k + 2
-    λ); λ grows with the duration.
+    F times its degrees of freedom is approximately a noncentral χ², with mean k + λ and variance
+    2 (k + 2 λ); λ grows with the duration.
     """
     from scipy.special import chdtri
 

@@ -49,7 +49,7 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
     sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
     for stream, section in sections.items():
         if section.interval:
-            problem = "is a bag, whose messages have times; interval is for CSV files"
+            problem = "is a bag, whose messages have times; use interval only for CSV files"
             raise InputError(problem, file=path, field=f"{stream}.interval")
         if section.file:
             problem = (

@@ -215,7 +215,7 @@ def _poses(
     position = mapping.position or _usual_position(table)
     orientation = mapping.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
     if stream == "puck" and mapping.orientation is None and mapping.position:
-        orientation = Orientation("none", ())  # a camera sees where a puck is, not its angle
+        orientation = Orientation("none", ())  # A camera sees the puck's position, not its angle.
     names = (*position, *orientation.columns)
     _require(stream, table, names, mapping)
     table, clock = _timed(table, mapping)
@@ -316,11 +316,13 @@ def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvT
         return table, mapping.time
     texts = list(table.columns[mapping.interval])
     if texts and not texts[0].strip():
-        texts[0] = "0"  # there is no row before the first
+        texts[0] = "0"  # The first row has no predecessor.
     table = replace(table, columns={**table.columns, mapping.interval: texts})
     steps = table.numbers(mapping.interval)
     if (steps < 0).any():
-        problem = f"row {int(np.argmax(steps < 0)) + 1} is negative; a column of times is a `time`"
+        problem = (
+            f"row {int(np.argmax(steps < 0)) + 1} is negative; for a column of times use `time`"
+        )
         raise InputError(problem, file=table.path, field=mapping.interval)
     times = list(map(repr, np.cumsum(steps).tolist()))
     return replace(table, columns={**table.columns, mapping.interval: times}), mapping.interval

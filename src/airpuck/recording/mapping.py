@@ -327,7 +327,7 @@ class RecordingMapping(Section):
     pose : PoseMapping
         Poses.
     puck : PoseMapping
-        Poses of the puck, if they differ from the others. Without an orientation, positions alone.
+        Poses of the puck, if they are mapped differently. Without an orientation, positions alone.
     command : CommandMapping
         Commands.
     """

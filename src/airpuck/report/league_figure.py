@@ -15,7 +15,7 @@ _MOST = 4.0
 
 @style.styled
 def league_figure(found: LeagueResult) -> Figure:
-    """Draw the matrix of scores, and the ratings with their intervals, the strongest first."""
+    """Draw the matrix of scores, and the ratings with their intervals, strongest first."""
     order = np.argsort(-found.intervals[:, 0])
     height = 1.2 + 0.36 * len(order)
     figure = style.new_figure(style.PAGE_WIDTH, height)

@@ -1,7 +1,7 @@
-"""A batch of twins of one craft: stepped together by control periods, with feedback.
+"""A batch of twins of one craft, stepped together by control periods, with feedback.
 
-`fly_fleet` integrates flights whose commands are known; a batch takes the next commands of all
-craft, and returns the poses that have been measured by then. The events of the craft are handled in
+`fly_fleet` integrates flights whose commands are known; a batch receives the next commands of
+all craft, and returns the poses measured by then. The events of the craft are handled in
 rounds: in each, every craft advances to its own next event.
 """
 
@@ -24,7 +24,7 @@ from airpuck.twin.settings import TwinSettings
 
 #: Events this much later than the longest step are rounding errors of times [relative].
 _ROUNDING = 1e-9
-#: Random latencies beyond this multiple of their mean do not occur: probability 4e-18.
+#: Random latencies beyond this multiple of their mean are neglected: probability 4e-18.
 _RAREST = 40.0
 
 
@@ -59,7 +59,7 @@ class TwinBatch:
     Raises
     ------
     InputError
-        If the craft or a fault needs a `Twin`.
+        If the craft or a fault is supported only by `Twin`.
     """
 
     def __init__(
@@ -85,14 +85,13 @@ class TwinBatch:
         self.state = np.zeros((6 + n, size))
         self.steps = np.zeros(size, dtype=int)
         self._now = np.zeros(size)
-        #: Commands sent so far, and zeros for motors that stop; the one that the motors follow.
+        #: Commands sent so far, with zeros for motors that stop; the command that motors follow.
         self._sent, self._followed = np.zeros((packets + 1, size, n)), np.zeros((n, size))
-        #: When the followed command changes, to which, and how many changes have happened.
+        #: Times at which the followed command changes, its index, and the number of changes so far.
         self._times = np.full((2 * packets + 2, size), np.inf)
         self._heard = np.full(self._times.shape, packets)
         self._changes = np.zeros(size, dtype=int)
-        #: Number of frames so far, and of those that were not missed; the latest of them: arrival,
-        #: number, pose.
+        #: Number of frames so far, and of those not missed; arrival, number and pose of the latest.
         self._frames, self._seen = np.zeros(size, dtype=int), np.zeros(size, dtype=int)
         self._arrival, self._number = np.full((kept, size), np.inf), np.zeros((kept, size), int)
         self._poses, self._last_arrival = np.zeros((kept, size, 3)), np.zeros(size)
@@ -109,7 +108,7 @@ class TwinBatch:
         poses : array, shape (R, 3)
             Their initial poses [m, m, rad].
         seeds : sequence of int
-            The seed of each one's radio.
+            Seed of each craft's radio.
         """
         self.state[:, rows] = 0.0
         self.state[:3, rows] = poses.T
@@ -123,7 +122,7 @@ class TwinBatch:
         self._last_arrival[rows] = -np.inf
 
     def step(self, commands: Float[np.ndarray, "B n"], moving: Bool[np.ndarray, " B"]) -> None:
-        """Send commands, and let one period pass for the craft that are `moving`."""
+        """Send commands, and advance the craft that are `moving` by one period."""
         rows = self._rows[moving]
         self._sent[self.steps[rows], rows] = commands[rows]
         self.steps[rows] += 1

@@ -28,7 +28,7 @@ class Direct:
     def __init__(self, actuators: Propellers, n: int) -> None: ...
 
     def next_change(self, now: float, command: Callable[[float], Command]) -> float:
-        """Return when a drive next changes under the present command."""
+        """Return when a drive next changes under the current command."""
         return math.inf
 
     def drive(self, now: float, command: Command) -> Command:
@@ -52,7 +52,7 @@ class Valves:
         self._fresh = False
 
     def next_change(self, now: float, command: Callable[[float], Command]) -> float:
-        """Return when a drive next changes under the present command."""
+        """Return when a drive next changes under the current command."""
         self.drive(now, command(now))
         times = [time for time, _ in self._pending]
         times += (self._since + self._kind.least_on_s)[self._open].tolist()
@@ -88,7 +88,7 @@ class Valves:
 
 
 class TwoWayDriver:
-    """Drives both ways of actuators, and wheels, beside the thrusters' own driver."""
+    """Driver for wheels and for actuators that push both ways, around the thrusters' own driver."""
 
     def __init__(self, actuation: ActuatorSet, thrusters: Direct | Valves) -> None:
         self._split, self._thrusters = actuation.split, thrusters
@@ -96,7 +96,7 @@ class TwoWayDriver:
         self._wheels = actuation.spinning()
 
     def next_change(self, now: float, command: Callable[[float], Command]) -> float:
-        """Return when a drive next changes under the present command."""
+        """Return when a drive next changes under the current command."""
         self.drive(now, command(now))
         changes = [wheel.ends for wheel in self._wheels if wheel.ends > now]
         first = self._first_wheel

@@ -27,7 +27,7 @@ from airpuck.twin.rehearsal import failures
 
 #: Largest relative standard error of an acceleration that control may request, and of the response
 #: time [s]: within both, all controllers of studies/verdicts.py settle. Times are for the paper's
-#: craft; for a slow craft they are larger by its `patience`.
+#: craft; for a slow craft they are multiplied by its `patience`.
 ACCELERATION_LIMIT = 0.3
 RESPONSE_LIMIT = 0.015
 #: Largest error of the accelerations with motors at `LOW_SPEED`, of the model's: between 30 % (M2
@@ -38,8 +38,7 @@ _JUDGED_RESPONSE = 0.006
 #: Lowest acceptable maximum of each motor's commands, relative to the largest: thrusts beyond are
 #: an extrapolation of the curve.
 _REACHED = 0.6
-#: Nominal acceleration, relative to that in the best direction, up to which a craft is not built to
-#: accelerate in a direction.
+#: Directions count only if the nominal acceleration exceeds this fraction of that in the best one.
 _ABLE = 0.05
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3

@@ -15,8 +15,8 @@ function [A, B, command] = airpuck_hover(yaw, p)
     motion = [yaw; 0; 0; 0];
     command = p.hover;
     if p.effects
-        % The effects disturb the hover of the equations without them: Newton's method, with steps
-        % of least norm.
+        % Start from the hover without effects, and correct it by Newton's method, with steps of
+        % least norm.
         for pass = 1:10
             slope = slopes(@(u) airpuck_acceleration(motion, u, p), command);
             left = airpuck_acceleration(motion, command, p);

@@ -1,7 +1,7 @@
 function state = airpuck_step(state, command, period, p)
 % State after a command that is held for a period [s]; arguments as for airpuck_dynamics.
 %
-% One Runge-Kutta step of fourth order; motors of a constant lag are exact.
+% One fourth-order Runge-Kutta step; motors with a constant lag are exact.
     if nargin < 4
         p = airpuck_parameters();
     end
