@@ -16,7 +16,7 @@ from airpuck.control.authority import control_authority
 # The same problem is written down by hand, with the same damping.
 from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages, braking, linearised, stages
 from airpuck.control.tuning import SoftLimits, default_tuning
-from airpuck.craft.vehicle import Vehicle
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration, rollout, step
@@ -300,7 +300,7 @@ def problem(seed: int, blocks: Blocks, *, tight: float = np.inf) -> Stages:
 
 def craft(least: float, most: float) -> Vehicle:
     """Return a vehicle with nothing but commands, which may be unbounded."""
-    propellers = (None,) * N_MOTORS
+    propellers = default_vehicle().propellers[:N_MOTORS]
     return Vehicle.model_construct(propellers=propellers, command_min=least, command_max=most)
 
 
