@@ -220,7 +220,7 @@ class Channel:
     column: int
     sign: int
     #: Where it pushes, the direction of its force, counter-clockwise from the body's x axis, and
-    #: its moment per thrust beside that of the force.
+    #: its moment per thrust in addition to that of the force.
     position_m: tuple[float, float]
     direction_deg: float
     couple: float = 0.0

@@ -247,7 +247,7 @@ class Vehicle(Section):
 
     @cached_property
     def couples(self) -> Float[np.ndarray, " n"]:
-        """Moment of each propeller per thrust, beside that of its force; ±1 for wheels."""
+        """Moment of each propeller per thrust, in addition to that of its force; ±1 for wheels."""
         return np.array([channel.couple for channel in self.actuation.channels])
 
     @cached_property

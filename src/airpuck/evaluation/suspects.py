@@ -27,7 +27,7 @@ _SEEN = 0.3
 def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = True) -> list[str]:
     """Report commands that act implausibly late or early: the clocks of the recording disagree.
 
-    A learned delay counts only if the model is `determined` by its data: beside undetermined
+    A learned delay counts only if the model is `determined` by its data: with undetermined
     thrusts, the delay takes on any value.
     """
     seen = visible_delay(trajectory, model.dynamics)

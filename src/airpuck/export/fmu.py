@@ -173,7 +173,7 @@ def _parameters(twin: TwinSettings, lag: float) -> Iterator[Variable]:
         low = 1e-3 if name == "camera.rate" else 0.0
         if not low <= start <= high:
             raise InputError(
-                f"is {start:g}; an export to fmu takes {low:g} to {high:g}", field=name
+                f"is {start:g}; an export to fmu needs {low:g} to {high:g}", field=name
             )
         yield Variable(name, "parameter", description, unit, start, low, high, "fixed")
 
@@ -233,7 +233,7 @@ def _build_description() -> Xml.Element:
         "Library",
         name="m",
         external="true",
-        description="The mathematical functions of C, where they are a library of their own.",
+        description="The C mathematical functions, if they are a separate library.",
     )
     return root
 

@@ -208,7 +208,7 @@ class CourseTask:
         self._radius, self._table = model.vehicle.radius_m, settings.table
         self._reach = [side - _MARGIN for side in self._table.reach(self._radius)]
         if min(self._reach) <= 0:
-            raise InputError("has no room for the craft to move", field="table")
+            raise InputError("is too small for the craft to move", field="table")
         count = len(self._fixed[2]) if self._fixed else 0
         self.points, self.goal = np.zeros((size, count + 1, 2)), np.zeros((size, 3))
         #: Number of points passed; remaining length after each point, and the current one [m].

@@ -123,8 +123,8 @@ def check_commands(
         row, column = np.argwhere(outside)[0]
         raise InputError(
             f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside "
-            f"[{least[column]:.0f}, 1]; give a mapping with their scale, "
-            "command = {scale = 0.01} for percent",
+            f"[{least[column]:.0f}, 1]; set its scale in a mapping file, "
+            "for percent command = {scale = 0.01}",
             file=source,
             field=command.columns[column],
         )

@@ -260,15 +260,14 @@ def _quiet(evidence: _Evidence) -> list[str]:
     found = []
     if error[worst] > ACCELERATION_LIMIT:
         found.append(
-            f"The recording determines the largest acceleration {_way(worst)} to "
-            f"{percent(float(error[worst]))} only; {percent(ACCELERATION_LIMIT)} are "
-            "needed."
+            f"The recording determines the largest acceleration {_way(worst)} only to "
+            f"{percent(float(error[worst]))}; {percent(ACCELERATION_LIMIT)} is needed."
         )
     judged = patience(evidence.model.vehicle) * _JUDGED_RESPONSE
     if effects.later_error > judged:
         found.append(
-            f"The recording determines when commands take effect to "
-            f"{1e3 * effects.later_error:.0f} ms only; {1e3 * judged:.0f} ms are needed."
+            f"The recording determines when commands take effect only to "
+            f"{1e3 * effects.later_error:.0f} ms; {1e3 * judged:.0f} ms is needed."
         )
     vehicle = evidence.model.vehicle
     reached = trajectory.command.max(axis=0, initial=0.0) / vehicle.command_max

@@ -36,7 +36,7 @@ typedef enum {
     AIRPUCK_FALLBACK,        /* There is no plan; the thrust allocation steers. */
     AIRPUCK_FAILED,          /* The solver found no thrusts. */
     AIRPUCK_NO_POSE,         /* No pose has been received yet. */
-    AIRPUCK_STALE_POSE,      /* The last pose is more than 50 ms away from now. */
+    AIRPUCK_STALE_POSE,      /* The last pose is more than 50 ms old or ahead. */
     AIRPUCK_JUMPING_POSE,    /* The last poses cannot be the craft. */
     AIRPUCK_BAD_INPUT        /* The last pose, or the time, is not finite. */
 } airpuck_status;
@@ -60,17 +60,17 @@ typedef struct {
     airpuck_real motor_speed[AIRPUCK_MOTORS];
 } airpuck_belief;
 
-/* Numbers chosen at export: the tuning, and what follows from it. */
+/* Numbers fixed at export: the tuning, and what follows from it. */
 typedef struct {
     double transport_delay;                 /* From sending a command to its effect [s]. */
     airpuck_real period;                    /* Time between commands [s]. */
-    airpuck_real gain[3][6];                /* Of the regulator. */
+    airpuck_real gain[3][6];                /* Gain of the LQR. */
     airpuck_real motor_lag, motor_drive;    /* Next motor speed: lag * speed + drive * command. */
     airpuck_real command_min, command_max;  /* Range of commands. */
-    airpuck_real arm;                       /* Makes angular accelerations comparable [m]. */
+    airpuck_real arm;                       /* Lever arm that scales angular accelerations [m]. */
     airpuck_real slack_root;                /* Square root of the cost of scaling a request. */
-    airpuck_real pose_variance[3];          /* Of measured poses. */
-    airpuck_real initial_variance[3][3];    /* Of position, velocity, disturbance at restarts. */
+    airpuck_real pose_variance[3];          /* Variance of measured poses. */
+    airpuck_real initial_variance[3][3];    /* Variance of position, velocity, disturbance. */
     airpuck_real acceleration_density[3];   /* Squared density of unexplained accelerations. */
     airpuck_real disturbance_density[3];    /* Squared density that drives the disturbance. */
 } airpuck_tuning;
@@ -102,10 +102,10 @@ extern const airpuck_tuning airpuck_tuned;
 typedef struct {
     airpuck_status status;
     airpuck_real request[3];                  /* Requested acceleration. */
-    airpuck_real state[6];                    /* Predicted for when the command begins to act. */
-    airpuck_real motor_speed[AIRPUCK_MOTORS]; /* At that time. */
+    airpuck_real state[6];                    /* State predicted for when the command acts. */
+    airpuck_real motor_speed[AIRPUCK_MOTORS]; /* Motor speeds at that time. */
     airpuck_real disturbance[3];              /* Acceleration that the model does not explain. */
-    int iterations;                           /* Of the last quadratic program. */
+    int iterations;                           /* Iterations of the last quadratic program. */
 
     double clock;    /* Latest time known to have passed. */
     double received; /* Stamps of the last pose received, and of the last one used. */

@@ -250,7 +250,7 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
 static int solve_nearest(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
 #ifdef AIRPUCK_SINGLE
-    /* A float cannot resolve the small weights beside A'A. Larger weights on the distance from the
+    /* A float cannot resolve the small weights next to A'A. Larger weights on the distance from the
      * previous solution give nearly the same result. */
     const airpuck_real weights[2] = {AIRPUCK_R(1e-3), AIRPUCK_R(1e-2)};
     const int passes = 4;

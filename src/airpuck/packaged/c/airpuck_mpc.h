@@ -18,20 +18,20 @@ enum {
     AIRPUCK_DISC_ACTIVE = 16
 };
 
-/* Settings chosen at export; weights include the duration of a step. */
+/* Settings fixed at export; weights include the duration of a step. */
 typedef struct {
     airpuck_real step;                  /* Duration of a step [s]. */
     int owner[AIRPUCK_STEPS];           /* The block of each step; a block has one command. */
     airpuck_real lasting[AIRPUCK_BLOCKS]; /* Duration of each block [s]. */
-    airpuck_real weights[6];            /* Of squared errors of the state. */
-    airpuck_real terminal[6][6];        /* Of the error at the end of the horizon. */
-    airpuck_real effort[3];             /* Of squared accelerations. */
-    airpuck_real used[AIRPUCK_BLOCKS];  /* Of squared commands above idle. */
-    airpuck_real damping;               /* Of squared changes of a command. */
+    airpuck_real weights[6];            /* Weights of squared errors of the state. */
+    airpuck_real terminal[6][6];        /* Weight of the error at the end of the horizon. */
+    airpuck_real effort[3];             /* Weights of squared accelerations. */
+    airpuck_real used[AIRPUCK_BLOCKS];  /* Weights of squared commands above idle. */
+    airpuck_real damping;               /* Weight of squared changes of a command. */
     airpuck_real first;                 /* Every command of the first plan. */
     airpuck_real brake;                 /* Acceleration that is possible in all directions [m/s^2]. */
     airpuck_real headway;               /* How far ahead the fence must be kept [s]. */
-    airpuck_real speed, spin;           /* Limits along the plan, if any [m/s, rad/s]. */
+    airpuck_real speed, spin;           /* Speed and spin limits, if any [m/s, rad/s]. */
     airpuck_real fence[2][2];           /* Lowest and highest x, y of the craft's centre [m]. */
     airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one spare. */
     int iterations;                     /* Iteration limit of the solver. */
@@ -45,7 +45,7 @@ extern const airpuck_horizon airpuck_predicted;
 /* The latest plan. `fence` and `keep_out` may be changed between steps. */
 typedef struct {
     airpuck_real commands[AIRPUCK_BLOCKS][AIRPUCK_MOTORS];
-    double since, answered; /* When the plan begins, and when the solver last found one. */
+    double since, answered; /* When the plan begins, and when the solver last found a plan. */
     airpuck_real way;       /* Yaw still to turn, in the chosen direction [rad]. */
     int limits;             /* Active limits; a sum of AIRPUCK_..._ACTIVE. */
     airpuck_real fence[2][2], keep_out[AIRPUCK_DISCS + 1][3];
