@@ -21,7 +21,7 @@ from airpuck.model.model_file import read_model
 from airpuck.recording.bag_writer import write_bag
 from airpuck.twin.settings import default_twin_settings
 
-#: Random numbers of the table; see `airpuck.hockey.game`.
+#: Identifies the table's stream of random numbers; see `airpuck.hockey.game`.
 _DRAWN = 21
 
 

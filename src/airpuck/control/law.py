@@ -119,7 +119,7 @@ class LawOptions:
 
 
 class Law:
-    """Computes the command for a craft whose state is predicted to when the command begins to act.
+    """Computes a command from the state predicted for the time at which the command begins to act.
 
     A step takes the law's state and returns the next one; the law itself does not change. Pure
     functions of the prediction belong in `stage`: the controller compiles them together with the

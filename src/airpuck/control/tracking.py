@@ -44,8 +44,8 @@ _BELIEVED_AFTER = STALE - 1e-6
 class TrackingController(Pilot):
     """Steers the craft along a reference.
 
-    Each step predicts the state over the transport delay, to when the command will act. The law
-    that the tuning names then computes the command.
+    Each step predicts the state over the transport delay, to the time at which the command acts.
+    The law that the tuning names then computes the command.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class TrackingController(Pilot):
         return replace(step, command=self._modulator.command(now, step.command))
 
     def predict(self, time: float) -> Estimate:
-        """Predict the craft to when a command sent now begins to act.
+        """Predict the craft for the time at which a command sent now begins to act.
 
         Parameters
         ----------

@@ -213,10 +213,10 @@ class Spinning:
 
 @dataclass(frozen=True)
 class Channel:
-    """One way in which an actuator pushes: what the model calls a propeller."""
+    """One direction in which an actuator pushes; the model treats it as a propeller."""
 
     name: str
-    #: Column of the command, and its sign that makes the actuator push this way.
+    #: Column of the command, and the sign of commands that push this way.
     column: int
     sign: int
     #: Where it pushes, the direction of its force, counter-clockwise from the body's x axis, and

@@ -180,9 +180,9 @@ class LoopTiming(Result):
         self._period = period
         #: | time since the previous action - period |.
         self.jitter = Histogram()
-        #: From when an action was due, with its newest pose waiting, to when it was done.
+        #: Time from the moment an action was due, with its newest pose waiting, until it was done.
         self.latency = Histogram()
-        #: From when the newest pose was measured to when the command was sent.
+        #: Time from the measurement of the newest pose until the command was sent.
         self.pose_age = Histogram()
         #: Number of actions more than 10 ms late, including skipped ones.
         self.missed = 0
