@@ -26,7 +26,7 @@ html_title = "airpuck"
 html_static_path = []
 html_theme_options = {"source_directory": "docs/"}
 html_show_sphinx = False
-# The browser renders mathematics; nothing is loaded from other hosts.
+# No page needs MathJax yet. One that does needs a copy here: nothing is loaded from other hosts.
 mathjax_path = "mathjax/tex-svg.js"
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]

@@ -23,6 +23,10 @@ EFFECTS: dict[str, Model] = {
         "idle_lag": 0.8,
     }.items()
 }
+#: The effect of the place on the table, which most exports cannot represent.
+DISH = replace(
+    PAPER["M4"], parameters=replace(PAPER["M4"].parameters, dish=np.array([2e-3, -1e-3, 3e-3]))
+)
 ALL_EFFECTS = replace(
     PAPER["M4"],
     parameters=replace(

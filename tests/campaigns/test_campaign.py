@@ -122,6 +122,18 @@ def test_interrupted_and_resumed(here, spec, tmp_path):
     assert len(again.results) == 2
 
 
+def test_equal_items_are_computed_once(tmp_path):
+    asked = []
+
+    def work(entries, tell):
+        asked.extend(entries)
+        return [(entry, RESULTS[0]) for entry in entries]
+
+    done = module.completed([ENTRIES[0], ENTRIES[0]], tmp_path, work)
+    assert len(asked) == 1
+    assert len(done.results) == 2
+
+
 def test_what_is_written_reads_back(tmp_path):
     for entry, result in zip(ENTRIES, RESULTS, strict=True):
         assert read_result(tmp_path, entry.key) is None

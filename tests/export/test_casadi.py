@@ -15,6 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.export.casadi import functions
 from tests.apparatus.export_crafts import (
     ALL_EFFECTS,
+    DISH,
     EFFECTS,
     EXAMPLES,
     FOUR,
@@ -29,6 +30,7 @@ CRAFT = {
     **PAPER,
     **EFFECTS,
     "all effects": ALL_EFFECTS,
+    "dish": DISH,
     "four": FOUR,
     "on/off": ON_OFF,
     "reversing": REVERSING,

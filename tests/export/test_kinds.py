@@ -14,7 +14,7 @@ from airpuck.export import kinds
 from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
-from tests.apparatus.export_crafts import ON_OFF, PAPER, REVERSING, WHEELED
+from tests.apparatus.export_crafts import DISH, ON_OFF, PAPER, REVERSING, WHEELED
 
 M4 = PAPER["M4"]
 
@@ -66,6 +66,12 @@ def test_actuators_that_a_kind_cannot_represent_are_rejected_by_name(kind, actua
         export.write(model, kind, tmp_path)
 
 
+@pytest.mark.parametrize("kind", sorted(set(export.KINDS) - {"casadi", "gym"}))
+def test_the_effect_of_the_place_is_rejected_by_name(kind, tmp_path):
+    with pytest.raises(InputError, match=f"effect Dish, which an export to {kind} cannot"):
+        export.write(DISH, kind, tmp_path)
+
+
 def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):
     vehicle = M4.vehicle.model_copy(update={"name": "a--b\nmass: 1\n'%-->"})
     model = replace(M4, name="M\n4", source="x\ny", vehicle=vehicle)
@@ -91,6 +97,37 @@ def test_the_command_prints_files_and_facts_as_json(tmp_path):
     assert (found["kind"], found["folder"]) == ("mjcf", str(tmp_path))
     assert all((tmp_path / name).is_file() for name in found["files"])
     assert found["facts"]["time step"] == "0.25 ms"
+
+
+@pytest.mark.parametrize("option", ["--tuning", "--regulator"])
+def test_the_command_names_the_option_that_a_kind_does_not_use(option, tmp_path):
+    done = airpuck("export", "paper:M4", "--to", "mjcf", "-o", tmp_path, option, "lqr")
+    assert refused(done, f"{option}: is not part of an export to mjcf")
+
+
+def test_the_command_does_not_replace_its_inputs(tmp_path):
+    export.write(M4, "holohover", tmp_path)
+    given = tmp_path / "params.json"
+    text = given.read_text().replace("{", '{"data": 1, ', 1)
+    given.write_text(text)
+    done = airpuck("export", given, "--to", "holohover", "-o", tmp_path)
+    assert refused(done, "params.json", "is also an input")
+    assert given.read_text() == text
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_nothing_is_written_beside_an_existing_folder(tmp_path, monkeypatch):
+    # It may be the only folder that one may write to, or lie on a file system of its own.
+    made = []
+
+    def noted(path, *args, **more):
+        made.append(path)
+        original(path, *args, **more)
+
+    original = kinds.Path.mkdir
+    monkeypatch.setattr(kinds.Path, "mkdir", noted)
+    export.write(M4, "mjcf", tmp_path)
+    assert made and all(path.is_relative_to(tmp_path) for path in made)
 
 
 def test_what_cannot_be_exported_is_one_line(tmp_path):

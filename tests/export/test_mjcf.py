@@ -124,9 +124,11 @@ def test_on_off_thrusters_and_another_frame_are_rejected():
         xml(PAPER["M3"], LARGE)
 
 
-def test_effects_of_the_twin_are_rejected(tmp_path):
+@pytest.mark.parametrize(
+    ("section", "field"), [("effects", {"inflow_s_m": 0.1}), ("motors", {"unarmed_s": 1.0})]
+)
+def test_effects_and_faults_of_the_twin_are_rejected(section, field, tmp_path):
     twin = default_twin_settings()
-    effects = twin.effects.model_copy(update={"inflow_s_m": 0.1})
-    twin = twin.model_copy(update={"effects": effects})
-    with pytest.raises(InputError, match="takes the table only"):
-        export.write(M3, "mjcf", tmp_path, twin=twin)
+    changed = getattr(twin, section).model_copy(update=field)
+    with pytest.raises(InputError, match=f"{section}: is set, which an export to mjcf cannot"):
+        export.write(M3, "mjcf", tmp_path, twin=twin.model_copy(update={section: changed}))

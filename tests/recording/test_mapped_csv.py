@@ -376,6 +376,9 @@ def test_positions_of_a_puck_need_neither_times_nor_angles(tmp_path):
         (["", "0.01", ""], "dt"),
         (["", "0.01", "soon"], "dt"),
         (["", "0.01", "nan"], "row 3 has no time"),
+        (["", "0.01", "inf"], "row 3 has no time"),
+        (["", "1e308", "1e308"], "row 3 has no time"),
+        (["", "0.01", "1e305"], "which no clock shows"),
     ],
 )
 def test_intervals_must_be_numbers_that_are_not_negative(tmp_path, steps, words):
@@ -383,6 +386,13 @@ def test_intervals_must_be_numbers_that_are_not_negative(tmp_path, steps, words)
     with pytest.raises(InputError) as error:
         read_recording(file, mapping=mapping(tmp_path, PUCK), needs=("puck",))
     assert words in str(error.value)
+
+
+def test_intervals_have_a_unit(tmp_path):
+    text = PUCK.replace('["cm"]', '["cm", "ms"]')
+    file = camera(tmp_path, ["", "10", "2.5"])
+    found = read_recording(file, mapping=mapping(tmp_path, text), needs=("puck",))
+    assert found["puck"].stamp_ns.tolist() == [0, 10_000_000, 12_500_000]
 
 
 def test_a_file_of_a_puck_without_a_mapping_says_what_to_write(tmp_path):

@@ -42,6 +42,10 @@ def test_a_mapping_names_other_topics(tmp_path):
     np.testing.assert_array_equal(recording["command"].values[0], (0.5, 0.25))
     with pytest.raises(InputError, match="actuator_motors: there is no such topic; choose from"):
         read_recording(path)
+    for setting in ("file", "interval"):
+        (tmp_path / "m.toml").write_text(f'[pose]\n{setting} = "x"\n')
+        with pytest.raises(InputError, match=rf"pose\.{setting}: is a PX4 log"):
+            read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,8 @@ def completed(
         result = read_result(folder, entry.key)
         if result and (_is_whole(entry.item, result) if result.failure is None else not retry):
             results[entry.key] = result
-    missing = [entry for entry in entries if entry.key not in results]
+    # Equal items, as of copies of one player, are computed once.
+    missing = list({entry.key: entry for entry in entries if entry.key not in results}.values())
     failed = sum(result.failure is not None for result in results.values())
     progress(len(results), len(entries), failed)
     shares: dict[str, float] = {}

@@ -5,16 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 import airpuck
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, table
-from airpuck.export import KINDS
+from airpuck.export import KINDS, check_given
 
 
 @app.command(rich_help_panel="Control and flight")
 def export(
+    context: typer.Context,
     model: options.ModelName,
     kind: Annotated[
         str,
@@ -33,6 +36,7 @@ def export(
     quiet: options.Quiet = False,
 ) -> None:
     """Write a model, or its whole controller, for other tools."""
+    check_given(kind, tuning=tuning, regulator=regulator, twin=twin)
     exported = airpuck.read_model(model)
     given = tuning is not None or regulator is not None
     written = airpuck.export.write(
@@ -41,6 +45,7 @@ def export(
         output,
         tuning=inputs.read_controls(tuning, regulator, exported) if given else None,
         twin=twin,
+        inputs=[one for one in (model, tuning, context.params["twin"]) if one is not None],
     )
     rows = [(name, str(value)) for name, value in written.facts.items()]
     shown = [table(("", ""), rows, left=("",))] if rows else []

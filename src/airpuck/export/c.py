@@ -64,11 +64,14 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "AIRPUCK_HELD": math.ceil((_REMEMBERED + model.transport_delay) / tuning.period_s) + 4,
     }
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
+    facts: dict[str, Any] = {"law": tuning.regulator.kind, "on-board sensors": "not used"}
     if tuning.regulator.kind == "mpc":
         sizes |= _prediction_sizes(tuning.regulator)
         horizon = _horizon(model, tuning)
         numbers.append(constant("airpuck_horizon", "airpuck_predicted", horizon))
         copy_sources(_PREDICTIVE, folder)
+        low, high = np.round(horizon["fence"], 4).tolist()
+        facts["fence, m"] = f"{low} to {high}; set regulator.limits.fence_m for another table"
     write_model(model, folder, sizes=sizes, data={"airpuck.h": "\n\n".join(numbers)})
     copy_sources(_SOURCES, folder)
     (folder / "daqp").mkdir()
@@ -77,6 +80,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     (folder / "golden.csv").write_text(f"{golden}\n")
     n = model.vehicle.n_propellers
     return {
+        **facts,
         "state in double precision, bytes": _state_bytes(sizes, n, ctypes.c_double),
         "state in single precision, bytes": _state_bytes(sizes, n, ctypes.c_float),
     }

@@ -47,7 +47,8 @@ def write_model(
     macros = "\n".join(f"#define {name} {value}" for name, value in known.items())
     guard = "AIRPUCK_SIZES_H"
     (folder / "airpuck_sizes.h").write_text(
-        f"{title(model)}\n#ifndef {guard}\n#define {guard}\n\n{macros}\n\n#endif\n"
+        f"{title(model)}\n#ifndef {guard}\n#define {guard}\n\n{macros}\n\n#endif\n",
+        encoding="utf-8",
     )
     fields = coefficients(model, dynamics)
     definitions = {
@@ -56,7 +57,7 @@ def write_model(
     }
     includes = "\n".join(f'#include "{header}"' for header in definitions)
     text = "\n\n".join([title(model), includes, *definitions.values()])
-    (folder / "airpuck_data.c").write_text(f"{text}\n")
+    (folder / "airpuck_data.c").write_text(f"{text}\n", encoding="utf-8")
 
 
 def copy_sources(names: Sequence[str], folder: Path) -> None:

@@ -115,7 +115,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "theta": dict(zip(labels.tolist(), model.parameters.to_vector()[mask], strict=True)),
         "transport_delay_s": model.transport_delay,
     }
-    text = json.dumps(content, indent=2, ensure_ascii=False)
+    text = json.dumps(content, indent=2)
     (folder / "arguments.json").write_text(text + "\n", encoding="utf-8")
     return {
         "state": ", ".join(f"{name} [{unit}]" for name, unit in units.items()),

@@ -15,10 +15,10 @@ from xml.etree import ElementTree as Xml
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.export.c_source import coefficients, constant, copy_sources, title, write_model
-from airpuck.export.kinds import Subject, refuse_actuators
+from airpuck.export.kinds import Subject, refuse_actuators, refuse_settings
 from airpuck.twin.plant import CraftBody, build_plant
 from airpuck.twin.radio import radio_delay
-from airpuck.twin.settings import Motors, TwinSettings
+from airpuck.twin.settings import TwinSettings
 
 #: Name of the FMU and of its library.
 NAME = "airpuck"
@@ -35,6 +35,13 @@ _UNITS = {
     "m/s": {"m": 1, "s": -1},
     "rad/s": {"rad": 1, "s": -1},
 }
+#: Settings of the twin that the FMU cannot represent.
+_REFUSED = (
+    "radio.outages_s",
+    *(f"motion_capture.{name}" for name in ("gaps_s", "clock_offset_s", "clock_drift")),
+    "effects.battery_sag_1_s",
+    "motors",
+)
 #: Largest values of parameters: times [s], frame rate [Hz], noise [m or rad].
 _TIME, _RATE, _NOISE = 10.0, 1e5, 10.0
 
@@ -86,6 +93,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     return {
         "unit": f"{NAME}.fmu, FMI 3.0, co-simulation, source code",
         **{f"{causality}s": count for causality, count in counts.items()},
+        "not in the FMU": "goals, puck and mallet, on-board sensors, the radio's timeout",
     }
 
 
@@ -96,20 +104,7 @@ def check(subject: Subject) -> None:
     for name in model.vehicle.propeller_names:
         if not name.isprintable():
             raise InputError(f"has a propeller called {name!r}; rename it", field="MODEL")
-    camera = twin.motion_capture
-    held = {
-        "radio.outages_s": not twin.radio.outages_s,
-        "motion_capture.gaps_s": not camera.gaps_s,
-        "motion_capture.clock_offset_s": not camera.clock_offset_s,
-        "motion_capture.clock_drift": not camera.clock_drift,
-        "effects.battery_sag_1_s": not twin.effects.battery_sag_1_s,
-        "motors": twin.motors == Motors(),
-    }
-    for field, empty in held.items():
-        if not empty:
-            raise InputError(
-                "is set, which an export to fmu cannot represent; leave it out", field=field
-            )
+    refuse_settings(twin, "fmu", _REFUSED)
 
 
 def variables(subject: Subject) -> list[Variable]:

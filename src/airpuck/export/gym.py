@@ -278,7 +278,10 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     subject.model.save(folder / "model.toml")
     subject.twin.save(folder / "twin.toml")
     (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")
-    return {"environments": ", ".join(f"{name}-v0" for name in ENVIRONMENTS)}
+    return {
+        "environments": ", ".join(f"{name}-v0" for name in ENVIRONMENTS),
+        "on-board sensors": "not in the observations",
+    }
 
 
 register()

@@ -138,13 +138,15 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
 
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
         """Send both sides' motor commands, and advance by a control period."""
-        playing, self.agents = self.agents, []
+        playing = self.agents
         if not playing:
             return {}, {}, {}, {}, {}
+        commands = {}
         for name in playing:
             if name not in actions:
                 raise InputError("has no action", field=name)
-            command = checked_action(actions[name], self._pilots[name].command.shape)
+            commands[name] = checked_action(actions[name], self._pilots[name].command.shape)
+        for name, command in commands.items():
             self._pilots[name].command = command
             self._seen[name].command(_ALL, command[None])
         before, game = self.game.score, self.game

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -54,7 +55,7 @@ class Kind:
         Module whose ``write(subject, folder)`` writes the files and returns facts for the user, by
         name.
     uses : tuple of str
-        Inputs besides the model: ``tuning``, ``twin``.
+        Inputs besides the model: ``tuning``, ``regulator``, ``twin``.
     """
 
     summary: str
@@ -64,7 +65,7 @@ class Kind:
 
 #: A new kind is a module with `write`, and an entry here.
 KINDS: dict[str, Kind] = {
-    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning",)),
+    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning", "regulator")),
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
     "fmu": Kind("the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)),
     "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
@@ -105,6 +106,7 @@ def write(
     *,
     tuning: Tuning | None = None,
     twin: TwinSettings | None = None,
+    inputs: Sequence[str | os.PathLike[str]] = (),
 ) -> Written:
     """Export a model.
 
@@ -122,6 +124,8 @@ def write(
         The controller's tuning, for kinds with a controller; by default the packaged one.
     twin : TwinSettings, optional
         Table, sensors and radio, for kinds with a simulation; by default the packaged ones.
+    inputs : sequence of path-like, optional
+        Files that the export must not replace.
 
     Returns
     -------
@@ -133,19 +137,21 @@ def write(
     InputError
         If the kind is unknown, does not use an input that is given, or cannot represent the model.
     """
-    if kind not in KINDS:
-        raise InputError(unknown(kind, list(KINDS)), field="kind")
-    chosen, target = KINDS[kind], Path(folder)
-    for name, value in (("tuning", tuning), ("twin", twin)):
-        if value is not None and name not in chosen.uses:
-            raise InputError(f"is not part of an export to {kind}; leave it out", field=name)
+    check_given(kind, tuning=tuning, twin=twin)
+    target = Path(folder)
     check_output(target, "folder")
     subject = Subject(model, tuning or default_tuning(), twin or default_twin_settings())
-    temporary = target.absolute().parent / temporary_name(target)
+    # Files can only be moved within one file system, and an existing folder may be the root of one.
+    near = target.absolute() if target.is_dir() else target.absolute().parent
+    temporary = near / temporary_name(target)
     try:
         temporary.mkdir(parents=True)
-        facts = import_module(chosen.module).write(subject, temporary)
+        facts = import_module(KINDS[kind].module).write(subject, temporary)
         names = sorted(p.relative_to(temporary) for p in temporary.rglob("*") if p.is_file())
+        kept = {Path(one).resolve() for one in inputs}
+        for name in names:
+            if (target / name).resolve() in kept:
+                raise InputError("is also an input; give another folder", file=target / name)
         for name in names:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             (temporary / name).replace(target / name)
@@ -154,6 +160,25 @@ def write(
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return Written(kind, target, tuple(map(str, names)), facts)
+
+
+def check_given(kind: str, **given: Any) -> None:
+    """Raise InputError for an unknown kind of export, or for settings that it does not use."""
+    if kind not in KINDS:
+        raise InputError(unknown(kind, list(KINDS)), field="kind")
+    for name, value in given.items():
+        if value is not None and name not in KINDS[kind].uses:
+            raise InputError(f"is not part of an export to {kind}; leave it out", field=name)
+
+
+def refuse_settings(twin: TwinSettings, kind: str, fields: Sequence[str]) -> None:
+    """Raise InputError for settings of the twin that an export cannot represent."""
+    usual = default_twin_settings()
+    for field in fields:
+        if attrgetter(field)(twin) != attrgetter(field)(usual):
+            raise InputError(
+                f"is set, which an export to {kind} cannot represent; leave it out", field=field
+            )
 
 
 def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effect]] = ()) -> None:

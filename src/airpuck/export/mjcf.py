@@ -10,9 +10,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.export.kinds import Subject, printable, refuse_actuators, refuse_effects, refuse_frame
+from airpuck.export.kinds import (
+    Subject,
+    printable,
+    refuse_actuators,
+    refuse_effects,
+    refuse_frame,
+    refuse_settings,
+)
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import GRAVITY, Tilt
 
@@ -101,9 +107,7 @@ def xml(model: Model, table: Table) -> str:
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the MJCF, and the Python functions that set its controls."""
     model, table = subject.model, subject.twin.table
-    if subject.twin.effects.model_dump(exclude_defaults=True):
-        problem = "has effects; an export to mjcf takes the table only, so remove this section"
-        raise InputError(problem, field="twin.effects")
+    refuse_settings(subject.twin, "mjcf", ("effects", "motors"))
     (folder / "craft.xml").write_text(xml(model, table), encoding="utf-8")
     # Not imported: an export does not need MuJoCo.
     shutil.copyfile(Path(__file__).with_name("mujoco_craft.py"), folder / "airpuck_craft.py")
@@ -111,7 +115,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "time step": f"{1e3 * _TIMESTEP:g} ms",
         "thrust": "set_command of airpuck_craft.py sets the controls before each step",
         "transport delay": f"{1e3 * model.transport_delay:.4g} ms, not in the file",
-        "sensors and radio of the twin": "not in the file",
+        "not in the file": "goals, puck and mallet, sensors and radio of the twin",
     }
 
 

@@ -13,7 +13,7 @@ from airpuck.boundary.limits import DEFINITION_BYTES
 from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, sha256, shortened
-from airpuck.recording.mapping import RecordingMapping
+from airpuck.recording.mapping import RecordingMapping, refuse_csv_settings
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.ros1_file import read_ros1
 from airpuck.recording.sqlite_file import read_sqlite
@@ -46,16 +46,7 @@ def _stored(folder: Path) -> list[Path]:
 
 def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a bag's folder, or a bare .mcap, .db3 or .bag file."""
-    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
-    for stream, section in sections.items():
-        if section.interval:
-            problem = "is a bag, whose messages have times; use interval only for CSV files"
-            raise InputError(problem, file=path, field=f"{stream}.interval")
-        if section.file:
-            problem = (
-                f'is a bag, which has no such file; name a topic: topics = {{{stream} = "/..."}}'
-            )
-            raise InputError(problem, file=path, field=f"{stream}.file")
+    refuse_csv_settings(mapping, path, "a bag")
     wanted = set(mapping.topics.by_stream.values())
     metadata = _metadata(path / METADATA) if path.is_dir() else {}
     files = [path] if path.is_file() else _in_order(_stored(path), metadata)

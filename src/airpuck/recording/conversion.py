@@ -35,7 +35,8 @@ def stamps_of(
     else:
         missing = ~np.isfinite(time)
         unit = mapping.size("time")
-        nanoseconds = np.where(missing, 0.0, time) * (unit * SECOND_NS)
+        with np.errstate(over="ignore"):  # reported below
+            nanoseconds = np.where(missing, 0.0, time) * (unit * SECOND_NS)
         whole = time * round(unit * SECOND_NS) if time.dtype.kind in "iu" else None
     if missing.any():
         row = int(np.argmax(missing)) + 1

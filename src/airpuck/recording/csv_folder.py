@@ -324,7 +324,8 @@ def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvT
             f"row {int(np.argmax(steps < 0)) + 1} is negative; for a column of times use `time`"
         )
         raise InputError(problem, file=table.path, field=mapping.interval)
-    times = list(map(repr, np.cumsum(steps).tolist()))
+    with np.errstate(over="ignore"):  # reported with the time that it leads to
+        times = list(map(repr, np.cumsum(steps).tolist()))
     return replace(table, columns={**table.columns, mapping.interval: times}), mapping.interval
 
 

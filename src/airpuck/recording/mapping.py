@@ -376,6 +376,19 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     return read_toml(path, RecordingMapping)
 
 
+def refuse_csv_settings(mapping: RecordingMapping, path: str | os.PathLike[str], form: str) -> None:
+    """Raise InputError for settings of CSV files that come with another form of recording."""
+    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
+    for stream, section in sections.items():
+        if section.interval:
+            problem = f"is {form}, whose messages have times; use interval only for CSV files"
+            raise InputError(problem, file=path, field=f"{stream}.interval")
+        if section.file:
+            remedy = f'name a topic: topics = {{{stream} = "/..."}}'
+            problem = f"is {form}, which has no such file; {remedy}"
+            raise InputError(problem, file=path, field=f"{stream}.file")
+
+
 def only_topics(mapping: RecordingMapping, path: str | os.PathLike[str]) -> Topics:
     """Return the topics of a mapping; raise InputError if it also changes fields or units."""
     others = sorted(mapping.model_fields_set - {"topics"})

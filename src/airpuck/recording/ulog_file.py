@@ -21,7 +21,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import DEFINITION_SIZE, refused
 from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
-from airpuck.recording.mapping import ENTRY, RecordingMapping
+from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topic_stream import section_of, stream_of
 
@@ -55,6 +55,7 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
         from pyulog import ULog
     except ImportError:
         raise InputError("PX4 logs need pyulog: pip install pyulog", file=path) from None
+    refuse_csv_settings(mapping, path, "a PX4 log")
     content = path.read_bytes()
     _check_definitions(content, path)
     said = io.StringIO()
