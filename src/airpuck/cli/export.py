@@ -12,7 +12,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, table
-from airpuck.export import KINDS, check_given
+from airpuck.export.kinds import KINDS, check_given
 
 
 @app.command(rich_help_panel="Control and flight")

@@ -6,7 +6,7 @@
  *     airpuck_init(&craft);
  *     airpuck_set_point(targets, 0, 0, 0);
  *     ... for every pose: airpuck_pose(&craft, stamp, pose);
- *     ... every AIRPUCK_PERIOD: airpuck_step(&craft, now, targets, command);
+ *     ... every airpuck_tuned.period: airpuck_step(&craft, now, targets, command);
  *         send the command, then airpuck_sent(&craft, now, command);
  *
  * No memory is allocated and there are no global variables. Calls for the same craft must not
