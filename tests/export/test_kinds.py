@@ -1,6 +1,7 @@
 """`airpuck.export.write`, and the command, whatever the kind."""
 
 import json
+import os
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -82,6 +83,11 @@ def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):
     mujoco.MjModel.from_xml_path(str(tmp_path / "craft.xml"))
     lines = (tmp_path / "airpuck_parameters.m").read_text("utf-8").splitlines()
     assert all(line.startswith(("function", "%", "    ", "end")) for line in lines)
+
+
+@pytest.mark.parametrize("kind", ["c", "casadi", "gym", "matlab"])
+def test_the_name_of_the_source_may_be_any_bytes(kind, tmp_path):
+    export.write(replace(M4, source=os.fsdecode(b"\xff.json")), kind, tmp_path)
 
 
 def test_files_of_others_in_the_folder_stay(tmp_path):

@@ -172,4 +172,5 @@ def write_toml(
         tomli_w.dumps(content),
     )
     with replacing(path) as temporary:
-        temporary.write_text(text + dumped, encoding="utf-8")
+        # The name of a source file may have bytes that are not UTF-8.
+        temporary.write_text(text + dumped, encoding="utf-8", errors="replace")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import airpuck
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
@@ -17,7 +15,6 @@ from airpuck.export.kinds import KINDS, check_given
 
 @app.command(rich_help_panel="Control and flight")
 def export(
-    context: typer.Context,
     model: options.ModelName,
     kind: Annotated[
         str,
@@ -31,7 +28,7 @@ def export(
     output: Annotated[Path, options.output("DIR", "Folder for the files.")],
     tuning: options.TuningFile = None,
     regulator: options.RegulatorName = None,
-    twin: options.ReadTwin = None,
+    twin: options.TwinFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -44,8 +41,8 @@ def export(
         kind,
         output,
         tuning=inputs.read_controls(tuning, regulator, exported) if given else None,
-        twin=twin,
-        inputs=[one for one in (model, tuning, context.params["twin"]) if one is not None],
+        twin=None if twin is None else airpuck.read_twin_settings(twin),
+        inputs=[one for one in (model, tuning, twin) if one is not None],
     )
     rows = [(name, str(value)) for name, value in written.facts.items()]
     shown = [table(("", ""), rows, left=("",))] if rows else []

@@ -75,14 +75,12 @@ ReadMapping = Annotated[
         lambda path: airpuck.read_mapping(path),
     ),
 ]
+_TWIN = "Table, sensors, radio, faults; by default the packaged ones."
 ReadTwin = Annotated[
     "TwinSettings | None",
-    _file(
-        "--twin",
-        "Table, sensors, radio, faults; by default the packaged ones.",
-        lambda path: airpuck.read_twin_settings(path),
-    ),
+    _file("--twin", _TWIN, lambda path: airpuck.read_twin_settings(path)),
 ]
+TwinFile = Annotated[Path | None, Setting(_TWIN, metavar="FILE", option="--twin")]
 ReadTable = Annotated[
     "AirHockey | None",
     _file(
