@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "airpuck"
 author = "the airpuck developers"
+project_copyright = author
 version = release = airpuck.__version__
 extensions = [
     "myst_nb",
