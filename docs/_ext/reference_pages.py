@@ -10,6 +10,15 @@ import airpuck
 
 #: Pages outside docs/ that are part of the site, by their link.
 _OUTSIDE = {"../examples/README.md": "examples.md"}
+#: Functions of `airpuck.export`, whose kinds are modules of their own.
+_EXPORTS = (
+    "write",
+    "casadi.functions",
+    "holohover.params_json",
+    "holohover.params_yaml",
+    "matlab.parameters",
+    "mjcf.xml",
+)
 
 
 def setup(app: Any) -> dict[str, Any]:
@@ -24,6 +33,7 @@ def _write(app: Any) -> None:
     folder = Path(app.srcdir) / "reference"
     pages = {"api.md": _contents(), "commands.md": _commands()}
     pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
+    pages["python_export.rst"] = _exports()
     folder.mkdir(exist_ok=True)
     for path in folder.iterdir():
         if path.name not in pages:
@@ -59,7 +69,8 @@ def _contents() -> str:
             sentence = " ".join(sentence.split()).replace("|", "\\|")
             lines.append(f"| {{py:obj}}`airpuck.{name}` | {sentence} |")
         lines.append("")
-    pages = [f"python_{package}" for package in _groups()]
+    lines += ["## export", "", "See [the functions of `airpuck.export`](python_export.rst).", ""]
+    pages = [f"python_{package}" for package in (*_groups(), "export")]
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *pages, "```", ""])
 
 
@@ -74,6 +85,14 @@ def _members(package: str, names: list[str]) -> str:
             lines += [f".. automodule:: {found.__name__}", "   :members:", ""]
         else:
             lines += [f".. autofunction:: airpuck.{name}", ""]
+    return "\n".join(lines)
+
+
+def _exports() -> str:
+    """Document the functions of the package `export`."""
+    lines = ["export", "======", ""]
+    for name in _EXPORTS:
+        lines += [f".. autofunction:: airpuck.export.{name}", ""]
     return "\n".join(lines)
 
 
