@@ -5,22 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
 from airpuck.hockey.hand import HUMANS, Dexterity, GuidedHand, Keeper, ScriptedHand, Striker
 from airpuck.physics.puck import PuckState
-from airpuck.twin.play import HandMallet, World
 
-PLAY = AirHockey()
+from ..apparatus.hands import PLAY, played_alone
+
 EXACT = Dexterity(reaction_s=0.2, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
-
-
-class Frames:
-    """An observer that takes measurements on request."""
-
-    due = math.inf
-
-    def observe(self, time: float) -> None:
-        self.due = math.inf
 
 
 def episode(
@@ -33,20 +23,7 @@ def episode(
     opponent=(0.9, 0.0),
 ):
     """Let one hand play a puck alone; return its path and the world."""
-    world, player = World(PLAY, puck), hand(PLAY, skill, seed)
-    mallet = HandMallet(PLAY.mallet, PLAY.table, *start)
-    world.bodies.append(mallet)
-    assert world.puck is not None
-    frames = Frames()
-    world.observers.append(frames)
-    ways, rate = [], 0.01
-    for k in range(round(duration / rate)):
-        seen = None if world.puck.goal else world.puck.state
-        mallet.target = player.target(k * rate, (mallet.x, mallet.y), seen, opponent)
-        frames.due = (k + 1) * rate
-        world.run((k + 1) * rate)
-        ways.append((mallet.x, mallet.y, mallet.vx, mallet.vy))
-    return np.array(ways), world
+    return played_alone(hand(PLAY, skill, seed), puck, duration, start, lambda time: opponent)
 
 
 def test_it_does_not_move_before_it_can_have_seen():

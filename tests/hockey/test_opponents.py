@@ -1,46 +1,25 @@
 """Families of scripted opponents."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airpuck.craft.table import AirHockey
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.hand import Dexterity, Keeper, Striker
 from airpuck.hockey.opponents import HANDS, Banker, Counter, Wild, WrongFoot
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck.twin.play import HandMallet, World
 
-PLAY = AirHockey()
+from ..apparatus.hands import PLAY, played_alone
+
 EXACT = Dexterity(reaction_s=0.1, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
-
-
-class Frames:
-    """An observer that takes measurements on request."""
-
-    due = math.inf
-
-    def observe(self, time: float) -> None:
-        self.due = math.inf
 
 
 def episode(hand, puck, duration, opponent=lambda time: (0.9, 0.0), skill=EXACT):
     """Let one hand play a puck alone; return the puck, whose touches are known."""
-    world, player, frames = World(PLAY, puck), hand(PLAY, skill, 0), Frames()
-    mallet = HandMallet(PLAY.mallet, PLAY.table, -0.95, 0.0)
-    world.bodies.append(mallet)
-    world.observers.append(frames)
-    assert world.puck is not None
-    for k in range(round(duration / 0.01)):
-        seen = None if world.puck.goal else world.puck.state
-        own = (mallet.x, mallet.y)
-        mallet.target = player.target(0.01 * k, own, seen, opponent(0.01 * k))
-        frames.due = 0.01 * (k + 1)
-        world.run(0.01 * (k + 1))
-    return world.puck
+    player = hand(PLAY, skill, 0)
+    return played_alone(player, puck, duration, (-0.95, 0.0), opponent)[1].puck
 
 
 @pytest.mark.parametrize("name", HANDS)

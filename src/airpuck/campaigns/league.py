@@ -11,20 +11,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.outputs import check_output
 from airpuck.campaigns.items import Row
-from airpuck.campaigns.match import played
-from airpuck.campaigns.match_item import Match
+from airpuck.campaigns.match import checked_game, played
 from airpuck.campaigns.rating import ratings
 from airpuck.control.settings import Workers
-from airpuck.hockey.contestant import contestant
 from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.rules import Rules
-from airpuck.model.model_file import read_model
 from airpuck.twin.settings import TwinSettings
-from airpuck.twin.twin import check_seed
 
 #: Default players.
 PLAYERS = ("airpuck:hard", "airpuck:medium", "airpuck:easy", *(f"{hand}:medium" for hand in HANDS))
@@ -166,26 +160,18 @@ def league(
         If a player is unknown, occurs twice or fails, if there are fewer than two, or if Dask is
         missing.
     """
-    numbers.GAMES.check(games, "games")
-    for number in (seed, seed + games - 1):
-        check_seed(number, limits=numbers.GAME_SEED)
-    for name in players:
-        contestant(name)
     if len(players) < 2 or len(set(players)) < len(players):
         raise InputError("give at least two players, each of them once", field="players")
-    read_model(model)
-    if output is not None:
-        check_output(output, "folder", field="output")
-    item = Match(model=model, rules=rules or Rules(), drawn=True)
-    if settings is not None:
-        item = item.model_copy(update={"twin": settings})
+    game = checked_game(
+        players, games, seed, output, model=model, settings=settings, rules=rules, drawn=True
+    )
     pairs, matches = [], []
     for one, other in itertools.combinations(range(len(players)), 2):
         for number in range(games):
             sides = (one, other) if number % 2 == 0 else (other, one)
             names = dict(zip(("left", "right"), (players[side] for side in sides), strict=True))
             pairs.append(sides)
-            matches.append(item.model_copy(update={**names, "seed": seed + number}))
+            matches.append(game.model_copy(update={**names, "seed": seed + number}))
     results = played(matches, output, workers, progress, bags=False)
     rows = (result.rows[0] for result in results)
     found = tuple((*sides, row) for sides, row in zip(pairs, rows, strict=True))

@@ -155,22 +155,39 @@ def match(
     InputError
         If a player is unknown or fails, or Dask is missing.
     """
-    numbers.GAMES.check(games, "games")
-    for number in (seed, seed + games - 1):
-        check_seed(number, limits=numbers.GAME_SEED)
-    for name in (left, right):
-        contestant(name)
-    read_model(model)
-    if output is not None:
-        check_output(output, "folder", field="output")
-    item = Match(left=left, right=right, model=model, rules=rules or Rules())
-    if settings is not None:
-        item = item.model_copy(update={"twin": settings})
-    games_of = [item.model_copy(update={"seed": s}) for s in range(seed, seed + games)]
+    game = checked_game(
+        (left, right), games, seed, output, model=model, settings=settings, rules=rules
+    )
+    sides = {"left": left, "right": right}
+    games_of = [game.model_copy(update={**sides, "seed": s}) for s in range(seed, seed + games)]
     results = played(games_of, output, workers, progress)
     rows = tuple(result.rows[0] for result in results)
     wall = sum(result.wall_s or 0.0 for result in results)
     return MatchResult(left, right, tuple(game.seed for game in games_of), rows, wall)
+
+
+def checked_game(
+    players: Sequence[str],
+    games: int,
+    seed: int,
+    output: str | os.PathLike[str] | None,
+    *,
+    model: str,
+    settings: TwinSettings | None,
+    rules: Rules | None,
+    drawn: bool = False,
+) -> Match:
+    """Check the arguments of a match or a league; return a game without players and seed."""
+    numbers.GAMES.check(games, "games")
+    for number in (seed, seed + games - 1):
+        check_seed(number, limits=numbers.GAME_SEED)
+    for name in players:
+        contestant(name)
+    read_model(model)
+    if output is not None:
+        check_output(output, "folder", field="output")
+    game = Match(model=model, rules=rules or Rules(), drawn=drawn)
+    return game if settings is None else game.model_copy(update={"twin": settings})
 
 
 def played(

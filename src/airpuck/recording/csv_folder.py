@@ -69,8 +69,8 @@ def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
 
 def _named(stream: str, mapping: RecordingMapping) -> str:
     """Return the file that the mapping names for a stream."""
-    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
-    return sections[stream].file if stream in sections else ""
+    section = mapping.sections.get(stream)
+    return section.file if section else ""
 
 
 def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Path]:

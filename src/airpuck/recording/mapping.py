@@ -337,6 +337,11 @@ class RecordingMapping(Section):
     puck: PoseMapping = PoseMapping()
     command: CommandMapping = CommandMapping()
 
+    @property
+    def sections(self) -> dict[str, PoseMapping | CommandMapping]:
+        """Stream name -> its section."""
+        return {"pose": self.pose, "puck": self.puck, "command": self.command}
+
     def of_poses(self, stream: str) -> PoseMapping:
         """Return the section that applies to poses of a stream.
 
@@ -378,8 +383,7 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
 
 def refuse_csv_settings(mapping: RecordingMapping, path: str | os.PathLike[str], form: str) -> None:
     """Raise InputError for settings of CSV files that come with another form of recording."""
-    sections = {"pose": mapping.pose, "puck": mapping.puck, "command": mapping.command}
-    for stream, section in sections.items():
+    for stream, section in mapping.sections.items():
         if section.interval:
             problem = f"is {form}, whose messages have times; use interval only for CSV files"
             raise InputError(problem, file=path, field=f"{stream}.interval")
