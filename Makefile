@@ -39,14 +39,14 @@ $(VENV)/.installed-live: pyproject.toml
 	$(call install,'$(LIVE)')
 	@touch $(VENV)/.installed
 
-play: $(VENV)/.installed-play  ## play air hockey against the craft, in the browser
-	$(BIN)/airpuck play
+play: $(VENV)/.installed-play  ## play air hockey against the craft, in the browser; ARGS="--level hard" passes options
+	$(BIN)/airpuck play $(ARGS)
 $(VENV)/.installed-play: pyproject.toml
 	$(call install,'.[play]')
 	@touch $(VENV)/.installed
 
-demo: install  ## the whole workflow on simulated recordings, no download
-	$(BIN)/airpuck demo --out demo
+demo: install  ## the whole workflow on simulated recordings, no download; ARGS as for play
+	$(BIN)/airpuck demo --out demo $(ARGS)
 
 test: dev  ## the quick tests, in minutes: while you work
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" --hypothesis-profile quick

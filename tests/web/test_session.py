@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
 
 import airpuck
@@ -180,6 +181,25 @@ def test_a_level_begins_a_new_game(begun):
     begun.order("level", level="nonsense")
     begun.run(0.05)
     assert begun.phases == []
+
+
+def test_games_are_recorded_with_their_players(tmp_path):
+    near, far = multiprocessing.Pipe()
+    model, settings = airpuck.read_model("paper:M3"), default_twin_settings()
+    session = Session(Pages(near), model, settings, "easy", 0, record=tmp_path)
+    table = Table(session, far)
+    table.order("sit")
+    table.order("go")
+    table.wish(1, 0.3, 0.35)
+    table.run(0.3)  # ends a game
+    names = {"left": "airpuck:easy", "right": "you", "written_by": "airpuck"}
+    recording = airpuck.read_recording(tmp_path / "game-1", needs=("mallet", "puck", "pose"))
+    assert recording.about == names
+    target, place = np.array([0.3, 0.35]), recording["mallet"].values[:, :2]
+    assert np.hypot(*(place[-1] - target)) < np.hypot(*(place[0] - target)) - 0.1
+    table.order("level", level="hard")  # saves the game before; nobody begins the next one
+    table.run(0.2)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["game-1", "game-2"]
 
 
 def test_thoughts_are_told_on_request(begun):

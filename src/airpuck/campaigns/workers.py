@@ -159,7 +159,8 @@ def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         from dask import config
         from distributed import Client
     except ImportError:
-        raise InputError("campaigns need Dask: pip install distributed") from None
+        needs = "campaigns need Dask: pip install distributed"
+        raise InputError(f"{needs} (match and league: or give --workers 1)") from None
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     local |= {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from typer import Exit
@@ -42,6 +43,10 @@ class PlayingCraft(Settings):
 def play(
     craft: PlayingCraft,
     arena: ArenaSettings,
+    record: Annotated[
+        Path | None,
+        options.output("DIR", "Record every game as a bag; the page says so.", "--record"),
+    ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
@@ -58,6 +63,7 @@ def play(
         tactic=craft.tactic,
         settings=craft.twin,
         seed=craft.seed,
+        record=record,
         tell=say(quiet),
     )
     left, right = figures["score"]

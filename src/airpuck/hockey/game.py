@@ -298,8 +298,9 @@ class Game:
             rows.append((event.time, np.array(values, dtype=float)))
         if rows:
             streams["game"] = log_stream(rows, COLUMNS["game"], latency=0.0)
-        names = " against ".join(side.name for side in self.sides)
-        return Recording(streams=streams, source=f"game of {names}")
+        left, right = (side.name for side in self.sides)
+        source, about = f"game of {left} against {right}", {"left": left, "right": right}
+        return Recording(streams=streams, source=source, about=about)
 
     def figures(self) -> dict[str, float]:
         """Return the figures of the game, from the events that it kept.

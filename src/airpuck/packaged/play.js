@@ -185,16 +185,17 @@ const POINTER = matchMedia("(pointer: coarse)").matches ? "your finger" : "the m
 function card() {
   const [left, right] = status.score;
   const keys = POINTER === "the mouse" ? "Space pauses, R restarts, T shows what the craft thinks." : "";
+  const recorded = hello.recorded ? " Games are recorded." : "";
   if (role === "lost") return ["Connection lost", "Is airpuck still running? This page keeps trying to reconnect.", ""];
   if (status.phase === "watch") return null;
   if (role === "spectator")
     return status.phase === "waiting"
-      ? ["The seat is free", "The player has left.", "Play"] : null;
+      ? ["The seat is free", `The player has left.${recorded}`, "Play"] : null;
   switch (status.phase) {
     case "starting": return ["One moment", "Starting a new game.", ""];
     case "ready": return ["You against the craft",
       `Move the orange mallet with ${POINTER}. First to ${hello.first_to} wins. Whoever keeps the puck ` +
-      `for ${hello.foul_s} s loses it to the other side.`, "Play", keys];
+      `for ${hello.foul_s} s loses it to the other side.${recorded}`, "Play", keys];
     case "paused": return ["Paused", `${left} : ${right}`, "Resume", keys];
     case "over": return right > left
       ? ["You win", `${right} : ${left}. Well played.`, "Play again"]
@@ -209,7 +210,8 @@ function showCard() {
   document.body.classList.toggle("plays", !content && plays());
   for (const button of document.querySelectorAll("#pause, #restart, #levels button"))
     button.disabled = role !== "player";
-  byId("right-name").textContent = shows ? hello.names[1] : role === "player" ? "you" : watching ? "player (you are watching)" : "player";
+  const player = role === "player" ? "you" : watching ? "player (you are watching)" : "player";
+  byId("right-name").textContent = (shows ? hello.names[1] : player) + (hello.recorded ? ", recorded" : "");
   if (!content) return;
   const [title, words, go, hint] = content;
   byId("title").textContent = title;

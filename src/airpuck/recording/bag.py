@@ -59,7 +59,9 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
     if str(metadata.get("compression_mode")).lower() == "message":
         _unpack_messages(log, path)
     streams, said = _streams(log, mapping, needs, path)
-    return Recording(streams, str(path), hashes, _warnings(log, metadata) + said)
+    about = metadata.get("custom_data")
+    about = {str(k): str(v) for k, v in about.items()} if isinstance(about, dict) else {}
+    return Recording(streams, str(path), hashes, _warnings(log, metadata) + said, about)
 
 
 def _metadata(path: Path) -> dict[str, Any]:

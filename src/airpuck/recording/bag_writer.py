@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from ruamel.yaml import YAML
@@ -63,7 +65,7 @@ def write_bag(
         except ValueError as error:
             raise InputError(str(error), file=recording.source, field=name) from error
     with new_folder(folder) as temporary:
-        bag = BagFile(temporary)
+        bag = BagFile(temporary, recording.about)
         messages = []
         for name, codec in codecs.items():
             stream = recording.streams[name]
@@ -96,11 +98,12 @@ def _codec(name: str, stream: Stream, *, known: bool) -> StreamCodec:
 class BagFile:
     """A bag being written, message by message."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, about: Mapping[str, str] = MappingProxyType({})) -> None:
         from mcap.writer import Writer
 
         folder.mkdir(exist_ok=True)
         self.folder, self._name = folder, f"{folder.name}_0.mcap"
+        self._about = about
         self._file = (folder / self._name).open("wb")
         # Uses mcap instead of rosbags: it writes checksums, and chunks of a chosen size.
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
@@ -190,7 +193,7 @@ class BagFile:
             "compression_mode": "",
             "relative_file_paths": [self._name],
             "files": [{"path": self._name, **span()}],
-            "custom_data": {"written_by": "airpuck"},
+            "custom_data": {**self._about, "written_by": "airpuck"},
             "ros_distro": "unknown",
         }
 

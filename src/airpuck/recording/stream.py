@@ -105,12 +105,15 @@ class Recording:
         SHA-256 of every file that was read, by name.
     warnings : tuple of str
         Minor problems in the files.
+    about : mapping of str to str
+        Facts that the recorder stored with a bag, such as the players of a game.
     """
 
     streams: Mapping[str, Stream]
     source: str
     hashes: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    about: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def from_arrays(

@@ -6,7 +6,9 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import count
+from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.errors import InputError
@@ -23,6 +25,7 @@ from airpuck.hockey.rules import Rules
 from airpuck.hockey.tactic import Intention, Tactic, View
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
+from airpuck.recording.bag_writer import write_bag
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.web.page import ArenaSettings, Pages, hello_of, invite, news_of, served, state_of
 
@@ -51,6 +54,7 @@ def play_in_browser(
     tactic: str | None = None,
     settings: TwinSettings | None = None,
     seed: int = 0,
+    record: Path | None = None,
     tell: Any = print,
 ) -> dict[str, Any]:
     """Let a person play against the craft, on a page served here.
@@ -69,6 +73,8 @@ def play_in_browser(
         Table, puck, radio, noise; by default the packaged ones.
     seed : int, default 0
         Seed of all random numbers.
+    record : path, optional
+        Folder for the games, one bag each: ``game-1`` and so on. The page says that it is recorded.
     tell : callable, default print
         Receives the line with the page's address.
 
@@ -86,9 +92,9 @@ def play_in_browser(
         raise InputError(f"give {', '.join(LEVELS)}, not {level!r}", field="--level")
     arena = arena or ArenaSettings()
     settings = settings or default_twin_settings()
-    make = None if tactic is None else tactic_maker(tactic)
-    with served(arena.host, arena.port, hello_of(model, settings)) as pages:
-        session = Session(pages, model, settings, level, seed, make)
+    hello = hello_of(model, settings) | {"recorded": record is not None}
+    with served(arena.host, arena.port, hello) as pages:
+        session = Session(pages, model, settings, level, seed, tactic, record)
         invite(pages, arena, tell)
         return session.run(arena.duration)
 
@@ -111,12 +117,15 @@ class Session:
         settings: TwinSettings,
         level: str,
         seed: int,
-        tactic: Callable[[], Tactic] | None = None,
+        tactic: str | None = None,
+        record: Path | None = None,
     ) -> None:
-        self._make_tactic = tactic or AllRounder
+        self._make_tactic = AllRounder if tactic is None else tactic_maker(tactic)
+        self._name = tactic
         self._pages, self._model, self._settings = pages, model, settings
+        self._record = record
         self._level, self._seed, self._games = level, seed, 0
-        self._seated = self._runs = False
+        self._seated = self._runs = self._begun = False
         self._heard = 0
         self._until_home = 0
         #: Whether a requested new game starts running; None: no game is requested.
@@ -131,6 +140,7 @@ class Session:
         """Play until the time is over; return the results for ``--json``."""
         with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
             self._run(math.inf if duration is None else duration)
+        self._keep()
         return {
             "duration_s": self._clock.now,
             "games": self._games,
@@ -189,21 +199,28 @@ class Session:
 
     def _begin(self) -> None:
         """Prepare a new game; it waits for the player to start it."""
+        self._keep()
         self._runs = self._begun = False
         self._renewal = None
         self._hand = GuidedHand()
         self._games += 1
         self._game = Game(
-            Contestant("airpuck", player=self._make_player),
+            Contestant(self._name or f"airpuck:{self._level}", player=self._make_player),
             Contestant("you", hand=lambda *_: self._hand),
             settings=self._settings,
             rules=Rules(limit_s=_NO_LIMIT),
             model=self._model,
             seed=self._seed + self._games,
-            logs=False,
+            logs=self._record is not None,
         )
         for _ in range(_WARM_UP):
             self._game.step()
+
+    def _keep(self) -> None:
+        """Save a game that has begun, if games are recorded."""
+        if self._record is not None and self._begun:
+            paths = (self._record / f"game-{number}" for number in count(1))
+            write_bag(self._game.recording(), next(path for path in paths if not path.exists()))
 
     def _make_player(
         self, model: Model, equipment: Any, side: int, seed: int, other: float
