@@ -8,11 +8,13 @@ controller designed from that model flies the true craft: with both laws and bot
 rest to a set point half a metre and 1.5 rad away. A flight settles if the craft touches no rail
 and stays within 2 cm and 0.1 rad of the set point for the last of 3 s; a model settles if all
 four flights do. A model is learned from the first 60 % of a recording and judged on the rest.
+Recordings too short for that are learned from and judged as a whole, as `identify` does.
 Recordings, models and flights are kept in the folder, so an interrupted study resumes, and several
 processes can share the work (`--first`).
 
 judge: the verdict on each model, the table of verdicts against flights, the cases in which they
-disagree, and how often the printed uncertainty of accelerations and response time holds.
+disagree, and how often the printed uncertainty of accelerations and response time holds. With
+`--own`, each model is judged by what it was learned from.
 """
 
 from __future__ import annotations
@@ -57,8 +59,9 @@ GOAL, NEAR, STAYS = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1), 1.0
 AT_RAIL = 1e-3
 #: Controllers, the ones most sensitive to wrong models first.
 CONTROLLERS = [(law, estimator) for law in ("mpc", "lqr") for estimator in ("kalman", "actuation")]
-#: Share of a recording that a model is learned from; it is judged on the rest.
-LEARNED = 0.6
+#: Share of a recording that a model is learned from; it is judged on the rest. Shorter recordings
+#: [s] are not divided: a verdict takes 4 s.
+LEARNED, DIVIDED = 0.6, 10.0
 #: Longer than any flight [s].
 ALWAYS = 1e4
 FOOT_M = 0.3048
@@ -256,6 +259,8 @@ def prepared(situation: Situation, seed: int, folder: Path) -> tuple[Trajectory,
     pose = edited["pose"]
     pose = replace(pose, values=pose.values * (situation.metre, situation.metre, 1.0))
     whole = preprocess(replace(edited, streams={**edited.streams, "pose": pose}), vehicle)
+    if situation.duration < DIVIDED:
+        return whole, whole
     return whole.slice(0.0, LEARNED), whole.slice(LEARNED, 1.0)
 
 
@@ -350,14 +355,15 @@ class Case:
     errors: tuple[float, ...] = ()
 
 
-def judged(situation: Situation, seed: int, folder: Path) -> Case:
-    """Judge a model on what it was not learned from."""
+def judged(situation: Situation, seed: int, folder: Path, own: bool) -> Case:
+    """Judge a model on what it was not learned from, or on its own data."""
     model = identified(situation, seed, folder)
     if isinstance(model, str):
         return Case(situation.name, seed, "refused", False, (model,))
     settled = all(flown(situation, seed, folder).values())
-    _, validation = prepared(situation, seed, folder)
-    found = verdict(model, validation, evaluate(model, validation))
+    learned, rest = prepared(situation, seed, folder)
+    own = own or rest is learned
+    found = verdict(model, learned) if own else verdict(model, rest, evaluate(model, rest))
     errors: tuple[float, ...] = ()
     if found.acceleration_errors is not None and found.response_error is not None:
         truth = situation.truth()
@@ -373,19 +379,19 @@ def judged(situation: Situation, seed: int, folder: Path) -> Case:
     return Case(situation.name, seed, found.outcome, settled, found.sentences, errors)
 
 
-def report(folder: Path, seeds: range) -> None:
+def report(folder: Path, seeds: range, own: bool) -> None:
     """Print verdicts against flights, the cases in which they disagree, and coverage."""
     cases = []
     for situation in SITUATIONS:
         done = [k for k in seeds if (folder / f"flight-{_name(situation)}-{k}.json").is_file()]
-        own = [judged(situation, seed, folder) for seed in done]
-        counts = Counter((case.outcome, case.settles) for case in own)
+        found = [judged(situation, seed, folder, own) for seed in done]
+        counts = Counter((case.outcome, case.settles) for case in found)
         words = ", ".join(
             f"{count} {outcome} and {'settles' if settles else 'does not'}"
             for (outcome, settles), count in counts.items()
         )
         print(f"{situation.name:34s} {words}")
-        cases += own
+        cases += found
     print()
     outcomes = sorted({case.outcome for case in cases})
     print(f"{'':24s} settles  does not")
@@ -412,10 +418,14 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=10, help="number of seeds")
     parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--own", action="store_true", help="judge by the data learned from")
     options = parser.parse_args()
     options.output.mkdir(parents=True, exist_ok=True)
-    parts = {"fly": fly_all, "judge": report}
-    parts[options.part](options.output, range(options.first, options.first + options.seeds))
+    seeds = range(options.first, options.first + options.seeds)
+    if options.part == "fly":
+        fly_all(options.output, seeds)
+    else:
+        report(options.output, seeds, options.own)
 
 
 if __name__ == "__main__":

@@ -5,14 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from studies.bounds import affected, case
+from studies.bounds import affected, case, sharp
 
 import airpuck
 from airpuck.craft.table import Table
 from airpuck.physics.effects import Effect
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
-from airpuck.planning.certificate import lower_bound, lower_bound_through, missing_at
+from airpuck.planning.certificate import (
+    lower_bound,
+    lower_bound_through,
+    missing_at,
+    unavoidable_rail,
+)
 from airpuck.planning.request import Goal, checked_request
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
@@ -48,6 +53,21 @@ def test_chords_of_the_frontier_lie_above_linear_programs(yaw, redrawn):
         assert np.interp(moment, moments, table) <= best + (1.5 if redrawn else 0.8)
 
 
+@pytest.mark.parametrize("yaw", [0.4, 1.9, 3.3])
+def test_chords_that_begin_anywhere_lie_above_the_kinks_of_the_frontier(yaw):
+    low, high = np.full(6, 0.01), M3.dynamics.thrust.sum(axis=1)
+    forward, left, turn = np.asarray(M3.dynamics.configuration)
+    push = np.cos(yaw) * forward - np.sin(yaw) * left
+    prices = np.sort(-push / turn)
+    # Between two prices of the moment, the set of motors that run stays the same.
+    for price in (prices[1:] + prices[:-1]) / 2:
+        forces = np.where(push + price * turn > 0, high, low)
+        kink, best = turn @ forces, push @ forces
+        moments = kink + 20.0 * np.arange(-14, 15)
+        table = frontier(M3, np.array([yaw]), low, high, moments, (0.0, 0.0), redrawn=True)[0]
+        assert np.interp([kink - 10, kink + 10], moments, table).mean() >= best - 1e-9
+
+
 def test_motors_cannot_have_other_speeds():
     times, speed = np.array([0.0, 0.01, 0.03, 1.0]), np.linspace(0.1, 0.9, 6)
     low, high = motor_range(M3, speed, times)
@@ -72,6 +92,32 @@ def test_no_flight_is_refuted(seed):
 def test_no_flight_is_faster_than_its_bound(seed):
     _, asked, weight, time = case(seed)
     assert lower_bound(asked, weight, 1.3 * time) <= time
+
+
+@pytest.mark.parametrize("seed", [6, 17, 27, 28])
+def test_a_refutation_two_percent_too_strong_refutes_a_flight(seed):
+    """Without this the test above could not notice wrong bounds."""
+    _, asked, weight, time = sharp(seed)
+    needed, most, _ = missing_at(asked, weight, time)
+    assert 0.98 * most < needed <= most
+
+
+@pytest.mark.parametrize("seed", [2, 17])
+def test_the_bound_of_a_flight_as_fast_as_any_is_close(seed):
+    _, asked, weight, time = sharp(seed)
+    assert time < 1.02 * lower_bound(asked, weight, 1.3 * time) <= 1.02 * time
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_craft_that_must_turn_to_brake_is_certain_to_hit_the_rail_ahead(direction, axis):
+    # Backwards, along its weakest push; without turning, the rail is just far enough.
+    state = np.array([0, 0, np.pi * (axis / 2 + (direction > 0)), 0, 0, 0])
+    state[axis] = direction * (Table().reach(M3.vehicle.radius_m)[axis] - 0.1)
+    for speed, certain in ((1.05, "xy"[axis]), (0.6, None)):
+        state[3 + axis] = direction * speed
+        asked = checked_request(M3, state, (0.0, 0.0, 0.0), (), Table(), (), Limits())
+        assert unavoidable_rail(asked) == certain
 
 
 class Boost(Effect):
