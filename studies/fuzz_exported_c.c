@@ -5,6 +5,7 @@
  *         studies/fuzz_exported_c.c $(ls out/c/airpuck*.c | grep -v selftest) -lm -o out/fuzz
  *     out/fuzz -max_total_time=3600
  *
+ * With --regulator mpc or --plan FILE the export contains the other laws.
  * Any bits may be a time, a pose or a command. Every step must give finite commands in range. */
 #include "airpuck.h"
 
@@ -35,7 +36,7 @@ static double number(const uint8_t **data, size_t *size, double scale)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
     static airpuck craft;
-    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_target targets[AIRPUCK_TARGETS], *aim = AIRPUCK_INTERVALS > 0 ? NULL : targets;
     airpuck_real given[AIRPUCK_MOTORS > 3 ? AIRPUCK_MOTORS : 3], command[AIRPUCK_MOTORS];
     double now = 0;
     airpuck_init(&craft);
@@ -53,12 +54,18 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
             for (int i = 0; i < AIRPUCK_MOTORS; i++)
                 given[i] = (airpuck_real)number(&data, &size, 1);
             airpuck_sent(&craft, time, given);
+#if AIRPUCK_INTERVALS > 0
+        } else if (action == 7) {
+            airpuck_depart(&craft, time);
+            aim = NULL;
+#endif
         } else if (action == 4) {
+            aim = targets;
             airpuck_set_point(targets, (airpuck_real)number(&data, &size, 1),
                               (airpuck_real)number(&data, &size, 1),
                               (airpuck_real)number(&data, &size, 9));
         } else {
-            airpuck_step(&craft, time, targets, command);
+            airpuck_step(&craft, time, aim, command);
             for (int i = 0; i < AIRPUCK_MOTORS; i++)
                 if (!(command[i] >= airpuck_tuned.command_min &&
                       command[i] <= airpuck_tuned.command_max))

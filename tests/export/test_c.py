@@ -15,6 +15,7 @@ from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
 from airpuck.flight.loop import fly
+from airpuck.planning.plan import Plan
 from airpuck.twin.twin import Twin
 
 from ..apparatus.c_programs import SANITIZED, SINGLE, build, compiler
@@ -93,6 +94,44 @@ def test_the_flight_of_the_export_repeats(regulator, exported, tmp_path):
     assert subprocess.run([selftest, exported / "wrong.csv"], capture_output=True).returncode == 1
 
 
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    """A second of random commands, as if planned: nobody checks that they are the fastest."""
+    random, times = np.random.default_rng(2), np.linspace(0.0, 1.0, 21)
+    commands = random.uniform(0.1, 0.8, (20, 6))
+    start = np.concatenate([[-0.2, 0.1, 0.4, 0.0, 0.0, 0.0], np.full(6, 0.03)])
+    states = np.vstack([start, M4.simulate(start, commands, np.diff(times))])
+    return Plan(M4, times, states, commands, None)
+
+
+@pytest.mark.parametrize(
+    ("regulator", "options", "largest"),
+    [
+        ("lqr", (), 1e-9),
+        pytest.param("lqr", SINGLE, 1e-3, marks=pytest.mark.slow),
+        pytest.param("mpc", (), 1e-9, marks=pytest.mark.slow),
+    ],
+)
+def test_a_planned_flight_repeats(regulator, options, largest, plan, tmp_path):
+    tuning = default_tuning() if regulator == "lqr" else predictive()
+    airpuck.export.write(M4, "c", tmp_path, tuning=tuning, plan=plan)
+    words = [program(tmp_path, "airpuck_selftest.c", *options), tmp_path / "golden.csv"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert float(done.stdout.split()[-1]) < largest
+
+
+def test_the_program_departs(plan, tmp_path):
+    airpuck.export.write(M4, "c", tmp_path, plan=plan)
+    poses = "".join(f"{k / 100:.2f} -0.2 0.1 0.4\n" for k in range(6))
+    given = poses + "depart 0.05\n" + "0.06 -0.2 0.1 0.4\n0.07 -0.2 0.1 0.4\n"
+    words = [program(tmp_path, "main.c")]
+    done = subprocess.run(words, input=given, capture_output=True, text=True, check=True)
+    *waiting, _, last = [[float(n) for n in line.split()[2:]] for line in done.stdout.splitlines()]
+    assert np.ptp(waiting, axis=0).max() < 0.05
+    assert np.abs(np.subtract(last, waiting[-1])).max() > 0.2
+
+
 @pytest.mark.parametrize("using", ["gcc", "clang"])
 def test_no_compiler_warns(exported, using):
     compiler(using)
@@ -132,10 +171,11 @@ def test_the_program_reads_poses_and_writes_commands(exported):
     assert "time x y yaw" in bad.stderr
 
 
-@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
-def test_the_stated_sizes_are_the_compilers(regulator, tmp_path):
+@pytest.mark.parametrize("regulator", ["lqr", "mpc", "plan"])
+def test_the_stated_sizes_are_the_compilers(regulator, plan, tmp_path):
     tuning = default_tuning().with_regulator(regulator)
-    facts = airpuck.export.write(M4, "c", tmp_path, tuning=tuning).facts
+    tracked = plan if regulator == "plan" else None
+    facts = airpuck.export.write(M4, "c", tmp_path, tuning=tuning, plan=tracked).facts
     for precision, options in (("double", ()), ("single", ("-DAIRPUCK_SINGLE",))):
         stated = facts[f"state in {precision} precision, bytes"]
         (tmp_path / "size.c").write_text(
@@ -189,6 +229,7 @@ def test_what_has_no_c_is_named(tmp_path):
     for model, chosen, name in (
         (M4, tuning.with_estimator("actuation"), "actuation"),
         (M4, tuning.with_regulator("own.py:Law"), "own.py:Law"),
+        (M4, tuning.with_regulator("plan"), "--plan"),
         (M4, tuning.model_copy(update={"allocation": allocation}), "piqp"),
         (ON_OFF, tuning, "on_off"),
         (

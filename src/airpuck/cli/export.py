@@ -11,6 +11,7 @@ from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, table
 from airpuck.export.kinds import KINDS, check_given
+from airpuck.planning.plan import read_plan
 
 
 @app.command(rich_help_panel="Control and flight")
@@ -28,12 +29,16 @@ def export(
     output: Annotated[Path, options.output("DIR", "Folder for the files.")],
     tuning: options.TuningFile = None,
     regulator: options.RegulatorName = None,
+    plan: Annotated[
+        Path | None,
+        Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE"),
+    ] = None,
     twin: options.TwinFile = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Write a model, or its whole controller, for other tools."""
-    check_given(kind, tuning=tuning, regulator=regulator, twin=twin)
+    check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
     given = tuning is not None or regulator is not None
     written = airpuck.export.write(
@@ -42,7 +47,8 @@ def export(
         output,
         tuning=inputs.read_controls(tuning, regulator, exported) if given else None,
         twin=None if twin is None else airpuck.read_twin_settings(twin),
-        inputs=[one for one in (model, tuning, twin) if one is not None],
+        plan=None if plan is None else read_plan(plan, exported),
+        inputs=[one for one in (model, tuning, twin, plan) if one is not None],
     )
     rows = [(name, str(value)) for name, value in written.facts.items()]
     shown = [table(("", ""), rows, left=("",))] if rows else []

@@ -27,6 +27,8 @@ from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.golden import golden_flight
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
+from airpuck.planning.plan import Plan
+from airpuck.planning.tracking import given_up, rests
 
 #: Time for which unconfirmed commands are kept [s]; `airpuck_sent` forgets older ones.
 _REMEMBERED = 0.5
@@ -46,6 +48,10 @@ _SOURCES = (
 )
 #: Additional sources for the predictive law.
 _PREDICTIVE = ("airpuck_mpc.h", "airpuck_mpc.c", "airpuck_slopes.h", "airpuck_slopes.c")
+#: Additional sources for a planned flight.
+_FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_slopes.c")
+#: How far ahead the tracker of a plan aims [s]; `AHEAD` in airpuck_flight.c.
+_AHEAD = 0.6
 #: DAQP's sources, which these include.
 _DAQP = (
     "LICENSE",
@@ -57,10 +63,13 @@ _DAQP = (
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the controller of a model as C99; return its sizes."""
-    model, tuning = subject.model, subject.tuning
-    _check(model, tuning)
+    model, tuning, plan = subject.model, subject.tuning, subject.plan
+    if plan is not None and tuning.regulator.kind == "lqr":
+        tuning = tuning.with_regulator("plan")
+    _check(model, tuning, plan)
     sizes = {
         "AIRPUCK_STEPS": 0,
+        "AIRPUCK_INTERVALS": 0,
         "AIRPUCK_HELD": math.ceil((_REMEMBERED + model.transport_delay) / tuning.period_s) + 4,
     }
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
@@ -72,11 +81,21 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         copy_sources(_PREDICTIVE, folder)
         low, high = np.round(horizon["fence"], 4).tolist()
         facts["fence, m"] = f"{low} to {high}; set regulator.limits.fence_m for another table"
+    if plan is not None:
+        flight = _flight(plan)
+        sizes |= {
+            "AIRPUCK_INTERVALS": len(plan.commands),
+            "AIRPUCK_PARTS": (len(flight["states"]) - 1) // len(plan.commands),
+            "AIRPUCK_PERIODS": max(int(_AHEAD / tuning.period_s + 1e-9), 1),
+        }
+        numbers.append(constant("airpuck_flight", "airpuck_planned", flight))
+        copy_sources(_FLIGHT, folder)
+        facts["planned flight, numbers in flash"] = flight["states"].size + plan.commands.size
     write_model(model, folder, sizes=sizes, data={"airpuck.h": "\n\n".join(numbers)})
     copy_sources(_SOURCES, folder)
     (folder / "daqp").mkdir()
     copy_sources([f"daqp/{name}" for name in _DAQP], folder / "daqp")
-    golden = "\n".join(golden_flight(model, tuning))
+    golden = "\n".join(golden_flight(model, tuning, plan))
     (folder / "golden.csv").write_text(f"{golden}\n")
     n = model.vehicle.n_propellers
     return {
@@ -102,7 +121,8 @@ def _memory(sizes: Mapping[str, int], n: int) -> tuple[int, int]:
     """Return the C macros AIRPUCK_NUMBERS and AIRPUCK_ACTIVE, for n motors."""
     allocation = _program_numbers(n + 2, 3, 0)
     if not sizes["AIRPUCK_STEPS"]:
-        return allocation, _most_active(n + 2, 0)
+        corrections = 8 * n * sizes.get("AIRPUCK_PERIODS", 0)
+        return max(allocation, corrections), _most_active(n + 2, 0)
     commands, rows = n * sizes["AIRPUCK_BLOCKS"], sizes["AIRPUCK_STEPS"] * sizes["AIRPUCK_LIMITS"]
     active = _most_active(commands, rows)
     factor = active * (active + 1) // 2
@@ -143,6 +163,7 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
             ("held", whole),
             ("commands", Held * sizes["AIRPUCK_HELD"]),
             *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),
+            *([("departs", time)] if sizes["AIRPUCK_INTERVALS"] else []),
             ("numbers", number * numbers),
             ("active", whole * active),
         ]
@@ -150,10 +171,12 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
     return ctypes.sizeof(Craft)
 
 
-def _check(model: Model, tuning: Tuning) -> None:
+def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     """Raise InputError for settings that the C sources do not support."""
     kind = tuning.regulator.kind
-    if kind not in ("lqr", "mpc"):
+    if kind == "plan" and plan is None:
+        raise InputError("'plan' needs a plan; give one with --plan FILE", field="regulator.kind")
+    if kind not in ("lqr", "mpc", "plan"):
         raise InputError(
             f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="regulator.kind"
         )
@@ -187,6 +210,18 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "initial_variance": np.square(np.array([noise.pose, INITIAL_VELOCITY, disturbed])).T,
         "acceleration_density": np.square(noise.acceleration),
         "disturbance_density": np.square(noise.disturbance),
+    }
+
+
+def _flight(plan: Plan) -> dict[str, Any]:
+    """Return the fields of the C struct `airpuck_flight`."""
+    return {
+        "duration": plan.duration,
+        "given_up": given_up(plan),
+        "rests": int(rests(plan)),
+        "times": plan.time,
+        "commands": plan.commands,
+        "states": plan.samples[1],
     }
 
 

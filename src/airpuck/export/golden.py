@@ -13,31 +13,40 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import step
+from airpuck.planning.plan import Plan
 
 #: Rate of poses [1/s], and number of control steps.
 _RATE, _STEPS = 240, 120
 #: Set points, each held for the same time: near, turned, far, back.
 _TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-0.6, 0.3, -1.0), (0.0, 0.0, 0.0))
+#: When a planned flight departs, and how long it continues after its end [s].
+_DEPARTS, _AFTERWARDS = 0.05, 0.2
 #: Frames that are lost, that are not finite, and that show another object.
 _LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)
 #: Standard deviation of the poses [m, m, rad].
 _NOISE = (5e-5, 5e-5, 6e-4)
 
 
-def golden_flight(model: Model, tuning: Tuning) -> Iterator[str]:
+def golden_flight(model: Model, tuning: Tuning, plan: Plan | None = None) -> Iterator[str]:
     """Yield the lines of a flight: targets, poses, plans, results of steps, and commands sent.
 
-    Motors act without delay, unlike the model's, so that the controller has errors to correct.
+    Motors act without delay, unlike the model's, so that the controller has errors to correct. A
+    planned flight begins after the first pose, and the targets follow it.
     """
     random, period = np.random.default_rng(0), tuning.period_s
     pilot = TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)
     n = model.vehicle.n_propellers
     state = np.concatenate([np.zeros(6), np.full(n, model.vehicle.command_min)])
-    frame = 0
-    for k in range(_STEPS):
+    frame = planned = 0
+    if plan is not None:
+        state[:6] = plan.states[0, :6]
+        planned = math.ceil((plan.duration + _AFTERWARDS) / period)
+        pilot.reference = plan.starting(_DEPARTS)
+        yield _line("depart", _DEPARTS)
+    for k in range(planned + _STEPS):
         now = (k + 1) * period
-        if k % (_STEPS // len(_TARGETS)) == 0:
-            pose = _TARGETS[k * len(_TARGETS) // _STEPS]
+        if k >= planned and (k - planned) % (_STEPS // len(_TARGETS)) == 0:
+            pose = _TARGETS[(k - planned) * len(_TARGETS) // _STEPS]
             pilot.reference = SetPoint(*pose)
             yield _line("target", *pose)
         while frame / _RATE <= now:

@@ -21,6 +21,7 @@ from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
+from airpuck.planning.plan import Plan
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 
@@ -36,11 +37,14 @@ class Subject:
         The controller's tuning.
     twin : TwinSettings
         Table, sensors and radio of the simulation.
+    plan : Plan or None
+        The flight that the controller tracks.
     """
 
     model: Model
     tuning: Tuning
     twin: TwinSettings
+    plan: Plan | None = None
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Kind:
         Module whose ``write(subject, folder)`` writes the files and returns facts for the user, by
         name.
     uses : tuple of str
-        Inputs besides the model: ``tuning``, ``regulator``, ``twin``.
+        Inputs besides the model: ``tuning``, ``regulator``, ``twin``, ``plan``.
     """
 
     summary: str
@@ -65,7 +69,7 @@ class Kind:
 
 #: A new kind is a module with `write`, and an entry here.
 KINDS: dict[str, Kind] = {
-    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning", "regulator")),
+    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning", "regulator", "plan")),
     "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
     "fmu": Kind("the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)),
     "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
@@ -106,6 +110,7 @@ def write(
     *,
     tuning: Tuning | None = None,
     twin: TwinSettings | None = None,
+    plan: Plan | None = None,
     inputs: Sequence[str | os.PathLike[str]] = (),
 ) -> Written:
     """Export a model.
@@ -124,6 +129,8 @@ def write(
         The controller's tuning, for kinds with a controller; by default the packaged one.
     twin : TwinSettings, optional
         Table, sensors and radio, for kinds with a simulation; by default the packaged ones.
+    plan : Plan, optional
+        A flight to track, for kinds with a controller.
     inputs : sequence of path-like, optional
         Files that the export must not replace.
 
@@ -137,10 +144,11 @@ def write(
     InputError
         If the kind is unknown, does not use an input that is given, or cannot represent the model.
     """
-    check_given(kind, tuning=tuning, twin=twin)
+    check_given(kind, tuning=tuning, twin=twin, plan=plan)
     target = Path(folder)
     check_output(target, "folder")
-    subject = Subject(model, tuning or default_tuning(), twin or default_twin_settings())
+    settings = tuning or default_tuning(), twin or default_twin_settings()
+    subject = Subject(model, *settings, plan)
     # Files can only be moved within one file system, and an existing folder may be the root of one.
     near = target.absolute() if target.is_dir() else target.absolute().parent
     temporary = near / temporary_name(target)

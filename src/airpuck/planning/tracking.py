@@ -74,7 +74,7 @@ class PlanTracker(Law):
         """Correct the planned thrusts for an estimate; see `Law.step`."""
         vehicle, plan = self.model.vehicle, moment.reference
         (estimate, _), acting = moment.foresee(), moment.now + moment.delay
-        if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < _given_up(plan):
+        if not isinstance(plan, Plan) or not 0 <= acting - plan.begin < given_up(plan):
             return self._lqr.step(state, moment._replace(foresee=partial(self._by_lqr, estimate)))
         curves, lag, drive = self.model.dynamics.thrust, self._lag, self._drive
         ahead = self.period * np.arange(self._periods(plan, acting) + 1)
@@ -94,7 +94,7 @@ class PlanTracker(Law):
     def _periods(self, plan: Plan, acting: float) -> int:
         """Return how many periods ahead the target state lies."""
         left = plan.begin + plan.duration - acting
-        if _rests(plan):
+        if rests(plan):
             left = max(left + _LATER, _LEAST)
         return max(int(min(left, _HORIZON) / self.period + _ROUNDING), 1)
 
@@ -160,14 +160,14 @@ class PlanTracker(Law):
         return a + b @ jacobian, b @ np.stack(maps)
 
 
-def _rests(plan: Plan) -> bool:
+def rests(plan: Plan) -> bool:
     """Return whether the craft rests at the end."""
     return bool((np.abs(plan.states[-1, 3:6]) < _AT_REST[3:]).all())
 
 
-def _given_up(plan: Plan) -> float:
+def given_up(plan: Plan) -> float:
     """Return how long after its start a plan stops being flown [s]."""
-    return plan.duration + (_AFTERWARDS if _rests(plan) else 0.0)
+    return plan.duration + (_AFTERWARDS if rests(plan) else 0.0)
 
 
 def _flown_on(
@@ -180,8 +180,9 @@ def _flown_on(
         [motor_lag(float(plan.model.dynamics.motor_time_constant), t) for t in late]
     ).T
     idle = plan.model.vehicle.command_min
-    states[:, 6:] = idle + left[:, None] * (states[:, 6:] - idle)
-    states[late > 0, 3:6] = 0.0
+    after = late > 0
+    states[after, 6:] = idle + left[after, None] * (states[after, 6:] - idle)
+    states[after, 3:6] = 0.0
     return states
 
 

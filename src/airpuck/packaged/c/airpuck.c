@@ -224,7 +224,17 @@ void airpuck_init(airpuck *craft)
 #if AIRPUCK_STEPS > 0
     airpuck_plan_begin(&craft->plan);
 #endif
+#if AIRPUCK_INTERVALS > 0
+    craft->departs = INFINITY;
+#endif
 }
+
+#if AIRPUCK_INTERVALS > 0
+void airpuck_depart(airpuck *craft, double time)
+{
+    craft->departs = time;
+}
+#endif
 
 void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
 {
@@ -306,6 +316,20 @@ airpuck_status airpuck_step(airpuck *craft, double now,
         craft->state[3 + axis] = mean[axis][1];
         craft->disturbance[axis] = mean[axis][2];
     }
+#if AIRPUCK_INTERVALS > 0
+    if (targets == NULL) {
+        double since = now + airpuck_tuned.transport_delay - craft->departs;
+#if AIRPUCK_STEPS > 0
+        airpuck_target planned[AIRPUCK_TARGETS];
+        airpuck_flight_target(since + (double)airpuck_tuned.period, planned);
+        for (int k = 1; k < AIRPUCK_TARGETS; k++)
+            airpuck_flight_target(since + k * (double)airpuck_predicted.step, &planned[k]);
+        return craft->status = airpuck_mpc(craft, now, planned, command);
+#else
+        return craft->status = airpuck_track(craft, since, command);
+#endif
+    }
+#endif
 #if AIRPUCK_STEPS > 0
     craft->status = airpuck_mpc(craft, now, targets, command);
 #else

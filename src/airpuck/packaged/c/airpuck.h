@@ -80,6 +80,9 @@ extern const airpuck_tuning airpuck_tuned;
 #if AIRPUCK_STEPS > 0
 #include "airpuck_mpc.h"
 #endif
+#if AIRPUCK_INTERVALS > 0
+#include "airpuck_flight.h"
+#endif
 
 /* Memory for the quadratic programs: the larger of allocation and prediction. */
 #if AIRPUCK_STEPS > 0
@@ -94,7 +97,15 @@ extern const airpuck_tuning airpuck_tuned;
 #define AIRPUCK_FACTOR (AIRPUCK_ACTIVE * (AIRPUCK_ACTIVE + 1) / 2)
 #else
 #define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_ALLOCATED, 0)
-#define AIRPUCK_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
+#define AIRPUCK_LEAST_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
+#if AIRPUCK_INTERVALS > 0
+/* Corrections of a planned flight: six numbers and two bounds each. */
+#define AIRPUCK_NUMBERS                                                                           \
+    (8 * AIRPUCK_CORRECTIONS > AIRPUCK_LEAST_NUMBERS ? 8 * AIRPUCK_CORRECTIONS                    \
+                                                     : AIRPUCK_LEAST_NUMBERS)
+#else
+#define AIRPUCK_NUMBERS AIRPUCK_LEAST_NUMBERS
+#endif
 #endif
 
 
@@ -124,6 +135,9 @@ typedef struct {
 #if AIRPUCK_STEPS > 0
     airpuck_plan plan;
 #endif
+#if AIRPUCK_INTERVALS > 0
+    double departs; /* When the planned flight begins. */
+#endif
     airpuck_real numbers[AIRPUCK_NUMBERS]; /* Used only within a step. */
     int active[AIRPUCK_ACTIVE];
 } airpuck;
@@ -146,10 +160,18 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[AIRPUC
  *
  * targets[0] is the target one period after the command begins to act, `transport_delay` from now;
  * a prediction uses targets[k] at the end of its step k after that time. There is always a
- * command: it is idle if the craft cannot be steered. */
+ * command: it is idle if the craft cannot be steered.
+ *
+ * targets may be NULL if a plan was exported: the craft then follows the plan. */
 airpuck_status airpuck_step(airpuck *craft, double now,
                             const airpuck_target targets[AIRPUCK_TARGETS],
                             airpuck_real command[AIRPUCK_MOTORS]);
+
+#if AIRPUCK_INTERVALS > 0
+/* Set when the planned flight begins. Until then the craft waits at its start, afterwards at its
+ * end; after airpuck_init it does not begin. */
+void airpuck_depart(airpuck *craft, double time);
+#endif
 
 /* Set all targets to a pose at rest. */
 void airpuck_set_point(airpuck_target targets[AIRPUCK_TARGETS], airpuck_real x, airpuck_real y,

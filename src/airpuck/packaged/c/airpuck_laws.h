@@ -18,6 +18,26 @@ airpuck_status airpuck_mpc(airpuck *craft, double now,
                            airpuck_real command[AIRPUCK_MOTORS]);
 #endif
 
+#if AIRPUCK_INTERVALS > 0
+/* Compute a command that tracks the plan, at a time since its beginning. */
+airpuck_status airpuck_track(airpuck *craft, double time, airpuck_real command[AIRPUCK_MOTORS]);
+
+/* Set the plan's state and acceleration at a time since its beginning. */
+void airpuck_flight_target(double time, airpuck_target *target);
+#endif
+
+/* Accelerations are matrix * thrusts + offset, without effects, which count as a disturbance. */
+void airpuck_acceleration_map(airpuck_real yaw, airpuck_real spin,
+                              airpuck_real matrix[3][AIRPUCK_MOTORS], airpuck_real offset[3]);
+
+/* Set the motors' speeds one period later without a command, and the least and largest thrusts that
+ * they can then have. */
+void airpuck_thrust_range(const airpuck *craft, airpuck_real coasting[AIRPUCK_MOTORS],
+                          airpuck_real least[AIRPUCK_MOTORS], airpuck_real most[AIRPUCK_MOTORS]);
+
+/* Return the command for a thrust one period later. */
+airpuck_real airpuck_driven(int motor, airpuck_real force, airpuck_real coasting);
+
 /* Return an angle wrapped to between -pi and pi. */
 airpuck_real airpuck_wrapped(airpuck_real angle);
 

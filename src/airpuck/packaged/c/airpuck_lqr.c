@@ -40,9 +40,8 @@ int airpuck_finite(const airpuck_real *numbers, int count)
     return 1;
 }
 
-/* Accelerations are matrix * thrusts + offset, without effects, which count as a disturbance. */
-static void acceleration_map(airpuck_real yaw, airpuck_real spin, airpuck_real matrix[3][N],
-                             airpuck_real offset[3])
+void airpuck_acceleration_map(airpuck_real yaw, airpuck_real spin, airpuck_real matrix[3][N],
+                              airpuck_real offset[3])
 {
     const airpuck_model *model = &airpuck_identified;
     airpuck_real cosine = AIRPUCK_F(cos)(yaw), sine = AIRPUCK_F(sin)(yaw), rx, ry;
@@ -63,7 +62,7 @@ static void acceleration_map(airpuck_real yaw, airpuck_real spin, airpuck_real m
 static void look_ahead(const airpuck *craft, airpuck_real following[6])
 {
     airpuck_real matrix[3][N], offset[3], force[N], h = airpuck_tuned.period;
-    acceleration_map(craft->state[2], craft->state[5], matrix, offset);
+    airpuck_acceleration_map(craft->state[2], craft->state[5], matrix, offset);
     airpuck_thrust(&airpuck_identified, craft->motor_speed, force);
     for (int axis = 0; axis < 3; axis++) {
         airpuck_real settled = offset[axis] + craft->disturbance[axis];
@@ -89,6 +88,19 @@ static void request(airpuck *craft, const airpuck_real following[6], const airpu
     }
 }
 
+void airpuck_thrust_range(const airpuck *craft, airpuck_real coasting[N], airpuck_real least[N],
+                          airpuck_real most[N])
+{
+    const airpuck_tuning *tuning = &airpuck_tuned;
+    for (int i = 0; i < N; i++) {
+        coasting[i] = tuning->motor_lag * craft->motor_speed[i];
+        least[i] = coasting[i] + tuning->motor_drive * tuning->command_min;
+        most[i] = coasting[i] + tuning->motor_drive * tuning->command_max;
+    }
+    airpuck_thrust(&airpuck_identified, least, least);
+    airpuck_thrust(&airpuck_identified, most, most);
+}
+
 /* Write the program: thrusts F and scaled slacks root (1 - s) that give the request,
  *
  *     min |F|^2 + root^2 (1 - s1)^2 + root^2 (1 - s2)^2
@@ -97,17 +109,12 @@ static void request(airpuck *craft, const airpuck_real following[6], const airpu
  * The scale of the slacks makes the Hessian a multiple of the identity. Return whether all its
  * numbers are finite. */
 static int pose_problem(const airpuck *craft, const airpuck_real following[6],
-                        const airpuck_real coasting[N], allocation *posed)
+                        airpuck_real coasting[N], allocation *posed)
 {
     const airpuck_tuning *tuning = &airpuck_tuned;
-    airpuck_real matrix[3][N], offset[3], least[N], most[N];
-    acceleration_map(following[2], following[5], matrix, offset);
-    for (int i = 0; i < N; i++) {
-        least[i] = coasting[i] + tuning->motor_drive * tuning->command_min;
-        most[i] = coasting[i] + tuning->motor_drive * tuning->command_max;
-    }
-    airpuck_thrust(&airpuck_identified, least, posed->lower);
-    airpuck_thrust(&airpuck_identified, most, posed->upper);
+    airpuck_real matrix[3][N], offset[3];
+    airpuck_acceleration_map(following[2], following[5], matrix, offset);
+    airpuck_thrust_range(craft, coasting, posed->lower, posed->upper);
     for (int s = 0; s < 2; s++) {
         posed->lower[N + s] = 0;
         posed->upper[N + s] = tuning->slack_root;
@@ -347,6 +354,13 @@ static airpuck_real inverse_thrust(int motor, airpuck_real force)
     return speed;
 }
 
+airpuck_real airpuck_driven(int motor, airpuck_real force, airpuck_real coasting)
+{
+    const airpuck_tuning *tuning = &airpuck_tuned;
+    airpuck_real driven = (inverse_thrust(motor, force) - coasting) / tuning->motor_drive;
+    return airpuck_clipped(driven, tuning->command_min, tuning->command_max);
+}
+
 airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
                            airpuck_real command[AIRPUCK_MOTORS])
 {
@@ -355,8 +369,6 @@ airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
     allocation posed;
     look_ahead(craft, following);
     request(craft, following, target);
-    for (int i = 0; i < N; i++)
-        coasting[i] = tuning->motor_lag * craft->motor_speed[i];
     airpuck_status status = AIRPUCK_FAILED;
     if (pose_problem(craft, following, coasting, &posed))
         status = allocate(craft, &posed, x);
@@ -364,8 +376,7 @@ airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
         for (int i = 0; i < N; i++) {
             /* The solver meets bounds to its tolerance; the result meets them exactly. */
             airpuck_real force = airpuck_clipped(x[i], posed.lower[i], posed.upper[i]);
-            airpuck_real driven = (inverse_thrust(i, force) - coasting[i]) / tuning->motor_drive;
-            command[i] = airpuck_clipped(driven, tuning->command_min, tuning->command_max);
+            command[i] = airpuck_driven(i, force, coasting[i]);
         }
         if (airpuck_finite(command, N))
             return status;

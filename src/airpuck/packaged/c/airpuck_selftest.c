@@ -1,6 +1,6 @@
 /* Repeats the flight in golden.csv and compares statuses and commands.
  *
- * Lines: `target,x,y,yaw`, `pose,stamp,x,y,yaw`, `sent,time,command...`, and
+ * Lines: `target,x,y,yaw`, `depart,time` (of a planned flight), `pose,stamp,x,y,yaw`, `sent,time,command...`, and
  * `step,now,status,command...` with what the controller in Python computed. For the predictive law,
  * `plan,since,answered,way,commands...` is the plan before a step. It is copied, because rounding
  * would otherwise accumulate from plan to plan. */
@@ -59,7 +59,7 @@ static char line[LINE];
 
 int main(int count, char **words)
 {
-    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_target targets[AIRPUCK_TARGETS], *aim = targets;
     airpuck_real given[AIRPUCK_MOTORS > 3 ? AIRPUCK_MOTORS : 3], command[AIRPUCK_MOTORS];
     char *rest;
     int steps = 0, unequal = 0;
@@ -76,8 +76,16 @@ int main(int count, char **words)
         if (line[0] == 't') {
             numbers(value, given, 3);
             airpuck_set_point(targets, given[0], given[1], given[2]);
+            aim = targets;
             continue;
         }
+#if AIRPUCK_INTERVALS > 0
+        if (line[0] == 'd') {
+            airpuck_depart(&craft, strtod(value, NULL));
+            aim = NULL;
+            continue;
+        }
+#endif
         if (line[0] == 'p' && line[1] == 'l') {
             copy_plan(value);
             continue;
@@ -90,7 +98,7 @@ int main(int count, char **words)
             numbers(rest + 1, given, AIRPUCK_MOTORS);
             airpuck_sent(&craft, time, given);
         } else {
-            const char *name = airpuck_status_name(airpuck_step(&craft, time, targets, command));
+            const char *name = airpuck_status_name(airpuck_step(&craft, time, aim, command));
             int same = strncmp(rest + 1, name, strlen(name)) == 0;
             numbers(strchr(rest + 1, ',') + 1, given, AIRPUCK_MOTORS);
             double difference = 0;

@@ -1,6 +1,6 @@
 /* Reads poses from standard input and writes commands.
  *
- * Input lines: `time x y yaw`, or `target x y yaw`. Output lines: time, status, a number for each
+ * Input lines: `time x y yaw`, or `target x y yaw`; with a plan also `depart time`. Output lines: time, status, a number for each
  * motor. Replace the input by your motion capture and the output by your radio. */
 #include "airpuck.h"
 
@@ -10,7 +10,7 @@ static airpuck craft;
 
 int main(void)
 {
-    airpuck_target targets[AIRPUCK_TARGETS];
+    airpuck_target targets[AIRPUCK_TARGETS], *aim = AIRPUCK_INTERVALS > 0 ? NULL : targets;
     airpuck_real command[AIRPUCK_MOTORS];
     double time, x, y, yaw, due = -(double)INFINITY;
     char line[200];
@@ -20,12 +20,18 @@ int main(void)
     while (fgets(line, sizeof line, stdin) != NULL) {
         if (sscanf(line, "target %lf %lf %lf", &x, &y, &yaw) == 3) {
             airpuck_set_point(targets, (airpuck_real)x, (airpuck_real)y, (airpuck_real)yaw);
+            aim = targets;
+#if AIRPUCK_INTERVALS > 0
+        } else if (sscanf(line, "depart %lf", &time) == 1) {
+            airpuck_depart(&craft, time);
+            aim = NULL;
+#endif
         } else if (sscanf(line, "%lf %lf %lf %lf", &time, &x, &y, &yaw) == 4) {
             airpuck_real pose[3] = {(airpuck_real)x, (airpuck_real)y, (airpuck_real)yaw};
             airpuck_pose(&craft, time, pose);
             if (time < due)
                 continue;
-            airpuck_status status = airpuck_step(&craft, time, targets, command);
+            airpuck_status status = airpuck_step(&craft, time, aim, command);
             airpuck_sent(&craft, time, command);
             due = time + (double)airpuck_tuned.period / 2;
             printf("%.4f %s", time, airpuck_status_name(status));
