@@ -59,8 +59,8 @@ def golden_flight(model: Model, tuning: Tuning, plan: Plan | None = None) -> Ite
             frame += 1
         if isinstance(pilot.state, Ongoing):
             # Each plan depends on the previous one: without a copy, rounding would accumulate.
-            plan = pilot.state
-            yield _line("plan", plan.since, plan.answered, float(plan.way), *plan.plan.ravel())
+            kept = pilot.state
+            yield _line("plan", kept.since, kept.answered, float(kept.way), *kept.plan.ravel())
         result = pilot.step(now)
         yield _line("step", now, result.status, *result.command)
         pilot.sent(now, result.command)
