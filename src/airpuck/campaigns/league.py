@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import plain
 from airpuck.campaigns.items import Row
 from airpuck.campaigns.match import checked_game, played
 from airpuck.campaigns.rating import ratings
+from airpuck.campaigns.recorded_games import recorded_games
 from airpuck.control.settings import Workers
+from airpuck.hockey.measured_hand import MeasuredHand
 from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.rules import Rules
-from airpuck.twin.settings import TwinSettings
+from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Default players.
 PLAYERS = ("airpuck:hard", "airpuck:medium", "airpuck:easy", *(f"{hand}:medium" for hand in HANDS))
@@ -37,10 +40,13 @@ class LeagueResult:
     games : tuple of (int, int, dict)
         Indices of the left and the right player, and the figures of their game; see
         `airpuck.hockey.game.Game.figures`.
+    people : mapping of str to MeasuredHand
+        Limits of the people whose recorded games count; then goals are rated instead of games.
     """
 
     players: tuple[str, ...]
     games: tuple[tuple[int, int, Row], ...]
+    people: Mapping[str, MeasuredHand] = field(default_factory=dict)
 
     def total(self, name: str) -> Float[np.ndarray, "p p"]:
         """Sum a figure of the games of each pair.
@@ -72,7 +78,7 @@ class LeagueResult:
     @property
     def ratings(self) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
         """Elo ratings with mean 0, and their covariance."""
-        return ratings(self.total("points"))
+        return ratings(self.total("goals" if self.people else "points"))
 
     @property
     def intervals(self) -> Float[np.ndarray, "p 3"]:
@@ -100,6 +106,8 @@ class LeagueResult:
         everyone = range(len(self.players))
         return {
             "players": list(self.players),
+            "rated_by": "goals" if self.people else "games",
+            "people": plain(self.people),
             "ratings": [
                 {"player": player, "value": value, "low": low, "high": high}
                 for player, (value, low, high) in zip(
@@ -120,6 +128,7 @@ def league(
     rules: Rules | None = None,
     output: str | os.PathLike[str] | None = None,
     workers: Workers = None,
+    bags: Sequence[str | os.PathLike[str]] = (),
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> LeagueResult:
     """Let every player play every other, and rate them.
@@ -145,6 +154,9 @@ def league(
         Folder for the results. Games already in the folder are not played again.
     workers : int, optional
         Number of processes; by default as many as there are processors. One needs no Dask.
+    bags : sequence of path-like, optional
+        Folders of recorded games, one for each person. People are rated in the same league, by
+        goals, and their limits are measured.
     progress : callable, optional
         Called with the number of games played, including fractions of those in progress, the
         number of all games, and the number of failed ones.
@@ -157,10 +169,11 @@ def league(
     Raises
     ------
     InputError
-        If a player is unknown, occurs twice or fails, if there are fewer than two, or if Dask is
-        missing.
+        If a player is unknown, occurs twice or fails, if there are fewer than two, if Dask is
+        missing, or if a folder does not hold recorded games.
     """
-    if len(players) < 2 or len(set(players)) < len(players):
+    recorded = recorded_games(bags, settings or default_twin_settings())
+    if (len(players) < 2 and not bags) or len(set(players)) < len(players):
         raise InputError("give at least two players, each of them once", field="players")
     game = checked_game(
         players, games, seed, output, model=model, settings=settings, rules=rules, drawn=True
@@ -172,7 +185,11 @@ def league(
             names = dict(zip(("left", "right"), (players[side] for side in sides), strict=True))
             pairs.append(sides)
             matches.append(game.model_copy(update={**names, "seed": seed + number}))
-    results = played(matches, output, workers, progress, bags=False)
+    results = played(matches, output, workers, progress, bags=False) if matches else ()
     rows = (result.rows[0] for result in results)
-    found = tuple((*sides, row) for sides, row in zip(pairs, rows, strict=True))
-    return LeagueResult(tuple(players), found)
+    found = [(*sides, row) for sides, row in zip(pairs, rows, strict=True)]
+    # In a dictionary names keep their order, and repeated ones count once.
+    known = dict.fromkeys([*players, *(name for game in recorded.games for name in game[:2])])
+    names = list(known)
+    found += [(names.index(one), names.index(other), row) for one, other, row in recorded.games]
+    return LeagueResult(tuple(names), tuple(found), recorded.people)

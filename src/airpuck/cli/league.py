@@ -35,6 +35,10 @@ def league(
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
     twin: options.ReadTwin = None,
     workers: options.Workers = None,
+    bags: Annotated[
+        list[Path] | None,
+        Setting("Games of a person, by airpuck play --record; may be repeated.", metavar="DIR"),
+    ] = None,
     output: Annotated[
         Path | None,
         options.output("DIR", "Folder for results and a figure; games in it are not played again."),
@@ -44,14 +48,20 @@ def league(
 ) -> None:
     """Let every player play every other, and rate them.
 
-    Drag and bounces of the puck differ from game to game, and no player knows them exactly.
+    Drag and bounces of the puck differ from game to game, and no player knows them exactly. With
+    --bags DIR … people are rated from their recorded games, alone or among the given players.
     """
     from airpuck.campaigns.league import PLAYERS
 
+    folders = [
+        *(bags or ()),
+        *(Path(name) for name in players or () if bags and Path(name).is_dir()),
+    ]
+    others = [name for name in players or () if Path(name) not in folders]
     inputs.read_player(model, quiet)
     with show_time_left("games", quiet) as progress:
         found = airpuck.league(
-            players or PLAYERS,
+            others or (() if folders else PLAYERS),
             games,
             seed=seed,
             model=model,
@@ -59,6 +69,7 @@ def league(
             rules=rules,
             output=output,
             workers=workers,
+            bags=folders,
             progress=progress,
         )
     figure = None
@@ -68,7 +79,8 @@ def league(
 
         figure = output / "league.png"
         write_png(league_figure(found), figure)
-    report(found.to_json(), json_file, _ratings(found), figure)
+    people = [_people(found)] if found.people else []
+    report(found.to_json(), json_file, _ratings(found), *people, figure)
 
 
 def _ratings(found: LeagueResult) -> Table:
@@ -91,3 +103,25 @@ def _ratings(found: LeagueResult) -> Table:
         )
     headings = ("player", "Elo", "95 % interval", "won", "drawn", "lost", "goals", "goals per min")
     return table(headings, rows, title=f"{len(found.games)} games")
+
+
+def _people(found: LeagueResult) -> Table:
+    """Lay out what the recorded games tell about each person."""
+    rows = [
+        [
+            name,
+            *(
+                f"{factor * one.value:.{digits}f} ({factor * one.low:.{digits}f} to "
+                f"{factor * one.high:.{digits}f})"
+                for one, factor, digits in (
+                    (hand.reaction_s, 1e3, 0),
+                    (hand.speed_m_s, 1.0, 2),
+                    (hand.acceleration_m_s2, 1.0, 1),
+                    (hand.aim_rad, 1.0, 3),
+                )
+            ),
+        ]
+        for name, hand in found.people.items()
+    ]
+    headings = ("person", "reaction ms", "speed m/s", "acceleration m/s²", "aim rad")
+    return table(headings, rows, title="People, with 95 % intervals; nan: too few strokes or hits")
