@@ -17,6 +17,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "numpydoc",
     "sphinx_copybutton",
+    "mathml",
     "reference_pages",
 ]
 exclude_patterns = ["_build", "_ext"]
@@ -24,11 +25,11 @@ nitpicky = False
 
 html_theme = "furo"
 html_title = "airpuck"
-html_static_path = []
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
 html_theme_options = {"source_directory": "docs/"}
 html_show_sphinx = False
-# No page needs MathJax yet. One that does needs a copy here: nothing is loaded from other hosts.
-mathjax_path = "mathjax/tex-svg.js"
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4

@@ -1,4 +1,4 @@
-"""Each equation of the paper is where docs/equations.md states, under the paper's label."""
+"""Each equation of the paper is where docs/method.md states, under the paper's label."""
 
 import importlib
 import re
@@ -7,7 +7,7 @@ from pathlib import Path
 import airpuck
 
 ROOT = Path(airpuck.__file__).parent
-TABLE = (Path(__file__).parents[1] / "docs" / "equations.md").read_text(encoding="utf-8")
+TABLE = (Path(__file__).parents[1] / "docs" / "method.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\|[^|]+\| `(\w+:\w+)` \| `([\w.]+)`", TABLE, re.MULTILINE)
 LABELS = {label for label, _ in ROWS} | {"sec:results", "fig:hovercraft", "fig:overview"}
 KINDS = "|".join(sorted({label.partition(":")[0] for label in LABELS}))

@@ -100,13 +100,7 @@ def check(
     warn(trajectory.warnings, quiet=False)
     craft = vehicle or vehicle_of([trajectory])
     result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
-    report(
-        result.to_json(),
-        json_file,
-        *(f"{p.name:16s} {p.agreement:6.3f}  {p.verdict}" for p in result.propellers),
-        f"the commands explain {100 * result.explained:.0f} % of the acceleration",
-        *result.remarks,
-    )
+    report(result.to_json(), json_file, *result.lines)
     if not result.agrees:
         reason = ", ".join(result.wrong) if result.conclusive else "no verdict is possible"
         problem = f"does not agree with the vehicle {craft.name!r}: {reason}"

@@ -90,7 +90,7 @@ class PropellerCheck:
     strength_error: float = np.nan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LayoutCheck(Result):
     """Result of `check_layout`."""
 
@@ -125,6 +125,18 @@ class LayoutCheck(Result):
     #: standard error [rad].
     tilt: tuple[float, float] | None = None
     tilt_error: tuple[float, float] | None = None
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The verdict on each propeller, and remarks about the layout."""
+        return (
+            *(f"{p.name:16s} {p.agreement:6.3f}  {p.verdict}" for p in self.propellers),
+            f"the commands explain {100 * self.explained:.0f} % of the acceleration",
+            *self.remarks,
+        )
 
     @property
     def mirrored(self) -> bool:
