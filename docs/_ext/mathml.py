@@ -12,6 +12,7 @@ from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
+from sphinx.util.logging import getLogger
 
 #: Font with the tables that stretched brackets and sums need (SIL Open Font License).
 _FONT = "STIXTwoMath-Regular.ttf"
@@ -25,13 +26,21 @@ def setup(app: Any) -> dict[str, Any]:
 
 
 def _inline(writer: Any, node: nodes.math) -> None:
-    writer.body.append(convert(node.astext()))
+    writer.body.append(_converted(node, "inline"))
     raise nodes.SkipNode
 
 
 def _display(writer: Any, node: nodes.math_block) -> None:
-    writer.body.append(f'<div class="formula">{convert(node.astext(), display="block")}</div>')
+    writer.body.append(f'<div class="formula">{_converted(node, "block")}</div>')
     raise nodes.SkipNode
+
+
+def _converted(node: nodes.Element, display: str) -> str:
+    """Return a formula as MathML; warn of commands that the converter copies as text."""
+    formula = convert(node.astext(), display=display)
+    if "\\" in formula or "<mi>&</mi>" in formula:
+        getLogger(__name__).warning("cannot convert the formula %s", node.astext(), location=node)
+    return formula
 
 
 def _copy_font(app: Any, exception: Exception | None) -> None:
