@@ -5,6 +5,7 @@ Nothing is loaded at view time but a font for mathematics, which is copied into 
 
 from __future__ import annotations
 
+import re
 import shutil
 from importlib.resources import files
 from pathlib import Path
@@ -16,6 +17,8 @@ from sphinx.util.logging import getLogger
 
 #: Font with the tables that stretched brackets and sums need (SIL Open Font License).
 _FONT = "STIXTwoMath-Regular.ttf"
+#: Primes as superscripts; the font's primes are raised already.
+_PRIMED = re.compile(r"<msup>(<mi>[^<]*</mi>)<mi>(&#x0203[23];)</mi></msup>")
 
 
 def setup(app: Any) -> dict[str, Any]:
@@ -37,7 +40,9 @@ def _display(writer: Any, node: nodes.math_block) -> None:
 
 def _converted(node: nodes.Element, display: str) -> str:
     """Return a formula as MathML; warn of commands that the converter copies as text."""
-    formula = convert(node.astext(), display=display)
+    formula = _PRIMED.sub(
+        r'\1<mo lspace="0" rspace="0">\2</mo>', convert(node.astext(), display=display)
+    )
     if "\\" in formula or "<mi>&</mi>" in formula:
         getLogger(__name__).warning("cannot convert the formula %s", node.astext(), location=node)
     return formula
