@@ -1,6 +1,7 @@
 """Options: every number has documented limits; flags, completion."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -44,6 +45,8 @@ def test_the_help_names_limits_and_no_truth_values(name):
     shown = airpuck(name, "--help", env={**os.environ, "COLUMNS": "200"}).stdout
     assert "bool" not in shown
     assert "<float" not in shown and "<int" not in shown
+    options = [line for line in shown.splitlines() if re.match(r"│ [* ]*-", line)]
+    assert 1 <= len(options) - 1 <= 12  # besides --help
 
 
 def test_limits():

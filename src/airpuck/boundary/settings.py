@@ -36,8 +36,6 @@ class Setting:
     option: str | None = None
     #: Heading of its option in the help, if it differs from the settings object's.
     heading: str | None = None
-    #: Whether the help of a command shows it only on request.
-    advanced: bool = False
     #: Values that the shell offers, where the type does not list them.
     complete: Callable[[], list[str]] | None = None
     #: Reads the value from the file that its option names.

@@ -7,7 +7,7 @@ import errno
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -75,11 +75,11 @@ class Command(_PlainFlags, TyperCommand):
         return rest
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Print the help; advanced options on request only."""
+        """Print the help; rare options on request only."""
         for parameter in self.params:
             view = self.declared.get(parameter.name or "")
             if view and isinstance(parameter, TyperOption):
-                parameter.hidden = view.setting.advanced and ALL_OPTIONS not in ctx.meta
+                parameter.hidden = view.rare and ALL_OPTIONS not in ctx.meta
         super().format_help(ctx, formatter)
 
 
@@ -114,12 +114,14 @@ class _Group(_PlainFlags, TyperGroup):
 class _App(typer.Typer):
     """The application, whose commands are `Command`s and views of settings objects."""
 
-    def command(self, *args: Any, cls: type[Command] = Command, **options: Any) -> Any:
-        """Return a decorator that adds a command."""
+    def command(
+        self, *args: Any, cls: type[Command] = Command, rare: Sequence[str] = (), **options: Any
+    ) -> Any:
+        """Return a decorator that adds a command, whose help shows rare options on request only."""
         add = super().command(*args, cls=cls, **options)
 
         def added(command: Callable[..., Any]) -> Callable[..., Any]:
-            add(viewed(command))
+            add(viewed(command, rare))
             return command
 
         return added

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _SHOWN = 8
 
 
-@app.command(rich_help_panel="Control and flight")
+@app.command(rich_help_panel="Control and flight", rare=("criterion", "mapping", "tuning", "seed"))
 def design(
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
     after: Annotated[

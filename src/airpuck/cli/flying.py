@@ -59,7 +59,7 @@ def replay(
     report(result.to_json(), json_file, *_replay_lines(result), page)
 
 
-@app.command(rich_help_panel=PANEL)
+@app.command(rich_help_panel=PANEL, rare=("tuning", "twin", "seed"))
 def excite(
     output: options.NewBag,
     experiment: options.Experiment,
@@ -96,7 +96,7 @@ def excite(
     report(figures, json_file, _excitation_line(excited), output)
 
 
-@app.command(rich_help_panel=PANEL)
+@app.command(rich_help_panel=PANEL, rare=("controller", "estimator", "truth", "tuning"))
 def track(
     models: Annotated[
         list[str] | None,

@@ -55,7 +55,6 @@ ComFrame = Annotated[
     Setting(
         "Whether the centre of mass is fixed to the body, or to the world as in the paper.",
         heading="Structure of the model",
-        advanced=True,
     ),
 ]
 
@@ -106,7 +105,23 @@ def _rung_names() -> list[str]:
     return [*RUNGS, "auto"]
 
 
-@app.command(rich_help_panel=PANEL)
+@app.command(
+    rich_help_panel=PANEL,
+    rare=(
+        "encoder_time",
+        "prediction_time",
+        "robust",
+        "faults",
+        "delay",
+        "degree",
+        "com_frame",
+        "stride",
+        "yaw_weight",
+        "adam",
+        "bootstrap",
+        "seed",
+    ),
+)
 def identify(
     recordings: Recordings,
     loss: Loss,
@@ -145,7 +160,6 @@ def identify(
             numbers.EPOCHS,
             "N",
             heading="Optimiser",
-            advanced=True,
         ),
     ] = None,
     bootstrap: Annotated[
@@ -155,12 +169,11 @@ def identify(
             numbers.REPLICATES,
             "N",
             heading="Uncertainty",
-            advanced=True,
         ),
     ] = None,
     seed: Annotated[
         int,
-        Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty", advanced=True),
+        Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty"),
     ] = 0,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""

@@ -171,7 +171,7 @@ def twin(
     )
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command(rich_help_panel=_PANEL, rare=("tuning", "domain", "topics"))
 def fly(
     *,
     setpoints: Annotated[
@@ -245,7 +245,9 @@ def fly_plan(
     steered.fly(make, craft, controls, live, json_file)
 
 
-@app.command("fly-excitation", rich_help_panel=_PANEL)
+@app.command(
+    "fly-excitation", rich_help_panel=_PANEL, rare=("tuning", "domain", "topics", "seed", "vehicle")
+)
 def fly_excitation(
     experiment: options.Experiment,
     guarded: Guarded,

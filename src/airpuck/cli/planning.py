@@ -27,7 +27,21 @@ if TYPE_CHECKING:
 _PANEL = "Control and flight"
 
 
-@app.command(rich_help_panel=_PANEL)
+@app.command(
+    rich_help_panel=_PANEL,
+    rare=(
+        "spin",
+        "speed",
+        "margin",
+        "smoothing",
+        "end_velocity",
+        "free",
+        "turn",
+        "keep_out",
+        "size",
+        "intervals",
+    ),
+)
 def plan(
     start: Annotated[
         tuple[float, float, float],
@@ -44,14 +58,14 @@ def plan(
     ] = (0.0, 0.0, 0.0),
     end_velocity: Annotated[
         tuple[float, float, float],
-        Setting("Final velocity.", numbers.COORDINATE, "VX VY W", advanced=True),
+        Setting("Final velocity.", numbers.COORDINATE, "VX VY W"),
     ] = (0.0, 0.0, 0.0),
     free: Annotated[
         Literal["yaw", "velocity", "both"] | None,
-        Setting("Final quantities that are free; by default none.", advanced=True),
+        Setting("Final quantities that are free; by default none."),
     ] = None,
     turn: Annotated[
-        Literal["shorter", "exact"], Setting("Count whole turns of the yaw.", advanced=True)
+        Literal["shorter", "exact"], Setting("Count whole turns of the yaw.")
     ] = "shorter",
     via: Annotated[
         list[tuple[float, float]] | None,
@@ -59,17 +73,15 @@ def plan(
     ] = None,
     keep_out: Annotated[
         list[tuple[float, float, float]] | None,
-        Setting("A disc to avoid; repeat for several.", numbers.COORDINATE, "X Y R", advanced=True),
+        Setting("A disc to avoid; repeat for several.", numbers.COORDINATE, "X Y R"),
     ] = None,
     size: Annotated[
         tuple[float, float] | None,
-        Setting(
-            "Length and width of the table.", numbers.TABLE_SIDE, "L W", "--table", advanced=True
-        ),
+        Setting("Length and width of the table.", numbers.TABLE_SIDE, "L W", "--table"),
     ] = None,
     intervals: Annotated[
         int,
-        Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N", advanced=True),
+        Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N"),
     ] = 40,
     output: Annotated[Path | None, options.output("FILE", "Plan to write; TOML.")] = None,
     figure: Annotated[

@@ -79,7 +79,7 @@ def play(
         raise Exit(1)
 
 
-@app.command("play-live", rich_help_panel="Air hockey")
+@app.command("play-live", rich_help_panel="Air hockey", rare=("domain", "topics", "seed"))
 def play_live(
     craft: PlayingCraft,
     live: LiveSettings,

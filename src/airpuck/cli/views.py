@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass, replace
 from inspect import Parameter
@@ -37,12 +37,13 @@ class Without:
     fields: tuple[str, ...]
 
 
-def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
+def viewed(command: Callable[..., Any], rare: Sequence[str] = ()) -> Callable[..., Any]:
     """Return a command in the form that Typer expects.
 
     A parameter whose type is a settings class becomes an option for each of its fields, under the
     heading of the class. A parameter whose type carries a `Setting` becomes that option. The result
-    has the `declared` options by name, for its `airpuck.cli.app.Command`.
+    has the `declared` options by name, for its `airpuck.cli.app.Command`; `rare` names those that
+    the help shows on request only.
     """
     signature = inspect.signature(command, eval_str=True)
     views = [_View.of(parameter) for parameter in signature.parameters.values()]
@@ -53,8 +54,13 @@ def viewed(command: Callable[..., Any]) -> Callable[..., Any]:
             return command(**{view.name: view.value(given) for view in views})
 
     parameters = [parameter for view in views for parameter in view.parameters]
-    options = {name: one for view in views for name, one in view.options.items()}
-    if any(one.setting.advanced for one in options.values()):
+    options = {
+        name: replace(one, rare=name in rare)
+        for view in views
+        for name, one in view.options.items()
+    }
+    if rare:
+        assert options.keys() >= set(rare), f"{command.__name__}: no such rare options"
         parameters += [_option("settings_file", _SETTINGS_FILE, None)]
         parameters += [_option("help_all", _HELP_ALL, False)]
     run.declared = options  # pyright: ignore
@@ -79,7 +85,7 @@ def _read_settings(context: Any, _parameter: Any, path: Path | None) -> Path | N
 
 
 def _show_all(context: Any, _parameter: Any, value: bool) -> bool:
-    """Print the help with its advanced options, and end."""
+    """Print the help with its rare options, and end."""
     if value and not context.resilient_parsing:
         context.meta[ALL_OPTIONS] = True
         context.get_help()
@@ -87,7 +93,7 @@ def _show_all(context: Any, _parameter: Any, value: bool) -> bool:
     return value
 
 
-#: In the context of a command: whether its help shows advanced options.
+#: In the context of a command: whether its help shows rare options.
 ALL_OPTIONS = "airpuck.all_options"
 _SETTINGS_FILE = Annotated[
     Path | None,
@@ -114,6 +120,8 @@ class OptionView:
     setting: Setting
     #: As typed, with its short form behind a slash.
     spelling: str
+    #: Whether the help shows it on request only.
+    rare: bool = False
 
     @classmethod
     def of(cls, setting: Setting, name: str, kind: Any) -> OptionView:

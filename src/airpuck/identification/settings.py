@@ -32,7 +32,6 @@ Stride = Annotated[
         numbers.STRIDE,
         "N",
         heading="Prediction errors to minimise",
-        advanced=True,
     ),
 ]
 YawWeight = Annotated[
@@ -42,7 +41,6 @@ YawWeight = Annotated[
         numbers.WEIGHT,
         "W",
         heading="Prediction errors to minimise",
-        advanced=True,
     ),
 ]
 #: Degree of the thrust polynomials.
@@ -53,7 +51,6 @@ Degree = Annotated[
         numbers.DEGREE,
         "N",
         heading="Structure of the model",
-        advanced=True,
     ),
 ]
 
@@ -105,7 +102,6 @@ class Loss(Settings):
             "Length of the past that the encoder uses; by default 0.167, longer for a slow craft",
             numbers.WINDOW,
             "S",
-            advanced=True,
         ),
     ] = None
     weights: tuple[float, float, float] = PUBLISHED_WEIGHTS
@@ -115,14 +111,13 @@ class Loss(Settings):
             "Length of a prediction; by default 0.208, longer for a slow craft",
             numbers.WINDOW,
             "S",
-            advanced=True,
         ),
     ] = None
     whole: bool = False
     spacing: float = 7 / 240
     robust: Annotated[
         bool,
-        Setting("Give poorly predicted windows less weight.", option="--robust", advanced=True),
+        Setting("Give poorly predicted windows less weight.", option="--robust"),
     ] = False
 
     def __post_init__(self) -> None:
@@ -260,7 +255,6 @@ class Preparation(Settings):
         Setting(
             "Exclude or keep spans where motors or the radio failed. By default they are excluded, "
             "but kept for recordings prepared elsewhere (data.pt).",
-            advanced=True,
         ),
     ] = None
     delay: Annotated[
@@ -268,7 +262,6 @@ class Preparation(Settings):
         Setting(
             "Fit the transport delay, or use each recording's own. By default it is fitted if the "
             "method is lm, the model has a motor lag, and the recordings are raw.",
-            advanced=True,
         ),
     ] = None
     retimings: int = 2

@@ -45,7 +45,7 @@ class Limits(Settings):
     ] = 3.0
     margin: Annotated[
         float,
-        Setting("Distance to keep from rails and discs.", numbers.CLEARANCE, "M", advanced=True),
+        Setting("Distance to keep from rails and discs.", numbers.CLEARANCE, "M"),
     ] = 0.0
     smoothing: Annotated[
         float,
@@ -53,6 +53,5 @@ class Limits(Settings):
             "Weight of the commands' squared rates; 2e-4 for flights.",
             numbers.SMOOTHING,
             "S",
-            advanced=True,
         ),
     ] = 0.0
