@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import airpuck
+from airpuck.identification.puck import seen_poses
 from airpuck.identification.puck_flights import find_flights, noise_of
 
 #: Shorter flights contain no information about deceleration [s].
@@ -38,12 +39,10 @@ def decelerations(recordings) -> np.ndarray:
     """Return mean speed, deceleration and its standard deviation of each flight."""
     rows = []
     for recording in recordings:
-        stream = recording["puck"]
-        time, position = (stream.stamp_ns - stream.stamp_ns[0]) / 1e9, stream.values[:, :2]
-        new = np.r_[True, (position[1:] != position[:-1]).any(axis=1)]
-        pose = np.column_stack([position[new], np.zeros(new.sum())])
-        noise = np.maximum(noise_of(time[new], pose), 1e-9)
-        for flight in find_flights(time[new], pose, noise, 0.1):
+        time, pose = seen_poses(recording, "puck")
+        pose[:, 2] = 0.0
+        noise = np.maximum(noise_of(time, pose), 1e-9)
+        for flight in find_flights(time, pose, noise, 0.1):
             t = flight.time - flight.time.mean()
             if np.ptp(t) < SHORTEST:
                 continue

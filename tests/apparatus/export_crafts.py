@@ -37,8 +37,8 @@ ALL_EFFECTS = replace(
 FOUR = nominal_model(read_vehicle(EXAMPLES / "four_propellers/vehicle.toml"))
 ON_OFF = nominal_model(read_vehicle(EXAMPLES / "free_flyers/atmos.toml"))
 _FOUR = FOUR.vehicle.model_dump() | {"pairs": ()}
-#: Four propellers that reverse: eight ways to push, with a command each.
-REVERSING = nominal_model(
+#: Four reversible propellers: eight ways to push, with a command each.
+REVERSIBLE = nominal_model(
     Vehicle.model_validate(
         _FOUR | {"propellers": [one | {"reverse": 0.6} for one in _FOUR["propellers"]]}
     )

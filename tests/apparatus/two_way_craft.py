@@ -5,7 +5,7 @@ from pathlib import Path
 from airpuck import read_vehicle
 from airpuck.craft.vehicle import Vehicle
 
-#: Three propellers at 120° that reverse, through the centre, and a wheel: 3 s to its largest speed.
+#: Three reversible propellers at 120°, through the centre, and a wheel: 3 s to its largest speed.
 TRIANGLE = """
 name = "triangle"
 mass_kg = 2.0

@@ -1,4 +1,4 @@
-"""Propellers that reverse, and reaction wheels: vehicle file, drives and speed limit."""
+"""Reversible propellers, and reaction wheels: vehicle file, drives and speed limit."""
 
 from itertools import pairwise
 from pathlib import Path

@@ -21,7 +21,7 @@ from tests.apparatus.export_crafts import (
     FOUR,
     ON_OFF,
     PAPER,
-    REVERSING,
+    REVERSIBLE,
     random_states,
     with_vector,
 )
@@ -33,7 +33,7 @@ CRAFT = {
     "dish": DISH,
     "four": FOUR,
     "on/off": ON_OFF,
-    "reversing": REVERSING,
+    "reversible": REVERSIBLE,
 }
 
 

@@ -15,7 +15,7 @@ from airpuck.export import kinds
 from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
-from tests.apparatus.export_crafts import DISH, ON_OFF, PAPER, REVERSING, WHEELED
+from tests.apparatus.export_crafts import DISH, ON_OFF, PAPER, REVERSIBLE, WHEELED
 
 M4 = PAPER["M4"]
 
@@ -53,7 +53,7 @@ def write(subject, folder):
 
 HELD = {
     "on_off": (ON_OFF, {"casadi", "gym", "matlab"}),
-    "reversible propeller": (REVERSING, {"casadi", "matlab"}),
+    "reversible propeller": (REVERSIBLE, {"casadi", "matlab"}),
     "reaction wheel": (WHEELED, set()),
 }
 

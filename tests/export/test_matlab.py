@@ -18,7 +18,7 @@ from tests.apparatus.export_crafts import (
     FOUR,
     ON_OFF,
     PAPER,
-    REVERSING,
+    REVERSIBLE,
     random_states,
 )
 
@@ -29,7 +29,7 @@ CRAFT = {
     "all effects": ALL_EFFECTS,
     "four": FOUR,
     "on/off": ON_OFF,
-    "reversing": REVERSING,
+    "reversible": REVERSIBLE,
 }
 YAW, PERIOD, STATES = 0.7, 0.02, 12
 DRIVER = """

@@ -64,7 +64,7 @@ class Propeller(Section):
     position_m: tuple[float, float]
     #: Direction of the force on the craft, counter-clockwise from the body's x axis.
     direction_deg: float
-    #: Of a propeller that reverses: its nominal thrust backwards, relative to that forwards.
+    #: Of a reversible propeller: its nominal thrust backwards, relative to that forwards.
     reverse: Annotated[float, pydantic.Field(gt=0, le=_REVERSE)] | None = None
 
 
@@ -85,7 +85,7 @@ class Nominal(Section):
 class Vehicle(Section):
     """A craft: mass, propellers, pairs, command limits, nominal values (seq:model).
 
-    In all arrays, a propeller that reverses, or a wheel, counts as two propellers: one for each
+    In all arrays, a reversible propeller, or a wheel, counts as two propellers: one for each
     direction. The second has the name of the first with the suffix ``_reverse``. Commands have one
     column for each actuator (`columns`), in [-1, 1] if it pushes both ways.
 

@@ -214,7 +214,7 @@ def _flights(
     """Return all flights, their numbers by recording, the noise, and whether angles are known."""
     flights, parts, noises, turns = [], [], [], True
     for recording in recordings:
-        time, pose = _poses(recording, "puck")
+        time, pose = seen_poses(recording, "puck")
         turns = turns and bool(np.isfinite(pose[:, 2]).all())
         pose[:, 2] = np.nan_to_num(pose[:, 2])
         noise = np.maximum(noise_of(time, pose), 1e-9)
@@ -230,7 +230,7 @@ def _flights(
     return flights, parts, np.median(noises, axis=0), turns
 
 
-def _poses(
+def seen_poses(
     recording: Recording, stream: str
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times [s] and poses in order, with continuous yaw; NaN without angles.
@@ -435,7 +435,7 @@ def _closing(
     when = _meeting(before, after, change / np.hypot(*change))
     if when is None:
         return None
-    time, pose = _poses(recording, stream)
+    time, pose = seen_poses(recording, stream)
     # No puck changes a hand's velocity, but the hand itself may change it after the contact.
     sides = (-1, -1) if stream == "mallet" else (-1, 1)
     old, new = (_local(time, pose, when, side) for side in sides)

@@ -127,7 +127,7 @@ def checked_request(
     if vehicle.actuation.two_way.any():
         raise InputError(
             f"plans are for propellers that push one way, but {vehicle.name!r} has wheels or "
-            "propellers that reverse; steer it with the LQR or MPC",
+            "reversible propellers; steer it with the LQR or MPC",
             field="model",
         )
     begin = _numbers(start, "start", (3, 6, 6 + vehicle.n_propellers))

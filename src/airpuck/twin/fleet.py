@@ -225,7 +225,7 @@ def check_models(models: tuple[Model, ...], settings: TwinSettings) -> None:
         )
     if any(model.vehicle.actuation.kinds != ("propeller",) for model in models):
         raise InputError(
-            "on/off thrusters, wheels and propellers that reverse cannot fly in a fleet; use Twin",
+            "on/off thrusters, wheels and reversible propellers cannot fly in a fleet; use Twin",
             field="models",
         )
     if settings.motors.starting_delay_s or settings.motors.stalls or settings.motors.weak:
