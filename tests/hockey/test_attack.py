@@ -9,6 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from airpuck.hockey import attack, searching
 from airpuck.hockey.attack import Shoot
 from airpuck.hockey.interception import Outlook, stays_inside
+from airpuck.hockey.rival import Rival
 from airpuck.hockey.searching import Turns
 from airpuck.hockey.shot import ArrivalError
 
@@ -50,8 +51,11 @@ def test_a_shot_that_is_likely_to_score_does(puck):
     # The discs touch, in the own half, at one of the candidate speeds.
     np.testing.assert_allclose(intention.meet[1:], before[:2], atol=2e-3)
     assert np.hypot(*(place - before[:2])) == pytest.approx(PITCH.contact_distance, abs=2e-3)
-    assert stays_inside(view, place, velocity)
-    assert np.abs(np.hypot(*velocity) - [0.6, 1.3, 2.1]).min() < 1e-9
+    away = (before[:2] - place) / PITCH.contact_distance
+    assert stays_inside(
+        view, place, velocity, -PITCH.recoil * (away @ (velocity - before[3:5])) * away
+    )
+    assert np.abs(np.hypot(*velocity) - [0.6, 1.4, 2.0, 2.5]).min() < 1e-9
     assert 0.05 < time - view.time < 1.75
     flown, _ = after_contact(view, intention)
     for t in np.arange(0.0, 1.0, 0.025):
@@ -163,16 +167,18 @@ def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
         return known(*given)
 
     monkeypatch.setattr(attack, "chances", chances)
-    # It stops a quarter of a metre before its goal.
-    home = np.array([PITCH.goal_line - 0.25, 0.0])
+    # It stops before its goal, on the side of the puck.
+    rival = Rival(reaction=0.2, speed=1.5, waits=0.25, follows=0.5)
+    home = np.array([PITCH.goal_line - 0.25, 0.05])
     for here in ([-0.2, 0.5], [0.8, -0.3]):
         view = view_of((-0.45, 0.1, 0, 0, 0, 0), opponent=np.array([*here, 0.0, 0.0]))
+        view = replace(view, rival=rival)
         intention = decided(Shoot(least=0.0), view, 2)
-        places, radius = seen[-1][-1]
+        places, radius, _ = seen[-1][-1]
         assert radius == PITCH.opponent_radius
-        # Until then on a straight line at 1.5 m/s, from 0.2 s on.
+        # Until then on a straight line at 1.5 m/s, from 0.2 s on, after speeding up at 40 m/s².
         length = np.hypot(*(home - here))
-        gone = min(1.5 * (intention.meet[0] - 0.01 - 0.2), length)
+        gone = min(1.5 * (intention.meet[0] - 0.01 - 0.2 - 1.5 / 40 / 2), length)
         expected = here + gone * (home - here) / length
         assert np.linalg.norm(places.reshape(-1, 2) - expected, axis=1).min() < 1e-6
 

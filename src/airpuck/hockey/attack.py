@@ -11,13 +11,13 @@ from jaxtyping import Bool, Float
 from airpuck.hockey.interception import Outlook, PlannedContact, effort, slack, stays_inside
 from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.searching import Searcher
-from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
+from airpuck.hockey.shot import ArrivalError, Contacts, Cover, chances, flown, struck, unit
 from airpuck.hockey.tactic import Kind, View
 
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
 _NORMALS = np.linspace(-1.4, 1.4, 61)
-_SPEEDS = np.array([0.6, 1.3, 2.1])
+_SPEEDS = np.array([0.6, 1.4, 2.0, 2.5])
 #: Number of best candidates that are evaluated with all errors, and directions around each [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: Number of candidates that the best are picked from.
@@ -39,9 +39,6 @@ _EVERY, _EVERY_CLEAR = 4, 5
 #: Largest share of the craft's acceleration that the path to a new contact may need. Chosen by
 #: matches.
 _EASY = 0.9
-#: Model of the opponent, guesses: distance of its home from its goal line [m], reaction time [s],
-#: and speed on its return [m/s].
-_OPPONENT_WAITS, _OPPONENT_REACTS, _OPPONENT_RETURNS = 0.25, 0.2, 1.5
 #: An opponent this near to its home has arrived [m].
 _AT_HOME = 1e-6
 
@@ -130,10 +127,11 @@ class Shoot(Searcher):
         normal = np.broadcast_to(_NORMALS[None, :, None], shape)
         velocity = self.speeds[:, None] * unit(normal)
         place = pucks[:, None, None, :2] - pitch.contact_distance * unit(normal)
-        fits = stays_inside(view, place, velocity)
-        # The craft must be faster than the puck along the normal.
         motion = np.broadcast_to(pucks[:, None, None, 3:], (*shape, 3))
-        fits &= ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1) > _FASTER
+        closing = ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1)
+        recoil = -pitch.recoil * closing[..., None] * unit(normal)
+        # The craft must be faster than the puck along the normal.
+        fits = stays_inside(view, place, velocity, recoil) & (closing > _FASTER)
         when = np.broadcast_to(times[:, None, None], shape)
         able = np.nonzero(fits)
         able = _of(able, slack(view, when[able], place[able], velocity[able]) > 0)
@@ -171,8 +169,8 @@ class Shoot(Searcher):
             velocity,
         )
         after = struck(pitch, contacts)
-        opponent = _opponent(view, times - view.time)
-        others = opponent and (opponent[0][:, None, None], opponent[1])
+        opponent = _opponent(view, times - view.time, pucks[:, 1])
+        others = opponent and opponent._replace(place=opponent.place[:, None, None])
         flights = flown(pitch.equipment, contacts.place, after, others)
         spread = math.hypot(self.error.place / pitch.contact_distance, _DIRECTION_ERROR)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
@@ -204,14 +202,14 @@ class Shoot(Searcher):
         predicted = predict_puck(view.puck_model, outlook.belief, times.tolist())
         pucks = predicted.mean[where]
         contacts = Contacts(pucks[:, :2], pucks[:, 3:], normal, speed[:, None] * unit(normal))
-        opponent = _opponent(view, time - view.time)
+        opponent = _opponent(view, time - view.time, pucks[:, 1])
         chance, bounces = chances(
             view.pitch,
             view.puck_model,
             contacts,
             predicted.covariance[where],
             self.error,
-            opponent and (opponent[0][:, None], opponent[1]),
+            opponent and opponent._replace(place=opponent.place[:, None]),
         )
         value = chance * np.exp(-_PATIENCE * (time - view.time))
         shots = []
@@ -242,13 +240,15 @@ def after_contact(
 
 
 def _opponent(
-    view: View, ahead: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 2"], float] | None:
-    """Return where the opponent will be on its return home, and its radius; None if unseen."""
+    view: View, ahead: Float[np.ndarray, " n"], aside: Float[np.ndarray, " n"]
+) -> Cover | None:
+    """Return where the opponent will be on its return home, given the puck's y; None if unseen."""
     if view.opponent is None:
         return None
-    here = view.opponent[:2]
-    path = np.array([view.pitch.goal_line - _OPPONENT_WAITS, 0.0]) - here
-    covered = _OPPONENT_RETURNS * np.maximum(ahead - _OPPONENT_REACTS, 0.0)
-    share = np.minimum(covered / max(float(np.hypot(*path)), _AT_HOME), 1.0)
-    return here + share[:, None] * path, view.pitch.opponent_radius
+    here, rival = view.opponent[:2], view.rival
+    home = np.full((len(ahead), 2), view.pitch.goal_line - rival.waits)
+    home[:, 1] = rival.follows * aside
+    path = home - here
+    length = np.maximum(np.hypot(path[:, 0], path[:, 1]), _AT_HOME)
+    share = np.minimum(rival.reach(ahead) / length, 1.0)
+    return Cover(here + share[:, None] * path, view.pitch.opponent_radius, rival)

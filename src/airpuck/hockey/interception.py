@@ -171,9 +171,11 @@ class PlannedContact:
         """Return whether the craft can still keep the contact."""
         if self.is_committed(view):
             return view.time - self.time <= _EXPIRY
-        place = self.place(view, outlook.at(self.time))
+        puck, along = outlook.at(self.time), unit(self.normal)
+        place = self.place(view, puck)
         able = effort(view, self.time, place, self.velocity) < _STRAINED
-        return bool(able and stays_inside(view, place, self.velocity))
+        recoil = -view.pitch.recoil * (self.speed - float(puck[3:5] @ along)) * along
+        return bool(able and stays_inside(view, place, self.velocity, recoil))
 
     def reference(self, view: View, puck: Float[np.ndarray, " 6"]) -> Reference:
         """Return a reference that leads the craft there, and then home."""

@@ -26,6 +26,7 @@ from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.minimal_time import MinimalTimes, minimal_times_of
 from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
+from airpuck.hockey.rival import RivalWatcher
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
 
@@ -132,6 +133,7 @@ class Player(Pilot):
         self._opponent_poses: deque[tuple[float, Float[np.ndarray, " 3"]]] = deque()
         #: The opponent at its last pose: stamp, x, y, vx, vy.
         self._opponent: tuple[float, Float[np.ndarray, " 4"]] | None = None
+        self._watcher = RivalWatcher(self.pitch.goal_line)
         self._same, self._before_same = 0, 0.0
         self._last_puck: Float[np.ndarray, " 3"] | None = None
         self._craft: tuple[float, Float[np.ndarray, " 6"]] | None = None
@@ -194,7 +196,7 @@ class Player(Pilot):
         belief = self.filter.belief
         if belief is None or self.sight != "seen":
             return None
-        return self.frame.points(drawn_path(self.equipment, belief))
+        return self.frame.points(drawn_path(self.filter.model.equipment, belief))
 
     def _see(self, time: float) -> None:
         """Update puck and opponent with the poses that are visible by now."""
@@ -226,7 +228,11 @@ class Player(Pilot):
             self._same = 0
             self._before_same = 0.0 if belief is None else float(np.hypot(*belief.mean[3:5]))
         self._last_puck = pose
+        hits = len(self.filter.events)
         self.filter.pose(stamp, pose)
+        hit = any(event.kind == "hit" for event in self.filter.events[hits:])
+        if hit and pose[0] < 0 and self._opponent is not None:
+            self._watcher.shot(self.filter.events[-1].time, self._opponent[1])
 
     def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
         """Update the opponent's position, and its velocity, smoothed over a few frames."""
@@ -240,6 +246,9 @@ class Player(Pilot):
                     (place - state[:2]) / (stamp - last) - state[2:]
                 )
         self._opponent = stamp, np.concatenate([place, velocity])
+        if self.filter.belief is not None:
+            x, y = self.filter.belief.mean[:2].tolist()
+            self._watcher.seen(stamp, self._opponent[1], (x, y))
 
     def _decide(self, time: float) -> None:
         """Ask the tactic, and convert its intention to the world's frame."""
@@ -263,7 +272,19 @@ class Player(Pilot):
         own[:3] += own[3:] * (time - stamp)
         opponent = self._opponent and self._opponent[1]
         puck = self.filter.belief if self.sight == "seen" else None
-        return View(time, own, puck, self.filter.model, opponent, self.pitch, self._times)
+        learned = self.filter.model.equipment
+        if learned is not self.pitch.equipment:
+            self.pitch = replace(self.pitch, equipment=learned)
+        return View(
+            time,
+            own,
+            puck,
+            self.filter.model,
+            opponent,
+            self.pitch,
+            self._times,
+            self._watcher.rival,
+        )
 
     def _with_noise(self, intention: Intention) -> Intention:
         """Turn the contact of a shot about the puck, by the same angle until the shot is over."""

@@ -14,8 +14,9 @@ from airpuck.craft.table import AirHockey, Puck
 from airpuck.physics.puck import PuckState, coast, time_of
 from airpuck.physics.puck_on_table import PuckOnTable, Touch
 
-#: Standard deviations of parameters that were not identified on this table, bounces included.
-_ASSUMED = {"drag_1_s": 0.05, "spin_drag_1_s": 0.1, "rail.restitution": 0.03, "rail.grip": 0.1}
+#: Standard deviations of parameters that were not identified on this table. Restitution: the
+#: scatter of single bounces of a real puck (docs/results.md, a real puck); others are guesses.
+_ASSUMED = {"drag_1_s": 0.05, "spin_drag_1_s": 0.1, "rail.restitution": 0.07, "rail.grip": 0.1}
 #: White accelerations by air and slope: [m/s²/√Hz] and [rad/s²/√Hz].
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
 #: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
+from airpuck.hockey.learning import PuckLearner
 from airpuck.hockey.prediction import (
     ACCELERATION_DENSITY,
     PuckBelief,
@@ -23,6 +24,7 @@ from airpuck.hockey.prediction import (
     process_noise,
 )
 from airpuck.physics.puck import PuckState, sigma_of, time_of, walls_of
+from airpuck.physics.puck_on_table import Touch
 
 #: A measurement whose squared, normalised innovation exceeds this is not noise: once in 1e7 frames.
 GATE = 35.0
@@ -70,6 +72,8 @@ class PuckFilter:
         Table and puck.
     noise : PuckNoise, optional
         Noise of the poses.
+    learns : bool, default True
+        Whether to learn drag and restitution of the rails from the puck's flights.
 
     Attributes
     ----------
@@ -79,11 +83,16 @@ class PuckFilter:
         Events since the start.
     outliers : int
         Number of unused poses.
+    model : PuckModel
+        Table and puck as they are known by now.
     """
 
-    def __init__(self, equipment: AirHockey, noise: PuckNoise | None = None) -> None:
+    def __init__(
+        self, equipment: AirHockey, noise: PuckNoise | None = None, *, learns: bool = True
+    ) -> None:
         noise = noise or PuckNoise()
         self.model = PuckModel(equipment)
+        self._learner = PuckLearner(self.model) if learns else None
         self.belief: PuckBelief | None = None
         self.events: list[PuckEvent] = []
         self.outliers = 0
@@ -117,8 +126,14 @@ class PuckFilter:
             self._before = self.belief if self._before is None else None
             self._begin(time, pose, None)
             return
-        self.events += bounces
-        self.belief = self._corrected(moved, pose)
+        self.events += [PuckEvent(t.time, t.met) for t in bounces if t.met in ("rail", "post")]
+        last, self.belief = self.belief, self._corrected(moved, pose)
+        if self._learner is not None:
+            if bounces:
+                single = bounces[0] if [t.met for t in bounces] == ["rail"] else None
+                self._learner.touched(bounces[-1].time, last, single)
+            self._learner.flies(self.belief)
+            self.model = self._learner.model
 
     def predict(self, times: list[float]) -> PuckPrediction:
         """Predict an untouched puck; see `predict_puck`.
@@ -168,6 +183,8 @@ class PuckFilter:
         self, time: float, pose: Float[np.ndarray, " 3"], kind: Literal["seen"] | None
     ) -> None:
         """Restart from a pose, with unknown velocity."""
+        if self._learner is not None:
+            self._learner.touched(time)
         covariance = np.diag(np.concatenate([self._variance, np.square(_UNKNOWN)]))
         self.belief = PuckBelief(time, np.concatenate([pose, np.zeros(3)]), covariance)
         if kind is not None:
@@ -193,14 +210,13 @@ class PuckFilter:
         latest = self.belief.time
         self.events.append(PuckEvent(min(max(before.time + when, before.time), latest), "hit"))
 
-    def _moved(self, belief: PuckBelief, time: float) -> tuple[PuckBelief, list[PuckEvent]]:
-        """Return the belief at a later time, and the bounces until then."""
+    def _moved(self, belief: PuckBelief, time: float) -> tuple[PuckBelief, tuple[Touch, ...]]:
+        """Return the belief at a later time, and the contacts until then."""
         puck, duration = self.model.equipment.puck, time - belief.time
         bounce = self._walls.first(PuckState(*belief.mean.tolist()))
         if time_of(puck.drag_1_s, bounce.sigma) <= duration:
             found = predict_puck(self.model, belief, [time])
-            bounces = [PuckEvent(t.time, t.met) for t in found.touches if t.met in ("rail", "post")]
-            return PuckBelief(time, found.mean[0], found.covariance[0]), bounces
+            return PuckBelief(time, found.mean[0], found.covariance[0]), found.touches
         rates = (puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s)
         sigma = np.array([sigma_of(rate, duration) for rate in rates])
         step = np.eye(6)
@@ -210,7 +226,7 @@ class PuckFilter:
         density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
         grown = step @ belief.covariance @ step.T
         grown += process_noise(np.array([duration]), density)[0]
-        return PuckBelief(time, step @ belief.mean, grown), []
+        return PuckBelief(time, step @ belief.mean, grown), ()
 
     def _innovation(
         self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,16 +16,15 @@ from scipy.special import ndtr, ndtri
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.prediction import PuckModel
+from airpuck.hockey.rival import Rival
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import Disc, strike
 
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
-#: How an opponent moves to cover a straight path of the puck, once the puck is on it: its
-#: acceleration and largest speed [m/s², m/s], and the standard deviation of its reach [m].
-_PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
-#: Probability that the opponent reads a shot after 0, 1, 2 banks.
-_READS = (1.0, 1.0, 0.5)
+#: Standard deviation of the opponent's reach [m], and the probability that it reads a shot after 0,
+#: 1, 2 banks. Fitted to 1400 shots at scripted humans, keepers and bankers.
+_REACH_ERROR, _READS = 0.05, (1.0, 0.95, 0.5)
 #: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
 _ROLLS_OUT = 0.98
 #: A slower puck rests [m/s].
@@ -82,6 +81,15 @@ class Flights:
     passes: Float[np.ndarray, "*n"]
 
 
+class Cover(NamedTuple):
+    """The opponent at the time of a shot."""
+
+    #: Positions [m], and the radius of its disc [m].
+    place: Float[np.ndarray, "*m 2"]
+    radius: float
+    rival: Rival = Rival()
+
+
 def unit(angle: Any) -> Float[np.ndarray, "*n 2"]:
     """Return the unit vectors of directions."""
     found = np.empty((*np.shape(angle), 2))
@@ -117,7 +125,7 @@ def flown(
     equipment: AirHockey,
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
-    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
+    opponent: Cover | None = None,
     *,
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
@@ -130,8 +138,8 @@ def flown(
         Table and puck.
     place, motion : array
         Initial position [m], and velocity and angular velocity [m/s, rad/s].
-    opponent : tuple, optional
-        Initial position of the opponent's disc, and its radius [m].
+    opponent : Cover, optional
+        The opponent at the time of the shot.
     restitution, grip : array, optional
         Restitution and grip of the rails, shot by shot; by default the table's.
 
@@ -147,7 +155,7 @@ def flown(
     reach, line = table.reach(puck.radius_m)[1], table.length_m / 2
     x, y = place[..., 0].copy(), place[..., 1].copy()
     vx, vy, spin = (motion[..., k].copy() for k in range(3))
-    bounces, scores = np.zeros_like(x), np.zeros(x.shape, dtype=bool)
+    bounces, scores, since = np.zeros_like(x), np.zeros(x.shape, dtype=bool), np.zeros_like(x)
     passes, going = np.ones_like(x), vx > 0
     drag = puck.drag_1_s
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -160,11 +168,12 @@ def flown(
             going &= drag * sigma < _ROLLS_OUT
             sigma = np.where(going, sigma, 0.0)
             if opponent is not None:
-                past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m)
+                past = _passes((x, y, vx, vy), since, sigma, opponent, puck.radius_m)
                 past = 1 - _READS[bounce] * (1 - past)
                 passes = np.where(going, np.minimum(passes, past), passes)
             left = 1 - drag * sigma
             lasted = -np.log(left) / drag if drag else sigma
+            since = since + lasted
             x, y = x + vx * sigma, y + vy * sigma
             # A post is not touched if it is a radius away from the path.
             room = table.goal_width_m / 2 - puck.radius_m * np.hypot(vx, vy) / np.abs(vx)
@@ -183,19 +192,26 @@ def flown(
 
 def _passes(
     start: tuple[Any, Any, Any, Any],
+    since: Float[np.ndarray, "*n"],
     sigma: Float[np.ndarray, "*n"],
-    opponent: tuple[Float[np.ndarray, "*m 2"], float],
+    opponent: Cover,
     radius: float,
 ) -> Float[np.ndarray, "*n"]:
-    """Return the probability that an opponent does not cover straight paths in time."""
+    """Return the probability that an opponent does not cover straight paths in time.
+
+    The paths begin some time after the shot.
+    """
     x, y, vx, vy = start
-    place, size = opponent
+    place, size, rival = opponent
     dx, dy = place[..., 0] - x, place[..., 1] - y
     square = np.maximum(vx * vx + vy * vy, _RESTS**2)
-    moving = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
-    apart = np.hypot(dx - vx * moving, dy - vy * moving)
-    reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
-    return ndtr((apart - size - radius - reached) / _REACH_ERROR)
+    nearest = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
+    free = np.full(np.broadcast_shapes(x.shape, np.shape(nearest)), np.inf)
+    # The opponent has more time for the end of the path than for its nearest point.
+    for moving in (nearest, (nearest + sigma) / 2, sigma):
+        apart = np.hypot(dx - vx * moving, dy - vy * moving)
+        free = np.minimum(free, apart - rival.reach(since + moving))
+    return ndtr((free - size - radius) / _REACH_ERROR)
 
 
 @cache
@@ -230,7 +246,7 @@ def chances(
     contacts: Contacts,
     covariance: Float[np.ndarray, "n 6 6"],
     error: ArrivalError,
-    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
+    opponent: Cover | None = None,
     count: int = 64,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the probability that contacts score, and the mean number of bounces.
@@ -250,7 +266,7 @@ def chances(
         Covariance of the puck at the contacts: x, y, yaw and their rates.
     error : ArrivalError
         Errors of the craft.
-    opponent : tuple, optional
+    opponent : Cover, optional
         See `flown`.
     count : int
         Number of trials per contact.

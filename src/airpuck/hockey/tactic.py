@@ -5,7 +5,7 @@ A player works in its own frame: its goal is at x = -length / 2, its half is x <
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -16,6 +16,7 @@ from airpuck.control.reference import Reference
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.minimal_time import MinimalTimes
 from airpuck.hockey.prediction import PuckBelief, PuckModel
+from airpuck.hockey.rival import Rival
 
 #: Kinds of actions of a craft.
 Kind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]
@@ -100,6 +101,8 @@ class View:
         Table, dimensions, fence, home.
     times : MinimalTimes
         The craft's shortest times from one state to another.
+    rival : Rival
+        What is known of the opponent by now.
     """
 
     time: float
@@ -109,6 +112,7 @@ class View:
     opponent: Float[np.ndarray, " 4"] | None
     pitch: Pitch
     times: MinimalTimes
+    rival: Rival = field(default_factory=Rival)
 
 
 @dataclass(frozen=True, eq=False)

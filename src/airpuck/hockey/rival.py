@@ -1,0 +1,104 @@
+"""What a player learns of its opponent during a game: stance, reaction and speed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+# Before anything is seen; guesses except for the reaction, an adult's to a visual stimulus
+# (Kosinski, "A literature review on reaction time", 2008).
+_REACTION, _SPEED, _WAITS, _FOLLOWS = 0.2, 1.5, 0.2, 0.3
+#: Acceleration of a hand with a mallet: the default limit of the table file [m/s²].
+_ACCELERATION = 40.0
+#: Weights of these assumptions: in observed reactions; in seconds of waiting; in m² s.
+_REACTIONS, _SECONDS, _SQUARES = 2.0, 0.5, 0.005
+#: An opponent slower than this stands still; a faster change of velocity is a reaction [m/s].
+_STILL, _REACTS = 0.2, 0.4
+#: Reactions outside these times are coincidences [s].
+_SOONEST, _LATEST = 0.08, 0.5
+#: Longest time between two sights that counts as waiting [s].
+_GAP = 0.05
+
+
+@dataclass(frozen=True)
+class Rival:
+    """An opponent as it is known by now."""
+
+    #: Delay until it moves towards a shot [s].
+    reaction: float = _REACTION
+    #: Its largest speed [m/s].
+    speed: float = _SPEED
+    #: Distance from its goal line at which it waits [m].
+    waits: float = _WAITS
+    #: Its y while it waits, as a share of the puck's.
+    follows: float = _FOLLOWS
+
+    def reach(self, time: Any) -> Any:
+        """Return how far it gets in a time after a shot [m]."""
+        left = np.maximum(time - self.reaction, 0.0)
+        speeding_up = self.speed / _ACCELERATION
+        short = _ACCELERATION * left**2 / 2
+        return np.where(left < speeding_up, short, self.speed * (left - speeding_up / 2))
+
+
+class RivalWatcher:
+    """Estimates a `Rival` from the poses of the opponent's disc.
+
+    Parameters
+    ----------
+    goal_line : float
+        Position x of the opponent's goal [m].
+    """
+
+    def __init__(self, goal_line: float) -> None:
+        self._goal_line = goal_line
+        self._speed = _SPEED
+        #: Sums over reactions [s], and their weight.
+        self._reactions, self._count = _REACTIONS * _REACTION, _REACTIONS
+        #: Sums over the time that it waited: of its distance, and of y against the puck's y.
+        self._waited, self._time = _SECONDS * _WAITS, _SECONDS
+        self._products, self._squares = _SQUARES * _FOLLOWS, _SQUARES
+        self._last = -math.inf
+        #: When the puck was shot, and the opponent's velocity then.
+        self._shot: tuple[float, Float[np.ndarray, " 2"]] | None = None
+
+    @property
+    def rival(self) -> Rival:
+        """The opponent as it is known by now."""
+        return Rival(
+            self._reactions / self._count,
+            self._speed,
+            self._waited / self._time,
+            self._products / self._squares,
+        )
+
+    def shot(self, time: float, opponent: Float[np.ndarray, " 4"]) -> None:
+        """Begin to wait for the reaction to a shot, if the opponent stands still."""
+        if math.hypot(*opponent[2:]) < _STILL:
+            self._shot = time, opponent[2:]
+
+    def seen(
+        self, time: float, opponent: Float[np.ndarray, " 4"], puck: tuple[float, float]
+    ) -> None:
+        """Receive a sight of the opponent: x, y, vx, vy, and the place of the puck."""
+        speed = math.hypot(*opponent[2:])
+        self._speed = max(self._speed, speed)
+        passed, self._last = time - self._last, time
+        if puck[0] < 0 and speed < _STILL and passed < _GAP:
+            self._time += passed
+            self._waited += passed * (self._goal_line - float(opponent[0]))
+            self._squares += passed * puck[1] ** 2
+            self._products += passed * puck[1] * float(opponent[1])
+        if self._shot is not None:
+            since, before = self._shot
+            if math.dist(opponent[2:], before) > _REACTS:
+                if _SOONEST < time - since < _LATEST:
+                    self._reactions += time - since
+                    self._count += 1
+                self._shot = None
+            elif time - since > _LATEST:
+                self._shot = None

@@ -1,0 +1,87 @@
+"""Errors of predicted bounces, with and without learning drag and restitution during play.
+
+    python studies/learned_puck.py --games 30
+
+Two scripted hands play with pucks drawn within what is known of them. Filters that start from the
+table file see noisy poses. Each prediction reaches over at least one bounce and no touch.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import pairwise
+
+import numpy as np
+from one_line import run
+
+from airpuck.hockey.contestant import contestant
+from airpuck.hockey.game import Game
+from airpuck.hockey.prediction import drawn_puck, predict_puck
+from airpuck.hockey.puck_filter import PuckFilter, PuckNoise
+from airpuck.hockey.rules import Rules
+from airpuck.physics.puck_on_table import PuckOnTable
+from airpuck.twin.settings import default_twin_settings
+
+#: Time ahead, and time between predictions [s]; also the ages of the game that are compared [s].
+AHEAD, EVERY, AGES = 0.5, 0.1, (0.0, 5.0, 15.0, 40.0)
+#: Squared distance in the plane, relative to its covariance, that 95 % stay below.
+NINETY_FIVE = 5.99
+
+
+def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
+    """Play a game; return age, and for each filter the error [m] and whether it is in the band."""
+    believed, random = default_twin_settings(), np.random.default_rng(seed)
+    puck = drawn_puck(believed.puck, random)
+    true = believed.model_copy(update={"puck": puck})
+    hands = contestant("striker:medium"), contestant("counter:medium")
+    rules = Rules(limit_s=duration, goals=None)
+    game = Game(*hands, settings=true, believed=believed, rules=rules, seed=seed, logs=False)
+    filters = [PuckFilter(believed, learns=learns) for learns in (False, True)]
+    noise = np.array([PuckNoise().position_m] * 2 + [PuckNoise().yaw_rad])
+    found, due = [], 0.0
+    while game.phase != "over":
+        game.step()
+        # The world stops at its last event before the end of the period.
+        now = game.world.time
+        if game.puck is None:
+            continue
+        for each in filters:
+            each.pose(now, np.array(game.puck[:3]) + random.normal(0.0, noise))
+        if now < due:
+            continue
+        due = now + EVERY
+        alone = PuckOnTable(true, game.puck)
+        alone.run(AHEAD)
+        beliefs = [each.belief for each in filters if each.belief is not None]
+        known = all(np.trace(belief.covariance[3:5, 3:5]) < 0.05**2 for belief in beliefs)
+        if alone.goal or not alone.touches or not known:
+            continue
+        row, place = [now], np.array(alone.state[:2])
+        for each, belief in zip(filters, beliefs, strict=True):
+            ahead = predict_puck(each.model, belief, [now + AHEAD])
+            away, covariance = place - ahead.mean[0, :2], ahead.covariance[0, :2, :2]
+            square = float(away @ np.linalg.solve(covariance, away))
+            row += [float(np.hypot(*away)), float(square < NINETY_FIVE)]
+        found.append(tuple(row))
+    return found
+
+
+def main() -> None:
+    """Play, and print the errors by age of the game."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--games", type=int, default=30)
+    parser.add_argument("--duration", type=float, default=40.0, help="of a game [s]")
+    options = parser.parse_args()
+    rows = np.array([row for k in range(options.games) for row in predictions(k, options.duration)])
+    for begin, end in pairwise(AGES):
+        some = rows[(rows[:, 0] >= begin) & (rows[:, 0] < end)]
+        rms = 1e3 * np.sqrt((some[:, [1, 3]] ** 2).mean(axis=0))
+        inside = 100 * some[:, [2, 4]].mean(axis=0)
+        print(
+            f"{begin:.0f} to {end:.0f} s, {len(some)} predictions: error {rms[0]:.0f} mm fixed, "
+            f"{rms[1]:.0f} mm learned; in the 95 % region {inside[0]:.0f} %, {inside[1]:.0f} %"
+        )
+
+
+if __name__ == "__main__":
+    run(main)
