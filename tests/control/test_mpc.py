@@ -255,7 +255,7 @@ def test_fence_and_discs_may_be_exchanged_in_flight():
     for wrong in ([], None, [(0, 0, 0.1)] * 2, [(0, 0)], [(0.0, np.nan, 0.1)], "disc"):
         with pytest.raises(InputError, match=r"keep_out: .*1 disc"):
             controller.keep_out = wrong
-    for wrong in (None, np.full((2, 2), np.nan), (0.1, 0.1, -0.1, -0.1), (1, 2, 3)):
+    for wrong in (None, np.full((2, 2), np.nan), (0.1, 0, -0.1, 9), (0, 0.1, 9, -0.1), (1, 2, 3)):
         with pytest.raises(InputError, match=r"fence: .*lowest x and y"):
             controller.fence = wrong
     np.testing.assert_array_equal(controller.keep_out, [(9.0, 9.0, 0.1)])

@@ -200,6 +200,13 @@ def test_a_rail_is_not_blamed_on_motors(ours):
     np.testing.assert_allclose(ours.predict(1.5).effectiveness, 1, atol=0.2)
 
 
+def test_the_delay_is_first_known_by_its_prior():
+    before = ActuationFilter(MODEL, NOISE, delay_deviation=0.002, compiled=False)
+    before.command(0.0, np.full(6, 0.3))
+    before.pose(0.0, np.zeros(3))
+    assert before.predict(0.0).actuation.delay_deviation == pytest.approx(0.002, rel=0.01)
+
+
 def test_longer_delays_are_estimated(ours):
     # Commands act 4 ms later than the filter assumes.
     flight = random_flight(M3, 3.0, 4)

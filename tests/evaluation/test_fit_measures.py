@@ -8,7 +8,7 @@ from scipy import stats
 
 from airpuck.estimate.axis_filter import Noise
 from airpuck.evaluation.fit_measures import fit_percent, fit_text, fitted_parameters, measure_fit
-from airpuck.evaluation.innovations import innovations
+from airpuck.evaluation.innovations import free_run, innovations
 
 from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
 
@@ -35,6 +35,17 @@ def test_the_likelihood_is_that_of_normal_innovations():
     assert fit.parameters == d == 23
     assert fit.aic == pytest.approx(2 * d - 2 * found.log_likelihood)
     assert fit.bic == pytest.approx(d * np.log(len(e)) - 2 * found.log_likelihood)
+
+
+def test_a_prediction_ahead_uses_no_later_pose():
+    flight = noisy(duration=2.0)
+    found = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 1.0), (0.0, 0.0, 0.0)))
+    fit = measure_fit(TRUTH, flight, filtered=found, horizon=0.3)
+    starts = np.arange(found.starts(0, len(flight))[0], len(flight) - fit.steps, fit.steps + 1)
+    ends = starts + fit.steps
+    alone = [free_run(TRUTH, flight, found, np.array([one]))[one + fit.steps] for one in starts]
+    expected = fit_percent(np.array(alone), flight.state[ends, :3])
+    np.testing.assert_allclose(fit.k_step, expected, rtol=1e-6)
 
 
 @pytest.mark.slow

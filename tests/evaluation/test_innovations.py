@@ -64,6 +64,16 @@ def test_the_filter_is_the_controllers_with_exact_integration(flight):
     assert (np.abs(ours - np.array(speeds)[late]) < 0.5 * scale).all()
 
 
+def test_an_innovation_deviates_by_the_prediction_and_the_noise_of_the_pose(flight):
+    noise = Noise(POSE_NOISE, (0.05, 0.05, 1.0), (0.0, 0.0, 0.0))
+    found, step = innovations(TRUTH, flight, noise), np.diff(flight.time)[:, None]
+    place, both, speed = np.moveaxis(found.covariance[:-1, :, [0, 0, 1], [0, 1, 1]], 2, 0)
+    density, pose = np.square(noise.acceleration), np.square(noise.pose)
+    expected = place + 2 * step * both + step**2 * speed + density * step**3 / 3 + pose
+    inside = slice(10, 400)
+    np.testing.assert_allclose(found.deviation[1:][inside] ** 2, expected[inside], rtol=1e-6)
+
+
 def test_the_likelihood_finds_the_noise_that_was_added(flight):
     found = innovations(TRUTH, flight)
     np.testing.assert_allclose(found.noise.pose, POSE_NOISE, rtol=0.06)
