@@ -25,7 +25,6 @@ import hashlib
 import inspect
 import json
 import os
-import random
 import re
 import resource
 import signal
@@ -105,13 +104,14 @@ class Mutant:
     end: int
     before: str
     after: str
-    #: Hash of the file without the mistake.
+    #: Hash of the function, class or statement without the mistake.
     source: str
 
     @property
     def key(self) -> str:
         """The mistake's key in the file of results."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:16]
+        named = self.path, self.before, self.after, self.source
+        return hashlib.sha256(repr(named).encode()).hexdigest()[:16]
 
     @property
     def module(self) -> str:
@@ -303,26 +303,29 @@ class Mistakes(ast.NodeVisitor):
 
 
 def mutants(package: str, count: int, seed: int) -> list[Mutant]:
-    """Draw mistakes in the modules of a package, no two at one place."""
-    places = []
+    """Draw mistakes in the modules of a package, no two at one place.
+
+    A hash of the place decides: code that is added elsewhere leaves most of the others drawn.
+    """
+    drawn = []
     for path in sorted((SOURCES / package).rglob("*.py")):
-        text = path.read_bytes()
-        digest = hashlib.sha256(text).hexdigest()[:12]
+        text, seen = path.read_bytes(), Counter[tuple[str, str]]()
+        statements = ast.parse(text).body
         name = str(path.relative_to(SOURCES))
         for start, end, choices in sorted(Mistakes(text).found):
-            places.append(
-                (name, text.count(b"\n", 0, start) + 1, start, end, text, choices, digest)
-            )
-    draw = random.Random(f"{package} {seed}")
-    # A smaller number of draws gives the first of a larger number.
-    draw.shuffle(places)
-    drawn = []
-    for name, line, start, end, text, choices, digest in places[:count]:
-        after = draw.choice(choices)
-        mutant = Mutant(name, line, start, end, text[start:end].decode(), after, digest)
-        compile(mutant.mutated(), name, "exec")
-        drawn.append(mutant)
-    return drawn
+            line, before = text.count(b"\n", 0, start) + 1, text[start:end].decode()
+            around = next(s for s in statements if line <= (s.end_lineno or line))
+            within = getattr(around, "name", ast.unparse(around))
+            seen[within, before] += 1
+            place = seed, name, within, before, seen[within, before]
+            lot = hashlib.sha256(repr(place).encode()).hexdigest()
+            after = choices[int(lot, 16) % len(choices)]
+            source = hashlib.sha256(f"{ast.dump(around)} {place}".encode()).hexdigest()[:12]
+            drawn.append((lot, Mutant(name, line, start, end, before, after, source)))
+    chosen = [mutant for _, mutant in sorted(drawn, key=lambda pair: pair[0])[:count]]
+    for mutant in chosen:
+        compile(mutant.mutated(), mutant.path, "exec")
+    return chosen
 
 
 @dataclass
