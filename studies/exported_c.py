@@ -1,8 +1,8 @@
 """The exported controller against the one in Python: commands, states and statuses step by step.
 
-    python -m studies.exported_c --steps 100000
-    python -m studies.exported_c --regulator mpc --steps 10000
-    python -m studies.exported_c --single
+    python studies/exported_c.py --steps 100000
+    python studies/exported_c.py --regulator mpc --steps 10000
+    python studies/exported_c.py --single
 
 Targets are random, many out of reach; poses are lost, not finite, stale, or jump; commands are lost
 or reported late. Both controllers get the same poses and commands. The predictive law's plan is
@@ -12,19 +12,25 @@ copied before each step, because every plan depends on the one before.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from tests.apparatus.compiled_controllers import CompiledController, compare, library
 
 import airpuck
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 
+#: The tests' apparatus is imported from here.
+ROOT = Path(__file__).resolve().parents[1]
+
 
 def main() -> None:
+    sys.path.insert(0, str(ROOT))
+    from tests.apparatus.compiled_controllers import CompiledController, compare, library
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", default="paper:M4")
     parser.add_argument("--regulator", default="lqr", choices=("lqr", "mpc"))
@@ -58,6 +64,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from studies.one_line import run
+    from one_line import run
 
     run(main)

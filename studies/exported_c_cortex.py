@@ -1,6 +1,6 @@
 """Sizes of the exported controller on Cortex-M, and instructions per step counted by QEMU.
 
-    python -m studies.exported_c_cortex
+    python studies/exported_c_cortex.py
 
 Needs arm-none-eabi-gcc with newlib, and qemu-system-arm. The golden flight of the export runs on an
 emulated Cortex-M4F in single precision. QEMU counts instructions, not cycles; the rate of an
@@ -157,6 +157,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from studies.one_line import run
+    from one_line import run
 
     run(main)
