@@ -63,6 +63,16 @@ def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
     assert "forward 6" in said and "too small" in said
 
 
+def test_an_error_within_the_limit_counts_together_with_chance(flight):
+    sure = known(**{f"thrust {one} φ^3": 0.165 for one in MODEL.vehicle.propeller_names})
+    assert sure.uncertainty is not None
+    model = scaled(0.85)
+    uncertainty = replace(sure.uncertainty, estimate=model.parameters.to_vector())
+    found = judged(replace(model, uncertainty=uncertainty), flight)
+    assert found.outcome == "not_trusted"
+    assert "too small and uncertain by another 2" in found.sentences[1]
+
+
 def test_a_model_without_thrust_predicts_like_a_craft_that_coasts(flight):
     found = missed_motion(evaluate(scaled(0.0), flight), flight)
     np.testing.assert_allclose(found, 1, rtol=0.05)

@@ -307,11 +307,13 @@ def _wrong(
     """Report accelerations, and a response time, that are systematically wrong."""
     found = []
     if relative.max() > ACCELERATION_LIMIT:
-        off = [
-            f"{way} {percent(abs(float(share)))} too {'large' if share > 0 else 'small'}"
-            for (way, *_), share, total in zip(WAYS, effects.push, relative, strict=True)
-            if total > ACCELERATION_LIMIT
-        ]
+        off = []
+        for (way, *_), share, total in zip(WAYS, effects.push, relative, strict=True):
+            chance = math.sqrt(max(total**2 - share**2, 0.0))
+            if total > ACCELERATION_LIMIT:
+                off.append(f"{way} {percent(abs(share))} too {'large' if share > 0 else 'small'}")
+                if abs(share) <= ACCELERATION_LIMIT:
+                    off[-1] += f" and uncertain by another {percent(chance)}"
         found.append(
             f"The modelled largest acceleration is wrong: {', '.join(off)}. A richer model may "
             "help (`--model auto`), or a check of mass, inertia and motors in the vehicle file."
