@@ -62,7 +62,7 @@ ComFrame = Annotated[
 @app.command(rich_help_panel=PANEL)
 def preprocess(
     recording: options.RecordingPath,
-    output: Annotated[Path, options.output("FILE", "traj.npz")],
+    output: Annotated[Path, options.output("FILE", "The trajectory, such as traj.npz.")],
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     delay: Annotated[
