@@ -1,6 +1,7 @@
 """The documentation's site builds without a warning: no dead link, no undocumented public name."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -31,4 +32,8 @@ def test_the_site_builds_without_a_warning(tmp_path):
     names = {f"airpuck.{name}" for name in airpuck.__all__} - {"airpuck.plot"}  # a module
     assert not {name for name in names if f'id="{name}"' not in pages}
     assert 'id="airpuck.report.plot.thrust"' in pages
-    assert "https://cdn" not in pages
+    loaded = re.findall(r"<(?:script|img|link|iframe)[^>]*(?:src|href)=\"https?://[^>]*", pages)
+    assert not loaded  # a page needs no other host when it is viewed
+    formulas = (tmp_path / "site" / "method.html").read_text()
+    assert '<div class="formula"><math' in formulas
+    assert (tmp_path / "site" / "_static" / "STIXTwoMath-Regular.ttf").exists()
