@@ -162,7 +162,7 @@ def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
     (tmp_path / "json.py").write_text("1 / 0\n")
     (tmp_path / "mine.py").write_text("import json\nimport beside_it\ndef mine(): return json\n")
     try:
-        assert UserCode(f"{tmp_path / 'mine.py'}:mine", "--pilot").kind() is json
+        assert UserCode(f"{tmp_path / 'mine.py'}:mine", "--regulator").kind() is json
     finally:
         sys.path.remove(str(tmp_path))
         del sys.modules["beside_it"]

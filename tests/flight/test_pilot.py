@@ -48,7 +48,7 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "5", "--json", "-"),
-        *("--setpoints", points, "--pilot", f"{file}:Spring"),
+        *("--setpoints", points, "--regulator", f"{file}:Spring"),
     )
     (flight,) = json.loads(ran.stdout)["flights"]
     assert flight["gains"] is None and list(flight["outcomes"]) == ["open loop"]
@@ -65,7 +65,7 @@ def test_a_pilot_that_sends_percent_is_warned_of_and_named(file, tmp_path):
     points.write_text("setpoints = [{at_s = 0.2, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
-        *("--setpoints", points, "--pilot", f"{file}:Spring", "-o", tmp_path / "page"),
+        *("--setpoints", points, "--regulator", f"{file}:Spring", "-o", tmp_path / "page"),
     )
     assert ran.stderr.startswith("warning: commands of Spring from 3 to ")
     assert ran.stderr.endswith("were clipped to [0, 1]\n")
@@ -139,7 +139,7 @@ def test_a_wrong_file_is_refused(tmp_path, text, name, problem):
     path.write_text(textwrap.dedent(text))
     with pytest.raises(InputError) as refused:
         pilot_maker(name.format(path))(M3, airpuck.SetPoint(0, 0, 0))
-    assert problem in str(refused.value) and "--pilot" in str(refused.value)
+    assert problem in str(refused.value) and "--regulator" in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused():

@@ -111,12 +111,11 @@ def track(
         Path | None, Setting("Set points and their times, as TOML.", metavar="FILE")
     ] = None,
     dwell: Dwell | None = None,
-    pilot: options.PilotClass = None,
     controller: ControllerKind = None,
     regulators: Annotated[
         list[str] | None,
         Setting(
-            f"{options.LAWS_THERE_ARE}; give several to compare them. By default the tuning's.",
+            f"{options.LAWS_THERE_ARE} or pilot; repeat to compare. By default the tuning's.",
             metavar="LAW",
             option="--regulator",
         ),
@@ -138,32 +137,29 @@ def track(
     With --regulator lqr --regulator mpc both laws fly the same task, and the page compares them.
     """
     from airpuck.control.reference import read_setpoints
-    from airpuck.flight.pilot import pilot_maker
+    from airpuck.flight.pilot import pilot_named
     from airpuck.twin.tracking_study import DWELL
 
     controls = inputs.read_controls(tuning)
     if estimator is not None:
         controls = controls.with_estimator(estimator)
-    if pilot is not None and (regulators or controller or estimator):
-        problem = "flies your own controller; leave out --regulator, --controller and --estimator"
-        raise InputError(problem, field="pilot")
     if flights and (setpoints is not None or dwell is not None):
         raise InputError(
             "sets the set points and times; leave out --setpoints and --dwell", field="flights"
         )
     laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
-    beyond_paper = set(laws) != {"lqr"} and pilot is None
+    beyond_paper = set(laws) != {"lqr"}
     names = models or ["paper:M0", "paper:M4"][beyond_paper:]
     paths: list[Path | None] = list(flights or ())
-    own = setpoints is not None or pilot is not None
     as_flown = controller == "paper" or (controller is None and not beyond_paper)
-    if not paths and dwell is None and as_flown and not own:
+    if not paths and dwell is None and as_flown and setpoints is None:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="flights")
     beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
-    for law in laws if pilot is None else ():
-        inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
+    for law in laws:
+        if pilot_named(law) is None:
+            inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
     tracked = airpuck.tracking_study(
         beliefs,
         plant,
@@ -175,7 +171,6 @@ def track(
         regulators=laws,
         settings=twin,
         tuning=controls,
-        make_pilot=None if pilot is None else pilot_maker(pilot),
     )
     page = None
     if output is not None:

@@ -95,18 +95,11 @@ class Steered(Guarded):
 
     model: options.ControllersModel
     regulator: options.RegulatorName = None
-    pilot: options.PilotClass = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.pilot is not None and self.regulator is not None:
-            problem = "chooses a law of our controller; --pilot flies yours"
-            raise InputError(problem, field="regulator")
-
-    def read(self) -> tuple[Model, Tuning]:
-        """Read the model and the tuning."""
+    def read(self, law: str | None) -> tuple[Model, Tuning]:
+        """Read the model and the tuning, with a law."""
         craft = inputs.read_belief(self.model)
-        return craft, inputs.read_controls(self.tuning, self.regulator, craft)
+        return craft, inputs.read_controls(self.tuning, law, craft)
 
     def fly_to(
         self,
@@ -115,16 +108,14 @@ class Steered(Guarded):
         json_file: Path | None,
     ) -> None:
         """Fly to a reference, which is made from the fence: our controller, or a user's pilot."""
-        from airpuck.flight.pilot import pilot_maker
+        from airpuck.flight.pilot import pilot_named
 
-        craft, controls = self.read()
+        own = None if self.regulator is None else pilot_named(self.regulator)
+        craft, controls = self.read(self.regulator if own is None else None)
         where = reference(self.fence(craft))
-        if self.pilot is None:
-            make = partial(
-                airpuck.TrackingController, craft, where, controls, table=self.rails(craft)
-            )
-        else:
-            make = partial(pilot_maker(self.pilot), craft, where)
+        make = partial(airpuck.TrackingController, craft, where, controls, table=self.rails(craft))
+        if own is not None:
+            make = partial(own, craft, where)
         self.fly(make, craft, controls, live, json_file)
 
 
@@ -229,14 +220,14 @@ def fly_topic(steered: Steered, live: LiveSettings, json_file: options.Json = No
 @app.command("fly-plan", rich_help_panel=_PANEL)
 def fly_plan(
     plan: Annotated[Path, Setting("A time-optimal plan by `airpuck plan`.", metavar="FILE")],
-    steered: Annotated[Steered, Without(("pilot",))],
+    steered: Steered,
     live: LiveSettings,
     json_file: options.Json = None,
 ) -> None:
     """Fly a time-optimal plan on the graph, once the craft is at its start."""
     from airpuck.planning.tracking import Departing, plan_tracker
 
-    craft, controls = steered.read()
+    craft, controls = steered.read(steered.regulator)
     optimal = _time_optimal(plan, craft, steered.fence(craft))
 
     def make() -> Pilot:

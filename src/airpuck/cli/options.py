@@ -120,15 +120,7 @@ Experiment = Annotated[
         "--plan", "An excitation by `airpuck design`; options change it.", read_excitation_plan
     ),
 ]
-PilotClass = Annotated[
-    str | None,
-    Setting(
-        "Your own controller: a class with the arguments (model, reference).",
-        metavar="FILE.py:NAME",
-        option="--pilot",
-    ),
-]
-LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME"
+LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME of your own law"
 RegulatorName = Annotated[
     str | None,
     Setting(

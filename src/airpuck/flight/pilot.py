@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
-from airpuck.control.law import Prediction, Step
+from airpuck.control.law import Law, Prediction, Step
+from airpuck.control.laws import LAWS, check_law
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, sheltered
 from airpuck.data.measurement import Measurement
@@ -117,9 +118,18 @@ class UserPilot(Pilot):
 PilotMaker = Callable[[Model, Reference], Pilot]
 
 
+def pilot_named(name: str) -> PilotMaker | None:
+    """Return a factory for a user's pilot, named FILE.py:NAME; None if it names a law."""
+    if check_law(name) in LAWS:
+        return None
+    kind = UserCode(name, "--regulator").kind
+    is_law = isinstance(kind, type) and issubclass(kind, Law)
+    return None if is_law else pilot_maker(name)
+
+
 def pilot_maker(name: str) -> PilotMaker:
     """Return a factory for a user's pilot, named FILE.py:NAME, from a model and a reference."""
-    code = UserCode(name, "--pilot")
+    code = UserCode(name, "--regulator")
 
     def make(model: Model, reference: Reference) -> Pilot:
         pilot = code.run("cannot be made from (model, reference)", code.kind, model, reference)

@@ -20,7 +20,7 @@ from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import FlightLog
-from airpuck.flight.pilot import PilotMaker
+from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
@@ -168,7 +168,8 @@ def tracking_study(
         ``full`` compensates the transport delay and rejects disturbances. By default it flies if a
         law is not ``lqr``; the paper's controller did neither.
     regulators : sequence of str, optional
-        Laws that each model flies with, by name (see `airpuck.Law`); by default the tuning's.
+        Laws that each model flies with, by name (see `airpuck.Law`), or FILE.py:NAME of a pilot; by
+        default the tuning's law.
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
@@ -201,7 +202,6 @@ def tracking_study(
         full_controller=beyond_paper if controller is None else controller == "full",
         settings=settings,
         plant=build_plant(truth, settings),
-        make_pilot=make_pilot,
     )
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
@@ -211,7 +211,8 @@ def tracking_study(
             course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
             label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
-            found.append(fly(model, flight, course, label, tuning=tuning.with_regulator(kind)))
+            own, controls = make_pilot or pilot_named(kind), tuning.with_regulator(kind)
+            found.append(fly(model, flight, course, label, tuning=controls, make_pilot=own))
     return found
 
 
