@@ -1,5 +1,6 @@
 """The documentation's site builds without a warning: no dead link, no undocumented public name."""
 
+import ast
 import os
 import re
 import shutil
@@ -37,3 +38,28 @@ def test_the_site_builds_without_a_warning(tmp_path):
     formulas = (tmp_path / "site" / "method.html").read_text()
     assert '<div class="formula"><math' in formulas
     assert (tmp_path / "site" / "_static" / "STIXTwoMath-Regular.ttf").exists()
+
+
+def texts(source: str) -> set[str]:
+    """All strings of a module; `…` stands for what an f-string inserts."""
+    strings = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.JoinedStr)]
+    parts = (
+        "".join(v.value if isinstance(v, ast.Constant) else "…" for v in node.values)  # pyright: ignore
+        for node in strings
+    )
+    plain = (n.value for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Constant))
+    return {*parts, *(text for text in plain if isinstance(text, str))}
+
+
+def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
+    page = (DOCS / "troubleshooting.md").read_text("utf-8")
+    quoted = re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)
+    sources = Path(airpuck.__file__).parent.rglob("*.py")
+    known = "\0".join(text for path in sources for text in texts(path.read_text("utf-8")))
+    assert len(quoted) > 30
+    unknown = [
+        message
+        for message in quoted
+        if not re.search("[^\0]*?".join(map(re.escape, message.split("…"))), known)
+    ]
+    assert not unknown

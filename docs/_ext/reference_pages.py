@@ -6,6 +6,8 @@ import inspect
 from pathlib import Path
 from typing import Any
 
+import file_formats
+
 import airpuck
 
 #: Pages outside docs/ that are part of the site, by their link.
@@ -31,7 +33,7 @@ def setup(app: Any) -> dict[str, Any]:
 def _write(app: Any) -> None:
     """Write the pages whose content has changed, and remove those that are no longer there."""
     folder = Path(app.srcdir) / "reference"
-    pages = {"api.md": _contents(), "commands.md": _commands()}
+    pages = {"api.md": _contents(), "commands.md": _commands(), "files.md": file_formats.page()}
     pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
     pages["python_export.rst"] = _exports()
     folder.mkdir(exist_ok=True)

@@ -1,8 +1,6 @@
 """Tuning files: written and read back; errors name every mistake."""
 
 import re
-import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import checked
 from airpuck.control.laws import LAWS
 from airpuck.control.lqr import point_mass, regulator
 from airpuck.control.tuning import (
@@ -231,12 +228,6 @@ def test_an_unknown_law_or_estimator_is_refused():
         tuning.with_regulator("MPC")
     with pytest.raises(InputError, match=r"estimation\.estimator: must be 'kalman' or 'actuation'"):
         tuning.with_estimator("actuaton")
-
-
-def test_the_tuning_in_the_documentation_is_the_packaged_one():
-    usage = Path(__file__).parents[2].joinpath("docs/usage.md").read_text(encoding="utf-8")
-    written = usage.split("## Controller tuning")[1].split("```toml\n")[1].split("```")[0]
-    assert checked(tomllib.loads(written), Tuning) == default_tuning()
 
 
 def test_a_missing_file_and_broken_toml_are_named(tmp_path):

@@ -29,6 +29,14 @@ class InputError(ValueError):
     -----
     All three may contain text from a file. They are put on one line and escaped: a name must not
     move the cursor, colour the terminal or reverse the direction of text.
+
+    Examples
+    --------
+    >>> try:
+    ...     airpuck.read_model("model.txt")
+    ... except airpuck.InputError as error:
+    ...     print(error)
+    model.txt: there is no such file
     """
 
     def __init__(

@@ -118,6 +118,17 @@ def campaign(
     ------
     InputError
         If the spec is invalid, Dask is missing, or the scheduler does not answer.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> spec = '''kind = "fleet"
+    ... seeds = 2
+    ... base = {craft = 2, duration_s = 0.1}'''
+    >>> _ = Path("spec.toml").write_text(spec)
+    >>> found = airpuck.campaign("spec.toml", "campaign/", workers=1)
+    (2, 0)
+    >>> len(found.results), len(found.failures)
     """
     entries, folder = read_spec(spec), Path(output)
     check_output(folder, "folder", field="output")

@@ -147,7 +147,10 @@ class TwinItem(Item):
 
     #: Model of the twin.
     truth: str = "paper:M3"
+    #: Random spread of the truth: e^(spread · N), with N normal, multiplies each thrust curve, the
+    #: inertia and the motor lag.
     truth_spread: Spread = 0.0
+    #: Settings of the twin, laid over the packaged ones.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def craft(self) -> Model:
@@ -181,7 +184,10 @@ class Tracking(TwinItem):
     model: str = "paper:M4"
     #: Time at each set point.
     dwell_s: Dwell = DWELL
+    #: ``paper``, or ``full``, which also compensates the delay and rejects disturbances: the
+    #: default of ``mpc``.
     controller: ControllerKind = None
+    #: Tuning, laid over the packaged one.
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
     #: By default the law of the tuning file.
     regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
@@ -205,6 +211,7 @@ class Tracking(TwinItem):
 class Recovery(TwinItem, Identification):
     """One excitation flight of the twin, with a fit that is compared with the truth."""
 
+    #: The excitation.
     duration_s: Duration = 90.0
     amplitude: Amplitude = 1.0
     hold_s: Hold = 0.2
@@ -233,7 +240,9 @@ class Fleet(Item):
 
     SOURCES: ClassVar = {"model": of_file}
 
+    #: Model of the craft.
     model: str = "paper:M3"
+    #: Random spread of the craft, as ``truth_spread`` of other kinds.
     spread: Spread = 0.0
     #: Number of craft.
     craft: Count = 500
@@ -241,7 +250,9 @@ class Fleet(Item):
     duration_s: Duration = 0.5
     hold_s: Annotated[Hold, pydantic.Field(ge=0.01)] = 0.2
     amplitude: Amplitude = 1.0
+    #: Precision of the arithmetic.
     precision: Literal["double", "single"] = "double"
+    #: Settings of the twin, laid over the packaged ones.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     @pydantic.model_validator(mode="after")
@@ -280,6 +291,7 @@ class Fitting(Identification):
         "vehicle": of_file,
     }
 
+    #: Recordings to learn from.
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]
     #: Recording for validation by the paper's protocol.
     validation: str | None = None
@@ -351,12 +363,14 @@ class ShortestTime(Item):
 
     SOURCES: ClassVar = {"model": of_file}
 
+    #: Model of the craft.
     model: str = "paper:M3"
+    #: Distance of the place, and speed at the start.
     distance_m: Annotated[float, pydantic.Field(ge=0, le=10)]
     speed_m_s: Annotated[float, pydantic.Field(ge=0, le=3)] = 0.0
     #: Angle between the velocity and the direction to the place.
     direction_rad: Annotated[float, pydantic.Field(ge=0, le=math.pi)] = 0.0
-    #: "rest", or pass with any velocity.
+    #: ``rest``; ``any``: pass with any velocity.
     arrival: Arrival = "rest"
 
     def run(self) -> list[Row]:

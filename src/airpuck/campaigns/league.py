@@ -171,6 +171,13 @@ def league(
     InputError
         If a player is unknown, occurs twice or fails, if there are fewer than two, if Dask is
         missing, or if a folder does not hold recorded games.
+
+    Examples
+    --------
+    >>> rules = airpuck.Rules(limit_s=0.5)
+    >>> found = airpuck.league(("keeper", "human"), games=1, rules=rules, workers=1)
+    >>> found.intervals.shape
+    (2, 3)
     """
     recorded = recorded_games(bags, settings or default_twin_settings())
     if (len(players) < 2 and not bags) or len(set(players)) < len(players):

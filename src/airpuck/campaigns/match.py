@@ -154,6 +154,12 @@ def match(
     ------
     InputError
         If a player is unknown or fails, or Dask is missing.
+
+    Examples
+    --------
+    >>> result = airpuck.match("keeper", "human", rules=airpuck.Rules(limit_s=0.5), workers=1)
+    >>> result.wins
+    (0, 0)
     """
     game = checked_game(
         (left, right), games, seed, output, model=model, settings=settings, rules=rules

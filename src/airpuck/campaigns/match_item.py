@@ -35,7 +35,9 @@ class Match(Item):
     right: str = "human"
     #: Model of the craft.
     model: str = "paper:M3"
+    #: Rules of the game.
     rules: Rules = pydantic.Field(default_factory=Rules)
+    #: Settings of the twin, laid over the packaged ones.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
     #: Whether drag and bounces of the puck are drawn for each game, within their uncertainty. No
     #: player gets the true numbers.

@@ -78,6 +78,11 @@ class Step:
         State when the command will begin to act; None when idle.
     prediction : Prediction or None
         The trajectory that a predictive law expects from then on.
+
+    Examples
+    --------
+    >>> airpuck.Step(np.zeros(6)).status
+    'open loop'
     """
 
     command: Float[np.ndarray, " n"]
@@ -141,6 +146,21 @@ class Law:
         if the law has no stage.
     inputs : tuple of array
         Inputs of the stage besides the estimate, as examples of their shapes.
+
+    Examples
+    --------
+    >>> class Coast(airpuck.Law):
+    ...     def __init__(self, model, tuning, options=None):
+    ...         self.off = np.zeros(6)
+    ...     def init(self):
+    ...         return None
+    ...     def step(self, state, moment):
+    ...         return airpuck.Step(self.off), state
+    ...
+    >>> from airpuck.control.tuning import default_tuning
+    >>> step, state = Coast(model, default_tuning()).step(None, None)
+    >>> step.status
+    'open loop'
     """
 
     stage: Callable[..., tuple[Any, ...]] | None = None

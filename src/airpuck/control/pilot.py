@@ -18,6 +18,16 @@ class Pilot(Protocol):
 
     A class that inherits from it only needs `step`. Override `pose` to receive the poses of the
     craft, or `measured` to receive all measurements.
+
+    Examples
+    --------
+    >>> class Off(airpuck.Pilot):
+    ...     def step(self, time):
+    ...         return airpuck.Step(np.zeros(6))
+    ...
+    >>> log = airpuck.fly(Off(), airpuck.Twin(model), duration=0.05)
+    >>> log.command.shape
+    (5, 6)
     """
 
     #: The reference that the craft tracks; by default the middle of the table.

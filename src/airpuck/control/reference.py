@@ -90,6 +90,12 @@ class SetPoint:
     ------
     InputError
         If a value is not finite.
+
+    Examples
+    --------
+    >>> recording, log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
+    >>> bool(recording["pose"].values[-1, 0] > 0.02)  # [m], on its way
+    True
     """
 
     x: float
@@ -128,6 +134,12 @@ class SetPoints:
     InputError
         If the list is empty, a set point is not three numbers, times do not increase, or a number
         is not finite.
+
+    Examples
+    --------
+    >>> points = airpuck.SetPoints([0.0, 2.0], [(0.0, 0.0, 0.0), (0.5, 0.2, 1.0)])
+    >>> points.at(2.5, 0.0).state[:3].tolist()
+    [0.5, 0.2, 1.0]
     """
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
@@ -162,6 +174,14 @@ class TimedPath:
     InputError
         If there are fewer than two poses, a pose is not three numbers, times do not increase, or a
         number is not finite.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 4.0, 41)
+    >>> circle = np.column_stack([0.3 * np.cos(t), 0.3 * np.sin(t), t])
+    >>> path = airpuck.TimedPath(t, circle)
+    >>> path.at(0.0, 0.0).state[:3].tolist()
+    [0.3, 0.0, 0.0]
     """
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
@@ -207,6 +227,13 @@ class Rendezvous:
     ------
     InputError
         If a number is not finite, or a precision is not positive.
+
+    Examples
+    --------
+    >>> meet = airpuck.Rendezvous(1.0, (0.3, 0.1, 0.0, 0.5, 0.0, 0.0))  # there after 1 s, at 0.5 m/s
+    >>> recording, log = airpuck.track(model, meet, duration=0.1)
+    >>> len(log.status)
+    10
     """
 
     def __init__(
@@ -352,13 +379,20 @@ def _checked(
 
 
 class _Entry(Section):
+    """A pose to hold from a time on."""
+
+    #: From the start of the flight.
     at_s: float
+    #: Pose.
     x_m: float
     y_m: float
     yaw_rad: float
 
 
 class _SetPointsFile(Section):
+    """Poses to fly to, one after the other."""
+
+    #: In the order of their times.
     setpoints: tuple[_Entry, ...]
 
 

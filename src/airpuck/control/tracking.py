@@ -79,6 +79,13 @@ class TrackingController(Pilot):
     ------
     InputError
         If a thrust curve falls somewhere, or the propellers cannot produce every acceleration.
+
+    Examples
+    --------
+    >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.2, 0.0, 0.0))
+    >>> controller.pose(0.0, np.zeros(3))
+    >>> controller.step(0.0).status
+    'scaled'
     """
 
     def __init__(

@@ -80,6 +80,7 @@ class SoftLimits(Section):
     #: Where the craft's centre may be: lowest x and y, highest x and y. By default the table minus
     #: the craft's radius and a margin.
     fence_m: tuple[float, float, float, float] | None = None
+    #: Smallest distance of the craft's edge from the rails.
     margin_m: NonNegative = 0.004
     #: A moving craft must also be inside the fence this much later, because commands may get lost.
     headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.05
@@ -111,7 +112,9 @@ def _listed(value: Any) -> Any:
 class Regulator(Section):
     """Choice of the law, and settings of the predictive one."""
 
+    #: ``lqr``, ``mpc`` or a law of your own; what follows is for ``mpc``.
     kind: Annotated[str, pydantic.AfterValidator(check_law)] = "lqr"
+    #: How far it predicts, in steps of step_s; at most 80 steps.
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
     step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
     #: Number of steps per command, block after block; the last number repeats. A single number
@@ -179,6 +182,7 @@ class Estimation(Section):
 class Modulation(Section):
     """How the duty cycles of on/off thrusters become pulses."""
 
+    #: Form of the pulses.
     kind: Literal["pulse_width", "sigma_delta"] = "pulse_width"
     #: Period of the pulses, for a craft that takes switches.
     period_s: Annotated[float, pydantic.Field(ge=0.01, le=2)] = 0.1
@@ -201,6 +205,14 @@ class Tuning(Section):
         Settings of the state estimator.
     modulation : Modulation
         Pulses of on/off thrusters; without effect on propellers.
+
+    Examples
+    --------
+    >>> from airpuck.control.tuning import default_tuning
+    >>> tuning = default_tuning()
+    >>> isinstance(tuning, airpuck.Tuning), tuning.period_s
+    (True, 0.01)
+    >>> tuning.save("tuning.toml")
     """
 
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
@@ -289,6 +301,13 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
     ------
     InputError
         If the file cannot be read or a field is wrong.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("tuning.toml").write_text('regulator.kind = "mpc"')
+    >>> airpuck.read_tuning("tuning.toml").regulator.kind
+    'mpc'
     """
     return read_toml(path, Tuning, base=default_tuning())
 

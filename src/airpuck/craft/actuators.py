@@ -32,6 +32,7 @@ _NO_SPEED = 1e-12
 class Propellers(Section):
     """Propellers: motors that follow any command; the thrust curve is a polynomial."""
 
+    #: This kind.
     kind: Literal["propeller"] = "propeller"
 
     #: Time from the driver to the force [s], and shortest pulse [s].
@@ -65,6 +66,7 @@ class Propellers(Section):
 class OnOff(Section):
     """Valves: full force (``nominal.thrust_N``) or none, by switches or by duty cycles."""
 
+    #: This kind.
     kind: Literal["on_off"]
     #: From switching to the beginning of the change of the force.
     dead_time_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0

@@ -85,7 +85,7 @@ class Puck(Section):
     Attributes
     ----------
     radius_m, mass_kg : float
-        Radius of the disc.
+        Radius and mass of the disc.
     inertia_kg_m2 : float, optional
         About the vertical axis through the centre; the default is a homogeneous disc.
     drag_1_s : float
@@ -152,6 +152,7 @@ class Mallet(Section):
     radius_m: Positive = 0.04815
     #: Largest speed of a hand.
     speed_m_s: Positive = 4.0
+    #: Largest acceleration of a hand.
     acceleration_m_s2: Positive = 40.0
 
 
@@ -168,6 +169,12 @@ class AirHockey(Section):
         The puck.
     mallet : Mallet
         The human's mallet.
+
+    Examples
+    --------
+    >>> play = airpuck.AirHockey()
+    >>> play.table.length_m, play.puck.radius_m
+    (2.2, 0.03165)
     """
 
     table: Table = Table()
@@ -223,5 +230,12 @@ def read_table(path: str | os.PathLike[str]) -> AirHockey:
     ------
     InputError
         If the file cannot be read or a field is wrong.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("table.toml").write_text("puck.mass_kg = 0.012")
+    >>> airpuck.read_table("table.toml").puck.mass_kg
+    0.012
     """
     return read_toml(path, AirHockey, base=AirHockey())

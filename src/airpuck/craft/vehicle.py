@@ -111,6 +111,12 @@ class Vehicle(Section):
         Kind of the actuators; by default propellers.
     nominal : Nominal
         Starting values for identification.
+
+    Examples
+    --------
+    >>> vehicle = airpuck.default_vehicle()
+    >>> isinstance(vehicle, airpuck.Vehicle), len(vehicle.propellers)
+    (True, 6)
     """
 
     name: str
@@ -342,6 +348,12 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     ------
     InputError
         If the file cannot be read or a field is wrong.
+
+    Examples
+    --------
+    >>> airpuck.default_vehicle().save("vehicle.toml")
+    >>> airpuck.read_vehicle("vehicle.toml") == airpuck.default_vehicle()
+    True
     """
     return read_toml(path, Vehicle)
 
@@ -353,6 +365,11 @@ def default_vehicle() -> Vehicle:
     -------
     Vehicle
         Six propellers in three opposing pairs, 137.7 g.
+
+    Examples
+    --------
+    >>> airpuck.default_vehicle().propeller_names[0]
+    'motor_a_1'
     """
     return read_packaged("holohover.toml", Vehicle)
 

@@ -27,6 +27,12 @@ class Measurement:
         Pose (also of the puck and the mallet): x, y [m], yaw [rad]. IMU: acceleration along the
         body's x, y, z [m/s²], angular velocity about them [rad/s]. Mouse: velocity along the body's
         x, y [m/s].
+
+    Examples
+    --------
+    >>> pose = airpuck.Measurement("pose", 0.25, np.array([0.1, -0.2, 1.0]))
+    >>> pose.stamp
+    0.25
     """
 
     kind: Kind

@@ -51,6 +51,12 @@ class Span:
         The reason, in a few words: ``gap``, ``frozen pose``, ….
     confidence : float, default 1
         Probability of the cause; 1 if it was measured.
+
+    Examples
+    --------
+    >>> hit = airpuck.Span(1.0, 1.2, "somebody pushed it")
+    >>> trajectory.leave_out([hit]).excluded[-1].cause
+    'somebody pushed it'
     """
 
     start: float
@@ -92,6 +98,16 @@ class Trajectory:
         Problems found by preprocessing that do not prevent the use of the data.
     vehicle : Vehicle or None
         The craft that it was preprocessed for; None if it was prepared elsewhere.
+
+    Examples
+    --------
+    >>> isinstance(trajectory, airpuck.Trajectory)
+    True
+    >>> trajectory.state.shape[1], trajectory.input.shape[1]
+    (6, 6)
+    >>> early, late = trajectory.slice(0.0, 0.6), trajectory.slice(0.6, 1.0)
+    >>> bool(early.time[-1] <= late.time[0])
+    True
     """
 
     time: Float[np.ndarray, " N"]

@@ -41,6 +41,12 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     ------
     InputError
         If the file is missing, damaged, or was not written by `Trajectory.save`.
+
+    Examples
+    --------
+    >>> trajectory.save("flight.npz")
+    >>> airpuck.read_trajectory("flight.npz").propellers == trajectory.propellers
+    True
     """
     try:
         with within_means(path):

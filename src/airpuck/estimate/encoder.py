@@ -52,6 +52,12 @@ class PaperEncoder:
     indexing : {"start", "end"}
         Which command is in force between two samples: the one held at the interval's start, as in
         the rollout, or the one at its end, as in the code behind the published numbers.
+
+    Examples
+    --------
+    >>> encoder = airpuck.PaperEncoder()
+    >>> airpuck.evaluate(model, trajectory, encoder=encoder).encoder
+    'paper'
     """
 
     indexing: Literal["start", "end"] = "start"

@@ -79,6 +79,12 @@ class Drift(Result):
         Quantities that both models learned with a known error.
     notes : tuple of str
         Caveats.
+
+    Examples
+    --------
+    >>> found = airpuck.drift(fit.model, fit.model)
+    >>> isinstance(found, airpuck.Drift), any(change.moved for change in found.changes)
+    (True, False)
     """
 
     JSON = "verdicts notes changes"
@@ -123,6 +129,11 @@ def drift(earlier: Model, later: Model) -> Drift:
     ------
     InputError
         If the craft differ, or no common quantity has known errors.
+
+    Examples
+    --------
+    >>> airpuck.drift(fit.model, fit.model).verdicts[0].partition(":")[0]
+    'nothing moved'
     """
     from scipy.stats import t
 

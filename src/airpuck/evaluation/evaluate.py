@@ -147,6 +147,14 @@ class Evaluation(Result):
         The errors at the horizon, from overlapping windows.
     horizon_step : int
         Index of the step at which errors are reported, counted from 1.
+
+    Examples
+    --------
+    >>> evaluation = airpuck.evaluate(model, trajectory)
+    >>> evaluation.errors.shape[:2]  # samples ahead; x, y, yaw
+    (50, 3)
+    >>> bool(evaluation.rmse[0] < 0.01)  # [m]
+    True
     """
 
     JSON = (
@@ -244,6 +252,12 @@ def evaluate(
     InputError
         If the model is of another craft, the trajectory is shorter than one window, or the encoder
         looks further ahead than the protocol allows.
+
+    Examples
+    --------
+    >>> evaluation = airpuck.evaluate(model, trajectory)
+    >>> bool(evaluation.rmse[0] < 0.01)  # x after 0.2 s [m]
+    True
     """
     [trajectory] = as_trajectories(trajectory)
     check_propellers(model.vehicle, trajectory)
@@ -404,6 +418,12 @@ def compare(
     -------
     list of Evaluation
         One for each model, in their order.
+
+    Examples
+    --------
+    >>> paper = [airpuck.read_model(name) for name in ("paper:M0", "paper:M3")]
+    >>> [evaluation.model for evaluation in airpuck.compare(paper, trajectory)]
+    ['M0', 'M3']
     """
     return [evaluate(model, trajectory, protocol=protocol, encoder=encoder) for model in models]
 

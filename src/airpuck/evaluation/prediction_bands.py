@@ -65,6 +65,12 @@ class PredictionBands(Result):
         Half the band that should contain measured poses: the root of the sum of squares of the
         former and of 1.96 standard deviations of unmodelled effects, the initial state and the
         measured pose.
+
+    Examples
+    --------
+    >>> bands = airpuck.prediction_bands(model, trajectory)
+    >>> isinstance(bands, airpuck.PredictionBands), bands.total.shape == bands.predicted.shape
+    (True, True)
     """
 
     JSON = (
@@ -149,6 +155,12 @@ def prediction_bands(
     ------
     InputError
         If the trajectory is of another craft, or no window fits.
+
+    Examples
+    --------
+    >>> bands = airpuck.prediction_bands(model, trajectory, horizon=0.2)
+    >>> len(bands.coverage)  # x, y, yaw: percent of the poses within the bands
+    3
     """
     if known is None:
         known = innovations(model, trajectory)

@@ -86,6 +86,12 @@ class Presentation(Result):
         Method and data of the fit.
     notes : tuple of str
         Undetermined parameters, and other warnings.
+
+    Examples
+    --------
+    >>> shown = airpuck.present(model)
+    >>> isinstance(shown, airpuck.Presentation), shown.parameters[0].label
+    (True, 'I')
     """
 
     JSON = "model=name structure parameters derived notes"
@@ -129,6 +135,11 @@ def present(model: Model) -> Presentation:
     Presentation
         Structure, parameters ± standard errors with 95 % intervals, derived quantities, conditions
         of the fit, notes.
+
+    Examples
+    --------
+    >>> airpuck.present(model).parameters[0].label
+    'I'
     """
     quantities = [q for q in main_quantities(model, speeds=(0.5, 1.0)) if q.used(model)]
     return Presentation(

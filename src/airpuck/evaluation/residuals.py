@@ -224,6 +224,12 @@ class ResidualTests(Result):
         Innovations of the filter without late packets.
     late : LatePackets
         Innovations of the filter that allows for late packets, which the tests use.
+
+    Examples
+    --------
+    >>> tests = airpuck.resid(model, trajectory)
+    >>> isinstance(tests, airpuck.ResidualTests), tests.passed
+    (True, True)
     """
 
     JSON = (
@@ -288,6 +294,11 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     ------
     InputError
         If the trajectory is of another craft, or too short for this number of lags.
+
+    Examples
+    --------
+    >>> airpuck.resid(model, trajectory).passed
+    True
     """
     n, usable = len(trajectory.propellers), int(trajectory.usable.sum())
     if lags < 5 or usable < 4 * lags * n:

@@ -171,6 +171,12 @@ def design(
     fit, predictions are scaled by its ratio to the loss of the usual excitation on the twin. This
     does not apply after a robust fit, whose loss includes faults that it does not follow. If the
     model was fitted with a fixed delay, so is the twin's flight that its loss is compared with.
+
+    Examples
+    --------
+    >>> found = airpuck.design(model, duration=6.0, rehearsal=6.0, amplitudes=(1.0,), holds=(0.2,))
+    >>> found.proposal.plan.duration_s
+    6.0
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     check_seed(seed)

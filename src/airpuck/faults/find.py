@@ -70,6 +70,11 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
     which give a mean acceleration over each step of 25 ms. Residuals follow Student's distribution
     with the usual width of this recording, plus a part that grows with the change of the modelled
     acceleration, since packets come late. Both past and future count (`state_probabilities`).
+
+    Examples
+    --------
+    >>> airpuck.find_faults(trajectory, model)
+    ()
     """
     check_propellers(model.vehicle, trajectory)
     if trajectory.duration < _FEWEST * STEP:

@@ -238,6 +238,12 @@ def check_layout(
     -------
     LayoutCheck
         A verdict for each propeller, and for the layout as a whole.
+
+    Examples
+    --------
+    >>> check = airpuck.check_layout(trajectory, airpuck.default_vehicle())
+    >>> check.agrees
+    True
     """
     check_propellers(vehicle, trajectory)
     stated, forces = nominal_model(vehicle).propeller_effects, _nominal_thrusts(trajectory, vehicle)

@@ -130,6 +130,13 @@ def fly(
     InputError
         If the pilot lacks a method, its command is not one finite number for each motor, or its set
         point is beyond the rails of a link that has rails.
+
+    Examples
+    --------
+    >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.2, 0.0, 0.0))
+    >>> log = airpuck.fly(controller, airpuck.Twin(model), duration=0.5)
+    >>> log.command.shape
+    (50, 6)
     """
     check_pilot(pilot)
     border = getattr(link, "border", None)

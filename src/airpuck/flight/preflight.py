@@ -118,6 +118,12 @@ def preflight(
     -------
     Preflight
         Findings in words.
+
+    Examples
+    --------
+    >>> found = airpuck.preflight(airpuck.Twin(model), model)
+    >>> len(found.names)
+    6
     """
     pilot = PulseTest(model.vehicle, plan, table)
     fly(pilot, link, pilot.duration)

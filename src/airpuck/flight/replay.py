@@ -74,6 +74,12 @@ class Replay:
         Which commands are compared: those in the span at which the pose was known.
     span : array of bool, shape (K,)
         Which commands lie in the span.
+
+    Examples
+    --------
+    >>> result = airpuck.replay(recording, model)
+    >>> isinstance(result, airpuck.Replay), result.computed.shape == result.sent.shape
+    (True, True)
     """
 
     time: Float[np.ndarray, " K"]
@@ -170,6 +176,12 @@ def replay(
     ------
     InputError
         If a stream is missing or cannot be used.
+
+    Examples
+    --------
+    >>> result = airpuck.replay(recording, model)
+    >>> result.correlation.shape
+    (6,)
     """
     tuning = tuning or default_tuning()
     if fit_gains and tuning.regulator.kind != "lqr":

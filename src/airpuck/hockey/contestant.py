@@ -64,6 +64,11 @@ def contestant(name: str) -> Contestant:
     ------
     InputError
         If the player or its level is unknown.
+
+    Examples
+    --------
+    >>> airpuck.contestant("airpuck:easy").name
+    'airpuck:easy'
     """
     kind, colon, level = name.partition(":")
     if kind in HANDS:

@@ -175,6 +175,14 @@ class Game:
     ------
     InputError
         If a contestant cannot play.
+
+    Examples
+    --------
+    >>> rules = airpuck.Rules(limit_s=0.1)
+    >>> game = airpuck.Game(airpuck.contestant("airpuck"), airpuck.contestant("human"), rules=rules)
+    >>> game.play()
+    >>> game.score
+    (0, 0)
     """
 
     def __init__(

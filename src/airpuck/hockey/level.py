@@ -35,6 +35,12 @@ class Level:
     ------
     InputError
         If a number is out of range.
+
+    Examples
+    --------
+    >>> easy = airpuck.Level(thrust=0.6, reaction_s=0.15)
+    >>> easy.thrust
+    0.6
     """
 
     thrust: float = 1.0

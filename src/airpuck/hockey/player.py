@@ -91,6 +91,13 @@ class Player(Pilot):
     ------
     InputError
         If the side is neither -1 nor 1, or the craft cannot be controlled.
+
+    Examples
+    --------
+    >>> player = airpuck.Player(model, airpuck.AirHockey(), level=airpuck.Level(thrust=0.8))
+    >>> log = airpuck.fly(player, airpuck.Twin(model, puck=airpuck.PuckState(0.0, 0.0)), duration=0.1)
+    >>> len(log.status)
+    10
     """
 
     def __init__(

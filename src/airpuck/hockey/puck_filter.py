@@ -85,6 +85,14 @@ class PuckFilter:
         Number of unused poses.
     model : PuckModel
         Table and puck as they are known by now.
+
+    Examples
+    --------
+    >>> puck = airpuck.PuckFilter(airpuck.AirHockey())
+    >>> for k in range(10):
+    ...     puck.pose(0.01 * k, np.array([0.01 * k, 0.0, 0.0]))  # 1 m/s along x
+    >>> puck.belief.mean[3:5].round(1).tolist()
+    [1.0, 0.0]
     """
 
     def __init__(

@@ -39,6 +39,12 @@ class Rules(Settings):
     ------
     InputError
         If a number is out of range.
+
+    Examples
+    --------
+    >>> rules = airpuck.Rules(goals=3, limit_s=60.0)
+    >>> rules.goals
+    3
     """
 
     HEADING: ClassVar = ""

@@ -126,6 +126,12 @@ def skills(
     InputError
         If the table has no room for the craft beside the puck, or for the initial positions, or the
         tactic cannot be made.
+
+    Examples
+    --------
+    >>> found = airpuck.skills(model, episodes=1, names=("defend",))
+    >>> found["defend"].episodes
+    1
     """
     stage = make_stage(model, settings, None if tactic is None else tactic_maker(tactic))
     found = {}

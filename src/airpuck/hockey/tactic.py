@@ -103,6 +103,14 @@ class View:
         The craft's shortest times from one state to another.
     rival : Rival
         What is known of the opponent by now.
+
+    Examples
+    --------
+    >>> class Watcher:
+    ...     def decide(self, view: airpuck.View):
+    ...         x, y, yaw = view.pitch.home  # in the craft's own frame
+    ...         return airpuck.Intention("defend", airpuck.SetPoint(x, y, yaw))
+    ...
     """
 
     time: float
@@ -133,6 +141,12 @@ class Intention:
         Probability of scoring.
     avoid : tuple of float, optional
         A disc that the craft's centre must avoid, such as one around the puck: x, y, radius [m].
+
+    Examples
+    --------
+    >>> intention = airpuck.Intention("defend", airpuck.SetPoint(-0.9, 0.0, 0.0))
+    >>> intention.kind
+    'defend'
     """
 
     kind: Kind
@@ -148,6 +162,14 @@ class Tactic(Protocol):
     """Decides what the craft does; it may keep a memory.
 
     Every game begins with a new object.
+
+    Examples
+    --------
+    >>> class Goalie(airpuck.Tactic):
+    ...     def decide(self, view):
+    ...         return airpuck.Intention("defend", airpuck.SetPoint(-0.9, 0.0, 0.0))
+    ...
+    >>> player = airpuck.Player(model, airpuck.AirHockey(), Goalie())
     """
 
     def decide(self, view: View) -> Intention:

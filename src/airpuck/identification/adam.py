@@ -45,6 +45,12 @@ class Adam:
         Weight w_reg of the penalty on falling thrust curves; 0: no penalty.
     seed : int
         Seed of the split and of the batches.
+
+    Examples
+    --------
+    >>> method = airpuck.Adam(learning_rate=0.002, epochs=5)  # for airpuck.identify(…, method=method)
+    >>> method.epochs
+    5
     """
 
     learning_rate: float | None = None

@@ -58,6 +58,12 @@ def bootstrap(
     InputError
         If the fit used another method, there are too few blocks of time, or fewer than two fits
         converged.
+
+    Examples
+    --------
+    >>> fit = airpuck.bootstrap(fit, 10, seed=1)  # in earnest a few hundred
+    >>> fit.uncertainty.bootstrap.replicates
+    10
     """
     replace(numbers.REPLICATES, low=2).check(replicates, "bootstrap")
     numbers.SEED.check(seed, "seed")

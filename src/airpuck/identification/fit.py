@@ -102,6 +102,13 @@ def identify(
     ------
     InputError
         If the data do not fit the vehicle or are too short, or the model does not exist.
+
+    Examples
+    --------
+    >>> fit = airpuck.identify(trajectory, "M0")
+    >>> fit.converged
+    True
+    >>> fit.model.save("model.toml")
     """
     began = time.perf_counter()
     if isinstance(method, str):
@@ -166,6 +173,12 @@ def identifiability(
     ------
     InputError
         If the data do not fit the vehicle or are too short, or the model does not exist.
+
+    Examples
+    --------
+    >>> found = airpuck.identifiability(trajectory, "M0")
+    >>> found.rank == found.free
+    True
     """
     problem = Problem.of(
         trajectories, model, vehicle=vehicle, initial=initial, loss=loss, preparation=preparation

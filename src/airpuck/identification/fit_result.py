@@ -59,6 +59,12 @@ class Fit(Result):
         Arrival times of single packets in each recording; empty if the delay was not learned.
     objective : PredictionLoss or None
         The loss that was minimised last, with its windows and weights; `identify` always sets it.
+
+    Examples
+    --------
+    >>> isinstance(fit, airpuck.Fit), fit.converged, fit.windows > 100
+    (True, True, True)
+    >>> fit.model.save("model.toml")
     """
 
     JSON = (

@@ -41,6 +41,12 @@ class LevenbergMarquardt:
         Whether thrust curves must rise.
     damping : float
         Initial damping, relative to the diagonal of the Hessian.
+
+    Examples
+    --------
+    >>> method = airpuck.LevenbergMarquardt(max_iterations=1)
+    >>> airpuck.identify(trajectory, "M0", method=method).converged
+    False
     """
 
     max_iterations: int = 50

@@ -156,6 +156,21 @@ def identify_puck(
     ------
     InputError
         If a recording has no puck, or the puck barely moves.
+
+    Examples
+    --------
+    >>> def slide(seed):
+    ...     t = np.arange(0.0, 1.5, 1 / 240)
+    ...     x = 4.0 * (1 - np.exp(-0.2 * t)) - 0.5  # from 0.8 m/s, with a drag of 0.2 1/s
+    ...     noise = np.random.default_rng(seed).normal(0.0, 5e-5, (len(t), 3))
+    ...     stamp = (1e9 * t).astype(np.int64)
+    ...     poses = np.column_stack([x, 0 * t, 0 * t]) + noise
+    ...     puck = airpuck.Stream(stamp, stamp, poses, ("x_m", "y_m", "yaw_rad"))
+    ...     return airpuck.Recording({"puck": puck}, f"slide {seed}")
+    ...
+    >>> fit = airpuck.identify_puck([slide(1), slide(2)])
+    >>> 0.15 < fit.play.puck.drag_1_s < 0.25
+    True
     """
     play = play or AirHockey()
     listed = [recordings] if isinstance(recordings, Recording) else list(recordings)

@@ -128,6 +128,13 @@ class Selection(Result):
         Start time of each held-out prediction [s].
     horizon : float
         Time from the start of a prediction to its error [s].
+
+    Examples
+    --------
+    >>> long = airpuck.preprocess(airpuck.excite(model, 20.0, seed=1))
+    >>> selection = airpuck.select_model(long, ladder=("M0", "M2"))
+    >>> isinstance(selection, airpuck.Selection), [rung.name for rung in selection.candidates]
+    (True, ['M0', 'M2'])
     """
 
     JSON = (
@@ -188,6 +195,13 @@ def select_model(
     ------
     InputError
         If the data do not fit the vehicle, or are too short for this number of blocks.
+
+    Examples
+    --------
+    >>> long = airpuck.preprocess(airpuck.excite(model, 20.0, seed=1))
+    >>> selection = airpuck.select_model(long, ladder=("M0", "M2"))
+    >>> selection.best.name
+    'M2'
     """
     loss, preparation = loss or Loss(), preparation or Preparation()
     if loss.whole:

@@ -91,6 +91,12 @@ class Loss(Settings):
     robust : bool
         Whether poorly predicted windows count less, so that unmarked faults have little influence.
         `LevenbergMarquardt` only.
+
+    Examples
+    --------
+    >>> loss = airpuck.Loss(robust=True)  # less weight for badly predicted windows
+    >>> loss.robust
+    True
     """
 
     HEADING: ClassVar = "Prediction errors to minimise"
@@ -246,6 +252,12 @@ class Preparation(Settings):
         How often commands are moved to the arrival of their packets, and velocities smoothed with
         the model, using the previous fit (`airpuck.identification.retiming`). Applies if the delay
         is learned and motors lag.
+
+    Examples
+    --------
+    >>> keep = airpuck.Preparation(faults="keep", delay="fixed")
+    >>> airpuck.identify(trajectory, "M0", preparation=keep).exclusion is None
+    True
     """
 
     HEADING: ClassVar = "Preparation of the recordings"

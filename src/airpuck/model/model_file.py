@@ -73,6 +73,15 @@ class Model:
         Uncertainty of the parameters, if they were learned here.
     delay_jitter : DelayJitter or None
         Spread of the transport delay between packets, if it was learned here.
+
+    Examples
+    --------
+    >>> isinstance(model, airpuck.Model), model.name
+    (True, 'M3')
+    >>> rest = np.zeros(12)  # x, y, yaw, their rates, six motor speeds
+    >>> flown = model.simulate(rest, np.full((10, 6), 0.5), period=0.01)
+    >>> flown.shape
+    (10, 12)
     """
 
     name: str
@@ -367,17 +376,32 @@ class Model:
 
 
 class _ModelFile(Section):
+    """A craft with known parameters; every number is read back bit for bit."""
+
     format: Literal["airpuck model 1"]
+    #: The rung.
     name: str
+    #: Origin of the numbers.
     source: str = ""
+    #: Frame in which the offset of the centre of mass is constant.
     center_of_mass_frame: CenterOfMassFrame = "body"
+    #: ``end`` as in the code behind the published numbers.
     encoder_indexing: Literal["start", "end"] = "start"
+    #: Values of the parameters.
     parameters: ParametersSection
+    #: What was learned: true, false, or one boolean for each entry. Its keys are names of
+    #: quantities without units, such as ``thrust``. A missing key means not learned.
     free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
+    #: The fit: loss, iterations, method, windows and lengths (in samples), faults left out, choice
+    #: of the rung, version of airpuck.
     fit: dict[str, Any] = pydantic.Field(default_factory=dict)
+    #: SHA-256 of every file that the model was learned from.
     data: dict[str, str] = pydantic.Field(default_factory=dict)
+    #: Standard errors and covariance, of an identified model.
     uncertainty: UncertaintySection | None = None
+    #: Of a learned delay: how much it differs between packets.
     delay_jitter: DelayJitter | None = None
+    #: The vehicle file.
     vehicle: Vehicle
 
 
@@ -399,6 +423,13 @@ def read_model(name: str | os.PathLike[str]) -> Model:
     ------
     InputError
         If there is no such model, or a field is wrong.
+
+    Examples
+    --------
+    >>> model = airpuck.read_model("paper:M3")
+    >>> model.save("model.toml")
+    >>> airpuck.read_model("model.toml").name
+    'M3'
     """
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))

@@ -34,6 +34,14 @@ class Parameters(_Values):
 
     Values are numbers or arrays: real, complex or traced by JAX, in the units of the quantities'
     keys.
+
+    Examples
+    --------
+    >>> isinstance(model.parameters, airpuck.Parameters)
+    True
+    >>> heavier = model.parameters.with_vector(1.01 * model.parameters.to_vector())
+    >>> round(float(heavier.inertia / model.parameters.inertia), 2)
+    1.01
     """
 
     @property

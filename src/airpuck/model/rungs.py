@@ -148,6 +148,12 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     ------
     InputError
         If a rung or term is unknown.
+
+    Examples
+    --------
+    >>> rung = airpuck.named_rung("M3+drag", degree=2)
+    >>> rung.name
+    'M3+drag'
     """
     base, *terms = name.split("+")
     if base not in RUNGS:

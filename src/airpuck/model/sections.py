@@ -109,8 +109,10 @@ def _array(rows: tuple[Any, ...]) -> np.ndarray | None:
 class BootstrapSection(NanSection):
     """The table ``[uncertainty.bootstrap]``."""
 
+    #: Number of fits to resampled data, and the seed of the resampling.
     replicates: int = pydantic.Field(ge=0)
     seed: int
+    #: Ends of the 95 % intervals, in the order of the labels.
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
@@ -119,12 +121,19 @@ class UncertaintySection(NanSection):
     """The table ``[uncertainty]``; `labels` names rows and columns of the covariance."""
 
     method: Literal["sandwich"] = "sandwich"
+    #: Number of independent blocks of time.
     clusters: int = pydantic.Field(ge=0)
+    #: Half width of a 95 % interval, in standard errors.
     quantile_95: float
+    #: Sentences.
     notes: tuple[str, ...] = ()
+    #: Parameters with an uncertainty.
     labels: tuple[str, ...]
+    #: In the order of the labels.
     covariance: Rows
+    #: Directions that the data do not determine, one in each row.
     undetermined: Rows = ()
+    #: The keys of ``[parameters]``.
     standard_errors: StandardErrors
     bootstrap: BootstrapSection | None = None
 

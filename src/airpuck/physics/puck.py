@@ -90,7 +90,14 @@ def contact_impulse(
 
 
 class PuckState(NamedTuple):
-    """Position and motion of a puck."""
+    """Position and motion of a puck.
+
+    Examples
+    --------
+    >>> puck = airpuck.PuckState(0.2, 0.0, vx=-1.0)
+    >>> puck.vx, puck.spin
+    (-1.0, 0.0)
+    """
 
     #: [m, m, rad].
     x: float

@@ -66,6 +66,13 @@ class Plan(Result):
         Points that the craft passes, in this order [m].
     keep_out : tuple of (x, y, radius)
         Discs that the craft avoids [m].
+
+    Examples
+    --------
+    >>> plan = airpuck.plan(model, (0, 0, 0), (0.3, 0, 0))
+    >>> isinstance(plan, airpuck.Plan), bool(plan.lower_bound < plan.duration)
+    (True, True)
+    >>> controller = airpuck.TrackingController(model, plan.starting(2.0))  # a plan is a reference
     """
 
     JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread"
@@ -228,14 +235,24 @@ class Plan(Result):
 
 
 class _PlanFile(Section):
+    """A time-optimal flight."""
+
     format: Literal["airpuck plan 1"]
+    #: Names of the columns of the commands.
     motors: tuple[str, ...]
+    #: Lower bound on the time of any such flight; missing where none is known.
     lower_bound_s: float | None = None
+    #: Fraction of thrust reserved for feedback.
     reserve: float
+    #: Points to pass, in order.
     via_m: tuple[tuple[float, float], ...] = ()
+    #: Discs to avoid: x and y of the centre, radius.
     keep_out_m: tuple[tuple[float, float, float], ...] = ()
+    #: Times of the states.
     times_s: tuple[float, ...]
+    #: x, y, yaw, their rates, motor speeds.
     states: tuple[tuple[float, ...], ...]
+    #: Commands at the motors between these times, without the transport delay.
     commands: tuple[tuple[float, ...], ...]
 
 
@@ -258,6 +275,12 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
     ------
     InputError
         If the file cannot be read, is damaged, or is for other motors.
+
+    Examples
+    --------
+    >>> airpuck.plan(model, (0, 0, 0), (0.3, 0, 0)).save("plan.toml")
+    >>> airpuck.read_plan("plan.toml", model).duration < 1.0
+    True
     """
     content = read_toml(path, _PlanFile)
     if content.motors != model.vehicle.propeller_names:
@@ -326,6 +349,12 @@ def plan(
     ------
     InputError
         If the request is invalid or infeasible, or if no start converged.
+
+    Examples
+    --------
+    >>> plan = airpuck.plan(model, (0, 0, 0), airpuck.Goal(0.3, 0.1, yaw=None))
+    >>> 0.3 < plan.lower_bound < plan.duration < 1.0
+    True
     """
     numbers.INTERVALS.check(intervals, "intervals")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())

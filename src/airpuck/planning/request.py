@@ -52,6 +52,12 @@ class Goal:
     turn : {"shorter", "exact"}, default "shorter"
         Whether the craft turns the shorter way to the yaw; otherwise the yaw is continuous, whole
         turns included.
+
+    Examples
+    --------
+    >>> goal = airpuck.Goal(0.3, 0.1, yaw=None)  # any yaw
+    >>> goal.velocity
+    (0.0, 0.0, 0.0)
     """
 
     x: float

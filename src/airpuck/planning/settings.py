@@ -32,6 +32,12 @@ class Limits(Settings):
     ------
     InputError
         If a value is out of range.
+
+    Examples
+    --------
+    >>> limits = airpuck.Limits(reserve=0.1, speed=1.0)  # a tenth of the thrust for feedback
+    >>> limits.spin
+    15.0
     """
 
     HEADING: ClassVar = "Limits of the plan"

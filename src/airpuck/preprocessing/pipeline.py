@@ -85,6 +85,13 @@ def load_trajectory(
     ------
     InputError
         If the file cannot be read or does not fit the vehicle.
+
+    Examples
+    --------
+    >>> airpuck.write_bag(recording, "bag/")
+    >>> trajectory = airpuck.load_trajectory("bag/")
+    >>> trajectory.propellers[0]
+    'motor_a_1'
     """
     path = Path(path)
     archive = path / "data.pt" if path.is_dir() else path
@@ -136,6 +143,12 @@ def preprocess(
     InputError
         If the recording lacks a stream or holds implausible numbers, or if poses and commands do
         not overlap.
+
+    Examples
+    --------
+    >>> trajectory = airpuck.preprocess(recording)
+    >>> 0.01 < trajectory.delay < 0.03  # [s]
+    True
     """
     if delay is not None:
         numbers.DELAY.check(delay, "delay")

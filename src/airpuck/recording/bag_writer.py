@@ -56,6 +56,12 @@ def write_bag(
     -----
     Poses are stored as quaternions: `read_recording` returns the yaw in (-π, π], accurate to 1e-15.
     Everything else is read back unchanged.
+
+    Examples
+    --------
+    >>> airpuck.write_bag(recording, "bag/")
+    >>> sorted(airpuck.read_recording("bag/").streams) == sorted(recording.streams)
+    True
     """
     names = (topics or Topics()).by_stream
     codecs = {}

@@ -378,6 +378,12 @@ def write_csv(
     Notes
     -----
     Written with enough digits to be read back bit for bit.
+
+    Examples
+    --------
+    >>> airpuck.write_csv(recording, "csv/")
+    >>> airpuck.read_recording("csv/")["pose"].columns
+    ('x_m', 'y_m', 'yaw_rad')
     """
     names = (topics or Topics()).by_stream
     for stream in recording.streams:

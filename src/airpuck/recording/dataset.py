@@ -127,6 +127,14 @@ def fetch(
     InputError
         If there is no such dataset, or if a file cannot be downloaded or has unexpected content; it
         is then deleted.
+
+    Examples
+    --------
+    >>> airpuck.fetch("air-bearing-satellite", folder="satellite/")  # doctest: +SKIP
+    >>> airpuck.fetch("another")
+    Traceback (most recent call last):
+        ...
+    airpuck.boundary.errors.InputError: ...
     """
     found = dataset(name)
     given = _folder_from_environment() if folder is None and name == PAPER else None

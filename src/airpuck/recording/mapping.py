@@ -213,6 +213,12 @@ class PoseMapping(_Times):
         Centre of the table in these coordinates, along our x and y [m].
     body : str
         Rigid body, if an export contains several.
+
+    Examples
+    --------
+    >>> poses = airpuck.PoseMapping(units=("mm", "deg"), axes="Y-up")
+    >>> poses.axes
+    ('x', '-z', 'y')
     """
 
     position: tuple[Name, ...] = ()
@@ -287,6 +293,16 @@ class CommandMapping(_Times):
         The value is a bit mask of switches: the bit of each propeller, 0 for the least significant.
         If each hexadecimal digit is a switch, ``0x1010`` has the bits 12, 8, 4, 0 from left to
         right. Other bits are ignored.
+
+    Examples
+    --------
+    >>> servo = airpuck.CommandMapping(neutral=1000.0, span=1000.0)  # pulses of 1 to 2 ms
+    >>> t = np.arange(0.0, 1.0, 0.01)
+    >>> pulses = np.full((100, 6), 1250.0)
+    >>> mapping = airpuck.RecordingMapping(command=servo)
+    >>> recording = airpuck.Recording.from_arrays(t, np.zeros((100, 3)), t, pulses, mapping=mapping)
+    >>> recording["command"].values[0].tolist()
+    [0.25, 0.25, 0.25, 0.25, 0.25, 0.25]
     """
 
     values: tuple[Name, ...] = ()
@@ -330,6 +346,12 @@ class RecordingMapping(Section):
         Poses of the puck, if they are mapped differently. Without an orientation, positions alone.
     command : CommandMapping
         Commands.
+
+    Examples
+    --------
+    >>> mapping = airpuck.RecordingMapping(pose=airpuck.PoseMapping(units=("mm", "deg")))
+    >>> mapping.pose.units
+    ('mm', 'deg')
     """
 
     topics: Topics = Topics()
@@ -377,6 +399,13 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     ------
     InputError
         If the file cannot be read or a field is wrong.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("lab.toml").write_text('pose.units = ["mm", "deg"]')
+    >>> airpuck.read_mapping("lab.toml").pose.units
+    ('mm', 'deg')
     """
     return read_toml(path, RecordingMapping)
 

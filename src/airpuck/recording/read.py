@@ -58,8 +58,8 @@ def read_recording(
 
     Examples
     --------
-    >>> recording = read_recording("flight_07")  # doctest: +SKIP
-    >>> recording["pose"].columns  # doctest: +SKIP
+    >>> airpuck.write_bag(recording, "bag/")
+    >>> airpuck.read_recording("bag/")["pose"].columns
     ('x_m', 'y_m', 'yaw_rad')
     """
     with within_means(path):

@@ -56,6 +56,14 @@ class Stream:
         The numbers, in SI units and our axes.
     columns : tuple of str
         Names of the k columns.
+
+    Examples
+    --------
+    >>> poses = recording["pose"]
+    >>> isinstance(poses, airpuck.Stream), poses.columns
+    (True, ('x_m', 'y_m', 'yaw_rad'))
+    >>> poses.values.shape == (len(poses.stamp_ns), 3)
+    True
     """
 
     stamp_ns: Int64[np.ndarray, " N"]
@@ -107,6 +115,15 @@ class Recording:
         Minor problems in the files.
     about : mapping of str to str
         Facts that the recorder stored with a bag, such as the players of a game.
+
+    Examples
+    --------
+    >>> isinstance(recording, airpuck.Recording)
+    True
+    >>> sorted(recording.streams)
+    ['command', 'imu', 'mouse', 'pose', 'reference']
+    >>> recording["pose"].values.shape[1]  # x, y, yaw
+    3
     """
 
     streams: Mapping[str, Stream]

@@ -65,7 +65,8 @@ def animate(
 
     Examples
     --------
-    >>> animate(read_recording("flight_07"), "flight.gif", span=(0.2, 0.8))  # doctest: +SKIP
+    >>> airpuck.animate(recording, "flight.gif", span=(0.0, 0.02)).name
+    'flight.gif'
     """
     target = Path(path)
     suffix = target.suffix.lower()

@@ -1,6 +1,12 @@
 """Figures of the reports in a user's axes: `airpuck.plot`.
 
 Without axes, a function creates a pyplot figure, which a notebook displays.
+
+Examples
+--------
+>>> axes = airpuck.plot.thrust(model)
+>>> axes.get_ylabel()
+'thrust [N]'
 """
 
 from __future__ import annotations

@@ -158,6 +158,14 @@ def reproduce(
     InputError
         If a recording is missing or damaged, or the folder cannot be written to. Files are
         written only after all computations.
+
+    Examples
+    --------
+    >>> airpuck.reproduce(None, "out/")  # doctest: +SKIP
+    >>> airpuck.reproduce("not_there/", "out/")
+    Traceback (most recent call last):
+        ...
+    airpuck.boundary.errors.InputError: ...
     """
     started = time.perf_counter()
     training, validation = _experiments(data)

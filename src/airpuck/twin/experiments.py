@@ -83,6 +83,12 @@ def excite(
     ------
     InputError
         If a number is out of range.
+
+    Examples
+    --------
+    >>> recording = airpuck.excite(model, duration=1.0, seed=1)
+    >>> sorted(recording.streams)
+    ['command', 'imu', 'mouse', 'pose', 'reference']
     """
     each = tuple(amplitude) if isinstance(amplitude, Sequence) else amplitude
     try:
@@ -184,6 +190,12 @@ def track(
     ------
     InputError
         If a number is out of range.
+
+    Examples
+    --------
+    >>> recording, log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
+    >>> "reference" in recording.streams
+    True
     """
     _check_duration(duration, tuning)
     if gain is not None and (np.shape(gain) != (3, 6) or not np.isfinite(gain).all()):

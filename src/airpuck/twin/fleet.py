@@ -132,6 +132,12 @@ def fly_fleet(
     -----
     The steps equal those of a `Twin` with its on-board sensors off; the states agree up to
     rounding. Runs on JAX's default device.
+
+    Examples
+    --------
+    >>> fleet = airpuck.fly_fleet(model, np.full((10, 6), 0.2), seeds=(1, 2))
+    >>> fleet.state.shape[-1]  # craft
+    2
     """
     settings = settings or default_twin_settings()
     models = (models,) if isinstance(models, Model) else tuple(models)

@@ -164,6 +164,13 @@ class TwinSettings(AirHockey):
         Optional physics.
     motors : Motors
         Arming, stalls.
+
+    Examples
+    --------
+    >>> from airpuck.twin.settings import default_twin_settings
+    >>> settings = default_twin_settings()
+    >>> isinstance(settings, airpuck.TwinSettings), settings.motion_capture.rate_hz
+    (True, 240.0)
     """
 
     radio: Radio
@@ -219,6 +226,13 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     ------
     InputError
         If the file cannot be read or a field is wrong.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> _ = Path("twin.toml").write_text("radio.loss = 0.1")
+    >>> airpuck.read_twin_settings("twin.toml").radio.loss
+    0.1
     """
     return read_toml(path, TwinSettings, base=default_twin_settings())
 

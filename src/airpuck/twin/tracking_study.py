@@ -187,6 +187,12 @@ def tracking_study(
     InputError
         If a model does not fit the twin, a recording lacks a stream, a set point is beyond the
         rails, or the pilot is invalid.
+
+    Examples
+    --------
+    >>> (flown,) = airpuck.tracking_study([model], model, flights=(None,), dwell=0.1)
+    >>> 0 < flown.clearance.min() < 0.55  # [m] from the rails
+    True
     """
     tuning = tuning or default_tuning()
     settings = settings or default_twin_settings()

@@ -61,6 +61,12 @@ class Twin:
     InputError
         If the seed is invalid, the craft or the puck would not be on the table, or a shared world
         lacks a puck or, when time passes, a second disc.
+
+    Examples
+    --------
+    >>> twin = airpuck.Twin(model, seed=1, pose=(0.1, 0.0, 0.0))
+    >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.2, 0.0, 0.0))
+    >>> log = airpuck.fly(controller, twin, duration=0.1)
     """
 
     def __init__(

@@ -1,0 +1,42 @@
+"""Every public name has an example in its docstring, and it runs."""
+
+import doctest
+import inspect
+
+import numpy as np
+import pytest
+
+import airpuck
+
+#: Names that examples may use; `docs/_ext/reference_pages.py` tells readers.
+MODEL = "paper:M3"
+FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
+
+
+@pytest.fixture(scope="module")
+def shared():
+    model = airpuck.read_model(MODEL)
+    recording = airpuck.excite(model, 10.0, seed=1)
+    trajectory = airpuck.preprocess(recording)
+    fit = airpuck.identify(trajectory, "M0")
+    return {
+        "airpuck": airpuck,
+        "np": np,
+        "model": model,
+        "recording": recording,
+        "trajectory": trajectory,
+        "fit": fit,
+    }
+
+
+@pytest.mark.parametrize("name", airpuck.__all__)
+def test_the_example_of_a_public_name_runs(name, shared, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = inspect.getdoc(getattr(airpuck, name)) or ""
+    assert ">>> " in text, "no example"
+    found = doctest.DocTestParser().get_doctest(text, dict(shared), name, None, None)
+    run = [one for one in found.examples if doctest.SKIP not in one.options]
+    assert any(name in one.source for one in run), "the example does not use it"
+    said: list[str] = []
+    doctest.DocTestRunner(optionflags=FLAGS).run(found, out=said.append)
+    assert not said, "".join(said)
