@@ -8,14 +8,15 @@ import pytest
 
 import airpuck
 
-#: Names that examples may use; `docs/_ext/reference_pages.py` tells readers.
-MODEL = "paper:M3"
+#: Examples that take over 1.5 s alone.
+SLOW = {"Game", "PredictionBands", "ResidualTests", "Selection", "animate", "plan", "resid"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 
 
 @pytest.fixture(scope="module")
 def shared():
-    model = airpuck.read_model(MODEL)
+    """Names that examples may use; `docs/_ext/reference_pages.py` tells readers."""
+    model = airpuck.read_model("paper:M3")
     recording = airpuck.excite(model, 10.0, seed=1)
     trajectory = airpuck.preprocess(recording)
     fit = airpuck.identify(trajectory, "M0")
@@ -29,7 +30,10 @@ def shared():
     }
 
 
-@pytest.mark.parametrize("name", airpuck.__all__)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in airpuck.__all__],
+)
 def test_the_example_of_a_public_name_runs(name, shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = inspect.getdoc(getattr(airpuck, name)) or ""

@@ -42,13 +42,14 @@ def test_the_site_builds_without_a_warning(tmp_path):
 
 def texts(source: str) -> set[str]:
     """All strings of a module; `…` stands for what an f-string inserts."""
-    strings = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.JoinedStr)]
-    parts = (
-        "".join(v.value if isinstance(v, ast.Constant) else "…" for v in node.values)  # pyright: ignore
-        for node in strings
-    )
-    plain = (n.value for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Constant))
-    return {*parts, *(text for text in plain if isinstance(text, str))}
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.JoinedStr):
+            parts = (p.value if isinstance(p, ast.Constant) else "…" for p in node.values)
+            found.add("".join(map(str, parts)))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+    return found
 
 
 def test_each_message_that_troubleshooting_quotes_is_one_of_ours():

@@ -12,6 +12,18 @@ import airpuck
 
 #: Pages outside docs/ that are part of the site, by their link.
 _OUTSIDE = {"../examples/README.md": "examples.md"}
+#: What the examples use; tests/test_docstring_examples.py runs them.
+_SHARED = """Examples begin with:
+
+```python
+import airpuck
+import numpy as np
+
+model = airpuck.read_model("paper:M3")
+recording = airpuck.excite(model, 10.0, seed=1)
+trajectory = airpuck.preprocess(recording)
+fit = airpuck.identify(trajectory, "M0")
+```"""
 #: Functions of `airpuck.export`, whose kinds are modules of their own.
 _EXPORTS = (
     "write",
@@ -63,7 +75,7 @@ def _groups() -> dict[str, list[str]]:
 
 def _contents() -> str:
     """List the public names with their first sentences."""
-    lines = ["# Python reference", "", "All names are attributes of `airpuck`.", ""]
+    lines = ["# Python reference", "", "All names are attributes of `airpuck`.", "", _SHARED, ""]
     for package, names in _groups().items():
         lines += [f"## {package}", "", "| | |", "|---|---|"]
         for name in names:

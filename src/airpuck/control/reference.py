@@ -230,7 +230,7 @@ class Rendezvous:
 
     Examples
     --------
-    >>> meet = airpuck.Rendezvous(1.0, (0.3, 0.1, 0.0, 0.5, 0.0, 0.0))  # there after 1 s, at 0.5 m/s
+    >>> meet = airpuck.Rendezvous(1.0, (0.3, 0.1, 0.0, 0.5, 0.0, 0.0))  # after 1 s, at 0.5 m/s
     >>> recording, log = airpuck.track(model, meet, duration=0.1)
     >>> len(log.status)
     10

@@ -174,9 +174,12 @@ def design(
 
     Examples
     --------
-    >>> found = airpuck.design(model, duration=6.0, rehearsal=6.0, amplitudes=(1.0,), holds=(0.2,))
-    >>> found.proposal.plan.duration_s
-    6.0
+    >>> found = airpuck.design(model, duration=60.0)  # doctest: +SKIP
+    >>> found.proposal.plan.save("plan.toml")  # doctest: +SKIP
+    >>> airpuck.design(model, duration=1.0)
+    Traceback (most recent call last):
+        ...
+    airpuck.boundary.errors.InputError: ...
     """
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     check_seed(seed)

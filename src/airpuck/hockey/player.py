@@ -95,7 +95,8 @@ class Player(Pilot):
     Examples
     --------
     >>> player = airpuck.Player(model, airpuck.AirHockey(), level=airpuck.Level(thrust=0.8))
-    >>> log = airpuck.fly(player, airpuck.Twin(model, puck=airpuck.PuckState(0.0, 0.0)), duration=0.1)
+    >>> twin = airpuck.Twin(model, puck=airpuck.PuckState(0.0, 0.0))
+    >>> log = airpuck.fly(player, twin, duration=0.1)
     >>> len(log.status)
     10
     """

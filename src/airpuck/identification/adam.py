@@ -48,7 +48,7 @@ class Adam:
 
     Examples
     --------
-    >>> method = airpuck.Adam(learning_rate=0.002, epochs=5)  # for airpuck.identify(…, method=method)
+    >>> method = airpuck.Adam(learning_rate=0.002, epochs=5)  # for `identify`
     >>> method.epochs
     5
     """

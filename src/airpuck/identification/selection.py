@@ -198,10 +198,12 @@ def select_model(
 
     Examples
     --------
-    >>> long = airpuck.preprocess(airpuck.excite(model, 20.0, seed=1))
-    >>> selection = airpuck.select_model(long, ladder=("M0", "M2"))
-    >>> selection.best.name
-    'M2'
+    >>> selection = airpuck.select_model(trajectory)  # doctest: +SKIP
+    >>> selection.best.name, selection.fit.model.name  # doctest: +SKIP
+    >>> airpuck.select_model(trajectory.slice(0.0, 0.1))
+    Traceback (most recent call last):
+        ...
+    airpuck.boundary.errors.InputError: ...
     """
     loss, preparation = loss or Loss(), preparation or Preparation()
     if loss.whole:

@@ -69,10 +69,16 @@ class Plan(Result):
 
     Examples
     --------
-    >>> plan = airpuck.plan(model, (0, 0, 0), (0.3, 0, 0))
-    >>> isinstance(plan, airpuck.Plan), bool(plan.lower_bound < plan.duration)
-    (True, True)
-    >>> controller = airpuck.TrackingController(model, plan.starting(2.0))  # a plan is a reference
+    >>> coast = airpuck.Plan(  # without thrust from (0, 0) at 0.4 m/s
+    ...     model,
+    ...     time=np.array([0.0, 0.5]),
+    ...     states=np.array([[0, 0, 0, 0.4, 0, 0], [0.2, 0, 0, 0.4, 0, 0]]) @ np.eye(6, 12),
+    ...     commands=np.zeros((1, 6)),
+    ...     lower_bound=None,
+    ... )
+    >>> coast.duration
+    0.5
+    >>> controller = airpuck.TrackingController(model, coast.starting(2.0))  # it is a reference
     """
 
     JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread"
@@ -278,9 +284,12 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
 
     Examples
     --------
-    >>> airpuck.plan(model, (0, 0, 0), (0.3, 0, 0)).save("plan.toml")
-    >>> airpuck.read_plan("plan.toml", model).duration < 1.0
-    True
+    >>> at_rest = airpuck.Plan(
+    ...     model, np.array([0.0, 0.5]), np.zeros((2, 12)), np.zeros((1, 6)), lower_bound=None
+    ... )
+    >>> at_rest.save("plan.toml")
+    >>> airpuck.read_plan("plan.toml", model).duration
+    0.5
     """
     content = read_toml(path, _PlanFile)
     if content.motors != model.vehicle.propeller_names:

@@ -191,7 +191,7 @@ def tracking_study(
     Examples
     --------
     >>> (flown,) = airpuck.tracking_study([model], model, flights=(None,), dwell=0.1)
-    >>> 0 < flown.clearance.min() < 0.55  # [m] from the rails
+    >>> bool(0 < flown.clearance.min() < 0.55)  # [m] from the rails
     True
     """
     tuning = tuning or default_tuning()
