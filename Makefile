@@ -8,6 +8,12 @@ WORKERS ?= auto
 # A comma would end the argument of a call.
 LIVE := .[ros2,play]
 
+# What `make dist` runs against the wheel, and the tools for it.
+EXTRAS := control,ros2,play,campaign,plan,px4,gym
+CORE_TESTS := tests/boundary tests/craft tests/model tests/data tests/recording \
+	tests/test_docstring_examples.py
+TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.7' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19'
+
 # uv when present (fast), otherwise venv and pip.
 define install
 	@if command -v uv >/dev/null 2>&1; then \
@@ -20,7 +26,7 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev live play demo test test-all test-browser lint format docs studies bench clean
+.PHONY: help install dev live play demo test test-all test-browser lint format docs dist results-quick studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -60,6 +66,20 @@ test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 
 docs: dev  ## the site, in docs/_build/html; its notebooks run once and are cached
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
+dist: dev  ## wheel and sdist, tried in a fresh environment; licences of all dependencies: in dist/
+	rm -rf dist build/dist
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m venv build/dist
+	build/dist/bin/python -m pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[$(EXTRAS)]"
+	$(BIN)/pip-licenses --python build/dist/bin/python --format markdown --order license \
+		--output-file dist/LICENCES.md
+	build/dist/bin/python -m pip install --quiet --disable-pip-version-check $(TEST_TOOLS)
+	build/dist/bin/airpuck --version
+	build/dist/bin/python -m pytest -n 0 -m "not slow" --hypothesis-profile quick $(CORE_TESTS)
+
+results-quick: dev  ## recompute tables of docs/results.md in a minute; which numbers no longer hold?
+	$(BIN)/python studies/tables.py --check
 
 studies: dev  ## the long studies; then ten minutes of the live loop on an otherwise idle machine
 	$(BIN)/python -m pytest -m study -n $(WORKERS)

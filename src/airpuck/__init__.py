@@ -15,8 +15,6 @@ import inspect
 from pathlib import Path
 from typing import Any
 
-__version__ = "0.1.0"
-
 #: Public name -> its module, as the stub file declares them for type checkers.
 _HOME = {
     alias.name: statement.module
@@ -33,6 +31,8 @@ def __getattr__(name: str) -> Any:
         return importlib.import_module("airpuck.report.plot")
     if name == "export":
         return importlib.import_module("airpuck.export")
+    if name == "__version__":
+        return _version()
     if name in _HOME:
         public = getattr(importlib.import_module(_HOME[name]), name)
         if inspect.isfunction(public):
@@ -42,6 +42,16 @@ def __getattr__(name: str) -> Any:
         globals()[name] = public
         return public
     raise AttributeError(f"module 'airpuck' has no attribute {name!r}")
+
+
+def _version() -> str:
+    """Return the installed version, which comes from the tag."""
+    from importlib import metadata  # takes as long to import as the rest of this module
+
+    try:
+        return metadata.version("airpuck")
+    except metadata.PackageNotFoundError:
+        return "0+unknown"
 
 
 def __dir__() -> list[str]:
