@@ -12,7 +12,7 @@ LIVE := .[ros2,play]
 EXTRAS := control,ros2,play,campaign,plan,px4,gym
 CORE_TESTS := tests/boundary tests/craft tests/model tests/data tests/recording \
 	tests/test_docstring_examples.py
-TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.7' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19'
+TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.8' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19'
 
 # uv when present (fast), otherwise venv and pip.
 define install

@@ -20,7 +20,7 @@ extensions = [
     "mathml",
     "reference_pages",
 ]
-exclude_patterns = ["_build", "_ext"]
+exclude_patterns = ["_build", "_ext", "tables"]
 nitpicky = False
 
 html_theme = "furo"
