@@ -1,6 +1,6 @@
 """Tables of docs/results.md that take less than a minute: write them, or check them.
 
-    AIRPUCK_DATA=... python studies/tables.py          # write docs/tables/*.md, which the page includes
+    AIRPUCK_DATA=... python studies/tables.py          # write docs/tables, which the page includes
     AIRPUCK_DATA=... python studies/tables.py --check  # print numbers that no longer hold; exit 1
 
 Processors and versions of libraries differ in the last digits, so a check allows half of one per

@@ -6,7 +6,7 @@ import inspect
 import json
 import re
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, NamedTuple, get_args
 
 import pydantic
@@ -69,7 +69,7 @@ def page() -> str:
     seen: dict[type, str] = {}
     for one in FORMATS:
         seen[one.schema] = f"the [{one.title.lower()}](#{one.title.lower().replace(' ', '-')})"
-        lines += [f"## {one.title}", "", f"{_summary(one.schema)} Used by {one.use}.", ""]
+        lines += [f"## {one.title}", "", f"{summary(one.schema)} Used by {one.use}.", ""]
         lines += _tables(one, one.schema, "", one.base, seen)
     return "\n".join(lines)
 
@@ -101,11 +101,11 @@ def _tables(
             yield from (f"{mark}: the same keys as {seen[section]}.", "")
             continue
         seen[section] = f"{mark} of the {file.title.lower()}"
-        yield from (f"{mark}: {_summary(section)}", "")
+        yield from (f"{mark}: {summary(section)}", "")
         yield from _tables(file, section, path, value if isinstance(value, section) else None, seen)
 
 
-def _summary(schema: type) -> str:
+def summary(schema: type) -> str:
     """Return the first sentence of a class's own docstring, without labels of the paper."""
     text = inspect.cleandoc(vars(schema).get("__doc__") or "").partition("\n\n")[0]
     return " ".join(re.sub(r" \(\w+:\w+\)", "", text).replace("``", "`").split())
@@ -134,14 +134,23 @@ def _note(schema: type, key: str) -> str:
     """Return what the source says of a key, in a comment `#:` or its class's Attributes."""
     if issubclass(schema, Settings):
         return next(one.setting.help for one in declared(schema) if one.name == key)
-    for holder in schema.__mro__:
-        if not holder.__module__.startswith("airpuck"):
+    if found := attribute_note(schema, key):
+        return found
+    return next((q.meaning for q in QUANTITIES if key in (q.key, *q.settings)), "")
+
+
+def attribute_note(holder: type, key: str) -> str:
+    """Return what the source of a class says of an attribute or property."""
+    for one in holder.__mro__:
+        if not one.__module__.startswith("airpuck"):
             continue
-        comments = ModuleAnalyzer.for_module(holder.__module__).find_attr_docs()
-        found = comments.get((holder.__name__, key)) or _attributes(holder).get(key)
+        comments = ModuleAnalyzer.for_module(one.__module__).find_attr_docs()
+        found = comments.get((one.__name__, key)) or _attributes(one).get(key)
+        if found is None and isinstance(vars(one).get(key), (property, cached_property)):
+            found = [(inspect.getdoc(vars(one)[key]) or "").partition("\n\n")[0]]
         if found:
             return " ".join(" ".join(found).split()).replace("``", "`")
-    return next((q.meaning for q in QUANTITIES if key in (q.key, *q.settings)), "")
+    return ""
 
 
 @cache

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import file_formats
+import json_keys
 
 import airpuck
 
@@ -46,6 +47,7 @@ def _write(app: Any) -> None:
     """Write the pages whose content has changed, and remove those that are no longer there."""
     folder = Path(app.srcdir) / "reference"
     pages = {"api.md": _contents(), "commands.md": _commands(), "files.md": file_formats.page()}
+    pages["json.md"] = json_keys.page()
     pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
     pages["python_export.rst"] = _exports()
     folder.mkdir(exist_ok=True)

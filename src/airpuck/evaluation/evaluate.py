@@ -110,7 +110,11 @@ class EveryStart(Result):
         return rmse_interval(self.errors, self.start)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``interval_95`` of each channel, None below 12 s of flight; ``block_s``, the length of
+        the bootstrap's blocks.
+        """
         return super().to_json() | {
             "interval_95": known_intervals(self.interval),
             "block_s": BLOCK_S,
@@ -205,6 +209,8 @@ class Evaluation(Result):
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
+
+        Also ``horizon_s``, when errors are reported, and ``rmse_over_horizon``, for each step.
 
         Returns
         -------

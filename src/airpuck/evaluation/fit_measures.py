@@ -56,7 +56,11 @@ class FitMeasures(Result):
         return float(self.parameters * np.log(self.samples) - 2 * self.log_likelihood)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``fit_percent``: ``k_step``, ``free_run``, ``whole``, each by channel: k samples
+        ahead, simulated for `restart_s` at a time, simulated from start to end.
+        """
         percent = {
             name: by_channel(getattr(self, name)) for name in ("k_step", "free_run", "whole")
         }

@@ -62,7 +62,10 @@ class ModelDifference(Result):
         return f"{self.second} against {self.first}: {', '.join(said)}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``interval_95`` of each ratio.
+        """
         return super().to_json() | {"interval_95": known_intervals(self.interval)}
 
 

@@ -80,7 +80,11 @@ class ModelError(Result):
         return f"{self.name} gives {self.size} {word} than modelled"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``value`` and ``standard_error``, relative to the model; of times with the suffix
+        ``_s``.
+        """
         unit = "_s" if self.name in _TIMES else ""
         sizes = {f"value{unit}": self.value, f"standard_error{unit}": self.standard_error}
         return super().to_json() | plain(sizes)

@@ -114,6 +114,8 @@ class Presentation(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
+        Also ``conditions`` of the identification, by name.
+
         Returns
         -------
         dict

@@ -99,7 +99,10 @@ class Structure(Result):
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``size``, ``mean`` and ``half_band`` of the bins, with the suffix of their unit.
+        """
         unit = "rad_s2" if self.channel == "yaw" else "m_s2"
         sizes = {name: getattr(self, name) for name in ("size", "mean", "half_band")}
         return super().to_json() | {f"{name}_{unit}": plain(v) for name, v in sizes.items()}

@@ -106,6 +106,8 @@ class PuckFit(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
+        Also ``puck``: ``value`` and ``standard_error`` of each number; None: assumed.
+
         Returns
         -------
         dict

@@ -105,7 +105,12 @@ class CandidateModel(Result):
         return self.excess <= max(self.standard_error, _NEGLIGIBLE)
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``change``, ``change_lower_95``, ``change_upper_95``: ratio of the errors ``x``,
+        ``y``, ``yaw`` and ``weighted`` to the rung before, with its interval; None for the first
+        rung.
+        """
         changes = {"change": self.change}
         changes |= dict(zip(("change_lower_95", "change_upper_95"), self.interval, strict=True))
         first = bool(np.isnan(self.change).any())

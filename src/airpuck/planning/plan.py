@@ -211,6 +211,8 @@ class Plan(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
+        Also ``converged``: true, since a plan that did not converge is an error.
+
         Returns
         -------
         dict

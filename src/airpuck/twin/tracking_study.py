@@ -113,7 +113,14 @@ class Tracked(Result):
         return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
+        """Return the fields for ``--json``.
+
+        Also ``saturated``, the share of commands at the upper limit; ``clearance_m``, the smallest
+        distance of the craft's edge to a rail; ``step_ms``, times of a control step: ``p50``,
+        ``p99``, ``max``. If a flight is reproduced, also ``flight_setpoints`` of that flight, and
+        ``against_flight``: ``rmse`` of the twin against it over ``span_s``; times count from
+        ``origin_s`` of the flight.
+        """
         figures = super().to_json() | {
             "saturated": float(self.saturated.mean()),
             "clearance_m": float(self.clearance.min()),

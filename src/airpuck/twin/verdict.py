@@ -71,7 +71,8 @@ class Verdict(Result):
     missed : array, shape (3,), or None
         Errors of x, y and yaw relative to a craft that coasts.
     acceleration_errors : array, shape (6,), or None
-        Relative standard errors of the largest accelerations, systematic errors included.
+        Relative standard errors of the largest accelerations forward, backward, left, right,
+        counter-clockwise and clockwise, systematic errors included.
     response_error : float or None
         Standard error of the response time, systematic errors included [s].
     """
