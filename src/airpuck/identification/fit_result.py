@@ -124,9 +124,9 @@ class Fit(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
-        Also ``faults``: ``share_of_windows`` left out and ``spans``; ``parameters`` by label: ``value``, ``identified``, ``standard_error``,
-        ``interval_95``, ``bootstrap_95``; and ``uncertainty``: ``clusters``, ``notes``, of a
-        bootstrap ``replicates`` and ``seed``.
+        Also ``faults``: ``share_of_windows`` left out and ``spans``; ``parameters`` by label:
+        ``value``, ``identified``, ``standard_error``, ``interval_95``, ``bootstrap_95``; and
+        ``uncertainty``: ``clusters``, ``notes``, of a bootstrap ``replicates`` and ``seed``.
 
         Returns
         -------
