@@ -111,42 +111,55 @@ static void advance(const airpuck *craft, double time, airpuck_real mean[3][3],
         propagate(mean, speed, command, (airpuck_real)duration);
 }
 
-/* Let the covariance of one axis grow over a time without measurements. */
-static void spread(airpuck_real p[3][3], airpuck_real h, airpuck_real acceleration,
+/* Let the covariance L diag(d) L' of one axis grow over a time without measurements.
+ *
+ * The covariance itself would lose digits: after a restart, two poses a frame apart reduce the
+ * variance of the velocity ten thousandfold. Its factors are sums of squares (Thornton 1976). */
+static void spread(airpuck_real d[3], airpuck_real l[3], airpuck_real h, airpuck_real acceleration,
                    airpuck_real disturbance)
 {
-    airpuck_real step[3][3] = {{1, h, h * h / 2}, {0, 1, h}, {0, 0, 1}}, half[3][3];
-    airpuck_real h2 = h * h, h3 = h2 * h, h4 = h3 * h, h5 = h4 * h;
-    airpuck_real by_disturbance[3][3] = {
-        {h5 / 20, h4 / 8, h3 / 6}, {h4 / 8, h3 / 3, h2 / 2}, {h3 / 6, h2 / 2, h}};
-    airpuck_real by_acceleration[3][3] = {{h3 / 3, h2 / 2, 0}, {h2 / 2, h, 0}, {0, 0, 0}};
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            half[i][j] = 0;
-            for (int k = 0; k < 3; k++)
-                half[i][j] += step[i][k] * p[k][j];
+    airpuck_real h2 = h * h, h3 = h2 * h;
+    if (!(h > 0))
+        return;
+    /* Independent causes, one column each: the errors so far, the unexplained acceleration, and
+     * what drives the disturbance, the last two as factors of their covariances over the time. */
+    airpuck_real rows[3][8] = {
+        {1 + h * l[0] + h2 / 2 * l[1], h + h2 / 2 * l[2], h2 / 2, 1, 0, 1, 0, 0},
+        {l[0] + h * l[1], 1 + h * l[2], h, AIRPUCK_R(1.5) / h, 1, AIRPUCK_R(2.5) / h, 1, 0},
+        {l[1], l[2], 1, 0, 0, 10 / (3 * h2), 4 / h, 1}};
+    airpuck_real variance[8] = {d[0],
+                                d[1],
+                                d[2],
+                                acceleration * h3 / 3,
+                                acceleration * h / 4,
+                                disturbance * h3 * h2 / 20,
+                                disturbance * h3 / 48,
+                                disturbance * h / 9};
+    for (int j = 0; j < 3; j++) {
+        d[j] = 0;
+        for (int k = 0; k < 8; k++)
+            d[j] += rows[j][k] * rows[j][k] * variance[k];
+        for (int i = j + 1; i < 3; i++) {
+            airpuck_real sum = 0;
+            for (int k = 0; k < 8; k++)
+                sum += rows[i][k] * rows[j][k] * variance[k];
+            airpuck_real factor = d[j] > 0 ? sum / d[j] : 0;
+            for (int k = 0; k < 8; k++)
+                rows[i][k] -= factor * rows[j][k];
+            l[i + j - 1] = factor;
         }
-    for (int i = 0; i < 3; i++)
-        for (int j = 0; j < 3; j++) {
-            p[i][j] = acceleration * by_acceleration[i][j] + disturbance * by_disturbance[i][j];
-            for (int k = 0; k < 3; k++)
-                p[i][j] += half[i][k] * step[j][k];
-        }
+    }
 }
 
 /* Correct one axis by the innovation of its position. */
-static void correct(airpuck_real mean[3], airpuck_real p[3][3], airpuck_real innovation,
-                    airpuck_real variance)
+static void correct(airpuck_real mean[3], airpuck_real d[3], const airpuck_real l[3],
+                    airpuck_real innovation, airpuck_real variance)
 {
-    airpuck_real column[3] = {p[0][0], p[1][0], p[2][0]};
-    for (int i = 0; i < 3; i++) {
-        airpuck_real gain = column[i] / (column[0] + variance);
-        mean[i] += gain * innovation;
-        /* In the position's row and column p - gain p equals p * left, without cancellation. */
-        airpuck_real left = variance / (column[0] + variance);
-        for (int j = 0; j < 3; j++)
-            p[i][j] = i * j == 0 ? p[i][j] * left : p[i][j] - gain * column[j];
-    }
+    airpuck_real gain = d[0] / (d[0] + variance);
+    mean[0] += gain * innovation;
+    mean[1] += gain * l[0] * innovation;
+    mean[2] += gain * l[1] * innovation;
+    d[0] *= variance / (d[0] + variance);
 }
 
 static void restart(airpuck *craft, double time, const airpuck_real pose[3])
@@ -155,12 +168,10 @@ static void restart(airpuck *craft, double time, const airpuck_real pose[3])
     craft->motors_at = NEVER;
     craft->filtered = time;
     memset(craft->belief.mean, 0, sizeof craft->belief.mean);
-    memset(craft->belief.covariance, 0, sizeof craft->belief.covariance);
-    for (int axis = 0; axis < 3; axis++) {
+    memset(craft->belief.lower, 0, sizeof craft->belief.lower);
+    memcpy(craft->belief.diagonal, airpuck_tuned.initial_variance, sizeof craft->belief.diagonal);
+    for (int axis = 0; axis < 3; axis++)
         craft->belief.mean[axis][0] = pose[axis];
-        for (int i = 0; i < 3; i++)
-            craft->belief.covariance[axis][i][i] = airpuck_tuned.initial_variance[axis][i];
-    }
 }
 
 static void difference(const airpuck_real pose[3], const airpuck_real other[3],
@@ -195,10 +206,10 @@ static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
         return 0;
     airpuck_real elapsed = (airpuck_real)(time - craft->filtered);
     for (int axis = 0; axis < 3; axis++) {
-        airpuck_real(*covariance)[3] = craft->belief.covariance[axis];
-        spread(covariance, elapsed, airpuck_tuned.acceleration_density[axis],
+        airpuck_real *d = craft->belief.diagonal[axis], *l = craft->belief.lower[axis];
+        spread(d, l, elapsed, airpuck_tuned.acceleration_density[axis],
                airpuck_tuned.disturbance_density[axis]);
-        correct(mean[axis], covariance, innovation[axis], airpuck_tuned.pose_variance[axis]);
+        correct(mean[axis], d, l, innovation[axis], airpuck_tuned.pose_variance[axis]);
     }
 #ifdef AIRPUCK_SINGLE
     /* A float has few digits; whole turns would use some of them. */
