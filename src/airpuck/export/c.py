@@ -159,7 +159,7 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
             ("doubtful_since", time),
             ("doubtful_pose", number * 3),
             ("filtered", time * 2),
-            ("belief", number * (27 + n)),
+            ("belief", number * (30 + n)),
             ("held", whole),
             ("commands", Held * sizes["AIRPUCK_HELD"]),
             *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),

@@ -82,9 +82,19 @@ static void hold(airpuck *craft, double begins, const airpuck_real command[N])
 
 /* The Kalman filter: independent axes with position, velocity and disturbance. */
 
+/* Move the position of an axis. Its last entry is what the sum lost to rounding: a float does not
+ * resolve the path of one frame well enough for an estimate of the acceleration. */
+static void move(airpuck_real mean[4], airpuck_real change)
+{
+    airpuck_real before = mean[0];
+    change += mean[3];
+    mean[0] += change;
+    mean[3] = change - (mean[0] - before);
+}
+
 /* Advance a mean and motor speeds through an interval with one command, using the acceleration at
  * its middle. */
-static void propagate(airpuck_real mean[3][3], airpuck_real speed[N], const airpuck_real command[N],
+static void propagate(airpuck_real mean[3][4], airpuck_real speed[N], const airpuck_real command[N],
                       airpuck_real h)
 {
     airpuck_real middle[N], rate[3];
@@ -94,13 +104,13 @@ static void propagate(airpuck_real mean[3][3], airpuck_real speed[N], const airp
     airpuck_acceleration(&airpuck_identified, motion, middle, rate);
     for (int axis = 0; axis < 3; axis++) {
         airpuck_real *axis_mean = mean[axis], gained = rate[axis] + axis_mean[2];
-        axis_mean[0] += h * axis_mean[1] + h * h / 2 * gained;
+        move(axis_mean, h * axis_mean[1] + h * h / 2 * gained);
         axis_mean[1] += h * gained;
     }
     airpuck_motors(&airpuck_identified, speed, command, h);
 }
 
-static void advance(const airpuck *craft, double time, airpuck_real mean[3][3],
+static void advance(const airpuck *craft, double time, airpuck_real mean[3][4],
                     airpuck_real speed[N])
 {
     double now = craft->filtered, duration;
@@ -152,11 +162,11 @@ static void spread(airpuck_real d[3], airpuck_real l[3], airpuck_real h, airpuck
 }
 
 /* Correct one axis by the innovation of its position. */
-static void correct(airpuck_real mean[3], airpuck_real d[3], const airpuck_real l[3],
+static void correct(airpuck_real mean[4], airpuck_real d[3], const airpuck_real l[3],
                     airpuck_real innovation, airpuck_real variance)
 {
     airpuck_real gain = d[0] / (d[0] + variance);
-    mean[0] += gain * innovation;
+    move(mean, gain * innovation);
     mean[1] += gain * l[0] * innovation;
     mean[2] += gain * l[1] * innovation;
     d[0] *= variance / (d[0] + variance);
@@ -177,9 +187,10 @@ static void restart(airpuck *craft, double time, const airpuck_real pose[3])
 static void difference(const airpuck_real pose[3], const airpuck_real other[3],
                        airpuck_real result[3])
 {
-    for (int axis = 0; axis < 3; axis++)
+    for (int axis = 0; axis < 2; axis++)
         result[axis] = pose[axis] - other[axis];
-    result[2] = airpuck_wrapped(result[2]);
+    /* Wrapped before, too: a float loses digits in a difference from many turns. */
+    result[2] = airpuck_wrapped(airpuck_wrapped(pose[2]) - other[2]);
 }
 
 /* Whether a difference of poses is too large for consecutive frames. */
@@ -194,7 +205,7 @@ static int is_far(const airpuck_real apart[3])
 /* Use a pose unless it is too far from its prediction; return whether it was used. */
 static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
 {
-    airpuck_real mean[3][3], speed[N], innovation[3];
+    airpuck_real mean[3][4], speed[N], innovation[3];
     if (!(craft->filtered > NEVER) || craft->motors_at > NEVER) {
         restart(craft, time, pose);
         return 1;
@@ -202,6 +213,8 @@ static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
     advance(craft, time, mean, speed);
     airpuck_real predicted[3] = {mean[0][0], mean[1][0], mean[2][0]};
     difference(pose, predicted, innovation);
+    for (int axis = 0; axis < 3; axis++)
+        innovation[axis] -= mean[axis][3];
     if (is_far(innovation))
         return 0;
     airpuck_real elapsed = (airpuck_real)(time - craft->filtered);
@@ -312,7 +325,7 @@ static airpuck_status refusal(airpuck *craft, double now)
 airpuck_status airpuck_step(airpuck *craft, double now,
                             const airpuck_target targets[AIRPUCK_TARGETS], airpuck_real command[N])
 {
-    airpuck_real mean[3][3];
+    airpuck_real mean[3][4];
     craft->status = refusal(craft, now);
     craft->iterations = 0;
     if (craft->status != AIRPUCK_EXACT) {

@@ -55,9 +55,9 @@ typedef struct {
 
 /* The filter's estimate at the last pose that it used. */
 typedef struct {
-    /* Position, velocity and disturbance of x, y and yaw; and their covariances L diag(d) L', by d
-     * and the entries of L below its diagonal: 10, 20, 21. */
-    airpuck_real mean[3][3], diagonal[3][3], lower[3][3];
+    /* Position, velocity and disturbance of x, y and yaw, and the rounding of the position; their
+     * covariances L diag(d) L', by d and the entries of L below its diagonal: 10, 20, 21. */
+    airpuck_real mean[3][4], diagonal[3][3], lower[3][3];
     airpuck_real motor_speed[AIRPUCK_MOTORS];
 } airpuck_belief;
 

@@ -1,5 +1,7 @@
 #include "airpuck_laws.h"
 
+#include <string.h>
+
 #define N AIRPUCK_MOTORS
 #define PI AIRPUCK_R(3.14159265358979323846)
 /* A request counts as met if both slacks are this close to 1. */
@@ -22,7 +24,9 @@ typedef struct {
 
 airpuck_real airpuck_wrapped(airpuck_real angle)
 {
-    return angle - 2 * PI * AIRPUCK_F(rint)(angle * (AIRPUCK_R(0.5) / PI));
+    /* A full turn in two parts, the first with few digits, so that a float holds its multiples. */
+    airpuck_real turns = AIRPUCK_F(rint)(angle * (AIRPUCK_R(0.5) / PI));
+    return angle - turns * AIRPUCK_R(6.28125) - turns * AIRPUCK_R(1.9353071795864769e-3);
 }
 
 airpuck_real airpuck_clipped(airpuck_real number, airpuck_real least, airpuck_real most)
@@ -133,13 +137,12 @@ static int pose_problem(const airpuck *craft, const airpuck_real following[6],
 }
 
 /* Minimise x'x over n variables with rows * x = wanted and x within bounds; return whether that is
- * feasible. `price` is the derivative of the minimum with respect to `wanted`. */
+ * feasible. `sense` gets the active bounds. */
 static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_real wanted[3],
                        const airpuck_real *lower, const airpuck_real *upper, airpuck_real *x,
-                       airpuck_real price[3])
+                       int sense[AIRPUCK_ALLOCATED + 3])
 {
     airpuck_qp qp;
-    int sense[AIRPUCK_ALLOCATED + 3];
     airpuck_qp_begin(&qp, n, 3, 0, rows, craft->numbers, craft->active, sense);
 #ifdef AIRPUCK_SINGLE
     qp.settings.primal_tol = AIRPUCK_R(2e-6);
@@ -160,9 +163,6 @@ static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_
     craft->iterations += qp.work.iterations;
     for (int i = 0; i < n; i++)
         x[i] = qp.work.x[i];
-    for (int i = 0; i < qp.work.n_active; i++)
-        if (qp.work.WS[i] >= n)
-            price[qp.work.WS[i] - n] = -qp.work.lam_star[i];
     return flag == DAQP_EXIT_OPTIMAL;
 }
 
@@ -171,19 +171,213 @@ static int solve_least(airpuck *craft, int n, airpuck_real *rows, const airpuck_
 /* Solve the program; return whether it is feasible. */
 static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
-    airpuck_real price[3];
+    int sense[AIRPUCK_ALLOCATED + 3];
     return solve_least(craft, AIRPUCK_ALLOCATED, posed->rows[0], posed->wanted, posed->lower,
-                       posed->upper, x, price);
+                       posed->upper, x, sense);
 }
 
 #else
 
-/* A float cannot resolve the cost of thrusts beside that of slacks, a million times as large. In
- * single precision the program is therefore solved in two parts: first without scaling the request,
- * which gives the thrusts of an exact solution; if that is infeasible, with the least scaling. In
- * the second part the thrusts are almost unique. So their cost may be that of leaving the previous
- * pass's solution. */
+/* A float cannot resolve the cost of thrusts beside that of slacks, a million times as large: DAQP
+ * squares the condition of the program. In single precision it therefore only proposes the active
+ * bounds, from easier programs: first without scaling the request, then with the least scaling,
+ * where thrusts cost what they differ from those of the previous pass. `refine` then solves the
+ * program itself by orthogonal transformations, which do not square the condition. */
 #define PASSES 12
+/* Thrusts, slacks and the residuals of the nearest acceleration. */
+#define MOST (AIRPUCK_ALLOCATED + 3)
+/* Relative errors within which a bound is met, and a multiplier has the right sign. */
+#define MET AIRPUCK_R(1e-6)
+#define SIGNED AIRPUCK_R(4e-6)
+
+/* Minimise x'x such that sum of x_j column_j = wanted, and lower <= x <= upper. */
+typedef struct {
+    int n;
+    airpuck_real columns[MOST][3], wanted[3], lower[MOST], upper[MOST];
+} least_norm;
+
+/* Reflect the vector `y` of `count` entries by `v`, from its entry k on. */
+static void reflect(int count, int k, const airpuck_real v[MOST], airpuck_real y[MOST])
+{
+    airpuck_real square = 0, along = 0;
+    for (int i = k; i < count; i++) {
+        square += v[i] * v[i];
+        along += v[i] * y[i];
+    }
+    for (int i = k; i < count; i++)
+        y[i] -= 2 * along / square * v[i];
+}
+
+/* Set x and the multipliers of the equations with some variables at a bound (side -1 or 1); return
+ * whether that is possible. The transposed columns of the free variables are factored by
+ * Householder's reflections; sorted by size, as they are, they keep their relative precision. */
+static int solve_sides(const least_norm *p, const int side[MOST], airpuck_real x[MOST],
+                       airpuck_real price[3])
+{
+    airpuck_real m[3][MOST], v[3][MOST], r[3][3], rest[3], y[MOST] = {0};
+    int free[MOST], count = 0, order[3] = {0, 1, 2};
+    for (int axis = 0; axis < 3; axis++)
+        rest[axis] = p->wanted[axis];
+    for (int j = 0; j < p->n; j++) {
+        x[j] = side[j] < 0 ? p->lower[j] : p->upper[j];
+        for (int axis = 0; axis < 3; axis++) {
+            m[axis][count] = p->columns[j][axis];
+            rest[axis] -= side[j] != 0 ? p->columns[j][axis] * x[j] : 0;
+        }
+        if (side[j] == 0)
+            free[count++] = j;
+    }
+    if (count < 3)
+        return 0;
+    for (int k = 0; k < 3; k++) {
+        airpuck_real largest = 0;
+        int chosen = k;
+        for (int axis = k; axis < 3; axis++) {
+            airpuck_real square = 0;
+            for (int i = k; i < count; i++)
+                square += m[order[axis]][i] * m[order[axis]][i];
+            if (square > largest) {
+                largest = square;
+                chosen = axis;
+            }
+        }
+        int taken = order[chosen];
+        order[chosen] = order[k];
+        order[k] = taken;
+        airpuck_real length = AIRPUCK_F(sqrt)(largest);
+        if (!(length > 0))
+            return 0;
+        for (int i = k; i < count; i++)
+            v[k][i] = m[taken][i];
+        v[k][k] += m[taken][k] < 0 ? -length : length;
+        for (int axis = k; axis < 3; axis++)
+            reflect(count, k, v[k], m[order[axis]]);
+    }
+    for (int before = 0; before < 3; before++)
+        for (int k = before; k < 3; k++)
+            r[before][k] = m[order[k]][before];
+    for (int k = 0; k < 3; k++) {
+        y[k] = rest[order[k]];
+        for (int before = 0; before < k; before++)
+            y[k] -= r[before][k] * y[before];
+        y[k] /= r[k][k];
+    }
+    for (int k = 2; k >= 0; k--) {
+        airpuck_real sum = y[k];
+        for (int after = k + 1; after < 3; after++)
+            sum -= r[k][after] * price[order[after]];
+        price[order[k]] = sum / r[k][k];
+    }
+    for (int k = 2; k >= 0; k--)
+        reflect(count, k, v[k], y);
+    for (int i = 0; i < count; i++)
+        x[free[i]] = y[i];
+    return 1;
+}
+
+/* Solve a program from proposed active bounds; return whether a solution was found. */
+static int refine(const least_norm *p, int side[MOST], airpuck_real x[MOST])
+{
+    airpuck_real price[3];
+    for (int pass = 0; pass < 2 * MOST; pass++) {
+        airpuck_real worst = 0;
+        int changed = -1, to = 0;
+        if (!solve_sides(p, side, x, price))
+            return 0;
+        for (int j = 0; j < p->n; j++) {
+            airpuck_real range = p->upper[j] - p->lower[j];
+            airpuck_real below = (p->lower[j] - x[j]) / range, above = (x[j] - p->upper[j]) / range;
+            if (side[j] == 0 && below > MET && below > worst) {
+                worst = below;
+                changed = j;
+                to = -1;
+            }
+            if (side[j] == 0 && above > MET && above > worst) {
+                worst = above;
+                changed = j;
+                to = 1;
+            }
+        }
+        for (int j = 0; j < p->n && changed < 0; j++) {
+            airpuck_real pull = x[j], size = AIRPUCK_F(fabs)(x[j]);
+            for (int axis = 0; axis < 3; axis++) {
+                airpuck_real part = p->columns[j][axis] * price[axis];
+                pull -= part;
+                size += AIRPUCK_F(fabs)(part);
+            }
+            airpuck_real wrong = (airpuck_real)side[j] * pull / size;
+            if (wrong > SIGNED && wrong > worst && p->upper[j] > p->lower[j]) {
+                worst = wrong;
+                changed = j;
+                to = 0;
+                break;
+            }
+        }
+        if (changed < 0)
+            return airpuck_finite(x, p->n);
+        side[changed] = to;
+    }
+    return 0;
+}
+
+/* Write the sides of thrusts at their bounds; slacks are free. */
+static void begin_sides(const int sense[N], int side[MOST])
+{
+    for (int j = 0; j < MOST; j++)
+        side[j] = j < N && (sense[j] & DAQP_ACTIVE) ? sense[j] & DAQP_LOWER ? -1 : 1 : 0;
+}
+
+/* Refine a solution of the program, given the active bounds of its thrusts. */
+static int refine_scaled(const allocation *posed, const int sense[N],
+                         airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    least_norm p = {.n = AIRPUCK_ALLOCATED};
+    int side[MOST];
+    airpuck_real found[MOST];
+    begin_sides(sense, side);
+    for (int j = 0; j < p.n; j++) {
+        for (int axis = 0; axis < 3; axis++)
+            p.columns[j][axis] = posed->rows[axis][j];
+        p.lower[j] = posed->lower[j];
+        p.upper[j] = posed->upper[j];
+    }
+    memcpy(p.wanted, posed->wanted, sizeof p.wanted);
+    if (!refine(&p, side, found))
+        return 0;
+    for (int j = 0; j < p.n; j++)
+        x[j] = airpuck_clipped(found[j], p.lower[j], p.upper[j]);
+    return 1;
+}
+
+/* Refine the nearest acceleration: its residuals become variables, as expensive as they are in the
+ * program. x is in the units of that program. */
+static void refine_nearest(const airpuck_qp *qp, const airpuck_real a[3][AIRPUCK_ALLOCATED],
+                           const airpuck_real wanted[3], const airpuck_real weights[2],
+                           airpuck_real x[AIRPUCK_ALLOCATED])
+{
+    least_norm p = {.n = MOST};
+    int side[MOST];
+    airpuck_real found[MOST], unit = AIRPUCK_F(sqrt)(weights[1] / weights[0]);
+    begin_sides(qp->work.sense, side);
+    for (int j = 0; j < AIRPUCK_ALLOCATED; j++) {
+        airpuck_real scale = j < N ? 1 : unit;
+        for (int axis = 0; axis < 3; axis++)
+            p.columns[j][axis] = a[axis][j] / scale;
+        p.lower[j] = qp->lower[j] * scale;
+        p.upper[j] = qp->upper[j] * scale;
+    }
+    for (int axis = 0; axis < 3; axis++) {
+        int j = AIRPUCK_ALLOCATED + axis;
+        p.columns[j][axis] = AIRPUCK_F(sqrt)(weights[0]);
+        p.lower[j] = -INFINITY;
+        p.upper[j] = INFINITY;
+    }
+    memcpy(p.wanted, wanted, sizeof p.wanted);
+    if (!refine(&p, side, found))
+        return;
+    for (int j = 0; j < AIRPUCK_ALLOCATED; j++)
+        x[j] = airpuck_clipped(found[j] / (j < N ? 1 : unit), qp->lower[j], qp->upper[j]);
+}
 
 /* Return the unit of thrust changes. In this unit, changes that are small compared with the request
  * cost as little as scaling it. */
@@ -204,19 +398,15 @@ static airpuck_real thrust_unit(const allocation *posed)
 
 static int solve_exact(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
-    airpuck_real rows[3][N], price[3] = {0};
+    airpuck_real rows[3][N];
+    int sense[AIRPUCK_ALLOCATED + 3];
     for (int axis = 0; axis < 3; axis++)
         for (int i = 0; i < N; i++)
             rows[axis][i] = posed->rows[axis][i];
-    if (!solve_least(craft, N, rows[0], posed->wanted, posed->lower, posed->upper, x, price))
+    x[N] = x[N + 1] = 0;
+    if (!solve_least(craft, N, rows[0], posed->wanted, posed->lower, posed->upper, x, sense))
         return 0;
-    /* Scaling the request slightly saves thrust: the slack at which cost and saving balance. */
-    for (int slack = N; slack < AIRPUCK_ALLOCATED; slack++) {
-        airpuck_real saved = 0;
-        for (int axis = 0; axis < 3; axis++)
-            saved += price[axis] * posed->rows[axis][slack];
-        x[slack] = saved > 0 ? saved / 2 : 0;
-    }
+    refine_scaled(posed, sense, x);
     return 1;
 }
 
@@ -226,7 +416,8 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
         return 1;
     airpuck_real force[N] = {0}, unit = thrust_unit(posed), root = airpuck_tuned.slack_root;
     for (int pass = 0; pass < PASSES; pass++) {
-        airpuck_real rows[3][AIRPUCK_ALLOCATED], wanted[3], price[3];
+        airpuck_real rows[3][AIRPUCK_ALLOCATED], wanted[3];
+        int sense[AIRPUCK_ALLOCATED + 3];
         airpuck_real lower[AIRPUCK_ALLOCATED], upper[AIRPUCK_ALLOCATED];
         for (int j = 0; j < AIRPUCK_ALLOCATED; j++) {
             lower[j] = j < N ? (posed->lower[j] - force[j]) / unit : 0;
@@ -239,13 +430,15 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
             for (int i = 0; i < N; i++)
                 wanted[axis] -= posed->rows[axis][i] * force[i];
         }
-        if (!solve_least(craft, AIRPUCK_ALLOCATED, rows[0], wanted, lower, upper, x, price))
+        if (!solve_least(craft, AIRPUCK_ALLOCATED, rows[0], wanted, lower, upper, x, sense))
             return pass > 0 && airpuck_finite(x, AIRPUCK_ALLOCATED);
         for (int i = 0; i < N; i++)
             x[i] = force[i] =
                 airpuck_clipped(force[i] + unit * x[i], posed->lower[i], posed->upper[i]);
         for (int slack = N; slack < AIRPUCK_ALLOCATED; slack++)
             x[slack] *= root;
+        if (refine_scaled(posed, sense, x))
+            return 1;
     }
     return 1;
 }
@@ -256,50 +449,46 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
  * thrusts and slacks 1 - s within their bounds. Return whether it was found. */
 static int solve_nearest(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
+    const airpuck_real small[2] = {AIRPUCK_R(1e-8), AIRPUCK_R(1e-7)};
 #ifdef AIRPUCK_SINGLE
-    /* A float cannot resolve the small weights next to A'A. Larger weights on the distance from the
-     * previous solution give nearly the same result. */
+    /* A float cannot resolve the small weights next to A'A; larger ones propose active bounds. */
     const airpuck_real weights[2] = {AIRPUCK_R(1e-3), AIRPUCK_R(1e-2)};
-    const int passes = 4;
 #else
-    const airpuck_real weights[2] = {AIRPUCK_R(1e-8), AIRPUCK_R(1e-7)};
-    const int passes = 1;
+    const airpuck_real *weights = small;
 #endif
-    int n = AIRPUCK_ALLOCATED;
-    for (int i = 0; i < n; i++)
-        x[i] = 0;
-    for (int pass = 0; pass < passes; pass++) {
-        airpuck_qp qp;
-        int sense[AIRPUCK_ALLOCATED] = {0};
-        airpuck_qp_begin(&qp, n, 0, 0, NULL, craft->numbers, craft->active, sense);
-        airpuck_real a[3][AIRPUCK_ALLOCATED];
-        for (int j = 0; j < n; j++) {
-            airpuck_real unit = j < N ? 1 : airpuck_tuned.slack_root, weight = weights[j >= N];
-            for (int axis = 0; axis < 3; axis++)
-                a[axis][j] = posed->rows[axis][j] * unit;
-            qp.lower[j] = posed->lower[j] / unit;
-            qp.upper[j] = posed->upper[j] / unit;
-            qp.gradient[j] = -weight * x[j];
-            for (int axis = 0; axis < 3; axis++)
-                qp.gradient[j] -= posed->wanted[axis] * a[axis][j];
+    int n = AIRPUCK_ALLOCATED, sense[AIRPUCK_ALLOCATED] = {0};
+    airpuck_qp qp;
+    airpuck_real a[3][AIRPUCK_ALLOCATED];
+    airpuck_qp_begin(&qp, n, 0, 0, NULL, craft->numbers, craft->active, sense);
+    for (int j = 0; j < n; j++) {
+        airpuck_real unit = j < N ? 1 : airpuck_tuned.slack_root;
+        qp.lower[j] = posed->lower[j] / unit;
+        qp.upper[j] = posed->upper[j] / unit;
+        qp.gradient[j] = 0;
+        for (int axis = 0; axis < 3; axis++) {
+            a[axis][j] = posed->rows[axis][j] * unit;
+            qp.gradient[j] -= posed->wanted[axis] * a[axis][j];
         }
-        for (int i = 0, at = 0; i < n; i++)
-            for (int j = i; j < n; j++, at++) {
-                qp.hessian[at] = i == j ? weights[j >= N] : 0;
-                for (int axis = 0; axis < 3; axis++)
-                    qp.hessian[at] += a[axis][i] * a[axis][j];
-            }
-        if (!airpuck_qp_factor(&qp))
-            return 0;
-        if (!airpuck_qp_unconstrained(&qp)) {
-            int flag = airpuck_qp_solve(&qp);
-            craft->iterations += qp.work.iterations;
-            if (flag != DAQP_EXIT_OPTIMAL)
-                return 0;
-        }
-        for (int i = 0; i < n; i++)
-            x[i] = qp.work.x[i];
     }
+    for (int i = 0, at = 0; i < n; i++)
+        for (int j = i; j < n; j++, at++) {
+            qp.hessian[at] = i == j ? weights[j >= N] : 0;
+            for (int axis = 0; axis < 3; axis++)
+                qp.hessian[at] += a[axis][i] * a[axis][j];
+        }
+    if (!airpuck_qp_factor(&qp))
+        return 0;
+    if (!airpuck_qp_unconstrained(&qp)) {
+        int flag = airpuck_qp_solve(&qp);
+        craft->iterations += qp.work.iterations;
+        if (flag != DAQP_EXIT_OPTIMAL)
+            return 0;
+    }
+    for (int i = 0; i < n; i++)
+        x[i] = qp.work.x[i];
+#ifdef AIRPUCK_SINGLE
+    refine_nearest(&qp, (const airpuck_real(*)[AIRPUCK_ALLOCATED])a, posed->wanted, small, x);
+#endif
     for (int s = N; s < n; s++)
         x[s] *= airpuck_tuned.slack_root;
     return 1;
