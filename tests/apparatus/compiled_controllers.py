@@ -69,6 +69,9 @@ class CompiledController(Pilot):
             steps = max(round(regulator.horizon_s / regulator.step_s), 1)
             ahead += [delay + regulator.step_s * k for k in range(1, steps + 1)]
         self._ahead, self._n = np.array(ahead), model.vehicle.n_propellers
+        #: Poses and commands pass through one array: making a pointer takes longer than a step.
+        self._passed = np.zeros(max(self._n, 3))
+        self._pointer = self._numbers(self._passed)
 
     @staticmethod
     def _numbers(values: Any) -> Any:
@@ -76,10 +79,12 @@ class CompiledController(Pilot):
         return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
     def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        self._library.access_pose(self._craft, ctypes.c_double(time), self._numbers(pose))
+        self._passed[:3] = pose
+        self._library.access_pose(self._craft, ctypes.c_double(time), self._pointer)
 
     def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        self._library.access_sent(self._craft, ctypes.c_double(time), self._numbers(command))
+        self._passed[: self._n] = command
+        self._library.access_sent(self._craft, ctypes.c_double(time), self._pointer)
 
     def targets(self, time: float) -> np.ndarray:
         """Return the targets of a step, one in each row."""
@@ -91,8 +96,15 @@ class CompiledController(Pilot):
 
     def run(self, time: float, targets: np.ndarray, command: np.ndarray) -> int:
         """Call the library: set the command, return the number of the status."""
-        given, result = self._numbers(targets), self._numbers(command)
-        return self._library.access_step(self._craft, ctypes.c_double(time), given, result)
+        given, now = self._numbers(targets), ctypes.c_double(time)
+        status = self._library.access_step(self._craft, now, given, self._pointer)
+        command[:] = self._passed[: self._n]
+        return status
+
+    def replay(self, targets: np.ndarray, events: Float[np.ndarray, "count numbers"]) -> int:
+        """Repeat a flight in one call: see `access_replay`; return the number of steps."""
+        given, flown = self._numbers(targets), self._numbers(events)
+        return self._library.access_replay(self._craft, given, flown, len(events))
 
     def step(self, time: float) -> Step:
         command = np.zeros(self._n)

@@ -18,6 +18,7 @@ size_t access_size(void);
 void access_pose(airpuck *craft, double stamp, const double *pose);
 void access_sent(airpuck *craft, double time, const double *command);
 int access_step(airpuck *craft, double now, const double *given, double *command);
+int access_replay(airpuck *craft, const double *given, const double *events, int count);
 void access_estimate(const airpuck *craft, double *result);
 int access_limits(const airpuck *craft, int *active);
 int access_iterations(const airpuck *craft);
@@ -54,6 +55,25 @@ int access_step(airpuck *craft, double now, const double *given, double *command
     airpuck_status status = airpuck_step(craft, now, targets, own);
     widened(own, command, AIRPUCK_MOTORS);
     return (int)status;
+}
+
+/* Repeat a flight from its beginning; return the number of control steps. Each event has
+ * 3 + AIRPUCK_MOTORS numbers: a kind (0 pose, 1 step, 2 sent), a time, then the pose or command. */
+int access_replay(airpuck *craft, const double *given, const double *events, int count)
+{
+    double command[AIRPUCK_MOTORS];
+    int steps = 0;
+    airpuck_init(craft);
+    for (int i = 0; i < count; i++) {
+        const double *event = events + i * (3 + AIRPUCK_MOTORS);
+        if (event[0] == 0)
+            access_pose(craft, event[1], event + 2);
+        else if (event[0] == 2)
+            access_sent(craft, event[1], event + 2);
+        else
+            steps += access_step(craft, event[1], given, command) >= 0;
+    }
+    return steps;
 }
 
 /* Request, state, disturbance, motor speeds. */

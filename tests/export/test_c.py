@@ -146,6 +146,15 @@ def test_single_precision_decides_alike(tmp_path):
     assert np.quantile([step.command for step in found.steps], 0.99) < 2e-5
 
 
+def test_the_licences_are_with_the_sources(exported):
+    for source in exported.glob("airpuck*.[ch]"):
+        generated = source.name in ("airpuck_sizes.h", "airpuck_data.c")
+        assert generated or "SPDX-License-Identifier: BSD-2-Clause" in source.read_text()
+    ours = (Path(__file__).parents[2] / "LICENSE").read_text()
+    assert (exported / "LICENSE").read_text() == ours
+    assert "MIT License" in (exported / "daqp" / "LICENSE").read_text()
+
+
 def test_no_memory_is_allocated(exported, tmp_path):
     sources = [p for p in exported.glob("airpuck*.c") if "selftest" not in p.name]
     for number, source in enumerate(sources):

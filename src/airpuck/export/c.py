@@ -34,6 +34,7 @@ from airpuck.planning.tracking import given_up, rests
 _REMEMBERED = 0.5
 #: Sources of the controller, besides the model's.
 _SOURCES = (
+    "LICENSE",
     "README.md",
     "CMakeLists.txt",
     "main.c",
@@ -113,7 +114,7 @@ def _most_active(variables: int, soft: int) -> int:
 def _program_numbers(n: int, rows: int, soft: int) -> int:
     """Return the C macro AIRPUCK_QP_NUMBERS."""
     active = _most_active(n, soft)
-    own = n * (n + 1) // 2 + rows * n + 5 * (n + rows) + 4 * n + rows
+    own = n * (n + 1) // 2 + rows * n + 5 * (n + rows) + 3 * n + rows
     return own + active * (active + 11) // 2
 
 

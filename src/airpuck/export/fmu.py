@@ -86,6 +86,10 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
             data={"airpuck_plant.h": f"{craft}\n\n{table}"},
         )
         copy_sources([f"fmu/{name}" for name in (*_HEADERS, *_SOURCES)], sources)
+        licences = unit / "documentation" / "licenses"
+        licences.mkdir(parents=True)
+        copy_sources(["LICENSE"], licences)
+        (licences / "LICENSE").rename(licences / "license.txt")
         _save(sources / "buildDescription.xml", _build_description())
         _save(unit / "modelDescription.xml", _model_description(subject, listed, token))
         _zip(unit, folder / f"{NAME}.fmu")
@@ -242,6 +246,7 @@ def _model_description(subject: Subject, listed: list[Variable], token: str) -> 
         instantiationToken=token,
         description=" ".join(title(subject.model).strip("/* ").replace("\n *", "").split()),
         generationTool=f"airpuck {airpuck.__version__}",
+        copyright="Copyright (c) 2026, the airpuck authors",
         license="BSD-2-Clause",
         variableNamingConvention="flat",
     )

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 #include "airpuck.h"
 
 #include "airpuck_laws.h"

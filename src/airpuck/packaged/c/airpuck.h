@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* The controller of a craft: poses in, motor commands out.
  *
  *     airpuck craft;

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* A planned flight, and the law that tracks it. Included by airpuck.h. */
 #ifndef AIRPUCK_FLIGHT_H
 #define AIRPUCK_FLIGHT_H

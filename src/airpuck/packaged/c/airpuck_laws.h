@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* The laws, and the few functions that they share with the rest of the controller. */
 #ifndef AIRPUCK_LAWS_H
 #define AIRPUCK_LAWS_H

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 #include "airpuck_model.h"
 
 /* A motor with a shorter lag follows its command at once [s]. */

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Motion of a craft under given commands: the equations of motion and their integration.
  *
  * No memory is allocated and no state is kept: all functions work on the caller's arrays.

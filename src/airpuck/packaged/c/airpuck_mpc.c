@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 #include "airpuck_laws.h"
 #include "airpuck_slopes.h"
 
@@ -274,17 +275,26 @@ static void move_columns(const prediction *p, int k, const stage *at)
     }
 }
 
-/* Add weight * a b' to the upper triangle of the Hessian, for columns before `count`. */
-static void add_product(airpuck_qp *qp, int count, airpuck_real weight, const airpuck_real a[V],
-                        const airpuck_real b[V])
+/* Add the sum of weights[q] * a[q] b[q]' to the upper triangle of the Hessian, for columns before
+ * `count`. Three at once, because reading and writing the Hessian takes most of the time. */
+static void add_products(airpuck_qp *qp, int count, const airpuck_real weights[3],
+                         airpuck_real (*a)[V], airpuck_real (*b)[V])
 {
-    if (weight == 0)
-        return;
     for (int i = 0; i < count; i++) {
-        airpuck_real *row = qp->hessian + DAQP_R_OFFSET(i, V), scaled = weight * a[i];
+        airpuck_real *row = qp->hessian + DAQP_R_OFFSET(i, V);
+        airpuck_real x = weights[0] * a[0][i], y = weights[1] * a[1][i], z = weights[2] * a[2][i];
         for (int j = i; j < count; j++)
-            row[j] += scaled * b[j];
+            row[j] += x * b[0][j] + y * b[1][j] + z * b[2][j];
     }
+}
+
+/* Add weight * a a' for the speed of motor i, which only its own commands change. */
+static void add_speed(airpuck_qp *qp, int count, airpuck_real weight, int motor,
+                      const airpuck_real a[V])
+{
+    for (int i = motor; i < count && weight != 0; i += N)
+        for (int j = i; j < count; j += N)
+            qp->hessian[DAQP_R_OFFSET(i, V) + j] += weight * a[i] * a[j];
 }
 
 static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const airpuck_real a[V])
@@ -296,27 +306,34 @@ static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const a
 /* Add the costs after step k. */
 static void add_costs(const prediction *p, int k, const stage *at, airpuck_qp *qp)
 {
+    static const airpuck_real ones[3] = {1, 1, 1};
     int count = (horizon->owner[k] + 1) * N;
-    airpuck_real pushes[V];
-    for (int i = 0; i < 6; i++) {
-        if (k < AIRPUCK_STEPS - 1)
-            add_product(qp, count, horizon->weights[i], p->moved[i], p->moved[i]);
-        else
-            for (int j = 0; j < 6; j++)
-                add_product(qp, count, horizon->terminal[i][j], p->moved[i], p->moved[j]);
-        add_gradient(qp, count, at->weighted[i], p->moved[i]);
+    airpuck_real scaled[3][V];
+    for (int half = 0; half < 6; half += 3) {
+        for (int i = 0; i < 3; i++) {
+            for (int j = 0; j < count; j++) {
+                airpuck_real sum = 0;
+                for (int other = 0; other < 6 && k == AIRPUCK_STEPS - 1; other++)
+                    sum += horizon->terminal[half + i][other] * p->moved[other][j];
+                scaled[i][j] = k < AIRPUCK_STEPS - 1
+                                   ? horizon->weights[half + i] * p->moved[half + i][j]
+                                   : sum;
+            }
+            add_gradient(qp, count, at->weighted[half + i], p->moved[half + i]);
+        }
+        add_products(qp, count, ones, p->moved + half, scaled);
     }
     for (int axis = 0; axis < 3; axis++) {
         for (int j = 0; j < count; j++) {
-            pushes[j] = 0;
+            scaled[axis][j] = 0;
             for (int q = 0; q < AIRPUCK_MOVING; q++)
-                pushes[j] += at->felt[axis][q] * p->moved[2 + q][j];
+                scaled[axis][j] += at->felt[axis][q] * p->moved[2 + q][j];
         }
-        add_product(qp, count, horizon->effort[axis], pushes, pushes);
-        add_gradient(qp, count, horizon->effort[axis] * at->excess[axis], pushes);
+        add_gradient(qp, count, horizon->effort[axis] * at->excess[axis], scaled[axis]);
     }
+    add_products(qp, count, horizon->effort, scaled, scaled);
     for (int i = 0; i < N; i++)
-        add_product(qp, count, p->bend[k][i], p->moved[6 + i], p->moved[6 + i]);
+        add_speed(qp, count, p->bend[k][i], i, p->moved[6 + i]);
 }
 
 static void add_limits(const prediction *p, int k, const stage *at, airpuck_qp *qp)

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* The predictive law: commands over a horizon that track the targets best within all limits.
  *
  * Each step linearises the physics along the previous plan, shifted in time, and solves one

@@ -1,9 +1,11 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 #include "airpuck_qp.h"
 
 #include <float.h>
 #include <string.h>
 
-/* The steps of daqp_update_ldp (DAQP 0.11, utils.c; MIT licence) that form a least-distance problem
+/* The steps of daqp_update_ldp (DAQP 0.11, utils.c; copyright (c) 2022 Daniel Arnstrom, MIT
+ * licence in daqp/LICENSE) that form a least-distance problem
  * from a quadratic program with a positive definite Hessian, in the same order of operations:
  * H = R'R, M = A inv(R) with rows of unit length, v = inv(R)'f, d = b + M v. */
 
@@ -70,7 +72,6 @@ void airpuck_qp_begin(airpuck_qp *qp, int n, int r, int s, airpuck_real *rows,
     qp->gradient = taken(&numbers, n);
     work->v = taken(&numbers, n);
     work->x = work->u = taken(&numbers, n);
-    work->xold = taken(&numbers, n);
     work->Mu = taken(&numbers, r);
     work->lam = taken(&numbers, k);
     work->lam_star = taken(&numbers, k);
@@ -115,20 +116,19 @@ int airpuck_qp_factor(airpuck_qp *qp)
     for (int i = 0, at = 0; i < n; at += n - i, i++)
         largest = factor[at] > largest ? factor[at] : largest;
     /* Cholesky's factor, with reciprocals on the diagonal. */
-    for (int i = 0, at = 0; i < n; at += n - i, i++) {
-        airpuck_real pivot = factor[at];
-        for (int k = 0, up = i; k < i; k++, up += n - k)
-            pivot -= factor[up] * factor[up];
-        if (!(pivot > SMALLEST_PIVOT))
+    for (int i = 0; i < n; i++) {
+        airpuck_real *row = factor + DAQP_R_OFFSET(i, n);
+        if (!(row[i] > SMALLEST_PIVOT))
             return 0;
-        airpuck_real reciprocal = 1 / AIRPUCK_F(sqrt)(pivot);
-        for (int j = 1; j < n - i; j++) {
-            airpuck_real sum = factor[at + j];
-            for (int k = 0, up = i; k < i; k++, up += n - k)
-                sum -= factor[up] * factor[up + j];
-            factor[at + j] = sum * reciprocal;
+        airpuck_real reciprocal = 1 / AIRPUCK_F(sqrt)(row[i]);
+        for (int j = i + 1; j < n; j++)
+            row[j] *= reciprocal;
+        for (int k = i + 1; k < n; k++) {
+            airpuck_real *later = factor + DAQP_R_OFFSET(k, n), entry = row[k];
+            for (int j = k; j < n; j++)
+                later[j] -= entry * row[j];
         }
-        factor[at] = reciprocal;
+        row[i] = reciprocal;
     }
     work->Rinv = factor;
     /* Used again by airpuck_qp_solve. */
@@ -214,14 +214,17 @@ static int form_rows(airpuck_qp *qp)
     for (int i = n; i < work->m; i++) {
         const airpuck_real *row = qp->problem.A + (i - n) * n;
         airpuck_real *m = work->M + (i - n) * n, square = 0;
-        for (int j = n - 1; j >= 0; j--) {
-            airpuck_real sum = 0;
-            if (work->Rinv != NULL)
-                for (int k = j; k >= 0; k--)
-                    sum += row[k] * work->Rinv[DAQP_R_OFFSET(k, n) + j];
-            else
-                sum = row[j] * work->RinvD[j];
-            m[j] = sum;
+        for (int k = n - 1; k >= 0; k--) {
+            airpuck_real entry = row[k];
+            if (work->Rinv == NULL) {
+                m[k] = entry * work->RinvD[k];
+                continue;
+            }
+            const airpuck_real *inverse = work->Rinv + DAQP_R_OFFSET(k, n);
+            m[k] = entry * inverse[k];
+            /* Early steps do not depend on late commands. */
+            for (int j = k + 1; j < n && entry != 0; j++)
+                m[j] += entry * inverse[j];
         }
         for (int j = 0; j < n; j++)
             square += m[j] * m[j];

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Quadratic programs with a positive definite Hessian, solved by DAQP in the caller's memory.
  *
  *     min x'Hx/2 + f'x   subject to   lower <= (x, Ax) <= upper
@@ -18,7 +19,7 @@
 #define AIRPUCK_QP_ACTIVE(n, s) ((n) + (s) + 1)
 /* Length of the array `numbers` for n variables and r rows. */
 #define AIRPUCK_QP_NUMBERS(n, r, s)                                                              \
-    ((n) * ((n) + 1) / 2 + (r) * (n) + 5 * ((n) + (r)) + 4 * (n) + (r) +                          \
+    ((n) * ((n) + 1) / 2 + (r) * (n) + 5 * ((n) + (r)) + 3 * (n) + (r) +                          \
      AIRPUCK_QP_ACTIVE(n, s) * (AIRPUCK_QP_ACTIVE(n, s) + 11) / 2)
 
 /* A problem. Its arrays lie in the caller's memory, so it lives only during one control step. */

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Number type of the exported C: double, or float where AIRPUCK_SINGLE is defined.
  *
  * Constants are written AIRPUCK_R(0.5) and functions of <math.h> AIRPUCK_F(sin), so that no double

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Repeats the flight in golden.csv and compares statuses and commands.
  *
  * Lines: `target,x,y,yaw`, `depart,time` (of a planned flight), `pose,stamp,x,y,yaw`, `sent,time,command...`, and

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Derivatives of the equations of motion, for the linearisation along a plan. */
 #ifndef AIRPUCK_SLOPES_H
 #define AIRPUCK_SLOPES_H

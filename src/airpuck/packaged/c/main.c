@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Reads poses from standard input and writes commands.
  *
  * Input lines: `time x y yaw`, or `target x y yaw`; with a plan also `depart time`. Output lines: time, status, a number for each

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* The plant as an FMI 3.0 co-simulation unit: instances, modes, access to variables. */
 #include "airpuck_plant.h"
 #include "fmi3Functions.h"

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Functions that FMI 3.0 requires, but that a co-simulation FMU without events, clocks and further
  * types does not support: they return an error. */
 #include "fmi3Functions.h"

@@ -1,3 +1,4 @@
+/* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* A craft on its table: radio with delay, motors, rails, and a camera that measures the pose.
  *
  * The laws are those of airpuck's simulated table, with its integration steps. Steps end when a
