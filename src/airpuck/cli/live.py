@@ -80,11 +80,13 @@ class Guarded(Settings):
     ) -> None:
         """Fly a pilot on the graph, and report."""
         from airpuck.compute.process import low_latency
+        from airpuck.control.pose_gate import longest_pause
         from airpuck.live.fly import fly_live
         from airpuck.live.safety import SafetyLimits
 
         low_latency()
-        limits = SafetyLimits(geofence=self.fence(craft))
+        pause = longest_pause(craft, controls)
+        limits = SafetyLimits(geofence=self.fence(craft), pose_timeout=pause)
         figures = fly_live(make, craft.vehicle, limits, live, period=controls.period_s)
         report_flight(figures, json_file, live.quiet)
 

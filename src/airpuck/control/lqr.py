@@ -38,8 +38,13 @@ def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarra
     return a, b
 
 
-def motor_lag(time_constant: float, period: float) -> tuple[float, float]:
-    """Discretise a motor (eq. dis_motor_dynamics): its next speed is A φ + B u."""
+def motor_lag(time_constant: Any, period: float) -> tuple[Any, Any]:
+    """Discretise motors (eq. dis_motor_dynamics): their next speeds are A φ + B u."""
+    if np.ndim(time_constant):
+        decay, drive = zip(
+            *(motor_lag(tau, period) for tau in np.ravel(time_constant)), strict=True
+        )
+        return np.array(decay), np.array(drive)
     if time_constant == 0:
         return 0.0, 1.0
     return math.exp(-period / time_constant), -math.expm1(-period / time_constant)
@@ -191,7 +196,7 @@ def plan_stage(
     """
     dynamics, vehicle = model.dynamics, model.vehicle
     arm, least, most = model.radius_of_gyration, vehicle.command_min, vehicle.command_max
-    lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
+    lag, drive = motor_lag(dynamics.lag, period)
 
     def plan(
         xp: Any,
@@ -246,7 +251,7 @@ def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
     """
     dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
     least, most = vehicle.command_min, vehicle.command_max
-    _, drive = motor_lag(float(dynamics.motor_time_constant), period)
+    _, drive = motor_lag(dynamics.lag, period)
 
     def command(xp: Any, solution: Any, lower: Any, upper: Any, coasting: Any) -> tuple[Any]:
         # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.

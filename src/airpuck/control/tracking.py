@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +19,7 @@ from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
 from airpuck.control.laws import law_named
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
+from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
 from airpuck.control.reference import Numbers, Reference
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.craft.table import Table
@@ -26,19 +27,9 @@ from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.physics.angle import pose_difference
 
-#: Commands that began to act longer ago than this affect only the motor speeds [s].
-_REMEMBERED = 0.5
-#: No control without a pose from the last 50 ms: twelve frames of motion capture.
-STALE = 0.05
 #: Acceleration in the weakest combination of push and turn below which no law can steer [m/s²].
 _LEAST_EFFORT = 1e-6
-#: A pose this far from its prediction cannot be the craft: [m, m, rad].
-_JUMP = (0.1, 0.1, 1.0)
-#: Poses that agree with each other for this long, but not with the prediction, are accepted [s];
-#: rounding of stamps must not cost a frame.
-_BELIEVED_AFTER = STALE - 1e-6
 
 
 class TrackingController(Pilot):
@@ -121,7 +112,7 @@ class TrackingController(Pilot):
         self._predict_and_stage = None
         if compensate_delay and self.law.stage and (not compiled or large_programs_are_fast()):
             self._predict_and_stage = self.filter.composed(self.law.stage, *self.law.inputs)
-        self._gate = PoseGate()
+        self._gate = PoseGate(longest_pause(model, tuning))
         #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
 
@@ -129,9 +120,10 @@ class TrackingController(Pilot):
         """Receive a measured pose.
 
         The controller ignores a pose that is not finite, not newer than the last, or implausibly
-        far from its prediction. Poses that agree with each other for 50 ms are accepted, wherever
-        they are. A pose more than 50 ms older than the last shows that the last stamp was wrong,
-        and is accepted at once; so is the first pose after a gap of 50 ms.
+        far from its prediction. `longest_pause` is the age at which a pose is too old, 50 ms for the
+        paper's craft and cameras. Poses that agree with each other for that long are accepted,
+        wherever they are. A pose that is older than the last by more shows that the last stamp was
+        wrong, and is accepted at once; so is the first pose after such a gap.
 
         Parameters
         ----------
@@ -152,7 +144,7 @@ class TrackingController(Pilot):
         """Receive a measurement.
 
         Readings of on-board sensors may arrive later than poses with newer stamps. The controller
-        ignores a reading that is not finite, or more than 50 ms from the last pose.
+        ignores a reading that is not finite, or too far from the last pose (see `pose`).
 
         Parameters
         ----------
@@ -182,8 +174,8 @@ class TrackingController(Pilot):
         """Receive the command that was actually sent.
 
         A command that is not finite counts as not sent: the previous one stays in force. A time
-        that is not finite, or more than 50 ms ahead of the last step, pose and command, is replaced
-        by the present.
+        that is not finite, or too far ahead of the last step, pose and command, is replaced by the
+        present.
 
         Parameters
         ----------
@@ -200,13 +192,13 @@ class TrackingController(Pilot):
         command = _copied(command, len(self._idle), "command")
         if not all_finite(command):
             return
-        if math.isfinite(self._clock) and not -math.inf < time <= self._clock + STALE:
+        if math.isfinite(self._clock) and not -math.inf < time <= self._clock + self._gate.pause:
             time = self._clock
         if not math.isfinite(time):
             return
         self._clock = max(self._clock, time)
         self.filter.command(time, command)
-        self.filter.run_motors(time - _REMEMBERED)
+        self.filter.run_motors(time - remembered(self._gate.pause))
 
     def step(self, time: float) -> Step:
         """Compute the command to send now; report the command actually sent with `sent`.
@@ -320,68 +312,3 @@ def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFi
     return ActuationFilter(
         model, estimation.noise, lasting=estimation.forgetting_s, compiled=compiled
     )
-
-
-class PoseGate:
-    """Passes poses to an estimator unless they cannot be the craft."""
-
-    def __init__(self) -> None:
-        #: Stamps of the last pose received and of the last pose used.
-        self.received: float | None = None
-        self._used = -math.inf
-        #: Last of the poses that agree only with each other, and the stamp of the first of them.
-        self._doubtful: Float[np.ndarray, " 3"] | None = None
-        self._doubtful_since = 0.0
-        self._bad = False
-
-    def offer(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> bool:
-        """Use a pose if it is plausible; return whether it is finite and new.
-
-        See `TrackingController.pose` for the rules.
-        """
-        self._bad = not (math.isfinite(time) and all_finite(pose))
-        last = self.received
-        if self._bad or (last is not None and last - STALE <= time <= last):
-            return False
-        self.received = time
-        if last is None or abs(time - last) > STALE:
-            # The last pose is too old to predict from, or its stamp lies in the future: restart.
-            self._restart(estimator, time, pose)
-        # After 50 ms of doubtful poses, the prediction deserves no more trust than the poses.
-        elif time - self._used <= STALE and estimator.pose(time, pose, gate=_JUMP):
-            self._used = time
-            self._doubtful = None
-        else:
-            if self._doubtful is None or _far(pose, self._doubtful):
-                self._doubtful_since = time
-            self._doubtful = pose
-            if time - self._doubtful_since >= _BELIEVED_AFTER:
-                self._restart(estimator, time, pose)
-        return True
-
-    def refusal(
-        self, time: float
-    ) -> Literal["bad input", "no pose", "stale pose", "jumping pose"] | None:
-        """Return why the poses do not allow steering now; None if they do."""
-        if self._bad:
-            return "bad input"
-        if self.received is None:
-            return "no pose"
-        if not self.is_recent(time):
-            return "stale pose"
-        return None if self._doubtful is None else "jumping pose"
-
-    def is_recent(self, time: float) -> bool:
-        """Return whether a time is within 50 ms of the last pose."""
-        return self.received is not None and abs(time - self.received) <= STALE
-
-    def _restart(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> None:
-        """Restart the estimator at a pose, keeping the known commands."""
-        self._doubtful = None
-        self._used = time
-        estimator.restart(time, pose)
-
-
-def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
-    """Return whether two poses are too far apart for consecutive frames."""
-    return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())

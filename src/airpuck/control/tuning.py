@@ -151,6 +151,8 @@ class Estimation(Section):
     #: Whether to assume that motors follow their commands, or to estimate the effectiveness of
     #: each.
     estimator: Literal["kalman", "actuation"] = "kalman"
+    #: Poses per second; by default as in the recordings that the model was identified from.
+    camera_hz: Positive | None = None
     #: Standard deviation of the motion capture.
     position_m: Positive
     yaw_rad: Positive
@@ -271,6 +273,23 @@ class Tuning(Section):
         return self.model_copy(
             update={"regulator": self.regulator.model_copy(update={"kind": kind})}
         )
+
+    def with_camera(self, rate_hz: float) -> Tuning:
+        """Return the tuning for a camera, unless it states its own rate.
+
+        Parameters
+        ----------
+        rate_hz : float
+            Poses per second.
+
+        Returns
+        -------
+        Tuning
+            A copy.
+        """
+        changed = {"camera_hz": self.estimation.camera_hz or rate_hz}
+        estimation = self.estimation.model_copy(update=changed)
+        return self.model_copy(update={"estimation": estimation})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.

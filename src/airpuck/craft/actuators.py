@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -25,6 +26,8 @@ _SAME_PERIOD = 0.1
 _ONE_EVENT = 1e-9
 #: Longest plausible times of a valve, and of a PWM period [s].
 _VALVE_TIME, _PWM_TIME = 0.5, 2.0
+#: Shortest and longest lag of a wheel [s], as those of propellers that a fit may find.
+_LEAST_LAG, _LONGEST_LAG = 1e-4, 1.0
 #: Changes of a wheel's speed below this are rounding [fraction of the largest speed].
 _NO_SPEED = 1e-12
 
@@ -134,11 +137,11 @@ class OnOff(Section):
         return times, np.where(still | (command[packet] >= 1), 1.0, 0.0)
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
-        """Return a lag for each valve, which opens and closes at different rates."""
+        """Return a lag for each valve, (n, 1), which opens and closes at different rates."""
         mean = (self.rise_s + self.fall_s) / 2
         if mean == 0:
             return time_constant
-        return time_constant / mean * xp.where(drive > 0.5, self.rise_s, self.fall_s)
+        return time_constant / mean * xp.where(drive > 0.5, self.rise_s, self.fall_s)[:, None]
 
 
 Actuators = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]
@@ -158,6 +161,8 @@ class Wheel(Section):
     commanded: Literal["torque", "speed"] = "torque"
     #: Which way a positive command turns the craft: against the wheel.
     turns_craft: Literal["left", "right"] = "right"
+    #: First-order lag of its torque; by default that of the propellers.
+    time_constant_s: Annotated[float, pydantic.Field(ge=_LEAST_LAG, le=_LONGEST_LAG)] | None = None
 
     @property
     def spin_up_s(self) -> float:
@@ -228,6 +233,8 @@ class Channel:
     couple: float = 0.0
     #: Thrust relative to the actuator's nominal one.
     strength: float = 1.0
+    #: Its own lag [s]; None: that of the propellers.
+    time_constant_s: float | None = None
 
     @property
     def is_wheel(self) -> bool:
@@ -249,6 +256,12 @@ class ActuatorSet:
         reverses = any(channel.sign < 0 and not channel.is_wheel for channel in self.channels)
         more = {"reversible propeller": reverses, "reaction wheel": bool(self.wheels)}
         return (self.kind.kind, *(name for name, present in more.items() if present))
+
+    @cached_property
+    def own_lag(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Which channels share one lag, (n, 1), and the lags of the others [s]; None: all do."""
+        own = np.array([[channel.time_constant_s or 0.0] for channel in self.channels])
+        return (np.where(own > 0, 0.0, 1.0), own) if own.any() else None
 
     @property
     def n_columns(self) -> int:

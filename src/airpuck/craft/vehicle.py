@@ -202,7 +202,16 @@ class Vehicle(Section):
             if one.reverse is not None
         ]
         wheels = [
-            Channel(wheel.name, k, 1, (0.0, 0.0), 0.0, wheel.couple, wheel.torque_Nm)
+            Channel(
+                wheel.name,
+                k,
+                1,
+                (0.0, 0.0),
+                0.0,
+                wheel.couple,
+                wheel.torque_Nm,
+                wheel.time_constant_s,
+            )
             for k, wheel in enumerate(self.wheels, start=len(forwards))
         ]
         against = [

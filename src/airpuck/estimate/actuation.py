@@ -216,7 +216,7 @@ class ActuationEncoder:
 
 def _motor_speeds(dynamics: Dynamics, past: Past) -> Float[np.ndarray, "E n B"]:
     """Return the motor speeds over the past, from the first command on."""
-    lag = dynamics.motor_time_constant, dynamics.idle_lag
+    lag = dynamics.lag, dynamics.idle_lag
     speeds = [np.asarray(past.command[0])]
     for command, duration in zip(past.command[:-1], past.duration, strict=True):
         speeds.append(motor_step(np, speeds[-1], command, duration, *lag))

@@ -103,7 +103,7 @@ def propagate(
 
     Each interval uses the acceleration at its middle, so that the error is of second order.
     """
-    tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
+    tau, idle = dynamics.lag, dynamics.idle_lag
     for k in range(len(durations)):
         h, command = durations[k], commands[k]
         middle = motor_step(xp, motor_speed, command, h / 2, tau, idle)

@@ -81,7 +81,7 @@ class PaperEncoder:
         commands = past.command[:-1] if self.indexing == "start" else past.command[1:]
 
         def follow(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:
-            speed = motor_step(xp, speed, *held, dynamics.motor_time_constant, dynamics.idle_lag)
+            speed = motor_step(xp, speed, *held, dynamics.lag, dynamics.idle_lag)
             return speed, speed[:0]
 
         speed, _ = scan(xp, follow, past.command[0], (commands, past.duration))

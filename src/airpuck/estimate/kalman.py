@@ -177,7 +177,7 @@ class KalmanFilter:
         last = -math.inf if last is None else last
         if time <= last:
             return
-        tau, idle = self.model.dynamics.motor_time_constant, self.model.dynamics.idle_lag
+        tau, idle = self.model.dynamics.lag, self.model.dynamics.idle_lag
         for duration, command in self._commands.cut(last, time):
             self._motor_speed = motor_step(np, self._motor_speed, command, duration, tau, idle)
         self._motors_at = time

@@ -219,7 +219,7 @@ def drift(
     Each interval uses the values at its middle, so that the error is of second order. Returns the
     matrix and the offset that advance any x, and the motor speeds.
     """
-    tau, idle = dynamics.motor_time_constant, dynamics.idle_lag
+    tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
     size = len(e)
     # Effects of e on v and p, and contributions of a itself.
@@ -256,7 +256,7 @@ def sensitivity(
     a = xp.sum(by_motor, axis=1) + rest
     # For a later arrival of the commands: a(t - δ).
     little = 1e-4
-    lag = lag_at(xp, speed, dynamics.motor_time_constant, dynamics.idle_lag)
+    lag = lag_at(xp, speed, dynamics.lag, dynamics.idle_lag)
     slope = (command - speed) / xp.maximum(lag, little)
     earlier = motor_accelerations(xp, dynamics, motion, speed - little * slope)
     by_delay = (xp.sum(earlier[0], axis=1) + earlier[1] - a) / little

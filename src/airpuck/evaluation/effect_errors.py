@@ -230,7 +230,7 @@ def _motor_speeds(model: Model, dynamics: Dynamics, windows: Windows) -> Float[n
     """Return the motor speeds from the present of each window on."""
     state, _ = PaperEncoder(model.indexing).begin(dynamics, windows.past())
     commands, durations, _ = windows.future()
-    lag = dynamics.motor_time_constant, dynamics.idle_lag
+    lag = dynamics.lag, dynamics.idle_lag
     speeds = [state[6:]]
     for command, duration in zip(commands, durations, strict=True):
         speeds.append(motor_step(np, speeds[-1], command, duration, *lag))

@@ -259,7 +259,7 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
 
 
 def motor_speeds_at(
-    trajectory: Trajectory, delay: float, lag: float, idle_lag: float | None
+    trajectory: Trajectory, delay: float, lag: Any, idle_lag: float | None
 ) -> Float[np.ndarray, "N n"]:
     """Let motors follow commands that act after a delay; return their speeds at each sample."""
     acts = trajectory.command_time + delay
@@ -302,7 +302,7 @@ def _run_filter(
     squares = [np.square(part) for part in (noise.pose, noise.acceleration, noise.disturbance)]
     if covariance is None:
         covariance = initial_covariance(np, squares[0], squares[2], trajectory.sample_period)
-    lag = float(model.dynamics.motor_time_constant), model.dynamics.idle_lag
+    lag = model.dynamics.lag, model.dynamics.idle_lag
     speed = speed_before(float(time[0]), acts, trajectory.command, *lag)
     pieces = cut_at_commands(time, acts, trajectory.command)
     inputs = (trajectory.state[:, :3], restart, begin, np.diff(time, prepend=time[0]), *pieces)
@@ -369,7 +369,7 @@ def speed_before(
     time: float,
     event_time: Float[np.ndarray, " K"],
     command: Float[np.ndarray, "K n"],
-    time_constant: float,
+    time_constant: Any,
     idle_lag: float | None,
 ) -> Float[np.ndarray, " n"]:
     """Let motors follow all commands before a given time."""

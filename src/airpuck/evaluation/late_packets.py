@@ -10,7 +10,7 @@ the innovations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -116,10 +116,10 @@ def _directions(
 ) -> Float[np.ndarray, "N 3 m 2"]:
     """Return the effects of delay, lag and motors on position and velocity over each step."""
     now = _accelerations(model, trajectory, found.motor_speed)
-    delay, lag = delay_for(model, trajectory), float(model.dynamics.motor_time_constant)
-    idle = model.dynamics.idle_lag
-    later = motor_speeds_at(trajectory, delay + _STEP, lag, idle)
-    slower = motor_speeds_at(trajectory, delay, lag + _STEP, idle)
+    delay, dynamics = delay_for(model, trajectory), model.dynamics
+    slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _STEP)
+    later = motor_speeds_at(trajectory, delay + _STEP, dynamics.lag, dynamics.idle_lag)
+    slower = motor_speeds_at(trajectory, delay, slow.lag, dynamics.idle_lag)
     by_delay, by_lag = (
         (_accelerations(model, trajectory, speed) - now).sum(axis=2, keepdims=True) / _STEP
         for speed in (later, slower)

@@ -29,7 +29,7 @@ from airpuck.evaluation.fit_measures import RESTART
 from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovations
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.physics.motor import motor_step
+from airpuck.physics.motor import all_lags, motor_step
 from airpuck.physics.rigid_body import CenterOfMassFrame, rollout
 
 #: 97.5 % quantile of the normal distribution: half of a 95 % band, in standard deviations.
@@ -292,7 +292,9 @@ def _one_prediction(
         return durations + later * (parameters(free).transport_delay - estimate.transport_delay)
 
     def follow(free: Any, speed: Any, lead: Any) -> Any:
-        lag = parameters(free).motor_time_constant, parameters(free).idle_lag
+        moved = parameters(free)
+        tau = all_lags(moved.motor_time_constant, vehicle.actuation.own_lag)
+        lag = tau, moved.idle_lag
         flat = lead[0].reshape(-1, n), delayed(free, *lead[1:]).ravel()
 
         def turn(speed: Any, held: tuple[Any, Any]) -> tuple[Any, Any]:

@@ -19,6 +19,7 @@ from airpuck.control.horizon import Blocks, Sizes, braking
 from airpuck.control.law import LawOptions
 from airpuck.control.lqr import cost_to_go, motor_lag, point_mass, regulator
 from airpuck.control.mpc import MPC
+from airpuck.control.pose_gate import longest_pause, remembered
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Regulator, Tuning
@@ -30,8 +31,6 @@ from airpuck.model.model_file import Model
 from airpuck.planning.plan import Plan
 from airpuck.planning.tracking import given_up, rests
 
-#: Time for which unconfirmed commands are kept [s]; `airpuck_sent` forgets older ones.
-_REMEMBERED = 0.5
 #: Sources of the controller, besides the model's.
 _SOURCES = (
     "LICENSE",
@@ -68,10 +67,11 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     if plan is not None and tuning.regulator.kind == "lqr":
         tuning = tuning.with_regulator("plan")
     _check(model, tuning, plan)
+    held = remembered(longest_pause(model, tuning)) + model.transport_delay
     sizes = {
         "AIRPUCK_STEPS": 0,
         "AIRPUCK_INTERVALS": 0,
-        "AIRPUCK_HELD": math.ceil((_REMEMBERED + model.transport_delay) / tuning.period_s) + 4,
+        "AIRPUCK_HELD": math.ceil(held / tuning.period_s) + 4,
     }
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
     facts: dict[str, Any] = {"law": tuning.regulator.kind, "on-board sensors": "not used"}
@@ -195,10 +195,13 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
 def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_tuning`."""
     noise, vehicle, period = tuning.estimation.noise, model.vehicle, tuning.period_s
+    pause = longest_pause(model, tuning)
     lag, drive = motor_lag(float(model.dynamics.motor_time_constant), period)
     disturbed = INITIAL_DISTURBANCE * (np.array(noise.disturbance) > 0)
     return {
         "transport_delay": model.transport_delay,
+        "longest_pause": pause,
+        "remembered": remembered(pause),
         "period": period,
         "gain": regulator(tuning.weights, period),
         "motor_lag": lag,

@@ -83,10 +83,10 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     knots = np.arange(0, len(trajectory), _SPACING * half)
     # The midpoints of equal parts of every step.
     index = knots[:-1, None] + np.arange(_SPACING // 2, _SPACING * half, _SPACING)
-    lag, time = float(dynamics.motor_time_constant), trajectory.time
+    lag, time = dynamics.lag, trajectory.time
     speed = motor_speeds(time, trajectory.input, lag, dynamics.idle_lag)
     length = float(np.median(np.diff(time[knots])))
-    stopping = _stopping_steps(lag, length)
+    stopping = _stopping_steps(float(np.max(lag)), length)
 
     def means(index: Any, speed: Any) -> tuple[Any, Any]:
         """Mean accelerations over all steps, of each motor and in total."""
@@ -101,7 +101,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     for age in range(max(len(held), stopping - 1)):
         begin = knots[np.maximum(np.arange(len(total)) - age, 0)]
         elapsed = time[index] - time[begin][:, None]
-        left = lag_decay(np, elapsed, lag)[..., None]
+        left = lag_decay(np, elapsed[..., None], np.ravel(lag))
         before = speed[begin][:, None]
         if age < stopping - 1:
             standing[age], _ = means(index, before * left)

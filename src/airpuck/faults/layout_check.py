@@ -410,7 +410,7 @@ def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarr
     parts, count = _parts(trajectory), len(trajectory)
     fine = np.interp(np.arange(count * parts) / parts, np.arange(count), trajectory.time)
     command = hold(trajectory.command_time, trajectory.command, fine)
-    speed = motor_speeds(fine, command, vehicle.nominal.motor_time_constant_s)
+    speed = motor_speeds(fine, command, nominal_model(vehicle).dynamics.lag)
     force = thrust(vehicle.nominal_thrust, speed.T)
     if parts == 1:
         return force

@@ -12,6 +12,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
+from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
@@ -21,7 +22,7 @@ from airpuck.physics.motor import motor_step
 from airpuck.physics.thrust import thrust
 
 #: Nothing is sent without a pose from the last 50 ms.
-_STALE = 0.05
+SHORTEST_PAUSE = 0.05
 #: Distance to the rails at which the test ends [m].
 _MARGIN = 0.05
 #: After a pause this long between two steps the test restarts [s].
@@ -130,12 +131,12 @@ class PulseTest(Pilot):
     def _begin(self, time: float) -> None:
         """Begin the test, or restart it after a long pause."""
         self._begun, self.stopped = time, ""
-        recent = [(stamp, pose) for stamp, pose in self.poses if stamp > time - _STALE]
+        recent = [(stamp, pose) for stamp, pose in self.poses if stamp > time - SHORTEST_PAUSE]
         self.poses, self.sent_commands = recent or self.poses[-1:], []
 
     def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
         """Return why the motors must not be driven; empty if they may be."""
-        if age > _STALE:
+        if age > SHORTEST_PAUSE:
             return f"poses stopped coming {1e3 * age:.0f} ms ago"
         if (np.abs(pose[:2]) > self.reach - _MARGIN).any():
             x, y = pose[:2]
@@ -253,7 +254,8 @@ def _force(
     model: Model, motor: int, level: float, elapsed: Float[np.ndarray, "G D"], length: float
 ) -> Float[np.ndarray, "G D"]:
     """Return the modelled thrust of a motor beyond its idling thrust [N]."""
-    lag, idle = float(model.dynamics.motor_time_constant), model.vehicle.command_min
+    lags, idle = np.ravel(model.dynamics.lag), model.vehicle.command_min
+    lag = float(np.broadcast_to(lags, model.vehicle.n_propellers)[motor])
     peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
     speed = motor_step(np, peak, idle, np.maximum(elapsed - length, 0.0), lag)
     # Motors without lag follow at once, even in the first instant before the pulse.

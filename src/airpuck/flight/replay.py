@@ -322,7 +322,7 @@ def _regression(
     speeds after the recorded command.
     """
     dynamics, period = controller.model.dynamics, controller.tuning.period_s
-    lag, drive = motor_lag(float(dynamics.motor_time_constant), period)
+    lag, drive = motor_lag(dynamics.lag, period)
     driven = controller.model.vehicle.actuation.split(sent)
     rows = []
     for estimate, target, command in zip(estimates, targets, driven, strict=True):

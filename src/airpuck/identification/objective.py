@@ -36,7 +36,7 @@ from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.parameters import Parameters
 from airpuck.physics.effects import IdleLag
-from airpuck.physics.motor import motor_step
+from airpuck.physics.motor import all_lags, motor_step
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, acceleration, register_pytrees
 from airpuck.physics.thrust import thrust, thrust_slope
 
@@ -57,7 +57,7 @@ _Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
 
 
 def normal_equations(
-    dynamics: tuple[Any, tuple[Any, Any], Any, Any],
+    dynamics: tuple[Any, tuple[Any, Any], Any, Any, Any],
     basis: tuple[Any, Any],
     time: Any,
     state: Any,
@@ -80,7 +80,7 @@ def normal_equations(
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
     """
-    coefficients, linear, center, lag_values = dynamics
+    coefficients, linear, center, lag_values, own_lag = dynamics
     tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
     # The lag does not depend on the delay, the last local coordinate.
@@ -95,7 +95,8 @@ def normal_equations(
 
     def encode(values: Any, command: Any) -> Any:
         idle = [IdleLag(value) for value in values[1:]]
-        model = Dynamics(coefficients, linear[0], center, values[0], frame, (*linear[1], *idle))
+        effects = (*linear[1], *idle)
+        model = Dynamics(coefficients, linear[0], center, values[0], frame, effects, own_lag)
         return encoder.encode(jnp, model, replace(past, command=command))
 
     def accelerate(*by: Any) -> Any:
@@ -150,12 +151,11 @@ def normal_equations(
         return jnp.concatenate([motion[3:], value]), d_acceleration
 
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
-        end, push = jax.linearize(
-            lambda speed, held, values: motor_step(jnp, speed, held, duration, *values),
-            speed,
-            held,
-            lag_values,
-        )
+        def turned(speed: Any, held: Any, values: Any) -> Any:
+            own = all_lags(values[0], own_lag)
+            return motor_step(jnp, speed, held, duration, own, *values[1:])
+
+        end, push = jax.linearize(turned, speed, held, lag_values)
         return end, jax.vmap(push)(d_speed, d_held, by_lag)
 
     def step(carry: Any, k: Any) -> tuple[Any, None]:
@@ -164,7 +164,8 @@ def normal_equations(
         held, h = command[now].T, time[now + 1] - time[now]
         d_held = with_delay(command_slope[now].T)
         # As in `airpuck.physics.rigid_body.step`, with the sensitivities of every quantity.
-        begin = jnp.where(tau > 0, speed, held), jnp.where(tau > 0, d_speed, d_held)
+        lagging = all_lags(tau, own_lag) > 0
+        begin = jnp.where(lagging, speed, held), jnp.where(lagging, d_speed, d_held)
         middle, end = (lag(*begin, held, d_held, duration) for duration in (h / 2, h))
         there = ()
         if of_place:
@@ -373,7 +374,8 @@ class PredictionLoss:
         lag = np.array([parameters.motor_time_constant], dtype=float)
         if parameters.idle_lag is not None:
             lag = np.append(lag, parameters.idle_lag)
-        dynamics = (parameters.thrust, values, parameters.center_of_mass, lag)
+        own_lag = self.vehicle.actuation.own_lag
+        dynamics = (parameters.thrust, values, parameters.center_of_mass, lag, own_lag)
         samples = (windows.time, windows.state, windows.input, slope)
         with double_precision():
             # Copy to the device; creating the array with jax.numpy would compile a program for each

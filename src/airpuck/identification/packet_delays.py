@@ -152,7 +152,7 @@ class _Surroundings:
         self.components = _Components(trajectory.sample_period, length)
         self._lag = float(model.dynamics.motor_time_constant)
         held, _ = mean_hold(arrival, trajectory.command, trajectory.time)
-        speed = motor_speeds(trajectory.time, held, self._lag, model.dynamics.idle_lag)
+        speed = motor_speeds(trajectory.time, held, model.dynamics.lag, model.dynamics.idle_lag)
         self._speed = np.moveaxis(speed[index], -1, 1)
         period = np.median(np.diff(arrival))
         before, after = (

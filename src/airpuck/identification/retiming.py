@@ -104,7 +104,7 @@ def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndar
     """Compute the accelerations of a model along the measured motion."""
     assumed = model.vehicle.nominal.transport_delay_s
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
-    lag = float(model.dynamics.motor_time_constant), model.dynamics.idle_lag
+    lag = model.dynamics.lag, model.dynamics.idle_lag
     speed = motor_speeds(trajectory.time, held, *lag)
     return np.stack(acceleration(np, model.dynamics, trajectory.state[:, 2:].T, speed.T), axis=1)
 

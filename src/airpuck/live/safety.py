@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
+from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import checked_step
@@ -31,7 +32,7 @@ class SafetyLimits:
     #: Smallest allowed distance to the centre line [m].
     line: float = 0.0
     #: Motors idle after this long without a pose [s].
-    pose_timeout: float = 0.05
+    pose_timeout: float = SHORTEST_PAUSE
     #: This many equal poses in a row are not measurements: real ones have noise.
     frozen: int = 12
     #: Two consecutive poses this far apart, beyond what `fastest` explains, count as a jump [m,

@@ -195,6 +195,7 @@ class Parameters(_Values):
             motor_time_constant=self.motor_time_constant,
             frame=frame,
             effects=make_effects(coefficients, self.layout(xp, vehicle)),
+            own_lag=vehicle.actuation.own_lag,
         )
 
     def layout(self, xp: Any, vehicle: Vehicle) -> Layout:

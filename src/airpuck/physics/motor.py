@@ -27,6 +27,7 @@ def motor_step(
     """
     if idle_lag is not None:
         time_constant = _lag_within(xp, speed, command, duration, time_constant, idle_lag)
+    time_constant = lag_like(speed, time_constant)
     return command + (speed - command) * lag_decay(xp, duration, time_constant)
 
 
@@ -40,6 +41,7 @@ def _lag_within(
 
 def lag_at(xp: Any, speed: Any, time_constant: Any, idle_lag: Any = None) -> Any:
     """Return τ(φ) = τ (1 + c exp(-φ/0.1)), the lag at a speed; τ if c is None."""
+    time_constant = lag_like(speed, time_constant)
     if idle_lag is None:
         return time_constant
     return time_constant * (1 + idle_lag * xp.exp(-speed / IDLE))
@@ -54,6 +56,23 @@ def lag_decay(xp: Any, duration: Any, time_constant: Any) -> Any:
     lagging = time_constant > _NO_LAG
     divisor = xp.where(lagging, time_constant, 1.0)
     return xp.where(lagging, xp.exp(-duration / divisor), 0.0)
+
+
+def all_lags(usual: Any, own_lag: tuple[Any, Any] | None) -> Any:
+    """Return the lag of all motors, or of each, (n, 1): usual * shared + own (`Dynamics`).
+
+    Motors of a model without lag have none of their own, either.
+    """
+    if own_lag is None:
+        return usual
+    shared, own = own_lag
+    return usual * shared + own * lags(usual)
+
+
+def lag_like(speed: Any, time_constant: Any) -> Any:
+    """Return a lag, which may have one row for each motor, in the shape of motor speeds."""
+    rows = np.ndim(time_constant) == 2 and np.ndim(speed) == 1
+    return time_constant[:, 0] if rows else time_constant
 
 
 def lags(time_constant: Any) -> Any:
@@ -72,7 +91,7 @@ def _symbolic(time_constant: Any) -> bool:
 def motor_speeds(
     time: Float[np.ndarray, " N"],
     command: Float[np.ndarray, "N n"],
-    time_constant: float,
+    time_constant: float | Float[np.ndarray, "n 1"],
     idle_lag: float | None = None,
 ) -> Float[np.ndarray, "N n"]:
     """Simulate motors under held commands.
@@ -83,8 +102,8 @@ def motor_speeds(
         Sample times [s].
     command : array, shape (N, n)
         Command in force from each sample to the next.
-    time_constant : float
-        Lag τ ≥ 0 [s].
+    time_constant : float or array, shape (n, 1)
+        Lag τ ≥ 0 of all motors, or of each [s].
     idle_lag : float, optional
         Relative increase of the lag at standstill; see `airpuck.physics.effects.IdleLag`.
 
@@ -93,7 +112,7 @@ def motor_speeds(
     array, shape (N, n)
         Normalised motor speeds; the first sample equals the command.
     """
-    duration = np.diff(time)[:, None]
+    duration, time_constant = np.diff(time)[:, None], lag_like(time, time_constant)
     speed = _followed(command, lag_decay(np, duration, time_constant))
     if idle_lag is None:
         return speed

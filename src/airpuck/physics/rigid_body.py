@@ -19,7 +19,7 @@ import numpy as np
 from airpuck.compute.arrays import linear_map, register_pytree, scan
 from airpuck.compute.rotation import cos_sin
 from airpuck.physics.effects import BodyMotion, Effect
-from airpuck.physics.motor import lag_at, lags, motor_step
+from airpuck.physics.motor import all_lags, lag_at, lag_like, lags, motor_step
 from airpuck.physics.thrust import thrust
 
 #: The frame in which the offset of the centre of mass is constant. Physically it is the body frame;
@@ -49,6 +49,9 @@ class Dynamics:
         The frame in which `center_of_mass` is constant.
     effects : tuple of Effect
         Optional terms (`airpuck.physics.effects`).
+    own_lag : tuple of array, shape (n, 1), or None
+        1 where motors have the lag `motor_time_constant` and 0 elsewhere, and the lags of these
+        others [s]; None: all have the same.
     """
 
     thrust: Any
@@ -57,6 +60,12 @@ class Dynamics:
     motor_time_constant: Any
     frame: CenterOfMassFrame = "body"
     effects: tuple[Effect, ...] = ()
+    own_lag: tuple[Any, Any] | None = None
+
+    @property
+    def lag(self) -> Any:
+        """Lag of the motors [s], of shape (n, 1) if some have their own."""
+        return all_lags(self.motor_time_constant, self.own_lag)
 
     @property
     def idle_lag(self) -> Any:
@@ -174,7 +183,7 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
     rates = xp.stack(acceleration(xp, dynamics, motion, motor_speed))
     if not lagging:
         return xp.concatenate([state[3:6], rates])
-    lag = lag_at(xp, motor_speed, dynamics.motor_time_constant, dynamics.idle_lag)
+    lag = lag_at(xp, motor_speed, dynamics.lag, dynamics.idle_lag)
     return xp.concatenate([state[3:6], rates, (command - motor_speed) / lag])
 
 
@@ -193,7 +202,7 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
 
 def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:
     """Advance the extended state under a constant command by one Runge-Kutta step."""
-    h, tau, idle = duration, dynamics.motor_time_constant, dynamics.idle_lag
+    h, tau, idle = duration, lag_like(state, dynamics.lag), dynamics.idle_lag
     # A motor without lag has its new speed from the start of the step.
     begin = xp.where(lags(tau), state[6:], command)
     middle = motor_step(xp, begin, command, h / 2, tau, idle)

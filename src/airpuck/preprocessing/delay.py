@@ -33,7 +33,7 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
 
 def commands_explain(trajectory: Trajectory, dynamics: Dynamics) -> bool:
     """Return whether commands explain the motion beyond chance, however small the fraction."""
-    speed = motor_speeds(trajectory.time, trajectory.input, float(dynamics.motor_time_constant))
+    speed = motor_speeds(trajectory.time, trajectory.input, dynamics.lag)
     forces, effects = thrust(dynamics.thrust, speed.T), np.asarray(dynamics.configuration)
     found = regress_windows(trajectory, forces, effects, LONGEST_S)
     return found is not None and found.p_value < LEVEL
@@ -48,7 +48,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     coefficient at the result, averaged over x, y and yaw.
     """
     time = trajectory.time
-    lag, idle = float(dynamics.motor_time_constant), dynamics.idle_lag
+    lag, idle = dynamics.lag, dynamics.idle_lag
     speed = motor_speeds(time, trajectory.input, lag, None if idle is None else float(idle))
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0

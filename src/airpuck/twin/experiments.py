@@ -113,6 +113,7 @@ def fly_excitation(
     """Fly an excitation experiment, and record its smallest distance to the rails; see `excite`."""
     _check_duration(plan.duration_s, tuning)
     settings = settings or default_twin_settings()
+    tuning = (tuning or default_tuning()).with_camera(settings.motion_capture.rate_hz)
     twin = Twin(model, settings, seed=seed, plant=plant)
     pilot = Excitation(
         nominal_model(model.vehicle),
@@ -213,7 +214,7 @@ def track(
         pilot = TrackingController(
             model,
             reference,
-            tuning,
+            (tuning or default_tuning()).with_camera(twin.settings.motion_capture.rate_hz),
             table=twin.settings.table,
             gain=gain,
             compensate_delay=compensate_delay,

@@ -8,12 +8,8 @@
 #define N AIRPUCK_MOTORS
 /* A time before all others. */
 #define NEVER (-(double)INFINITY)
-/* No control without a pose from the last 50 ms [s]. */
-#define STALE 0.05
 /* Poses that agree with each other for this long are accepted [s]; the margin covers rounding. */
-#define BELIEVED_AFTER (STALE - 1e-6)
-/* Commands that began to act longer ago than this affect only the motor speeds [s]. */
-#define REMEMBERED 0.5
+#define BELIEVED_AFTER (airpuck_tuned.longest_pause - 1e-6)
 
 /* A pose this far from its prediction cannot be the craft [m, m, rad]. */
 static const airpuck_real jump[3] = {AIRPUCK_R(0.1), AIRPUCK_R(0.1), AIRPUCK_R(1.0)};
@@ -265,13 +261,13 @@ void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
 {
     double last = craft->received;
     craft->bad = !(isfinite(stamp) && airpuck_finite(pose, 3));
-    if (craft->bad || (last - STALE <= stamp && stamp <= last))
+    if (craft->bad || (last - airpuck_tuned.longest_pause <= stamp && stamp <= last))
         return;
     craft->received = stamp;
     craft->clock = stamp > craft->clock ? stamp : craft->clock;
-    if (!(fabs(stamp - last) <= STALE)) {
+    if (!(fabs(stamp - last) <= airpuck_tuned.longest_pause)) {
         /* The last pose is too old to predict from, or its stamp lies in the future. */
-    } else if (stamp - craft->used <= STALE && use_pose(craft, stamp, pose)) {
+    } else if (stamp - craft->used <= airpuck_tuned.longest_pause && use_pose(craft, stamp, pose)) {
         craft->used = stamp;
         craft->doubtful = 0;
         return;
@@ -294,7 +290,7 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
 {
     if (!airpuck_finite(command, N))
         return;
-    if (isfinite(craft->clock) && !(time > NEVER && time <= craft->clock + STALE))
+    if (isfinite(craft->clock) && !(time > NEVER && time <= craft->clock + airpuck_tuned.longest_pause))
         time = craft->clock;
     if (!isfinite(time))
         return;
@@ -302,7 +298,7 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
     hold(craft, time + airpuck_tuned.transport_delay, command);
     /* Run the motors up to the last command that began to act long ago. */
     for (int i = craft->held - 1; i >= 0; i--)
-        if (craft->commands[i].begins <= time - REMEMBERED) {
+        if (craft->commands[i].begins <= time - airpuck_tuned.remembered) {
             turn_motors(craft, craft->commands[i].begins);
             break;
         }
@@ -318,7 +314,7 @@ static airpuck_status refusal(airpuck *craft, double now)
         return AIRPUCK_BAD_INPUT;
     if (!(craft->received > NEVER))
         return AIRPUCK_NO_POSE;
-    if (!(fabs(now - craft->received) <= STALE))
+    if (!(fabs(now - craft->received) <= airpuck_tuned.longest_pause))
         return AIRPUCK_STALE_POSE;
     return craft->doubtful ? AIRPUCK_JUMPING_POSE : AIRPUCK_EXACT;
 }

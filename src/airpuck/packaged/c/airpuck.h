@@ -37,7 +37,7 @@ typedef enum {
     AIRPUCK_FALLBACK,        /* There is no plan; the thrust allocation steers. */
     AIRPUCK_FAILED,          /* The solver found no thrusts. */
     AIRPUCK_NO_POSE,         /* No pose has been received yet. */
-    AIRPUCK_STALE_POSE,      /* The last pose is more than 50 ms old or ahead. */
+    AIRPUCK_STALE_POSE,      /* The last pose is too old, or too far ahead (longest_pause). */
     AIRPUCK_JUMPING_POSE,    /* The last poses cannot be the craft. */
     AIRPUCK_BAD_INPUT        /* The last pose, or the time, is not finite. */
 } airpuck_status;
@@ -65,6 +65,8 @@ typedef struct {
 /* Numbers fixed at export: the tuning, and what follows from it. */
 typedef struct {
     double transport_delay;                 /* From sending a command to its effect [s]. */
+    double longest_pause;                   /* No control without a pose newer than this [s]. */
+    double remembered;                      /* Older commands affect only motor speeds [s]. */
     airpuck_real period;                    /* Time between commands [s]. */
     airpuck_real gain[3][6];                /* Gain of the LQR. */
     airpuck_real motor_lag, motor_drive;    /* Next motor speed: lag * speed + drive * command. */
@@ -150,12 +152,12 @@ void airpuck_init(airpuck *craft);
 /* Receive a measured pose x, y [m], yaw [rad].
  *
  * A pose is ignored if it is not finite, not newer than the last, or implausibly far from its
- * prediction. Three exceptions are accepted anywhere: poses that agree with each other for 50 ms,
- * the first pose after a gap of 50 ms, and a pose more than 50 ms older than the last. */
+ * prediction. Three exceptions are accepted anywhere: poses that agree with each other for
+ * longest_pause, the first pose after such a gap, and a pose older than the last by more. */
 void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3]);
 
 /* Receive the command that was actually sent. A command that is not finite counts as not sent. A
- * time that is not finite, or more than 50 ms ahead, is replaced by the present time. */
+ * time that is not finite, or more than longest_pause ahead, is replaced by the present time. */
 void airpuck_sent(airpuck *craft, double time, const airpuck_real command[AIRPUCK_MOTORS]);
 
 /* Compute the command to send now.

@@ -1,0 +1,120 @@
+"""Which poses a controller believes, and for how long it flies without a new one."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.allocation import all_finite
+from airpuck.control.tuning import Tuning
+from airpuck.estimate.kalman import KalmanFilter
+from airpuck.model.model_file import Model
+from airpuck.physics.angle import pose_difference
+
+#: No controller needs poses more often than this [s]: twelve frames of the paper's motion capture.
+SHORTEST_PAUSE = 0.05
+#: Frames in a pause: a camera's latency takes one or two, and one or more may be lost.
+_FEWEST_FRAMES, _MOST_FRAMES = 3, 6
+#: Frames per second if neither tuning nor model state them: the paper's.
+_USUAL_RATE = 240.0
+#: Shortest time for which commands are kept after they begin to act [s].
+_REMEMBERED = 0.5
+#: A pose this far from its prediction cannot be the craft: [m, m, rad].
+_JUMP = (0.1, 0.1, 1.0)
+#: Number of directions, over half a turn, in which the largest acceleration is sought.
+_DIRECTIONS = 16
+#: Rounding of stamps must not cost a frame [s].
+_ROUNDING = 1e-6
+
+
+def longest_pause(model: Model, tuning: Tuning) -> float:
+    """Return how old the last pose may be while the motors run [s].
+
+    Until then a disturbance as strong as the craft's own thrust moves it by less than the distance
+    at which a pose counts as a jump. A slow craft may coast for longer, but never for more than six
+    frames. Three frames are always allowed: a slower camera cannot fly the craft.
+    """
+    rate = tuning.estimation.camera_hz
+    frame = 1 / rate if rate else float(model.fit.get("sample_period_s", 1 / _USUAL_RATE))
+    pushes = np.asarray(model.dynamics.configuration)[:2]
+    pushes = pushes * np.asarray(model.dynamics.thrust).sum(axis=1)
+    angle = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ pushes
+    fastest = max(np.maximum(sign * along, 0).sum(axis=1).max() for sign in (1, -1))
+    coasting = math.sqrt(2 * _JUMP[0] / fastest)
+    return max(SHORTEST_PAUSE, min(max(coasting, _FEWEST_FRAMES * frame), _MOST_FRAMES * frame))
+
+
+def remembered(pause: float) -> float:
+    """Return after how long commands affect only the motor speeds, given the longest pause [s]."""
+    return max(_REMEMBERED, 2 * pause)
+
+
+class PoseGate:
+    """Passes poses to an estimator unless they cannot be the craft."""
+
+    def __init__(self, pause: float = SHORTEST_PAUSE) -> None:
+        #: The age at which a pose is too old [s].
+        self.pause = pause
+        #: Stamps of the last pose received and of the last pose used.
+        self.received: float | None = None
+        self._used = -math.inf
+        #: Last of the poses that agree only with each other, and the stamp of the first of them.
+        self._doubtful: Float[np.ndarray, " 3"] | None = None
+        self._doubtful_since = 0.0
+        self._bad = False
+
+    def offer(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> bool:
+        """Use a pose if it is plausible; return whether it is finite and new.
+
+        See `TrackingController.pose` for the rules.
+        """
+        self._bad = not (math.isfinite(time) and all_finite(pose))
+        last = self.received
+        if self._bad or (last is not None and last - self.pause <= time <= last):
+            return False
+        self.received = time
+        if last is None or abs(time - last) > self.pause:
+            # The last pose is too old to predict from, or its stamp lies in the future: restart.
+            self._restart(estimator, time, pose)
+        # After a pause of doubtful poses, the prediction deserves no more trust than the poses.
+        elif time - self._used <= self.pause and estimator.pose(time, pose, gate=_JUMP):
+            self._used = time
+            self._doubtful = None
+        else:
+            if self._doubtful is None or _far(pose, self._doubtful):
+                self._doubtful_since = time
+            self._doubtful = pose
+            if time - self._doubtful_since >= self.pause - _ROUNDING:
+                self._restart(estimator, time, pose)
+        return True
+
+    def refusal(
+        self, time: float
+    ) -> Literal["bad input", "no pose", "stale pose", "jumping pose"] | None:
+        """Return why the poses do not allow steering now; None if they do."""
+        if self._bad:
+            return "bad input"
+        if self.received is None:
+            return "no pose"
+        if not self.is_recent(time):
+            return "stale pose"
+        return None if self._doubtful is None else "jumping pose"
+
+    def is_recent(self, time: float) -> bool:
+        """Return whether a time is close to that of the last pose."""
+        return self.received is not None and abs(time - self.received) <= self.pause
+
+    def _restart(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Restart the estimator at a pose, keeping the known commands."""
+        self._doubtful = None
+        self._used = time
+        estimator.restart(time, pose)
+
+
+def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
+    """Return whether two poses are too far apart for consecutive frames."""
+    return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())
