@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from airpuck.control.tracking import PoseGate
+from airpuck.control.pose_gate import PoseGate
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import read_model

@@ -120,10 +120,10 @@ class TrackingController(Pilot):
         """Receive a measured pose.
 
         The controller ignores a pose that is not finite, not newer than the last, or implausibly
-        far from its prediction. `longest_pause` is the age at which a pose is too old, 50 ms for the
-        paper's craft and cameras. Poses that agree with each other for that long are accepted,
-        wherever they are. A pose that is older than the last by more shows that the last stamp was
-        wrong, and is accepted at once; so is the first pose after such a gap.
+        far from its prediction. A pose is too old after `airpuck.control.pose_gate.longest_pause`,
+        which is 50 ms for the paper's craft and cameras. Poses that agree with each other for that
+        long are accepted, wherever they are. A pose that is older than the last by more shows that
+        the last stamp was wrong, and is accepted at once; so is the first pose after such a gap.
 
         Parameters
         ----------

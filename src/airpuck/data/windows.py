@@ -39,6 +39,8 @@ class Windows:
     #: Derivative of `input` with respect to the transport delay [1/s]; None if commands are held by
     #: whole samples.
     input_slope: Float[np.ndarray, "N n"] | None = None
+    #: Integration steps from one pose to the next; only the last of them ends at a pose.
+    parts: int = 1
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -47,6 +49,27 @@ class Windows:
     def present(self) -> Int[np.ndarray, " W"]:
         """Index of the sample that each prediction starts from."""
         return self.starts + self.encoder_length - 1
+
+    def refined(self, parts: int) -> Windows:
+        """Return the same windows with every step cut into equal parts."""
+        if parts == 1:
+            return self
+        fine = [trajectory.refined(parts) for trajectory in self.trajectories]
+        owner = np.searchsorted(self.origins, self.starts, side="right") - 1
+        origins = np.cumsum([0, *map(len, fine[:-1])])
+        first = np.array(self.origins)[owner]
+        return replace(
+            self,
+            time=np.concatenate([one.time for one in fine]),
+            state=np.concatenate([one.state for one in fine]),
+            input=np.concatenate([one.input for one in fine]),
+            starts=origins[owner] + parts * (self.starts - first),
+            encoder_length=parts * (self.encoder_length - 1) + 1,
+            prediction_length=parts * self.prediction_length,
+            origins=tuple(origins.tolist()),
+            trajectories=tuple(fine),
+            parts=parts,
+        )
 
     def delayed(self, delay: float, assumed: float) -> Windows:
         """Return the same windows with commands held for another transport delay [s].

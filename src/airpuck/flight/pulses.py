@@ -21,8 +21,6 @@ from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.thrust import thrust
 
-#: Nothing is sent without a pose from the last 50 ms.
-SHORTEST_PAUSE = 0.05
 #: Distance to the rails at which the test ends [m].
 _MARGIN = 0.05
 #: After a pause this long between two steps the test restarts [s].

@@ -121,7 +121,8 @@ def reweighted(
 def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
     """Return the weight of each window, per count in the loss."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
-    errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
+    windows = loss.windows_at(parameters)
+    errors = prediction_errors(dynamics, windows, loss.encoder)[windows.parts - 1 :: windows.parts]
     scaled = np.array(loss.weights)[:, None] * errors
     return student_weights(np.mean(scaled**2, axis=(0, 1)), loss.multiplicity)
 

@@ -68,14 +68,14 @@ def normal_equations(
     channel_weights: Any,
     *,
     encoder: StateEncoder,
-    lengths: tuple[int, int],
+    lengths: tuple[int, int, int],
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
-    `lengths` are E and T. Local coordinates are the thrust coefficients, K directions of Π and the
-    effects, the centre of mass if it acts beside Π, τ and its increase at standstill, and the
-    transport delay.
+    `lengths` are E, T, and the number of steps from one pose to the next. Local coordinates are the
+    thrust coefficients, K directions of Π and the effects, the centre of mass if it acts beside Π,
+    τ and its increase at standstill, and the transport delay.
 
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
@@ -84,7 +84,7 @@ def normal_equations(
     tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
     # The lag does not depend on the delay, the last local coordinate.
-    by_lag, (before, ahead) = jnp.eye(lags + 1, lags), lengths
+    by_lag, (before, ahead, parts) = jnp.eye(lags + 1, lags), lengths
 
     past = gather_past(jnp, time, state, command, starts, before)
     past_slope = gather_past(jnp, time, state, command_slope, starts, before).command
@@ -184,6 +184,8 @@ def normal_equations(
         d_velocity += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
         scale = channel_weights[:, None] * jnp.sqrt(multiplicity)
+        if parts > 1:
+            scale = scale * ((k + 1) % parts == 0)
         predicted = jnp.concatenate([position, motion[:1]])
         residual = scale * (predicted - state[now + 1, :3].T)
         square, score, curvature = sums
@@ -317,7 +319,12 @@ class PredictionLoss:
         if not self.continuous_delay:
             return self.windows
         assumed = self.vehicle.nominal.transport_delay_s
-        return self.windows.delayed(float(parameters.transport_delay), assumed)
+        return self._refined.delayed(float(parameters.transport_delay), assumed)
+
+    @cached_property
+    def _refined(self) -> Windows:
+        """The windows, with steps short enough for integration."""
+        return self.windows.refined(max(one.parts for one in self.windows.trajectories))
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation in one pass over the windows.
@@ -391,7 +398,7 @@ class PredictionLoss:
         normal_equations = partial(
             compiled_normal_equations(),
             encoder=self.encoder,
-            lengths=(windows.encoder_length, windows.prediction_length),
+            lengths=(windows.encoder_length, windows.prediction_length, windows.parts),
             frame=self.frame,
         )
         batches, owner = self._batches()
@@ -414,7 +421,7 @@ class PredictionLoss:
         if clusters is None:
             clusters = np.zeros(len(self.windows), dtype=int)
         batches, owner = [], []
-        starts = self.windows.starts
+        starts = (self._refined if self.continuous_delay else self.windows).starts
         most = BATCH if len(starts) < _LARGE else 2 * BATCH
         # Batches of one size share one program; padding counts zero times.
         size = min(most, 1 << (len(starts) - 1).bit_length())

@@ -88,13 +88,17 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     contains all kinks from switching motors, so they are not smoothed away.
     """
     time, state = trajectory.time, trajectory.state.copy()
-    modelled = modelled_acceleration(trajectory, model)
+    parts = trajectory.parts
+    fine = trajectory.refined(parts)
+    modelled = modelled_acceleration(fine, model)
     fewest = shortest_stretch(trajectory.sample_period)
     duration = smoothing_time(time, state[:, :2], model.vehicle)
     for part in smooth_stretches(time, duration, trajectory.excluded):
         if len(time[part]) < fewest:
             continue  # excluded by preprocessing, which has no velocities there either
-        gained, moved = integrated(modelled[part], np.diff(time[part])[:, None])
+        within = slice(part.start * parts, (part.stop - 1) * parts + 1)
+        steps = np.diff(fine.time[within])[:, None]
+        gained, moved = (one[::parts] for one in integrated(modelled[within], steps))
         smoothed = velocity(time[part], state[part, :3] - moved, trajectory.sample_period, duration)
         state[part, 3:] = gained + smoothed
     return replace(trajectory, state=state)
