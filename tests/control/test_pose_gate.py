@@ -1,11 +1,13 @@
 """Which poses are accepted: one jumping frame, a lasting jump, clocks that go back."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airpuck.control.pose_gate import PoseGate
+from airpuck.control.pose_gate import PoseGate, longest_pause
+from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import read_model
@@ -98,3 +100,19 @@ def test_what_is_not_a_number_is_bad_input_until_a_good_pose_comes(craft, time, 
     assert not craft.gate.offer(craft.filter, time, np.array(pose, dtype=float))
     assert craft.gate.refusal(craft.time) == "bad input"
     assert craft.see(0.2, 0.1, 0.3) is None
+
+
+def test_the_longest_pause_follows_camera_and_craft():
+    model, tuning = MODEL, default_tuning()
+    assert longest_pause(model, tuning) == 0.05
+    weak = replace(model.parameters, thrust=model.parameters.thrust / 1000)
+    slow = replace(model, parameters=weak)
+    pauses = [longest_pause(one, tuning.with_camera(8.0)) for one in (model, slow)]
+    # Six frames of the slow camera for a slow craft; a fast one moves too far meanwhile.
+    assert pauses[1] == pytest.approx(6 / 8)
+    assert pauses[0] == pytest.approx(3 / 8)
+    # A slow craft needs no more patience with a fast camera.
+    assert longest_pause(slow, tuning.with_camera(240.0)) == 0.05
+    # Without a stated rate, that of the model's recordings counts.
+    assert longest_pause(replace(slow, fit={"sample_period_s": 0.125}), tuning) == pauses[1]
+    assert longest_pause(slow, tuning.with_camera(8.0).with_camera(240.0)) == pauses[1]

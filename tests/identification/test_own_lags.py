@@ -1,0 +1,47 @@
+"""A fast reaction wheel beside slow propellers, seen by a slow camera."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.identification.fit import identify
+from airpuck.identification.settings import Preparation
+from airpuck.model.model_file import nominal_model
+from airpuck.preprocessing.pipeline import preprocess
+from airpuck.recording.stream import Recording
+
+from ..apparatus.two_way_craft import triangle
+
+STEP, DELAY = 0.02, 0.04
+
+
+@pytest.mark.slow
+def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
+    fast = 'commanded = "torque"\ntime_constant_s = 0.01'
+    vehicle = triangle(tmp_path, fast, **{"constant_s = 0.06": "constant_s = 0.15"})
+    random, nominal = np.random.default_rng(1), nominal_model(vehicle)
+    start = nominal.parameters
+    strengths = random.uniform(0.9, 1.1, (len(start.thrust), 1))
+    truth = replace(start, thrust=start.thrust * strengths, motor_time_constant=0.17)
+    count, held = 3000, 20
+    command = random.choice([0.0, 1.0], (count // held, 4))
+    command *= random.uniform(-1.0, 1.0, command.shape)
+    command[:, 2] = np.abs(command[:, 2])
+    drives = np.repeat(vehicle.actuation.split(command), held, axis=0)
+    moved = replace(nominal, parameters=truth).simulate(np.zeros(6), drives, STEP)
+    time = STEP * np.arange(1, count + 1)
+    seen = slice(None, None, 6)
+    pose = moved[seen, :3] + random.normal(0, [1e-4, 1e-4, 5e-4], (len(time[seen]), 3))
+    sent = STEP * held * np.arange(count // held) - DELAY
+    recording = Recording.from_arrays(time[seen], pose, sent, command, propellers=vehicle.columns)
+    model = identify(preprocess(recording, vehicle), preparation=Preparation(faults="keep")).model
+    known = model.uncertainty
+    assert known is not None
+    full = model.parameters.thrust.sum(axis=1) / truth.thrust.sum(axis=1) - 1
+    error = known.propagate(lambda v: truth.with_vector(v).thrust.sum(axis=1))
+    within = known.quantile * error / truth.thrust.sum(axis=1)
+    assert (np.abs(full) < np.maximum(0.02, within)).all(), full
+    assert (within < 0.1).all()
+    assert abs(model.parameters.motor_time_constant - 0.17) < 0.01
+    assert abs(model.transport_delay - DELAY) < 0.01
