@@ -20,10 +20,11 @@ from airpuck.identification.uncertainty import (
     subspace,
     varying,
     widened,
+    with_lag_squared,
     without_meaningless,
 )
 from airpuck.model.model_file import nominal_model, read_model
-from airpuck.model.parameters import fix_gauge, gauge_directions
+from airpuck.model.parameters import fix_gauge, gauge_directions, nominal_parameters
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import rollout
@@ -31,6 +32,7 @@ from airpuck.physics.rigid_body import rollout
 from ..apparatus.disturbed_flights import TRUTH, noisy
 
 VEHICLE = default_vehicle()
+LAG_AND_DELAY = frozenset({"motor_time_constant", "transport_delay"})
 NAMES = VEHICLE.propeller_names
 
 
@@ -491,3 +493,45 @@ def test_an_error_beyond_all_possible_values_is_none():
         assert np.isnan(model.standard_error(lambda m: 1e3 * m.parameters.motor_time_constant))
         force = model.standard_error(lambda m: m.parameters.thrust.sum(axis=1))
         np.testing.assert_allclose(force, 1e-3 * np.sqrt(3), rtol=1e-6)
+
+
+def test_intervals_of_a_short_lag_and_of_the_delay_hold():
+    true_lag, true_delay, noise = 5e-3, 37e-3, 1e-4
+    random = np.random.default_rng(0)
+    linear, held = [], []
+    for _ in range(600):
+        # Poses determine the mean of the response, and its variance with a constant error.
+        mean = true_lag + true_delay + 2e-4 * random.standard_normal()
+        squared = true_lag**2 + noise * random.standard_normal()
+        if squared <= 1e-8:
+            continue  # at its bound, a lag has no stated error
+        lag = np.sqrt(squared)
+        start = nominal_parameters(default_vehicle())
+        found = replace(start, motor_time_constant=lag, transport_delay=mean - lag)
+        slope = noise / (2 * lag)
+        covariance = np.zeros((len(found.to_vector()),) * 2)
+        pair = np.flatnonzero(found.mask(LAG_AND_DELAY))
+        covariance[np.ix_(pair, pair)] = slope**2 * np.array([[1, -1], [-1, 1]])
+        covariance[pair[1], pair[1]] += 2e-4**2
+        errors = np.sqrt(np.diag(covariance))
+        known = Uncertainty(
+            found.to_vector(), covariance, np.where(errors > 0, errors, np.nan),
+            np.zeros((0, len(errors))), 100, 1.96,
+        )  # fmt: skip
+        for kept, one in ((linear, known), (held, with_lag_squared(known, found))):
+            low, high = one.intervals[pair].T
+            kept.append((low <= (true_lag, true_delay)) & ((true_lag, true_delay) <= high))
+            both = one.errors_along(found.mask(LAG_AND_DELAY).astype(float)[:, None])
+            assert both[0] == pytest.approx(2e-4, rel=0.2)
+    assert np.mean(linear) < 0.88
+    assert np.mean(held, axis=0).min() > 0.93
+
+
+def test_a_well_known_lag_keeps_its_interval():
+    found = nominal_parameters(default_vehicle())
+    errors = np.where(found.mask(frozenset({"motor_time_constant"})), 3e-4, np.nan)
+    known = Uncertainty(
+        found.to_vector(), np.diag(np.nan_to_num(errors) ** 2), errors,
+        np.zeros((0, len(errors))), 100, 1.96,
+    )  # fmt: skip
+    assert with_lag_squared(known, found) is known

@@ -47,6 +47,7 @@ from airpuck.identification.uncertainty import (
     shared_at_borders,
     varying,
     widened,
+    with_lag_squared,
     without_meaningless,
 )
 from airpuck.model.model_file import Model
@@ -295,7 +296,8 @@ def judge(solution: Solution, began: float) -> Fit:
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
         delay_jitter=delay_jitter(solution.packets),
     )
-    known = without_meaningless(_uncertainty(solution, quadratic, model), parameters)
+    known = with_lag_squared(_uncertainty(solution, quadratic, model), parameters)
+    known = without_meaningless(known, parameters)
     model = replace(model, uncertainty=known)
     return Fit(
         model=model,

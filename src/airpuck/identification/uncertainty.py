@@ -45,6 +45,8 @@ _NAMED = 4
 #: Error, relative to the largest value of its kind, above which a parameter without bounds is
 #: undetermined.
 _HOPELESS = 100.0
+#: The motor lag, and how much wider than its linear interval another one must be to replace it.
+_LAG, _BENT = frozenset({"motor_time_constant"}), 1.1
 #: Condition number of the scaled information above which a fit counts as poorly determined: a
 #: factor of 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
@@ -243,6 +245,28 @@ def widened(
 def grown(uncertainty: Uncertainty, factor: Float[np.ndarray, "P P"]) -> Uncertainty:
     """Multiply errors by a matrix."""
     return _with_covariance(uncertainty, factor @ uncertainty.covariance @ factor.T)
+
+
+def with_lag_squared(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:
+    """Widen the errors along the lag's trade-off with the delay, if it is far from linear.
+
+    A step response of delay d and lag τ has the mean d + τ and the variance τ². Poses determine the
+    mean well, and the lag by the variance alone: not τ but τ² has a symmetric interval. The errors
+    of all parameters grow in proportion to how they change with the lag, so the error of d + τ
+    hardly changes.
+    """
+    tau, lag = float(parameters.motor_time_constant), parameters.mask(_LAG)
+    error = float(uncertainty.standard_errors[lag][0])
+    reach = uncertainty.quantile * error
+    if not (np.isfinite(reach) and reach > 0 and tau > 0):
+        return uncertainty
+    ends = np.sqrt(np.maximum(tau**2 + 2 * tau * reach * np.array([-1, 1]), 0.0))
+    ratio = float(np.abs(ends - tau).max()) / reach
+    if ratio < _BENT:
+        return uncertainty
+    along = uncertainty.covariance[:, lag][:, 0] / error
+    added = (ratio**2 - 1) * np.outer(along, along)
+    return _with_covariance(uncertainty, uncertainty.covariance + added)
 
 
 def information_growth(
