@@ -27,9 +27,6 @@ FORMAT = "airpuck trajectory 1"
 #: Steps below this multiple of the median are not pauses; they alternate if their mean differs by
 #: this fraction.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
-#: Poses further apart than this are integrated between in several steps of about this length [s]:
-#: the command of a step is its mean over the step, and a reaction wheel may lag by only 10 ms.
-_COARSE, _INTEGRATION_STEP = 0.075, 0.02
 #: Causes that are described in words, singular and plural.
 _NOUNS = {
     "gap": ("gap", "gaps"),
@@ -238,31 +235,6 @@ class Trajectory:
         """
         shift = self.acting_delay(delay, assumed)
         return mean_hold(self.command_time + shift, self.command, self.time)
-
-    @property
-    def parts(self) -> int:
-        """Number of integration steps from one pose to the next: one from 14 Hz on."""
-        coarse = self.sample_period > _COARSE
-        return round(self.sample_period / _INTEGRATION_STEP) if coarse else 1
-
-    def refined(self, parts: int) -> Trajectory:
-        """Return the trajectory with every step cut into equal parts.
-
-        States between the poses are interpolated: they are only for integrating between poses.
-        """
-        if parts == 1:
-            return self
-        number = np.arange((len(self) - 1) * parts + 1) / parts
-        known = np.arange(len(self))
-
-        def at(values: Float[np.ndarray, "N *k"]) -> Float[np.ndarray, "M *k"]:
-            columns = values.reshape(len(self), -1).T
-            between = np.stack([np.interp(number, known, column) for column in columns], axis=-1)
-            return between.reshape(len(number), *values.shape[1:])
-
-        return replace(
-            self, time=at(self.time), state=at(self.state), acceleration=at(self.acceleration)
-        )
 
     @cached_property
     def usable(self) -> np.ndarray:

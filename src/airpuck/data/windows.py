@@ -12,6 +12,10 @@ from jaxtyping import Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory, as_trajectories
 
+#: Poses further apart than this are integrated between in several steps of about this length [s]:
+#: the command of a step is its mean over the step, and a reaction wheel may lag by only 10 ms.
+_COARSE, _INTEGRATION_STEP = 0.075, 0.02
+
 
 @dataclass(frozen=True, eq=False)
 class Windows:
@@ -54,7 +58,7 @@ class Windows:
         """Return the same windows with every step cut into equal parts."""
         if parts == 1:
             return self
-        fine = [trajectory.refined(parts) for trajectory in self.trajectories]
+        fine = [refined(trajectory, parts) for trajectory in self.trajectories]
         owner = np.searchsorted(self.origins, self.starts, side="right") - 1
         origins = np.cumsum([0, *map(len, fine[:-1])])
         first = np.array(self.origins)[owner]
@@ -190,6 +194,31 @@ def make_windows(
         origins=tuple(np.cumsum([0, *map(len, trajectories[:-1])]).tolist()),
         trajectories=tuple(trajectories),
     )
+
+
+def integration_parts(trajectory: Trajectory) -> int:
+    """Return the number of integration steps from one pose to the next: one from 14 Hz on."""
+    period = trajectory.sample_period
+    return round(period / _INTEGRATION_STEP) if period > _COARSE else 1
+
+
+def refined(trajectory: Trajectory, parts: int) -> Trajectory:
+    """Cut every step of a trajectory into equal parts.
+
+    States between the poses are interpolated: they are only for integrating between poses.
+    """
+    if parts == 1:
+        return trajectory
+    count = len(trajectory)
+    number = np.arange((count - 1) * parts + 1) / parts
+
+    def at(values: Float[np.ndarray, "N *k"]) -> Float[np.ndarray, "M *k"]:
+        columns = values.reshape(count, -1).T
+        between = [np.interp(number, np.arange(count), column) for column in columns]
+        return np.stack(between, axis=-1).reshape(len(number), *values.shape[1:])
+
+    times, states = at(trajectory.time), at(trajectory.state)
+    return replace(trajectory, time=times, state=states, acceleration=at(trajectory.acceleration))
 
 
 def _longest_stretch(trajectory: Trajectory) -> int:

@@ -31,7 +31,7 @@ from jaxtyping import Float, Int
 from airpuck.compute.compiled import double_precision, for_batches, lengthened
 from airpuck.compute.process import usable_cores
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.windows import Windows, gather_past
+from airpuck.data.windows import Windows, gather_past, integration_parts
 from airpuck.estimate.encoder import StateEncoder
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.parameters import Parameters
@@ -324,7 +324,7 @@ class PredictionLoss:
     @cached_property
     def _refined(self) -> Windows:
         """The windows, with steps short enough for integration."""
-        return self.windows.refined(max(one.parts for one in self.windows.trajectories))
+        return self.windows.refined(max(map(integration_parts, self.windows.trajectories)))
 
     def quadratic(self, parameters: Parameters) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation in one pass over the windows.

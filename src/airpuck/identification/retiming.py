@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.data.windows import make_windows
+from airpuck.data.windows import integration_parts, make_windows, refined
 from airpuck.estimate.motor_regression import integrated
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response, packet_delays
@@ -88,8 +88,8 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     contains all kinks from switching motors, so they are not smoothed away.
     """
     time, state = trajectory.time, trajectory.state.copy()
-    parts = trajectory.parts
-    fine = trajectory.refined(parts)
+    parts = integration_parts(trajectory)
+    fine = refined(trajectory, parts)
     modelled = modelled_acceleration(fine, model)
     fewest = shortest_stretch(trajectory.sample_period)
     duration = smoothing_time(time, state[:, :2], model.vehicle)
