@@ -35,7 +35,7 @@ myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
 # Notebooks run when the site is built, unless nothing in them has changed.
 nb_execution_mode = os.environ.get("AIRPUCK_DOCS_NOTEBOOKS", "cache")
-nb_execution_timeout = 1800  # Seconds for a cell: a page takes two minutes, on a busy machine far longer.
+nb_execution_timeout = 1800  # Seconds for a cell: many times what an idle machine needs.
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 # A notebook that is not executed has no lexer.
