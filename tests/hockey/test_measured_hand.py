@@ -10,7 +10,7 @@ import pytest
 import airpuck
 from airpuck.hockey.contestant import contestant
 from airpuck.hockey.game import KINDS
-from airpuck.hockey.measured_hand import Quantile, measured_hand
+from airpuck.hockey.measured_hand import Measure, measured_hand
 from airpuck.hockey.rules import Rules
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 from airpuck.twin.settings import default_twin_settings
@@ -81,20 +81,21 @@ def recorded(random: np.random.Generator, count: int, side: int, **spreads) -> t
 @pytest.mark.parametrize("side", [1, -1])
 def test_what_is_measured_covers_the_truth(side):
     random = np.random.default_rng(side + 1)
-    recording, _ = recorded(random, 60, side)
+    recording, _ = recorded(random, 80, side)
     found = measured_hand([recording], default_twin_settings())
-    truth = {"reaction_s": 0.21, "speed_m_s": 2.25, "acceleration_m_s2": 32.5, "aim_rad": 0.1}
+    # Of the uniform distributions, the quantiles 95 % and 75 %.
+    truth = {"reaction_s": 0.21, "speed_m_s": 2.45, "acceleration_m_s2": 32.5, "aim_rad": 0.1}
     for name, value in truth.items():
         quantile = getattr(found, name)
         assert quantile.low < value < quantile.high, name
         assert quantile.count >= 40, name
-        assert quantile.high - quantile.low < 1.0 * value, name
+        assert quantile.high - quantile.low < 0.6 * value, name
 
 
 def test_intervals_cover_the_truth_as_often_as_they_say():
     random, covered = np.random.default_rng(0), 0
     for _ in range(100):
-        found = Quantile.of(random.exponential(1.0, 25), 0.5)
+        found = Measure.of(random.exponential(1.0, 25), 0.5)
         covered += found.low <= math.log(2) <= found.high
     assert covered >= 0.95 * 100 - 3 * math.sqrt(100 * 0.05 * 0.95)
 
@@ -113,5 +114,5 @@ def test_a_scripted_hand_shows_its_limits():
     found = measured_hand([game.recording()], default_twin_settings())
     # 0.22 s late, and decides every 30 ms; 2.5 m/s less the braking within a period of 10 ms.
     assert found.reaction_s.low < 0.25 and found.reaction_s.high > 0.22
-    assert found.speed_m_s.value == pytest.approx(math.sqrt(2.5**2 + 0.2**2) - 0.2, rel=0.01)
-    assert found.acceleration_m_s2.low < 40.0 < found.acceleration_m_s2.high
+    assert found.speed_m_s.value == pytest.approx(math.sqrt(2.5**2 + 0.2**2) - 0.2, rel=0.02)
+    assert found.acceleration_m_s2.value == pytest.approx(40.0, rel=0.02)

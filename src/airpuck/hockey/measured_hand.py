@@ -41,10 +41,11 @@ _COMES = 0.5
 _GAP = 0.03
 #: Step at which movements are examined [s].
 _STEP = 0.0025
-#: Quantile of the strokes' largest speeds and accelerations.
-_FAST = 0.75
-#: Standard deviation of a normal variable whose absolute value has the median 1.
-_NORMAL = 1.4826
+#: Quantiles of the strokes' largest speeds and accelerations. The rails stop some strokes at once.
+_FAST, _HARD = 0.95, 0.75
+#: Standard deviation of aim to begin with [rad]; steps of its estimation, and resamplings for its
+#: interval.
+_AIM, _STEPS, _RESAMPLED = 0.2, 60, 200
 #: Relative error of speeds and accelerations due to the noise of poses and the averaging: up to
 #: 0.5 % for scripted hands whose numbers are known (`python studies/measured_hands.py`).
 _ERROR = 0.01
@@ -56,8 +57,8 @@ _HIT = KINDS.index("hit")
 
 
 @dataclass(frozen=True)
-class Quantile(Result):
-    """A quantile with its 95 % interval, which assumes no distribution; NaN: too few samples."""
+class Measure(Result):
+    """A number with its 95 % interval; NaN: too few samples."""
 
     JSON: ClassVar[str] = "value low high count"
 
@@ -67,18 +68,26 @@ class Quantile(Result):
     count: int
 
     @classmethod
-    def of(
-        cls, samples: Iterable[float], share: float, *, scale: float = 1.0, error: float = 0.0
-    ) -> Quantile:
-        """Estimate a quantile, multiplied by a factor; `error` widens the interval, relatively."""
+    def of(cls, samples: Iterable[float], share: float, error: float = 0.0) -> Measure:
+        """Estimate a quantile of any distribution; `error` widens the interval, relatively."""
         from scipy.stats import quantile_test
 
         found = np.array(list(samples), dtype=float)
         if len(found) < _FEWEST:
             return cls(math.nan, math.nan, math.nan, len(found))
         interval = quantile_test(found, p=share).confidence_interval()
-        low, high = scale * (1 - error) * interval.low, scale * (1 + error) * interval.high
-        return cls(scale * float(np.quantile(found, share)), float(low), float(high), len(found))
+        low, high = (1 - error) * interval.low, (1 + error) * interval.high
+        return cls(float(np.quantile(found, share)), float(low), float(high), len(found))
+
+    @classmethod
+    def of_aim(cls, errors: Float[np.ndarray, "n t"]) -> Measure:
+        """Estimate the standard deviation of shots from the angles to their possible targets."""
+        count = len(errors)
+        if count < _FEWEST:
+            return cls(math.nan, math.nan, math.nan, count)
+        draws = np.random.default_rng(0).integers(0, count, (_RESAMPLED, count))
+        low, high = np.quantile([_spread(errors[draw]) for draw in draws], [0.025, 0.975])
+        return cls(_spread(errors), float(low), float(high), count)
 
 
 @dataclass(frozen=True)
@@ -88,26 +97,27 @@ class MeasuredHand(Result):
     JSON: ClassVar[str] = "reaction_s speed_m_s acceleration_m_s2 aim_rad"
 
     #: Median time from the opponent's hit to the mallet's movement [s].
-    reaction_s: Quantile
-    #: Upper quartile of the largest speed in a stroke [m/s], and of the acceleration [m/s²].
-    speed_m_s: Quantile
-    acceleration_m_s2: Quantile
+    reaction_s: Measure
+    #: 95 % quantile of the largest speed in a stroke [m/s]; upper quartile of the acceleration
+    #: [m/s²].
+    speed_m_s: Measure
+    acceleration_m_s2: Measure
     #: Standard deviation of shots about the centre of the goal, direct or off one rail [rad].
-    aim_rad: Quantile
+    aim_rad: Measure
 
 
 def measured_hand(recordings: Sequence[Recording], equipment: AirHockey) -> MeasuredHand:
     """Measure the hand that moved the stream ``mallet`` in recorded games."""
     games = [_Game(recording) for recording in recordings]
     strokes = [stroke for game in games for stroke in game.strokes()]
-    speed = Quantile.of((stroke.speed for stroke in strokes), _FAST, error=_ERROR)
+    speed = Measure.of((stroke.speed for stroke in strokes), _FAST, _ERROR)
     # Slower touches stop or carry the puck.
-    aimed = [one.error(equipment) for one in strokes if one.hits_at > speed.value / 2]
+    aimed = [one.errors(equipment) for one in strokes if one.hits_at > speed.value / 2]
     return MeasuredHand(
-        Quantile.of((time for game in games for time in game.reactions()), 0.5),
+        Measure.of((time for game in games for time in game.reactions()), 0.5),
         speed,
-        Quantile.of((stroke.acceleration for stroke in strokes), _FAST, error=_ERROR),
-        Quantile.of((abs(error) for error in aimed if error is not None), 0.5, scale=_NORMAL),
+        Measure.of((stroke.acceleration for stroke in strokes), _HARD, _ERROR),
+        Measure.of_aim(np.array([one for one in aimed if one is not None]).reshape(-1, 3)),
     )
 
 
@@ -132,16 +142,15 @@ class _Stroke:
     puck: Float[np.ndarray, " 2"]
     leaves: Float[np.ndarray, " 2"] | None
 
-    def error(self, equipment: AirHockey) -> float | None:
-        """Return the angle to the nearest target [rad]; None if the puck did not go forwards."""
+    def errors(self, equipment: AirHockey) -> Float[np.ndarray, " 3"] | None:
+        """Return the angles to all targets [rad]; None if the puck did not go forwards."""
         if self.leaves is None or self.leaves[0] <= 0:
             return None
         # The centre of the goal, and its mirror images in the rails where the puck's centre turns.
         mirrored = equipment.table.width_m - 2 * equipment.puck.radius_m
         targets = np.array([0.0, mirrored, -mirrored])
         aims = np.arctan2(targets - self.puck[1], equipment.table.length_m / 2 - self.puck[0])
-        errors = math.atan2(self.leaves[1], self.leaves[0]) - aims
-        return float(errors[np.argmin(np.abs(errors))])
+        return math.atan2(self.leaves[1], self.leaves[0]) - aims
 
 
 class _Track:
@@ -228,3 +237,21 @@ def _first_above(values: Float[np.ndarray, " n"], limit: float) -> float:
     if values[number] <= limit:
         return math.inf
     return number - float((values[number] - limit) / (values[number] - values[number - 1]))
+
+
+def _spread(errors: Float[np.ndarray, "n t"]) -> float:
+    """Return the standard deviation of shots at unknown ones of several targets.
+
+    Expectation maximisation for a mixture: normal about each target, with one standard deviation,
+    and touches that aim at none, uniform over all forward directions.
+    """
+    spread, weights = _AIM, np.full(errors.shape[1] + 1, 1 / (errors.shape[1] + 1))
+    anywhere = np.full((len(errors), 1), 1 / math.pi)
+    for _ in range(_STEPS):
+        normal = np.exp(-((errors / spread) ** 2) / 2) / (spread * math.sqrt(2 * math.pi))
+        shares = weights * np.hstack([normal, anywhere])
+        shares /= shares.sum(axis=1, keepdims=True)
+        weights, aimed = shares.mean(axis=0), shares[:, :-1]
+        # A puck's direction is not known to a milliradian.
+        spread = max(math.sqrt((aimed * errors**2).sum() / max(aimed.sum(), 1e-9)), 1e-3)
+    return spread
