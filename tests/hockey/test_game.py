@@ -182,6 +182,9 @@ def test_who_turns_a_puck_into_the_own_goal_is_told():
         game.step()
     kinds = [(e.kind, e.side) for e in game.events if "goal" in e.kind]
     assert kinds == [("goal", 1), ("own_goal", -1)]
+    figures = game.figures()
+    causes = [figures[f"left_own_{cause}"] for cause in ("deflections", "pushes", "rebounds")]
+    assert causes == [0, 1, 0]
 
 
 def test_who_stops_a_shot_and_then_pushes_it_in_is_told():

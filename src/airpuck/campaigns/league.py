@@ -24,7 +24,10 @@ from airpuck.hockey.rules import Rules
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Default players.
-PLAYERS = ("airpuck:hard", "airpuck:medium", "airpuck:easy", *(f"{hand}:medium" for hand in HANDS))
+PLAYERS = (
+    *("airpuck:hard", "airpuck:medium", "airpuck:easy", "predecessor:hard"),
+    *(f"{hand}:medium" for hand in HANDS),
+)
 #: Half the width of a 95 % interval, in standard errors.
 _QUANTILE = 1.96
 

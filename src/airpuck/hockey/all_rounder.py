@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
-from airpuck.hockey.attack import Shoot
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.hockey.attack import SPEEDS, Shoot
 from airpuck.hockey.goalkeeper import Blind, Defend, Wait
 from airpuck.hockey.interception import Outlook
 from airpuck.hockey.possession import Catch, Free
@@ -36,15 +39,7 @@ class AllRounder:
     """
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:
-        clear = Shoot(least=0.0, clears=True)
-        self.strategies = strategies or (
-            Shoot(),
-            Defend(),
-            Catch(slowest=_CAUGHT),
-            Free(),
-            clear,
-            Wait(),
-        )
+        self.strategies = strategies or _strategies(SPEEDS)
         self._blind, self._turns = Blind(), Turns()
 
     def decide(self, view: View) -> Intention:
@@ -64,3 +59,14 @@ class AllRounder:
         searcher = self._turns.give(view, outlook, searchers)
         found = searcher and searcher.propose(view, outlook)
         return found or intention or self._blind.propose(view)
+
+
+def predecessor() -> AllRounder:
+    """Return the tactic as it was before it learned its opponent: its shots are slower."""
+    return AllRounder(_strategies(np.array([0.6, 1.3, 2.1])))
+
+
+def _strategies(speeds: Float[np.ndarray, " L"]) -> Sequence[Strategy]:
+    """Return the strategies by priority, with the craft's speeds for shots [m/s]."""
+    shoot, clear = Shoot(speeds=speeds), Shoot(least=0.0, speeds=speeds, clears=True)
+    return shoot, Defend(), Catch(slowest=_CAUGHT), Free(), clear, Wait()

@@ -14,6 +14,7 @@ from airpuck.boundary.user_code import UserCode
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import sheltered
 from airpuck.craft.table import AirHockey
+from airpuck.hockey.all_rounder import predecessor
 from airpuck.hockey.hand import Hand
 from airpuck.hockey.level import LEVELS, Level
 from airpuck.hockey.opponents import HANDS
@@ -22,7 +23,7 @@ from airpuck.hockey.tactic import Intention, Kind, Tactic, View
 from airpuck.model.model_file import Model
 
 #: Names of the package's own players; other names are files.
-PLAYERS = ("airpuck", *HANDS)
+PLAYERS = ("airpuck", "predecessor", *HANDS)
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ def contestant(name: str) -> Contestant:
     Parameters
     ----------
     name : str
-        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; a name of
+        ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``predecessor``, also
+        with ``:LEVEL``, the same with an earlier tactic that does not learn; a name of
         `airpuck.hockey.opponents.HANDS`, also with ``:LEVEL``, a scripted hand; ``FILE.py:NAME``, a
         craft with a user's tactic.
 
@@ -77,6 +79,9 @@ def contestant(name: str) -> Contestant:
         return Contestant(name, hand=lambda equipment, seed: hand(equipment, dexterity, seed))
     if kind == "airpuck":
         return _flown(name, lambda: None, _by_level(LEVELS, level if colon else "hard", name))
+    if kind == "predecessor":
+        strength = _by_level(LEVELS, level if colon else "hard", name)
+        return _flown(name, predecessor, strength, learns=False)
     if ".py" in name:
         return _flown(name, tactic_maker(name), LEVELS["hard"])
     known = ", ".join(f"{player}[:LEVEL]" for player in PLAYERS)
@@ -148,12 +153,21 @@ def _finite(given: Any) -> np.ndarray | None:
     return found if np.isfinite(found).all() else None
 
 
-def _flown(name: str, tactic: Callable[[], Tactic | None], level: Level) -> Contestant:
+def _flown(
+    name: str, tactic: Callable[[], Tactic | None], level: Level, learns: bool = True
+) -> Contestant:
     """Return a craft whose player has a given tactic and level."""
 
     def player(model: Model, equipment: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
         return Player(
-            model, equipment, tactic(), level=level, side=side, seed=seed, opponent_radius=opponent
+            model,
+            equipment,
+            tactic(),
+            level=level,
+            side=side,
+            seed=seed,
+            opponent_radius=opponent,
+            learns=learns,
         )
 
     return Contestant(name, player=player)

@@ -48,6 +48,8 @@ _AGAIN, _SLIDES = 0.1, 0.05
 _TOLD = 1.0
 #: A disc that touches the puck again within this time is still in the same contact [s].
 _SAME = 0.2
+#: A puck slower than this does not threaten the goal, a disc slower than this does not push [m/s].
+_THREATENS, _PUSHES = 0.3, 0.05
 
 
 #: ``hit``: a side's disc touched the puck, with an impulse [N s]; ``rail``, ``post``: the puck hit
@@ -67,6 +69,9 @@ EventKind = Literal[
     "contact",
     "crossed",
 ]
+#: Causes of an own goal, at the beginning of the contact: the puck was moving towards the goal; the
+#: disc was; neither was, so the puck came back off a rail. The event's value is an index.
+SLIPS = ("deflections", "pushes", "rebounds")
 #: A recording stores an event as its index in this list.
 KINDS: tuple[EventKind, ...] = get_args(EventKind)
 
@@ -226,8 +231,8 @@ class Game:
         #: The side that last touched the puck, and whether it would have been a goal against it
         #: anyway.
         self._touched: tuple[int, bool] = (0, False)
-        #: When [s].
-        self._last_touch = -math.inf
+        #: The kind of own goal that the last touch leads to, and when it was [s].
+        self._slip, self._last_touch = SLIPS[0], -math.inf
         self._serve(self.referee.server)
 
     @property
@@ -328,6 +333,12 @@ class Game:
             found |= {
                 f"{name}_goals": goals,
                 f"{name}_own_goals": count["own_goal"],
+                **{
+                    f"{name}_own_{slip}": sum(
+                        event.kind == "own_goal" and event.value == number for event in mine
+                    )
+                    for number, slip in enumerate(SLIPS)
+                },
                 f"{name}_fouls": count["foul"],
                 f"{name}_hits": count["hit"],
                 f"{name}_rail_contacts": count["contact"],
@@ -367,6 +378,8 @@ class Game:
         for time, met, impulse, before, disc in self._puck.touches:
             if disc is not None:
                 side, (last, anyway) = self.sides[disc].sign, self._touched
+                if last != side or time > self._last_touch + _SAME:
+                    self._slip = _slip(side * before.vx, side * self.sides[disc].state[3])
                 # A second touch by a side that stopped a shot counts separately.
                 if last != side or (anyway and time > self._last_touch + _SAME):
                     self._touched = side, self._would_score(before, -side)
@@ -400,7 +413,7 @@ class Game:
         for kind, side in self.referee.judge(self.time, state.x, speed, self._puck.goal):
             yield GameEvent(self.time, kind, side)
             if kind == "goal" and self._touched == (-side, False):
-                yield GameEvent(self.time, "own_goal", -side)
+                yield GameEvent(self.time, "own_goal", -side, SLIPS.index(self._slip))
             if kind == "serve":
                 self._serve(side)
 
@@ -408,6 +421,13 @@ class Game:
         """Put the puck into a half, away from all discs."""
         serve(self.world, side, self._random)
         self._touched = (0, False)
+
+
+def _slip(puck: float, disc: float) -> str:
+    """Return the cause of an own goal, by the speeds of puck and disc towards the goal."""
+    if puck > _THREATENS:
+        return SLIPS[0]
+    return SLIPS[1 if disc > _PUSHES else 2]
 
 
 def serve(world: World, side: int, random: np.random.Generator) -> None:

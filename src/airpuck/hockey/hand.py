@@ -20,8 +20,6 @@ from airpuck.physics.puck_on_table import PuckOnTable
 _AHEAD, STEP = 0.8, 0.04
 #: Distance from the own goal line at which a human waits, and at which a keeper stands [m].
 _HOME, _IN_GOAL = 0.25, 0.10
-#: A faster puck is stopped, a slower one is struck [m/s].
-_TOO_FAST = 1.2
 #: A puck in the other half counts as approaching if it is faster than this [m/s].
 _COMES = 0.3
 #: A stroke begins this far behind the puck, and aims this far beyond it [m].
@@ -38,8 +36,6 @@ _POST, _BANK = 0.02, 0.02
 _ROOM = 0.03
 #: Clearance when going round the puck, and length of the first leg back [m].
 _ROUND, _LEG = 0.01, 0.15
-#: The hand waits at this fraction of the puck's distance from the table's axis.
-_FOLLOWS = 0.5
 #: Shorter distances have no direction [m].
 _NO_DISTANCE = 1e-9
 #: Directions of a stroke if rails forbid all that lead to the goal [rad].
@@ -145,8 +141,9 @@ class HumanHand(ABC):
         Seed of its errors.
     """
 
-    #: Distance from its own goal line at which it waits [m].
-    waits_m = _HOME
+    #: Distance from its own goal line at which it waits [m]; its y as a fraction of the puck's; a
+    #: faster puck is stopped, a slower one is struck [m/s].
+    waits_m, follows, too_fast_m_s = _HOME, 0.5, 1.2
 
     def __init__(self, equipment: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
         self._equipment, self._dexterity = equipment, dexterity
@@ -259,7 +256,7 @@ class HumanHand(ABC):
     def _waiting(self) -> Place:
         """Return a place at home, on the side of the puck."""
         half = self._equipment.table.goal_width_m / 2
-        return self._home, max(-half, min(_FOLLOWS * self._goes_by[0].y, half))
+        return self._home, max(-half, min(self.follows * self._goes_by[0].y, half))
 
     def _struck(self, time: float, own: Place) -> Place:
         """Return where to begin a stroke, or begin it."""
@@ -309,7 +306,7 @@ class ScriptedHand(HumanHand):
     def decided(self, time: float, own: Place) -> Place:
         """Strike, stop the puck, or wait; see `HumanHand.decided`."""
         puck = self._goes_by[0]
-        fast = math.hypot(puck.vx, puck.vy) > _TOO_FAST
+        fast = math.hypot(puck.vx, puck.vy) > self.too_fast_m_s
         if puck.vx < 0.0 and (fast or (puck.x > 0.0 and puck.vx < -_COMES)):
             return self._guarded(own)
         if puck.x < 0.0:
@@ -334,7 +331,7 @@ class Striker(Keeper):
     def decided(self, time: float, own: Place) -> Place:
         """Strike a slow puck in its own half, otherwise keep the goal; see `HumanHand.decided`."""
         puck = self._goes_by[0]
-        if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= _TOO_FAST:
+        if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= self.too_fast_m_s:
             return self._struck(time, own)
         self._aim_anew()
         return super().decided(time, own)

@@ -26,7 +26,7 @@ from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.minimal_time import MinimalTimes, minimal_times_of
 from airpuck.hockey.prediction import drawn_path
 from airpuck.hockey.puck_filter import PuckFilter
-from airpuck.hockey.rival import RivalWatcher
+from airpuck.hockey.rival import Rival, RivalWatcher
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
 
@@ -75,6 +75,8 @@ class Player(Pilot):
         Seed of the noise of its shots.
     opponent_radius : float, optional
         Radius of the opponent's disc [m]; by default the radius of the human's mallet.
+    learns : bool, default True
+        Whether it learns puck, rails and opponent during play.
 
     Attributes
     ----------
@@ -112,6 +114,7 @@ class Player(Pilot):
         tuning: Tuning | None = None,
         seed: int = 0,
         opponent_radius: float | None = None,
+        learns: bool = True,
     ) -> None:
         if side not in (-1, 1):
             raise InputError(f"must be -1 or 1, not {side!r}", field="side")
@@ -119,7 +122,7 @@ class Player(Pilot):
         self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.equipment = level, side, equipment
         self.frame = Frame(side)
-        self.filter = PuckFilter(equipment)
+        self.filter = PuckFilter(equipment, learns=learns)
         self._times = slower(minimal_times_of(model), level.thrust)
         self.pitch = pitch_of(model, equipment, self._times, opponent_radius)
         controls = _predictive(tuning or default_tuning())
@@ -142,6 +145,7 @@ class Player(Pilot):
         #: The opponent at its last pose: stamp, x, y, vx, vy.
         self._opponent: tuple[float, Float[np.ndarray, " 4"]] | None = None
         self._watcher = RivalWatcher(self.pitch.goal_line)
+        self._learns = learns
         self._same, self._before_same = 0, 0.0
         self._last_puck: Float[np.ndarray, " 3"] | None = None
         self._craft: tuple[float, Float[np.ndarray, " 6"]] | None = None
@@ -291,7 +295,7 @@ class Player(Pilot):
             opponent,
             self.pitch,
             self._times,
-            self._watcher.rival,
+            self._watcher.rival if self._learns else Rival(),
         )
 
     def _with_noise(self, intention: Intention) -> Intention:
