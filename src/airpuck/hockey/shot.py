@@ -23,7 +23,7 @@ from airpuck.physics.puck import Disc, strike
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
 #: Standard deviation of the opponent's reach [m], and the probability that it reads a shot after 0,
-#: 1, 2 banks. Fitted to 1400 shots at scripted humans, keepers and bankers.
+#: 1, 2 banks: compromises between scripted humans and keepers (studies/set_opponents.py).
 _REACH_ERROR, _READS = 0.05, (1.0, 0.95, 0.5)
 #: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
 _ROLLS_OUT = 0.98
