@@ -237,6 +237,20 @@ def test_keys_buttons_and_cards(browser, arena):
     assert page.errors == []
 
 
+def test_a_page_says_that_games_are_recorded(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    words, name = page.tab.locator("#words"), page.tab.locator("#right-name")
+    page.status("ready")
+    assert "recorded" not in words.inner_text() + name.inner_text()
+    page.tab.evaluate("hello.recorded = true")
+    page.status("paused")
+    page.status("ready")
+    assert "Games are recorded." in words.inner_text()
+    page.status("play")
+    assert name.inner_text() == "you, recorded"
+
+
 def test_thoughts_are_drawn_on_request(browser, arena):
     page = Page(browser, arena, viewport={"width": 1280, "height": 720})
     arena.hears("sit")
