@@ -51,12 +51,12 @@ def test_a_program_is_found_again_after_its_functions_were_checked():
     from airpuck.compute.compiled import program
 
     @typechecker.jaxtyped(typechecker=typechecker.check)
-    def half(value: Any) -> Any:
+    def half(value: Float[Any, "2"]) -> Any:
         return value / 2
 
     def bind() -> Any:
         @typechecker.jaxtyped(typechecker=typechecker.check)
-        def quarter(xp: Any, value: Any) -> tuple[Any]:
+        def quarter(xp: Any, value: Float[Any, "2"]) -> tuple[Any]:
             return (half(half(value)),)
 
         return program(quarter, np.ones(2), compiled=True)

@@ -1,13 +1,15 @@
 """Checks of signatures while the tests run: by beartype, which accepts an int as a float.
 
-In each test, the first calls of each function are checked. A check takes longer than most short
-functions; loops that step through a flight make a million of them, of the same shapes.
+In each test, the first calls of each function with arrays are checked. A check takes longer than
+most short functions; loops that step through a flight make a million of them, of the same shapes.
+Functions without arrays are left to pyright: counting their calls took a quarter of such loops.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -42,6 +44,8 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         if dataclasses.is_dataclass(fn) and "__init__" in vars(fn):
             fn.__init__ = jaxtyped(fn.__init__, typechecker=typechecker)
         return fn
+    if not _takes_arrays(fn):
+        return fn
     # Kept with the function for the same reason.
     fn.calls = _calls.setdefault((fn.__module__, fn.__qualname__), [0])
     # The check of a nested function is built anew for each outer call.
@@ -59,3 +63,13 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         return fn.checked(*arguments, **named)
 
     return call
+
+
+def _takes_arrays(fn: Callable[..., Any]) -> bool:
+    """Return whether annotations mention arrays, by jaxtyping's names or by an alias."""
+    for annotation in fn.__annotations__.values():
+        words = re.findall(r"\w+", annotation) if isinstance(annotation, str) else ()
+        named = (fn.__globals__.get(word) for word in words)
+        if any("jaxtyping" in repr(kind) for kind in (annotation, *named)):
+            return True
+    return False
