@@ -89,6 +89,12 @@ def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("airpuck.twin.verdict.failures", lambda *_: [])
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Placeholder pictures: tests of figures and of `write_page` draw the real ones."""
+    monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Share the session's cached objects between its workers."""

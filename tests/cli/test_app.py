@@ -255,10 +255,9 @@ def test_bad_input_ends_a_process_alike(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_demo_walks_the_whole_way(tmp_path, monkeypatch):
-    # A report needs flights of 90 s and pictures, a test does not: tests/report draws them.
+def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
+    # A report needs flights of 90 s, a test does not.
     monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))
-    monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

@@ -33,16 +33,10 @@ COMMANDS = {
     "demo": "demo -o out",
     "reproduce": "reproduce -o out",
 }
-#: These take minutes and run with the studies.
-LONG = ("identify with a page", "resid", "design", "demo", "reproduce")
+#: One command of each kind of output: files, a model, a page, a bag. Others run with the studies.
+QUICK = ("preprocess", "identify", "faults", "excite")
 #: A bag of an excitation must be new.
 NEW = ("excite",)
-
-
-def cases(*names: str):
-    """Return all commands; the long ones are marked as studies."""
-    marks = {name: [pytest.mark.study] * (name in LONG) for name in names or COMMANDS}
-    return [pytest.param(name, marks=marks[name], id=name) for name in marks]
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +150,7 @@ def check_after(name: str, folder: Path, old, ended, number: int, *, words: str 
     assert set(old) <= set(left)
 
 
-#: Ctrl-C is tested with every command; for other signals, two commands suffice.
+#: Ctrl-C is tested with each kind of output; for other signals, one command suffices.
 SIGNALS = [(signal.SIGINT, -1), (signal.SIGTERM, 1), (signal.SIGKILL, -1)]
 
 
@@ -166,7 +160,7 @@ SIGNALS = [(signal.SIGINT, -1), (signal.SIGTERM, 1), (signal.SIGKILL, -1)]
         pytest.param(
             *(name, number, write),
             marks=[pytest.mark.study]
-            * (name in LONG or (number != signal.SIGINT and name not in ("preprocess", "faults"))),
+            * (name not in (QUICK if number == signal.SIGINT else QUICK[:1])),
             id=f"{name}-{number.name}",
         )
         for name in COMMANDS
@@ -185,7 +179,7 @@ def test_a_signal_while_something_is_written(server, usual, folder, name, write,
 @pytest.mark.study
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize("name", COMMANDS)
 def test_a_signal_at_any_time(server, usual, folder, name, share, number):
     written, wall_s = usual(name)
     rng = np.random.default_rng([list(COMMANDS).index(name), round(10 * share), number])
@@ -199,7 +193,9 @@ def test_a_signal_at_any_time(server, usual, folder, name, share, number):
     check_after(name, folder, old, ended, number, words="interrupted")
 
 
-@pytest.mark.parametrize("name", cases())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.study] * (n not in QUICK)) for n in COMMANDS]
+)
 def test_a_full_disk(server, usual, folder, name):
     written, _ = usual(name)
     old = prepare(name, folder, written)

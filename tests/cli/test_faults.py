@@ -32,7 +32,7 @@ def bag(tmp_path_factory):
     return folder
 
 
-def test_faults_are_printed_written_and_drawn(bag, tmp_path):
+def test_faults_are_printed_written_and_drawn(bag, tmp_path, undrawn):
     process = airpuck("faults", bag, "-o", tmp_path / "r", "--json", tmp_path / "f.json")
     assert process.returncode == 0, process.stderr
     assert "jumping pose" in process.stdout
@@ -54,7 +54,7 @@ def test_with_a_model_nothing_is_fitted(bag):
     assert json.loads(process.stdout)["model"] == "M3"
 
 
-def test_identify_tells_what_it_left_out(bag, tmp_path):
+def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
     out = ("-o", tmp_path / "m.toml", "--report", tmp_path / "r", "--json", tmp_path / "f.json")
     process = airpuck("identify", bag, *out)
     assert process.returncode == 0, process.stderr

@@ -80,12 +80,12 @@ def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance
         one = replace(TRUTH, parameters=parameters)
         return predicted(one, flight, known, starts, len(bands.time), late)
 
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(size), covariance, 30)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(size), covariance, 12)
     # Each draw with its mirror image, so that nonlinear effects cancel.
     halves = [(moved(one) - moved(-one)) / 2 for one in drawn]
     expected = 2.0 * np.sqrt(np.mean(np.square(halves), axis=0))
-    # 30 draws: a standard error of 13 %.
-    np.testing.assert_allclose(bands.by_parameters[-1], expected[-1], rtol=0.3)
+    # 12 draws: a standard error of 20 %.
+    np.testing.assert_allclose(bands.by_parameters[-1], expected[-1], rtol=0.45)
 
 
 @pytest.mark.slow

@@ -340,6 +340,3 @@ def test_the_commands_of_the_papers_flight_come_back(data):
         list(vars(found.gains).values()), [9.06, 5.02, 15.0, 6.36], rtol=0.05
     )
     assert found.compared.sum() > 800
-    # This model's controller made the commands: another model explains them less.
-    other = replay(flight, published_model("M0"), span=(0.0, 0.84))
-    assert (other.correlation < found.correlation - 0.02).all()

@@ -198,7 +198,7 @@ def test_the_information_is_the_derivative_of_the_weighted_scores():
     np.testing.assert_allclose(ours, slope, atol=0.02 * np.abs(slope).max())
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.data
 def test_medians_on_the_paper_s_experiments(experiments):
     training, validation = (

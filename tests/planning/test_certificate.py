@@ -78,7 +78,7 @@ def test_motors_cannot_have_other_speeds():
         assert (flown >= low[:, 1:].T - 1e-12).all()
 
 
-@pytest.mark.parametrize("seed", range(0, 1000, 50))
+@pytest.mark.parametrize("seed", range(0, 1000, 100))
 def test_no_flight_is_refuted(seed):
     """Craft with three to eight propellers and every effect; studies/bounds.py has more cases."""
     _, asked, weight, time = case(seed)
@@ -88,7 +88,7 @@ def test_no_flight_is_refuted(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [3, 10, 21, 36])
+@pytest.mark.parametrize("seed", [3, 21])
 def test_no_flight_is_faster_than_its_bound(seed):
     _, asked, weight, time = case(seed)
     assert lower_bound(asked, weight, 1.3 * time) <= time

@@ -28,7 +28,7 @@ def milliseconds(image: Image.Image) -> list[int]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("speed", "rate"), [(1.0, 25.0), (2.0, 12.0), (0.5, 30.0)])
+@pytest.mark.parametrize(("speed", "rate"), [(2.0, 12.0), (0.5, 30.0)])
 def test_a_gif_has_its_frames_and_takes_its_time(tmp_path, speed, rate):
     recording = flight(duration=0.5)
     path = animate(recording, tmp_path / "a.gif", speed=speed, frames_per_second=rate)
@@ -264,9 +264,8 @@ def test_a_set_point_far_away_is_no_trouble(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("flown", ["control_experiment/data_M4", "control_experiment/data_M0"])
-def test_real_flights(data, tmp_path, flown):
-    recording = read_recording(data / flown)
+def test_a_real_flight(data, tmp_path):
+    recording = read_recording(data / "control_experiment" / "data_M4")
     path = animate(recording, tmp_path / "a.gif", span=(0.2, 0.3))
     assert path.stat().st_size < 500_000
     page = page_data(animate(recording, tmp_path / "a.html"))

@@ -55,14 +55,10 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Placeholder pictures: tests of figures draw the real ones."""
-    monkeypatch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("on_another", [True, False])
+@pytest.mark.parametrize(
+    ("study", "on_another"), [("six", True), ("four", False)], indirect=["study"]
+)
 def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, undrawn):
     truth = model_of(study.models[0].vehicle, "M3")
     on = judged if on_another else None
