@@ -55,7 +55,7 @@ def exported(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("M1", "M2", "M3"))) for n in MODELS]
+    "name", [pytest.param(n, marks=[pytest.mark.study] * (n in ("M1", "M2", "M3"))) for n in MODELS]
 )
 def test_commands_and_states_are_pythons(name, tmp_path):
     model = MODELS[name]

@@ -61,7 +61,7 @@ def flight() -> Trajectory:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("applied", [3 / 240, 7 / 240])
+@pytest.mark.parametrize("applied", [3 / 240, pytest.param(7 / 240, marks=pytest.mark.study)])
 def test_delay_and_lag_are_found_together(applied):
     """From a delay two samples off and a lag half too long, in data without noise."""
     start = RUNGS["M3"].initial(VEHICLE)

@@ -164,7 +164,9 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     assert_events_of_all_are_recorded(tmp_path / "bag")
 
 
-def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_path):
+def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_path, monkeypatch):
+    # No flight needs the lower bound, which takes seconds.
+    monkeypatch.setattr("airpuck.planning.plan._bound", lambda *_: None)
     limits = Limits(reserve=0.1)
     planned = plan(TRUTH, (0.2, 0, 0), (-0.2, 0, 0.5), limits=limits, intervals=20)
     planned.save(tmp_path / "plan.toml")

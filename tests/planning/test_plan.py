@@ -138,10 +138,10 @@ def test_an_independent_integrator_ends_at_the_goal(model):
 @pytest.mark.parametrize(
     ("propellers", "goal", "spin"),
     [
-        pytest.param(0, (0.02, 0.0, 0.6), 1.0, marks=pytest.mark.slow),
         (0, (0.2, 0.0, 1.5), 2.0),
         pytest.param(5, (0.3, 0.0, 1.5), 2.0, marks=pytest.mark.slow),
-        # These take 10 to 20 s.
+        # These take 5 to 20 s.
+        pytest.param(0, (0.02, 0.0, 0.6), 1.0, marks=pytest.mark.study),
         pytest.param(0, (0.3, 0.0, 3.0), 3.0, marks=pytest.mark.study),
         pytest.param(0, (0.0, 0.0, 0.3), 0.5, marks=pytest.mark.study),
         pytest.param(4, (0.3, 0.0, 1.5), 1.0, marks=pytest.mark.study),
@@ -167,12 +167,6 @@ def test_of_all_final_yaws_the_search_finds_one_of_the_best():
     assert len(times) > 5
     assert found.time < 0.445
     assert tried[0].time_s > 1.01 * found.time
-
-
-@pytest.mark.slow
-def test_finer_grids_agree(metre):
-    finer = fastest((-0.5, 0, 0), (0.5, 0, 0), metre.path(), intervals=80)
-    assert finer.time == pytest.approx(metre.duration, rel=5e-3)
 
 
 @pytest.mark.study
@@ -242,15 +236,10 @@ def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
 
 @pytest.mark.slow
 def test_gentle_switches_cost_little_time(metre):
-    gentle, other = (
-        fastest((-0.5, 0, 0), (0.5, 0, 0), limits=Limits(smoothing=2e-4), intervals=intervals)
-        for intervals in (40, 30)
-    )
+    gentle = fastest((-0.5, 0, 0), (0.5, 0, 0), limits=Limits(smoothing=2e-4), intervals=30)
     assert metre.duration < gentle.time < 1.02 * metre.duration
     hardest = [np.abs(np.diff(p.commands, axis=0)).max() for p in (metre, gentle.path)]
     assert hardest[1] < 0.6 * hardest[0]
-    # The same on any grid.
-    assert other.time == pytest.approx(gentle.time, rel=5e-3)
 
 
 @pytest.mark.slow
@@ -285,7 +274,10 @@ def test_what_did_not_converge_is_refused(metre, monkeypatch):
     [
         # The best of eight random starts; 1.0 and 1.3 % slower without first turning the other way.
         ((0, 0, 0.522, -0.41, -0.397, 1.483), (0.56589, -0.8585), 0.7672),
-        ((0, 0, -3.009, 0.447, 0.166, -0.482), (0.0729, 0.32041), 0.4311),
+        pytest.param(
+            *((0, 0, -3.009, 0.447, 0.166, -0.482), (0.0729, 0.32041), 0.4311),
+            marks=pytest.mark.study,
+        ),
     ],
 )
 def test_a_free_yaw_is_not_beaten_by_random_starts(start, goal, found):

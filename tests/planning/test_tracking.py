@@ -85,7 +85,7 @@ def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
     """Late packets, and an initial error of 8 mm and 0.03 rad."""
     tuning, table = default_tuning(), Table()
     flight = planned.starting(0.1)
-    for seed in range(3):
+    for seed in range(2):
         pilot = plan_tracker(flight, tuning, table)
         twin = Twin(M3, default_twin_settings(), seed=seed, pose=(-0.206, 0.005, 0.03))
         fly(pilot, twin, 0.1 + 1.1 * planned.duration, tuning.period_s)
