@@ -53,10 +53,10 @@ demo: install  ## the whole workflow on simulated recordings, no download; ARGS 
 	$(BIN)/airpuck demo --out demo $(ARGS)
 
 test: dev  ## the quick tests, in minutes: while you work
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" --hypothesis-profile quick
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" --hypothesis-profile quick --durations 15
 
 test-all: dev  ## all tests but the studies and the browser; those in real time at the end, alone
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not realtime"
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not realtime" --durations 15
 	$(BIN)/python -m pytest -n 0 -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests)
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
