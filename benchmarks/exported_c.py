@@ -29,7 +29,7 @@ def spent(pilot: TrackingController | CompiledController, steps: int) -> list[fl
     pilot.reference = SetPoint(0.3, 0.1, 1.0)
     n = pilot.model.vehicle.n_propellers
     command = np.zeros(n)
-    targets = pilot.targets(0.0) if isinstance(pilot, CompiledController) else None
+    targets = pilot.targets(0.0) if isinstance(pilot, CompiledController) else np.zeros(0)
     for _ in range(steps):
         received, now = table.poses(), table.now + table.period
         started = time.process_time_ns()

@@ -4,6 +4,7 @@ import math
 import sys
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -52,6 +53,38 @@ def actions(count, seed=0, size=6):
 def flown(env, commands, **reset):
     """Return the results of a reset and of steps."""
     return [env.reset(**reset), *(env.step(command) for command in commands)]
+
+
+@pytest.mark.parametrize("kind", ["SetPoint", "Defend"])
+def test_pictures_show_the_craft_where_it_is(kind):
+    env: Any = gymnasium.make(f"airpuck/{kind}-v0", render_mode="rgb_array").unwrapped
+    options = {"start": (0.4, 0.2, 0.0), "goal": (-0.5, 0.0, 0.0)} if kind == "SetPoint" else {}
+    env.reset(seed=1, options=options)
+    before = env.render()
+    assert before.dtype == np.uint8
+    # Room for rails of 3 cm, 300 pixels per metre.
+    assert before.shape == (round(300 * 1.16), round(300 * 2.26), 3)
+    x, y, _ = env._twin.state[:3]
+    white = np.argwhere((before == 255).all(axis=2)).mean(axis=0)
+    np.testing.assert_allclose(white / 300 - (0.58, 1.13), (-y, x), atol=0.01)
+    env.reset(seed=2)
+    assert (env.render() != before).any()
+    assert gymnasium.make(f"airpuck/{kind}-v0").unwrapped.render() is None
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        gymnasium.make(f"airpuck/{kind}-v0", render_mode="rgb_array").unwrapped.render()
+
+
+def test_the_game_has_pictures_and_modes_are_checked():
+    game = GameEnv(render_mode="rgb_array")
+    game.reset(seed=0)
+    picture = game.render()
+    assert picture is not None
+    left, right = picture[:, : picture.shape[1] // 2], picture[:, picture.shape[1] // 2 :]
+    for half, own, other in ((left, (0, 114, 178), (213, 94, 0)), (right, (213, 94, 0), None)):
+        assert (half == own).all(axis=2).any()
+        assert other is None or not (half == other).all(axis=2).any()
+    with pytest.raises(InputError, match="render_mode"):
+        GameEnv(render_mode="human")
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)

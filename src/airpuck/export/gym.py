@@ -26,6 +26,15 @@ from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.data.measurement import Kind, Measurement
+from airpuck.export.gym_picture import (
+    BLACK,
+    GREEN,
+    WHITE,
+    DrawnDisc,
+    check_render_mode,
+    drawn_puck,
+    picture,
+)
 from airpuck.export.gym_task import (
     CourseTask,
     ModelSource,
@@ -124,17 +133,49 @@ class PilotPolicy:
 class TwinEnv(gymnasium.Env[Observation, Any]):
     """Base of the environments of one craft: a twin, stepped by one control period."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # pyright: ignore
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 100}  # pyright: ignore
 
     def _build(
-        self, model: Model, settings: TwinSettings, bodies: Sequence[Kind], **more: spaces.Box
+        self,
+        model: Model,
+        settings: TwinSettings,
+        bodies: Sequence[Kind],
+        render_mode: str | None,
+        **more: spaces.Box,
     ) -> None:
-        self.model, self.settings = model, settings
+        check_render_mode(render_mode, self.metadata)
+        self.model, self.settings, self.render_mode = model, settings, render_mode
         self._twin: Twin | None = None
         self.action_space = action_space(model)
         space: Any = observation_space(model, settings, bodies, **more)
         self.observation_space = space
         self._seen = Seen(1, space, bodies, settings.motion_capture.clock_offset_s)
+
+    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return a picture of the true poses, if the render mode is ``rgb_array``.
+
+        Returns
+        -------
+        array, shape (height, width, 3), or None
+            8-bit colours; the table from above.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            Before the first reset.
+        """
+        if self.render_mode is None:
+            return None
+        if self._twin is None:
+            raise gymnasium.error.ResetNeeded("call reset() before render()")
+        puck = self._twin.world.puck
+        discs = self._targets() + drawn_puck(puck and puck.state, self.settings)
+        craft = DrawnDisc(self._twin.state[:3], self.model.vehicle.radius_m, BLACK, WHITE)
+        return picture(self.settings.table, [*discs, craft])
+
+    def _targets(self) -> list[DrawnDisc]:
+        """Return the goals to draw."""
+        return []
 
     def _fly(self, action: Any) -> Twin:
         """Send a command, and advance by a control period."""
@@ -160,11 +201,13 @@ class CourseEnv(TwinEnv):
         A course of `airpuck race`; by default random starts and goals, without points.
     limit_s : float, default 10
         Time after which an episode is truncated [s].
+    render_mode : str, optional
+        ``rgb_array``: `render` returns pictures.
 
     Raises
     ------
     InputError
-        If the course is unknown, or the table too small.
+        If the course or the render mode is unknown, or the table too small.
     """
 
     def __init__(
@@ -173,11 +216,12 @@ class CourseEnv(TwinEnv):
         twin: TwinSource = None,
         course: str | None = None,
         limit_s: float = LONGEST,
+        render_mode: str | None = None,
     ) -> None:
         craft, settings = read_world(model, twin)
         self._task = CourseTask(craft, settings, course, limit_s)
         self._plant = build_plant(craft, settings)
-        self._build(craft, settings, ("pose",), **self._task.space())
+        self._build(craft, settings, ("pose",), render_mode, **self._task.space())
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -205,6 +249,11 @@ class CourseEnv(TwinEnv):
         success = {"is_success": bool(there)}
         return self._observation(), float(reward[0]), bool(there), late and not there, success
 
+    def _targets(self) -> list[DrawnDisc]:
+        radius = self.model.vehicle.radius_m
+        following = DrawnDisc(self._task.following[0], radius / 5, GREEN, GREEN)
+        return [DrawnDisc(self._task.goal[0], radius, GREEN, None), following]
+
     def baseline(self) -> PilotPolicy:
         """Return a policy for one episode: the tracking controller, with the next point as goal."""
         rest = SetPoint(0.0, 0.0, 0.0)
@@ -226,21 +275,27 @@ class PuckEnv(TwinEnv):
         The craft.
     twin : TwinSettings or path-like, optional
         Table, puck, sensors, radio, effects; by default the packaged ones.
+    render_mode : str, optional
+        ``rgb_array``: `render` returns pictures.
 
     Raises
     ------
     InputError
-        If the skill is unknown, or the table has no room for it.
+        If the skill or the render mode is unknown, or the table has no room for it.
     """
 
     def __init__(
-        self, skill: str, model: ModelSource = "paper:M3", twin: TwinSource = None
+        self,
+        skill: str,
+        model: ModelSource = "paper:M3",
+        twin: TwinSource = None,
+        render_mode: str | None = None,
     ) -> None:
         if skill not in SKILLS:
             raise InputError(unknown(skill, list(SKILLS)), field="skill")
         self.skill: SkillName = cast(SkillName, skill)
         self._stage = make_stage(*read_world(model, twin))
-        self._build(self._stage.model, self._stage.settings, ("pose", "puck"))
+        self._build(self._stage.model, self._stage.settings, ("pose", "puck"), render_mode)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -11,6 +11,15 @@ from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
 from airpuck.data.measurement import Kind, Measurement
 from airpuck.export.gym import PilotPolicy
+from airpuck.export.gym_picture import (
+    BLUE,
+    RED,
+    WHITE,
+    DrawnDisc,
+    check_render_mode,
+    drawn_puck,
+    picture,
+)
 from airpuck.export.gym_task import (
     ModelSource,
     Observation,
@@ -70,6 +79,8 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         Goals needed to win.
     limit_s : float, default 30
         Time limit [s].
+    render_mode : str, optional
+        ``rgb_array``: `render` returns pictures.
 
     Attributes
     ----------
@@ -77,7 +88,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         The current game: score, events, true states.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "airpuck_game_v0", "render_modes": []}  # pyright: ignore
+    metadata: ClassVar[dict[str, Any]] = {"name": "airpuck_game_v0", "render_modes": ["rgb_array"]}  # pyright: ignore
 
     def __init__(
         self,
@@ -85,11 +96,13 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         twin: TwinSource = None,
         goals: int = 1,
         limit_s: float = 30.0,
+        render_mode: str | None = None,
     ) -> None:
+        check_render_mode(render_mode, self.metadata)
         self.model, self.settings = read_world(model, twin)
         self._rules = Rules(goals=goals, limit_s=limit_s)
         self.possible_agents, self.agents = list(_SIDES), []
-        self.render_mode = None
+        self.render_mode = render_mode
         self.action_spaces = {name: action_space(self.model) for name in _SIDES}
         self.observation_spaces: dict[str, Any] = {
             name: observation_space(self.model, self.settings, _BODIES) for name in _SIDES
@@ -171,6 +184,17 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             dict.fromkeys(playing, over and not won),
         )
         return self._observations(), rewards, terminated, truncated, infos
+
+    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Return a picture of the true poses; see `TwinEnv.render`."""
+        if self.render_mode is None:
+            return None
+        radius = self.model.vehicle.radius_m
+        craft = [
+            DrawnDisc(side.state[:3], radius, color, WHITE)
+            for side, color in zip(self.game.sides, (BLUE, RED), strict=True)
+        ]
+        return picture(self.settings.table, [*drawn_puck(self.game.puck, self.settings), *craft])
 
     def baseline(self) -> PilotPolicy:
         """Return a policy for one game: the package's player, for either side."""
