@@ -91,8 +91,8 @@ def _symbolic(time_constant: Any) -> bool:
 def motor_speeds(
     time: Float[np.ndarray, " N"],
     command: Float[np.ndarray, "N n"],
-    time_constant: float | Float[np.ndarray, "n 1"],
-    idle_lag: float | None = None,
+    time_constant: float | Float[np.ndarray, ""] | Float[np.ndarray, "n 1"],
+    idle_lag: float | Float[np.ndarray, ""] | None = None,
 ) -> Float[np.ndarray, "N n"]:
     """Simulate motors under held commands.
 
