@@ -65,10 +65,9 @@ def main() -> None:
             puck.place(served(rng))
     columns = [*np.array(took).T, np.array(processor)]
     for name, seconds in zip(("decision", "control", "both", "processor"), columns, strict=True):
-        p50, p99 = np.percentile(seconds * 1e3, [50, 99])
-        print(
-            f"{name:9s} p50 {p50:6.2f} ms   p99 {p99:6.2f} ms   max {seconds.max() * 1e3:6.2f} ms"
-        )
+        values = np.percentile(seconds * 1e3, [50, 99, 99.9, 100])
+        told = zip(("p50", "p99", "p99.9", "max"), values, strict=True)
+        print(f"{name:9s} " + "   ".join(f"{label} {value:6.2f} ms" for label, value in told))
 
 
 if __name__ == "__main__":

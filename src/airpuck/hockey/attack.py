@@ -32,6 +32,9 @@ _DIRECTION_ERROR = 0.02
 _BANKED = 0.5
 #: Discount rate of the probability of scoring with waiting time [1/s]; a guess.
 _PATIENCE = 0.12
+#: Value of a shot per speed of the puck [s/m]: a saved fast shot comes back, a slow one is the
+#: opponent's to strike. A guess.
+_PRESSURE = 0.01
 #: Gain in probability for which the planned shot is replaced; a guess.
 _BETTER = 0.08
 #: Decisions between searches for shots, and for the fallback that only clears the puck.
@@ -57,7 +60,7 @@ class Shoot(Searcher):
 
     Parameters
     ----------
-    least : float, default 0.05
+    least : float, default 0.02
         Smallest probability of scoring for a shot.
     error : ArrivalError, optional
         The craft's errors at a rendezvous.
@@ -69,7 +72,7 @@ class Shoot(Searcher):
 
     def __init__(
         self,
-        least: float = 0.05,
+        least: float = 0.02,
         error: ArrivalError | None = None,
         speeds: Float[np.ndarray, " L"] = SPEEDS,
         clears: bool = False,
@@ -140,10 +143,12 @@ class Shoot(Searcher):
         if not len(able[0]):
             return None
         rows, inverse = np.unique(able[0], return_inverse=True)
-        chance = self._coarse(view, times[rows], pucks[rows], normal[rows], velocity[rows])
+        part = inverse, able[1], able[2]
+        chance, speed = self._coarse(view, times[rows], pucks[rows], normal[rows], velocity[rows])
         value = np.full(shape, -1.0)
         later = np.exp(-_PATIENCE * (when[able] - view.time))
-        value[able] = chance[inverse, able[1], able[2]] * later
+        likely = chance[part] >= _PROMISING * self.least
+        value[able] = np.where(likely, (chance[part] + _PRESSURE * speed[part]) * later, -1.0)
         best = self._apart(
             np.unravel_index(np.argsort(value, axis=None)[:-_PICKED:-1], shape), value
         )
@@ -159,8 +164,8 @@ class Shoot(Searcher):
         pucks: Float[np.ndarray, "K 6"],
         normal: Float[np.ndarray, "K J L"],
         velocity: Float[np.ndarray, "K J L 2"],
-    ) -> Float[np.ndarray, "K J L"]:
-        """Return rough probabilities: whether shots score, averaged over nearby directions."""
+    ) -> tuple[Float[np.ndarray, "K J L"], Float[np.ndarray, "K J L"]]:
+        """Return rough probabilities, averaged over nearby directions, and speeds of the puck."""
         pitch, shape = view.pitch, normal.shape
         contacts = Contacts(
             np.broadcast_to(pucks[:, None, None, :2], (*shape, 2)),
@@ -176,7 +181,8 @@ class Shoot(Searcher):
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
         weights = np.exp(-(apart**2) / 2)
         weights /= weights.sum(axis=1, keepdims=True)
-        return np.einsum("ji,kil->kjl", weights, flights.scores * flights.passes)
+        chance = np.einsum("ji,kil->kjl", weights, flights.scores * flights.passes)
+        return chance, np.hypot(after[..., 0], after[..., 1])
 
     def _apart(
         self, order: tuple[np.ndarray, ...], value: Float[np.ndarray, "K J L"]
@@ -184,7 +190,7 @@ class Shoot(Searcher):
         """Return the best few contacts that differ from each other."""
         found: list[tuple[int, int, int]] = []
         for k, j, s in zip(*(part.tolist() for part in order), strict=True):
-            if value[k, j, s] < _PROMISING * self.least:
+            if value[k, j, s] < 0:
                 break
             if all(abs(k - a) > 1 or abs(j - b) > 2 or s != c for a, b, c in found):
                 found.append((k, j, s))
@@ -211,7 +217,8 @@ class Shoot(Searcher):
             self.error,
             opponent and opponent._replace(place=opponent.place[:, None]),
         )
-        value = chance * np.exp(-_PATIENCE * (time - view.time))
+        speed_after = np.linalg.norm(struck(view.pitch, contacts)[:, :2], axis=1)
+        value = (chance + _PRESSURE * speed_after) * np.exp(-_PATIENCE * (time - view.time))
         shots = []
         for k in np.argsort(value)[::-1].tolist():
             # A later contact of lower value may have a higher chance.
