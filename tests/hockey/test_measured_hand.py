@@ -33,13 +33,14 @@ def episode(
 ) -> tuple[np.ndarray, np.ndarray, list[tuple[float, str, int]]]:
     """Return mallet, puck and events of one hit by the opponent and one shot by the hand.
 
-    The hand plays on the right. It moves aside after its reaction time, and later strikes a resting
-    puck; the puck then leaves with an error of direction about the centre of the goal.
+    The hand plays on the right. It drifts, moves aside after its reaction time, and later strikes a
+    resting puck; the puck then leaves with an error of direction about the centre of the goal.
     """
     time = np.arange(0.0, LENGTH, 1 / RATE)
     mallet, puck = np.tile([0.9, 0.0], (len(time), 1)), np.tile([0.5, 0.1], (len(time), 1))
     aside = 0.05 * np.clip((time - HIT - reaction) / 0.05, 0.0, None) ** 2
     mallet[:, 1] += np.where(time < 1.2, np.clip(aside, 0.0, 0.05), 0.0)
+    mallet[:, 1] += 0.1 * np.clip(time - 0.2, 0.0, 1.0)
     puck[:, 0] = np.where(time < HIT, -0.3, np.clip(-0.3 + 2.0 * (time - HIT), None, 0.5))
     begins, lasts = 2.0, 0.2
     mallet[:, 0] -= stroke(np.clip(time - begins, 0.0, lasts), acceleration, speed)
@@ -50,7 +51,7 @@ def episode(
     return mallet, puck, events
 
 
-def recorded(random: np.random.Generator, count: int, side: int, **spreads) -> tuple:
+def recorded(random: np.random.Generator, count: int, side: int) -> tuple:
     """Return a recording of episodes, and the true values of each."""
     truth = {
         "reaction": random.normal(0.21, 0.02, count),

@@ -19,14 +19,14 @@ from airpuck.hockey.game import KINDS
 from airpuck.recording.stream import Recording
 
 # Numbers without a source are guesses.
-#: A hand has moved when it is this far from where it was; its onset is extrapolated from the time
-#: at which it is four times as far, as for a constant acceleration [m].
+#: A hand has reacted when it is this far from where it would have been; the onset is extrapolated
+#: from the time at which it is four times as far, as for a constant acceleration [m].
 _MOVED = 0.002
 #: Earlier movements are no reaction to the hit (100 ms is usual in studies of reaction times, as
 #: in athletics); later ones neither, and slow ones are drift [s].
 _TOO_EARLY, _TOO_LATE, _DRIFTS = 0.1, 0.6, 0.1
-#: The hand must have been at rest for this long before the hit [s].
-_RESTS = 0.05
+#: The hand would go on as it did in this time before the hit [s].
+_BEFORE = 0.05
 #: Hits closer together belong to one contact [s].
 _APART = 0.3
 #: A stroke is the movement in this time before a hit [s].
@@ -96,7 +96,7 @@ class MeasuredHand(Result):
 
     JSON: ClassVar[str] = "reaction_s speed_m_s acceleration_m_s2 aim_rad"
 
-    #: Median time from the opponent's hit to the mallet's movement [s].
+    #: Median time from the opponent's hit to a change of the mallet's motion [s].
     reaction_s: Measure
     #: 95 % quantile of the largest speed in a stroke [m/s]; upper quartile of the acceleration
     #: [m/s²].
@@ -196,17 +196,18 @@ class _Game:
             last = time
 
     def reactions(self) -> Iterator[float]:
-        """Yield times from a hit by the opponent to the first movement of the resting hand [s]."""
+        """Yield times from a hit by the opponent to a change of the hand's motion [s]."""
         for hit, _ in self._hits(own=False):
             puck = self._puck.at([hit + after for after in _SEEN])
-            moves = self._mallet.at(hit + np.arange(-_RESTS, _TOO_LATE, _STEP))
+            moves = self._mallet.at(hit + np.arange(-_BEFORE, _TOO_LATE, _STEP))
             if puck is None or moves is None:
                 continue
-            before = round(_RESTS / _STEP)
-            away = np.hypot(*(moves - moves[before]).T)
-            comes = puck[0, 0] - puck[1, 0] > _COMES * (_SEEN[1] - _SEEN[0])
-            if comes and away[:before].max() < _MOVED:
-                near, far = (_first_above(away[before:], n * _MOVED) * _STEP for n in (1, 4))
+            before = round(_BEFORE / _STEP)
+            drift = (moves[before] - moves[0]) / before
+            later = np.arange(len(moves) - before)[:, None]
+            away = np.hypot(*(moves[before:] - moves[before] - drift * later).T)
+            if puck[0, 0] - puck[1, 0] > _COMES * (_SEEN[1] - _SEEN[0]):
+                near, far = (_first_above(away, n * _MOVED) * _STEP for n in (1, 4))
                 onset = 2 * near - far
                 if onset > _TOO_EARLY and far - near < _DRIFTS:
                     yield onset
