@@ -92,7 +92,7 @@ def test_signals_go_on_with_the_time_though_steps_are_missed():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("amplitude", [1.0, 0.4])
+@pytest.mark.parametrize("amplitude", [1.0, pytest.param(0.4, marks=pytest.mark.study)])
 def test_signals_are_uniform_and_independent(amplitude):
     commands = at_rest(pilot(amplitude=amplitude, hold=PERIOD, seed=7), 3000)
     signals = signal_of(commands)

@@ -85,6 +85,7 @@ def test_a_delay_that_was_not_learned_has_none(flight):
     assert found.packet_delays == ()
 
 
+@pytest.mark.study
 @pytest.mark.data
 def test_jitter_of_a_real_flight(experiments):
     """Median and quartiles of the delays were found by another method: 21, 15.7 and 25.2 ms."""

@@ -63,7 +63,7 @@ def test_rounds_add_up():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("entry", [LAG, ANGLE])
+@pytest.mark.parametrize("entry", [LAG, pytest.param(ANGLE, marks=pytest.mark.study)])
 def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
     """Prepare everything again, with all decisions, two standard errors away."""
     monkeypatch.setattr(retiming, "_DENSITY", 6)

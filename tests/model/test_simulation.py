@@ -155,8 +155,8 @@ def uncertain(errors: dict[int, float]) -> airpuck.Model:
 def test_samples_have_the_covariance_of_the_estimate():
     entries = {18: 3e-6, 19: 4e-4}  # inertia and lag: some percent of each
     model = uncertain(entries)
-    drawn = np.array([m.parameters.to_vector() for m in model.sample(4000, key=1)])
-    np.testing.assert_allclose(drawn.std(axis=0)[[18, 19]], list(entries.values()), rtol=0.05)
+    drawn = np.array([m.parameters.to_vector() for m in model.sample(1000, key=1)])
+    np.testing.assert_allclose(drawn.std(axis=0)[[18, 19]], list(entries.values()), rtol=0.1)
     untouched = np.delete(np.arange(drawn.shape[1]), [18, 19])
     assert (drawn[:, untouched] == model.parameters.to_vector()[untouched]).all()
 

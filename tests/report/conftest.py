@@ -40,5 +40,7 @@ def judged(study) -> JudgedModels:
 
 @pytest.fixture(scope="session")
 def reproduction(data, tmp_path_factory) -> Reproduction:
-    """The paper's study on the real recordings."""
-    return reproduce(data, tmp_path_factory.mktemp("reproduction"))
+    """The paper's study on the real recordings, with placeholders for pictures."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("airpuck.report.page.drawn", lambda figure, suffix: b"drawn")
+        return reproduce(data, tmp_path_factory.mktemp("reproduction"))

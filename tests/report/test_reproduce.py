@@ -91,7 +91,6 @@ def test_page_shows_everything(reproduction, data):
     for row in PRINTED.values():
         for number in row:
             assert number in page.text
-    assert reproduction.page.stat().st_size < 3e6
     assert str(data) not in page.text  # the page can be sent to others
 
 

@@ -109,7 +109,7 @@ def test_the_true_model_reaches_its_set_points_within_six_seconds():
     assert set(flight.outcomes) <= {"exact", "scaled", "nearest", "no pose"}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near():
     poor, true = tracking_study([M0, M4], M4)
     poor, true = (
@@ -242,7 +242,7 @@ def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m
     assert aware[2] < 0.8 * unaware[2]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_looking_after_the_motors_does_no_harm_to_a_healthy_craft(plant_m4):
     kalman, actuation = (faulty_flight(e, Motors(), plant_m4) for e in ("kalman", "actuation"))
     np.testing.assert_allclose(actuation, kalman, rtol=0.1)
