@@ -125,7 +125,7 @@ def _commands() -> str:
         lines += [f"## airpuck {name}", "", help_text, ""]
         rows = [row for parameter in command.params if (row := _row(parameter))]
         if rows:
-            lines += ["| | | |", "|---|---|---|", *rows, ""]
+            lines += ["| option | value | default | meaning |", "|---|---|---|---|", *rows, ""]
     return "\n".join(lines)
 
 
@@ -138,5 +138,11 @@ def _row(parameter: Any) -> str | None:
     shown = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
     choices = getattr(getattr(parameter, "type_descriptor", None), "choices", None) or ()
     value = parameter.metavar or " | ".join(map(str, choices))
-    cells = (shown if option else f"`{value}`", f"`{value}`" if option and value else "", text)
+    value = f"`{value}`" if value else ""
+    given = parameter.default
+    plain = isinstance(given, str | float | tuple | Path) and not isinstance(given, bool)
+    default = " ".join(map(str, given)) if isinstance(given, tuple) else str(given)
+    default = f"`{default}`" if option and plain and default else ""
+    default = "required" if option and parameter.required else default
+    cells = (shown, value, default, text) if option else (value, "", "", text)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
