@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.main import get_command
 
 import airpuck
+from airpuck.cli.app import app as cli
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -64,3 +66,22 @@ def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
         if not re.search("[^\0]*?".join(map(re.escape, message.split("…"))), known)
     ]
     assert not unknown
+
+
+def test_each_command_on_a_page_exists_with_its_options():
+    commands = get_command(cli).commands  # pyright: ignore[reportAttributeAccessIssue]
+    pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("*.md"), *DOCS.parent.glob("examples/*.md")]
+    wrong, count = {}, 0
+    for page in pages:
+        if {"_build", "reference"} & set(page.parts) or page.name == "CHANGELOG.md":
+            continue
+        text = page.read_text("utf-8")
+        for name, words in re.findall(r"(?:^    |`)airpuck ([a-z][a-z-]+)([^`\n#|]*)", text, re.M):
+            command, count = commands.get(name), count + 1
+            known = {o for p in command.params for o in p.opts} if command else set()
+            options = re.findall(r"(?<!\S)--?[a-z][a-z-]*", words)
+            unknown = [option for option in options if option not in {*known, "--help-all"}]
+            if command is None or unknown:
+                wrong[f"{page.name}: airpuck {name}{words}"] = unknown
+    assert count > 100
+    assert not wrong
