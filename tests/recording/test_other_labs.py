@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from airpuck import InputError, read_mapping, read_recording
+from airpuck import InputError, preprocess, read_mapping, read_recording, read_vehicle
 
 from ..apparatus.bags import START_NS, ros_header, ros_topic, write_mcap
 
 RNG = np.random.default_rng(5)
 POSES = RNG.uniform(-2, 2, (200, 3))
 DUTIES = RNG.uniform(0, 1, (80, 8))
+EXAMPLES = Path(__file__).parents[2] / "examples"
 #: Our axes (forward, left, up) in those of PX4 (forward, right, down).
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -145,3 +149,77 @@ def test_the_free_flyer_s_switches_duties_and_poses(tmp_path):
         recording = read_recording(write_mcap(tmp_path / f"{name}.mcap", topics))
         np.testing.assert_allclose(recording["pose"].values, POSES, atol=1e-6)
         np.testing.assert_array_equal(recording["command"].values, expected)
+
+
+def free_flyer(folder, wheel_field="float64 velocity", velocity=lambda k: 30.0 * k, wheels=40):
+    """A bag of poses, duty cycles, and the reaction wheel's speeds on a topic of its own."""
+    stamped = "std_msgs/Header header\n"
+
+    def pose(types, k):
+        return types["ff_msgs/msg/Pose2DStamped"](
+            ros_header(types, START_NS + k * 10**7), *POSES[k]
+        )
+
+    def pulsed(types, k):
+        head = ros_header(types, START_NS + k * 10**7)
+        return types["ff_msgs/msg/ThrusterPWMCommand"](head, DUTIES[k])
+
+    def turning(types, k):
+        head = ros_header(types, START_NS + 10**8 + k * 2 * 10**7)
+        return types["ff_msgs/msg/WheelVelCommand"](head, velocity(k))
+
+    fields = f"{stamped}float32 x\nfloat32 y\nfloat32 theta\n"
+    topics = {
+        "/optitrack/drone/pose": topic("ff_msgs/msg/Pose2DStamped", fields, pose, 200),
+        "/drone/control": topic(
+            "ff_msgs/msg/ThrusterPWMCommand", f"{stamped}float64[8] duty_cycles\n", pulsed, 80
+        ),
+        "/ctrl/wheel": topic(
+            "ff_msgs/msg/WheelVelCommand", f"{stamped}{wheel_field}\n", turning, wheels
+        ),
+    }
+    (folder / "m.toml").write_text('topics = {wheels = "/ctrl/wheel"}\n[wheels]\nscale = 1e-3\n')
+    return write_mcap(folder / "a.mcap", topics), read_mapping(folder / "m.toml")
+
+
+def test_the_free_flyer_s_wheel_has_a_topic_of_its_own(tmp_path):
+    path, mapping = free_flyer(tmp_path)
+    recording = read_recording(path, mapping=mapping)
+    command = recording["command"]
+    assert "wheels" not in recording.streams
+    assert command.columns == tuple(f"value_{k}" for k in range(1, 10))
+    # Wheel and thrusters were stamped at common times: every tenth of a second from 0.1 s on.
+    np.testing.assert_array_equal(command.values[:80, :8], DUTIES)
+    expected = np.maximum(np.arange(80) - 10, 0) // 2 * 0.03
+    np.testing.assert_allclose(command.values[:80, 8], expected)
+    assert len(command) == 80 + 5  # the wheel's last commands come later
+
+
+WHEEL = """
+[[wheels]]
+name = "wheel"
+torque_Nm = 0.1
+inertia_kg_m2 = 0.01
+max_speed_rad_s = 1000.0
+commanded = "speed"
+"""
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"wheel_field": "string velocity", "velocity": str},
+        {"wheel_field": "float64[3] velocity", "velocity": lambda k: np.zeros(3)},
+        {"velocity": lambda k: math.nan},
+        {"velocity": lambda k: 1e308},
+        {"wheels": 0},
+    ],
+)
+def test_a_damaged_topic_of_a_wheel_ends_in_one_line(tmp_path, damage):
+    plain = (EXAMPLES / "free_flyers" / "freeflyer2.toml").read_text()
+    (tmp_path / "craft.toml").write_text(plain.replace("[nominal]", f"{WHEEL}\n[nominal]"))
+    vehicle = read_vehicle(tmp_path / "craft.toml")
+    path, mapping = free_flyer(tmp_path, **damage)
+    with pytest.raises(InputError) as raised:
+        preprocess(read_recording(path, mapping=mapping), vehicle)
+    assert "\n" not in str(raised.value)

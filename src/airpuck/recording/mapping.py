@@ -51,6 +51,8 @@ class Topics(Section):
         Motion capture: ``geometry_msgs/msg/PoseStamped`` or another pose.
     command : str
         Motor commands: optionally a header, then a number for each motor.
+    wheels : str
+        Commands of reaction wheels, if they are not among the motor commands.
     reference : str
         Reference of the craft.
     estimate : str
@@ -70,6 +72,7 @@ class Topics(Section):
 
     pose: TopicName = "/optitrack/drone/pose"
     command: TopicName = "/drone/control"
+    wheels: TopicName = "/drone/wheels"
     reference: TopicName = "/control/state_ref"
     estimate: TopicName = "/navigation/state"
     imu: TopicName = "/drone/imu"
@@ -346,6 +349,8 @@ class RecordingMapping(Section):
         Poses of the puck, if they are mapped differently. Without an orientation, positions alone.
     command : CommandMapping
         Commands.
+    wheels : CommandMapping
+        Commands of reaction wheels, if they have a topic of their own.
 
     Examples
     --------
@@ -358,11 +363,13 @@ class RecordingMapping(Section):
     pose: PoseMapping = PoseMapping()
     puck: PoseMapping = PoseMapping()
     command: CommandMapping = CommandMapping()
+    wheels: CommandMapping = CommandMapping()
 
     @property
     def sections(self) -> dict[str, PoseMapping | CommandMapping]:
         """Stream name -> its section."""
-        return {"pose": self.pose, "puck": self.puck, "command": self.command}
+        streams = ("pose", "puck", "command", "wheels")
+        return {name: getattr(self, name) for name in streams}
 
     def of_poses(self, stream: str) -> PoseMapping:
         """Return the section that applies to poses of a stream.

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import within_means
+from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
 from airpuck.recording.mapping import RecordingMapping, Topics
-from airpuck.recording.stream import Recording
+from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.ulog_file import ULOG, read_ulog
 
 _FORMS = "a rosbag2 folder, an .mcap, .db3, .bag or .ulg file, a CSV file or a folder of CSV files"
@@ -63,7 +67,8 @@ def read_recording(
     ('x_m', 'y_m', 'yaw_rad')
     """
     with within_means(path):
-        return _read(Path(path), mapping or RecordingMapping(topics=topics or Topics()), needs)
+        wanted = mapping or RecordingMapping(topics=topics or Topics())
+        return _with_wheels(_read(Path(path), wanted, needs))
 
 
 def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
@@ -90,6 +95,43 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
     if found.suffix in (".npz", ".pt"):
         raise InputError("is already preprocessed and contains no raw recording", file=path)
     raise InputError(f"is not a recording; give {_FORMS}", file=path)
+
+
+def _with_wheels(recording: Recording) -> Recording:
+    """Add the commands of reaction wheels from a topic of their own to the craft's commands.
+
+    Each is held until the next. Wheels are at rest before their first command.
+    """
+    streams = dict(recording.streams)
+    wheels, craft = streams.pop("wheels", None), streams.get("command")
+    if not wheels or not craft:
+        return replace(recording, streams=streams)
+    craft, wheels = _in_order(craft), _in_order(wheels)
+    stamps = np.union1d(craft.stamp_ns, wheels.stamp_ns)
+    stamps = stamps[stamps >= craft.stamp_ns[0]]
+    last, turned = (np.searchsorted(s.stamp_ns, stamps, side="right") - 1 for s in (craft, wheels))
+    speed = np.where(turned[:, None] < 0, 0.0, wheels.values[np.maximum(turned, 0)])
+    columns = (*craft.columns, *wheels.columns)
+    if craft.columns == unnamed_columns(len(craft.columns)):
+        columns = unnamed_columns(len(columns))
+    streams["command"] = Stream(
+        stamp_ns=stamps,
+        received_ns=np.maximum(stamps, craft.received_ns[last]),
+        values=np.hstack([craft.values[last], speed]),
+        columns=columns,
+    )
+    return replace(recording, streams=streams)
+
+
+def _in_order(stream: Stream) -> Stream:
+    """Sort messages by their stamps."""
+    order = np.argsort(stream.stamp_ns, kind="stable")
+    return replace(
+        stream,
+        stamp_ns=stream.stamp_ns[order],
+        received_ns=stream.received_ns[order],
+        values=stream.values[order],
+    )
 
 
 def _resolve(folder: Path, mapping: RecordingMapping) -> Path:

@@ -37,8 +37,9 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 #: Streams of poses: craft, puck, the human's mallet, and the mallet's target.
 POSES = ("pose", "puck", "mallet", "mallet_target")
-#: Streams of commands: the craft's and its opponent's.
-COMMANDS = ("command", "opponent_command")
+#: Streams of commands: the craft's, those of its reaction wheels if they have a topic of their own,
+#: and its opponent's.
+COMMANDS = ("command", "wheels", "opponent_command")
 
 
 @dataclass(frozen=True, eq=False, repr=False)

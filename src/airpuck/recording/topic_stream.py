@@ -255,7 +255,7 @@ def section_of(
     if stream in POSES:
         section = mapping.of_poses(stream)
     elif stream in COMMANDS:
-        section = mapping.command
+        section = mapping.wheels if stream == "wheels" else mapping.command
     return completed(section, _USUAL.get(msgtype, {}))
 
 
