@@ -18,6 +18,8 @@ def test_stance_speed_and_reaction_are_learned():
         watcher.seen(time, opponent, puck)
         if k % 400 == 0:
             watcher.shot(time, np.array([1.0, y, 0.0, 0.0]))
+    # A pose that jumps says nothing.
+    watcher.seen(20.0, np.array([1.0, 0.15, 300.0, 0.0]), (-0.4, 0.3))
     rival = watcher.rival
     assert rival.speed == 3.0
     assert rival.reaction == pytest.approx(0.25, abs=0.02)

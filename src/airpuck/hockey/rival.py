@@ -18,6 +18,8 @@ _ACCELERATION = 40.0
 _REACTIONS, _SECONDS, _SQUARES = 2.0, 0.5, 0.005
 #: An opponent slower than this stands still; a faster change of velocity is a reaction [m/s].
 _STILL, _REACTS = 0.2, 0.4
+#: A hand is not faster; poses that jump look faster [m/s].
+_FASTEST = 8.0
 #: Reactions outside these times are coincidences [s].
 _SOONEST, _LATEST = 0.08, 0.5
 #: Longest time between two sights that counts as waiting [s].
@@ -86,7 +88,8 @@ class RivalWatcher:
     ) -> None:
         """Receive a sight of the opponent: x, y, vx, vy, and the place of the puck."""
         speed = math.hypot(*opponent[2:])
-        self._speed = max(self._speed, speed)
+        if speed < _FASTEST:
+            self._speed = max(self._speed, speed)
         passed, self._last = time - self._last, time
         if puck[0] < 0 and speed < _STILL and passed < _GAP:
             self._time += passed
