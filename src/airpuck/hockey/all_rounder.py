@@ -62,7 +62,7 @@ class AllRounder:
 
 
 def predecessor() -> AllRounder:
-    """Return the tactic as it was before it learned its opponent: its shots are slower."""
+    """Return the tactic with the slower shots of earlier versions."""
     return AllRounder(_strategies(np.array([0.6, 1.3, 2.1])))
 
 

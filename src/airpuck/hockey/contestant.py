@@ -53,7 +53,7 @@ def contestant(name: str) -> Contestant:
     ----------
     name : str
         ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``predecessor``, also
-        with ``:LEVEL``, the same with an earlier tactic that does not learn; a name of
+        with ``:LEVEL``, the same without learning and with slower shots; a name of
         `airpuck.hockey.opponents.HANDS`, also with ``:LEVEL``, a scripted hand; ``FILE.py:NAME``, a
         craft with a user's tactic.
 
