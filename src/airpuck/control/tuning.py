@@ -163,7 +163,8 @@ class Estimation(Section):
     #: rad/s³/√Hz]. Zero disables the estimate of a disturbance.
     disturbance_density: NonNegative
     angular_disturbance_density: NonNegative
-    #: Standard deviation of the on-board sensors, if present; from their descriptions, not verified.
+    #: Standard deviation of the on-board sensors, if present; from their descriptions, not
+    #: verified.
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
