@@ -12,7 +12,12 @@ from hypothesis import strategies as st
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.model.parameters import nominal_parameters
-from airpuck.physics.rigid_body import acceleration, configuration_matrix, derivative
+from airpuck.physics.rigid_body import (
+    acceleration,
+    acceleration_map,
+    configuration_matrix,
+    derivative,
+)
 from airpuck.physics.thrust import thrust
 
 from ..apparatus.examples import examples
@@ -135,3 +140,14 @@ def test_any_number_of_propellers(n):
         np, rng.normal(size=(n, 2)), rng.normal(size=(n, 2)), 1.0, 1.0, 0.1, np.zeros(2)
     )
     assert matrix.shape == (3, n)
+
+
+def test_the_map_for_control_knows_the_slope_of_the_table():
+    model = published_model("M3")
+    sloping = replace(model.parameters, tilt=np.array([2e-3, -1e-3]))
+    dynamics = sloping.dynamics(np, model.vehicle)
+    yaw, spin, speed = 0.7, 2.0, np.linspace(0.2, 0.8, 6)
+    matrix, offset = acceleration_map(np, dynamics, yaw, spin)
+    motion = (np.array(yaw), np.array(0.0), np.array(0.0), np.array(spin))
+    expected = np.stack(acceleration(np, dynamics, motion, speed))
+    np.testing.assert_allclose(matrix @ thrust(dynamics.thrust, speed) + offset, expected)

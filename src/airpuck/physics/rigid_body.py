@@ -190,14 +190,19 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
     """Return M(γ) and g(ω) of the accelerations M F + g (eq. acc_dyn), for eq. force_qp.
 
-    Optional effects are left out; a controller rejects them as a disturbance.
+    Of the optional effects, g contains the slope of the table. Others are left out; a controller
+    rejects them as a disturbance.
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == "body":
         rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
     turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
-    return turn @ dynamics.configuration, xp.array([rx, ry, 0.0]) * spin**2
+    offset = xp.array([rx, ry, 0.0]) * spin**2
+    for effect in dynamics.effects:
+        if effect.gravity is not None:
+            offset = offset + xp.array([*effect.gravity, 0.0])
+    return turn @ dynamics.configuration, offset
 
 
 def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -> Any:

@@ -58,8 +58,8 @@ void airpuck_acceleration_map(airpuck_real yaw, airpuck_real spin, airpuck_real 
         matrix[1][i] = sine * forward + cosine * left - rx * angular;
         matrix[2][i] = angular;
     }
-    offset[0] = rx * (spin * spin);
-    offset[1] = ry * (spin * spin);
+    offset[0] = rx * (spin * spin) + model->slope[0];
+    offset[1] = ry * (spin * spin) + model->slope[1];
     offset[2] = 0;
 }
 
