@@ -22,8 +22,8 @@ from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
-from airpuck.model.model_file import _ModelFile
 from airpuck.model.quantities import QUANTITIES
+from airpuck.model.sections import ModelFile
 from airpuck.planning.plan import _PlanFile
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -42,7 +42,7 @@ class Format(NamedTuple):
 FORMATS = (
     Format("Mapping file", "`--mapping`, `read_mapping`", RecordingMapping),
     Format("Vehicle file", "`--vehicle`, `read_vehicle`", Vehicle),
-    Format("Model file", "`read_model`", _ModelFile),
+    Format("Model file", "`read_model`", ModelFile),
     Format("Controller tuning", "`--tuning`, `read_tuning`", Tuning, default_tuning()),
     Format("Table file", "`--table`, `read_table`", AirHockey, AirHockey()),
     Format(

@@ -53,7 +53,7 @@ def evaluate(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
-    from airpuck.data.trajectory import left_out_json, left_out_words
+    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS, better_from, coasting
     from airpuck.preprocessing.time_scale import showing_time
     from airpuck.twin.verdict import verdict
@@ -125,7 +125,8 @@ def faults(
     quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
-    from airpuck.data.trajectory import left_out_words, vehicle_of
+    from airpuck.data.left_out import left_out_words
+    from airpuck.data.trajectory import vehicle_of
     from airpuck.faults.strengths import actuator_strengths, on_table_of, usual_rung
 
     healthy = read_given(model, vehicle, airpuck.read_model)
@@ -275,7 +276,7 @@ def resid(
     quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and remaining effects of commands."""
-    from airpuck.data.trajectory import left_out_json, left_out_words
+    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -27,14 +26,6 @@ FORMAT = "airpuck trajectory 1"
 #: Steps below this multiple of the median are not pauses; they alternate if their mean differs by
 #: this fraction.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
-#: Causes that are described in words, singular and plural.
-_NOUNS = {
-    "gap": ("gap", "gaps"),
-    "frozen pose": ("frozen pose", "frozen poses"),
-    "jumping pose": ("jump", "jumps"),
-    "no commands": ("pause of the commands", "pauses of the commands"),
-    "contact": ("contact", "contacts"),
-}
 
 
 @dataclass(frozen=True)
@@ -472,44 +463,3 @@ def mean_hold(
     left = (time[interval + 1] - event_time[within])[:, None]
     np.add.at(mean, interval, change * left / length[interval])
     return mean, slope
-
-
-def left_out_words(trajectory: Trajectory) -> str:
-    """Describe which fraction of a trajectory must not be used, and why.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The trajectory, possibly with faults excluded, too.
-
-    Returns
-    -------
-    str
-        For example ``left out: 3.1 % (2 gaps, 14 jumps; longest 0.21 s at 31.2 s)``.
-    """
-    first, last = trajectory.time[[0, -1]]
-    spans = [s for s in trajectory.excluded if s.stop >= first and s.start <= last]
-    if not spans:
-        return "left out: nothing"
-    causes = Counter(span.cause for span in spans)
-    counted = ", ".join(_counted(cause, count) for cause, count in causes.items())
-    longest = max(spans, key=lambda span: span.stop - span.start)
-    return (
-        f"left out: {100 * (1 - trajectory.usable.mean()):.1f} % ({counted}; longest "
-        f"{longest.stop - longest.start:.2f} s at {longest.start:.1f} s)"
-    )
-
-
-def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
-    """Return the usable fraction of a trajectory, and all excluded spans."""
-    return {
-        "usable": float(trajectory.usable.mean()),
-        "excluded": [vars(span) for span in trajectory.excluded],
-    }
-
-
-def _counted(cause: str, count: int) -> str:
-    """Write how often a cause occurred."""
-    if cause in _NOUNS:
-        return f"{count} {_NOUNS[cause][count > 1]}"
-    return cause if count == 1 else f"{count} × {cause}"

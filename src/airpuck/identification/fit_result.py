@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.results import Result
-from airpuck.data.trajectory import Trajectory, left_out_words
+from airpuck.data.left_out import left_out_words
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss

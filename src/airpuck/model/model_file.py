@@ -12,11 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, checked, write_toml
+from airpuck.boundary.files import checked, write_toml
 from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
 from airpuck.compute.arrays import generator, namespace
@@ -25,8 +24,7 @@ from airpuck.model.authors_params import read_params_json, read_params_yaml
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
-    ParametersSection,
-    UncertaintySection,
+    ModelFile,
     parameters_content,
     read_free,
     read_parameters,
@@ -375,36 +373,6 @@ class Model:
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
 
 
-class _ModelFile(Section):
-    """A craft with known parameters; every number is read back bit for bit."""
-
-    format: Literal["airpuck model 1"]
-    #: The rung.
-    name: str
-    #: Origin of the numbers.
-    source: str = ""
-    #: Frame in which the offset of the centre of mass is constant.
-    center_of_mass_frame: CenterOfMassFrame = "body"
-    #: ``end`` as in the code behind the published numbers.
-    encoder_indexing: Literal["start", "end"] = "start"
-    #: Values of the parameters.
-    parameters: ParametersSection
-    #: What was learned: true, false, or one boolean for each entry. Its keys are names of
-    #: quantities without units, such as ``thrust``. A missing key means not learned.
-    free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
-    #: The fit: loss, iterations, method, windows and lengths (in samples), faults left out, choice
-    #: of the rung, version of airpuck.
-    fit: dict[str, Any] = pydantic.Field(default_factory=dict)
-    #: SHA-256 of every file that the model was learned from.
-    data: dict[str, str] = pydantic.Field(default_factory=dict)
-    #: Standard errors and covariance, of an identified model.
-    uncertainty: UncertaintySection | None = None
-    #: Of a learned delay: how much it differs between packets.
-    delay_jitter: DelayJitter | None = None
-    #: The vehicle file.
-    vehicle: Vehicle
-
-
 def read_model(name: str | os.PathLike[str]) -> Model:
     """Read a model.
 
@@ -443,7 +411,7 @@ def read_model(name: str | os.PathLike[str]) -> Model:
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
             delay = {"transport_delay_s": content.pop("transport_delay_s")}
             content["parameters"] = delay | content["parameters"]
-        return _from_file(checked(content, _ModelFile, file=name))
+        return _from_file(checked(content, ModelFile, file=name))
     except InputError as error:
         if str(name) in _published() and not Path(name).exists():
             problem = f"there is no such file; the published parameters are paper:{name}"
@@ -453,7 +421,7 @@ def read_model(name: str | os.PathLike[str]) -> Model:
         raise
 
 
-def _from_file(content: _ModelFile) -> Model:
+def _from_file(content: ModelFile) -> Model:
     """Assemble the model that a checked file describes."""
     parameters = read_parameters(content.parameters, content.vehicle)
     return Model(

@@ -15,7 +15,8 @@ from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
 from airpuck.model.quantities import QUANTITIES, Rows
-from airpuck.model.uncertainty import Bootstrap, Uncertainty
+from airpuck.model.uncertainty import Bootstrap, DelayJitter, Uncertainty
+from airpuck.physics.rigid_body import CenterOfMassFrame
 
 
 class NanSection(Section):
@@ -136,6 +137,36 @@ class UncertaintySection(NanSection):
     #: The keys of ``[parameters]``.
     standard_errors: StandardErrors
     bootstrap: BootstrapSection | None = None
+
+
+class ModelFile(Section):
+    """A craft with known parameters; every number is read back bit for bit."""
+
+    format: Literal["airpuck model 1"]
+    #: The rung.
+    name: str
+    #: Origin of the numbers.
+    source: str = ""
+    #: Frame in which the offset of the centre of mass is constant.
+    center_of_mass_frame: CenterOfMassFrame = "body"
+    #: ``end`` as in the code behind the published numbers.
+    encoder_indexing: Literal["start", "end"] = "start"
+    #: Values of the parameters.
+    parameters: ParametersSection
+    #: What was learned: true, false, or one boolean for each entry. Its keys are names of
+    #: quantities without units, such as ``thrust``. A missing key means not learned.
+    free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
+    #: The fit: loss, iterations, method, windows and lengths (in samples), faults left out, choice
+    #: of the rung, version of airpuck.
+    fit: dict[str, Any] = pydantic.Field(default_factory=dict)
+    #: SHA-256 of every file that the model was learned from.
+    data: dict[str, str] = pydantic.Field(default_factory=dict)
+    #: Standard errors and covariance, of an identified model.
+    uncertainty: UncertaintySection | None = None
+    #: Of a learned delay: how much it differs between packets.
+    delay_jitter: DelayJitter | None = None
+    #: The vehicle file.
+    vehicle: Vehicle
 
 
 def uncertainty_content(
