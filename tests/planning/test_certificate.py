@@ -102,6 +102,7 @@ def test_a_refutation_two_percent_too_strong_refutes_a_flight(seed):
     assert 0.98 * most < needed <= most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 17])
 def test_the_bound_of_a_flight_as_fast_as_any_is_close(seed):
     _, asked, weight, time = sharp(seed)
