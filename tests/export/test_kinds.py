@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 import mujoco
+import numpy as np
 import pytest
 
 from airpuck import export
@@ -13,6 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import default_tuning
 from airpuck.export import kinds
 from airpuck.model.model_file import read_model
+from airpuck.planning.plan import Plan
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
 from tests.apparatus.export_crafts import DISH, ON_OFF, PAPER, REVERSIBLE, WHEELED
@@ -103,6 +105,26 @@ def test_the_command_prints_files_and_facts_as_json(tmp_path):
     assert (found["kind"], found["folder"]) == ("mjcf", str(tmp_path))
     assert all((tmp_path / name).is_file() for name in found["files"])
     assert found["facts"]["time step"] == "0.25 ms"
+
+
+def test_the_command_writes_environments(tmp_path):
+    done = airpuck("export", "paper:M4", "--to", "gym", "-o", tmp_path / "craft", "--json", "-")
+    assert json.loads(done.stdout)["files"] == ["__init__.py", "model.toml", "twin.toml"]
+    assert read_model(tmp_path / "craft" / "model.toml").name == "M4"
+
+
+def test_the_command_adds_a_plan(tmp_path):
+    random, times = np.random.default_rng(0), np.linspace(0.0, 0.3, 7)
+    commands = random.uniform(0.1, 0.8, (6, 6))
+    start = np.concatenate([np.zeros(6), np.full(6, 0.03)])
+    states = np.vstack([start, M4.simulate(start, commands, np.diff(times))])
+    Plan(M4, times, states, commands, None).save(tmp_path / "flight.toml")
+    words = "export", "paper:M4", "--plan", tmp_path / "flight.toml", "-o", tmp_path / "c"
+    done = airpuck(*words, "--to", "c", "--json", "-")
+    found = json.loads(done.stdout)
+    assert found["facts"]["law"] == "plan"
+    assert "airpuck_flight.c" in found["files"]
+    assert refused(airpuck(*words, "--to", "fmu"), "--plan: is not part of an export to fmu")
 
 
 @pytest.mark.parametrize("option", ["--tuning", "--regulator"])
