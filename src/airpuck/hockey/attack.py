@@ -17,7 +17,7 @@ from airpuck.hockey.tactic import Kind, View
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
 _TIMES = np.concatenate([np.arange(0.1, 0.65, 0.08), np.arange(0.75, 1.7, 0.15)])
 _NORMALS = np.linspace(-1.4, 1.4, 61)
-SPEEDS = np.array([0.6, 1.4, 2.0, 2.5])
+SPEEDS = np.array([0.6, 1.5, 2.3])
 #: Number of best candidates that are evaluated with all errors, and directions around each [rad].
 _CLOSELY, _ASIDE = 3, np.array([0.0, -0.016, 0.016])
 #: Number of candidates that the best are picked from.
