@@ -174,7 +174,7 @@ def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
         view = view_of((-0.45, 0.1, 0, 0, 0, 0), opponent=np.array([*here, 0.0, 0.0]))
         view = replace(view, rival=rival)
         intention = decided(Shoot(least=0.0), view, 2)
-        places, radius, _ = seen[-1][-1]
+        places, radius = seen[-1][-1]
         assert radius == PITCH.opponent_radius
         # Until then on a straight line at 1.5 m/s, from 0.2 s on, after speeding up at 40 m/s².
         length = np.hypot(*(home - here))

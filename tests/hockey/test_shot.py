@@ -9,8 +9,7 @@ from airpuck.craft.table import AirHockey, Contact, Puck
 from airpuck.hockey.hand import HUMANS, ScriptedHand
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckModel
-from airpuck.hockey.rival import Rival
-from airpuck.hockey.shot import ArrivalError, Contacts, Cover, chances, flown, struck, unit
+from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
 from airpuck.physics.puck_on_table import PuckOnTable
@@ -162,7 +161,7 @@ def test_an_opponent_counts_where_it_can_be_in_the_way():
     start, motion = np.array([[-0.3, 0.0]]), np.array([[3.0, 0.0, 0.0]])
 
     def passes(x, y):
-        return float(flown(PLAY, start, motion, Cover(np.array([x, y]), 0.048)).passes[0])
+        return float(flown(PLAY, start, motion, (np.array([x, y]), 0.048)).passes[0])
 
     assert passes(0.9, 0.0) < 0.1
     assert passes(0.0, 0.4) > 0.95
@@ -202,10 +201,7 @@ def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] 
     person = Person(seed)
     person.puck.place(PuckState(*place.tolist()))
     person.world.run(0.4)
-    place_of = np.array([person.mallet.x, person.mallet.y])
-    skill = HUMANS["medium"]
-    rival = Rival(skill.reaction_s, skill.speed_m_s)
-    opponent = Cover(place_of, person.mallet.radius, rival)
+    opponent = np.array([person.mallet.x, person.mallet.y]), person.mallet.radius
     chance = flown(PLAY, place[None], motion[None], opponent).passes[0]
     person.puck.place(PuckState(*place.tolist(), 0.0, *motion.tolist()))
     person.world.run(1.9)
@@ -229,18 +225,12 @@ def test_a_person_lets_past_what_is_expected():
 def test_the_probability_to_get_past_by_hand(x, aside):
     # Without drag the puck passes a defender at a known time, and does not meet a rail before.
     start, speed, size = np.array([[-0.3, 0.0]]), 3.0, 0.048
-    opponent = Cover(np.array([x, aside]), size, Rival(reaction=0.1, speed=1.0))
+    opponent = np.array([x, aside]), size
     found = flown(MIRRORS, start, np.array([[speed, 0.0, 0.0]]), opponent).passes[0]
-    # From its nearest point on, the path is checked at three points: it reacts after 0.1 s, needs
-    # 25 ms to reach 1 m/s, and covers what it can.
-    ends = (PITCH.goal_line - x) / speed
-    rooms = []
-    for time in (x + 0.3) / speed + np.array([0.0, ends / 2, ends]):
-        moves = max(time - 0.1, 0.0)
-        reaches = 20.0 * moves**2 if moves < 0.025 else moves - 0.0125
-        away = math.hypot(-0.3 + speed * time - x, aside)
-        rooms.append(away - size - RADIUS - reaches)
-    assert found == pytest.approx(0.5 * (1 + math.erf(min(rooms) / 0.05 / math.sqrt(2))), abs=1e-9)
+    time = (x + 0.3) / speed
+    reaches = min(15.0 * time**2 / 2, 0.9 * time)
+    room = aside - size - RADIUS - reaches
+    assert found == pytest.approx(0.5 * (1 + math.erf(room / 0.1 / math.sqrt(2))), abs=1e-9)
 
 
 def test_a_bank_shot_is_read_by_halves():
@@ -249,7 +239,7 @@ def test_a_bank_shot_is_read_by_halves():
     for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
         angle = math.atan2(2 * reach * bounces - start[1], PITCH.goal_line - start[0])
         motion = np.array([[*(6.0 * unit(angle)), 0.0]])
-        before_the_goal = Cover(np.array([PITCH.goal_line - 0.06, 0.0]), 0.048)
+        before_the_goal = np.array([PITCH.goal_line - 0.06, 0.0]), 0.048
         found = flown(MIRRORS, start[None], motion, before_the_goal)
         assert found.bounces[0] == bounces
         assert low < found.passes[0] < high

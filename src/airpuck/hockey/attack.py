@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from airpuck.hockey.interception import Outlook, PlannedContact, effort, slack, stays_inside
 from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.searching import Searcher
-from airpuck.hockey.shot import ArrivalError, Contacts, Cover, chances, flown, struck, unit
+from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.hockey.tactic import Kind, View
 
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
@@ -60,7 +60,7 @@ class Shoot(Searcher):
 
     Parameters
     ----------
-    least : float, default 0.02
+    least : float, default 0.05
         Smallest probability of scoring for a shot.
     error : ArrivalError, optional
         The craft's errors at a rendezvous.
@@ -72,7 +72,7 @@ class Shoot(Searcher):
 
     def __init__(
         self,
-        least: float = 0.02,
+        least: float = 0.05,
         error: ArrivalError | None = None,
         speeds: Float[np.ndarray, " L"] = SPEEDS,
         clears: bool = False,
@@ -175,7 +175,7 @@ class Shoot(Searcher):
         )
         after = struck(pitch, contacts)
         opponent = _opponent(view, times - view.time, pucks[:, 1])
-        others = opponent and opponent._replace(place=opponent.place[:, None, None])
+        others = opponent and (opponent[0][:, None, None], opponent[1])
         flights = flown(pitch.equipment, contacts.place, after, others)
         spread = math.hypot(self.error.place / pitch.contact_distance, _DIRECTION_ERROR)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
@@ -215,7 +215,7 @@ class Shoot(Searcher):
             contacts,
             predicted.covariance[where],
             self.error,
-            opponent and opponent._replace(place=opponent.place[:, None]),
+            opponent and (opponent[0][:, None], opponent[1]),
         )
         speed_after = np.linalg.norm(struck(view.pitch, contacts)[:, :2], axis=1)
         value = (chance + _PRESSURE * speed_after) * np.exp(-_PATIENCE * (time - view.time))
@@ -248,7 +248,7 @@ def after_contact(
 
 def _opponent(
     view: View, ahead: Float[np.ndarray, " n"], aside: Float[np.ndarray, " n"]
-) -> Cover | None:
+) -> tuple[Float[np.ndarray, "n 2"], float] | None:
     """Return where the opponent will be on its return home, given the puck's y; None if unseen."""
     if view.opponent is None:
         return None
@@ -258,4 +258,4 @@ def _opponent(
     path = home - here
     length = np.maximum(np.hypot(path[:, 0], path[:, 1]), _AT_HOME)
     share = np.minimum(rival.reach(ahead) / length, 1.0)
-    return Cover(here + share[:, None] * path, view.pitch.opponent_radius, rival)
+    return here + share[:, None] * path, view.pitch.opponent_radius

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,15 +16,16 @@ from scipy.special import ndtr, ndtri
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.prediction import PuckModel
-from airpuck.hockey.rival import Rival
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import Disc, strike
 
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
-#: Standard deviation of the opponent's reach [m], and the probability that it reads a shot after 0,
-#: 1, 2 banks: compromises between scripted humans and keepers (studies/set_opponents.py).
-_REACH_ERROR, _READS = 0.05, (1.0, 0.95, 0.5)
+#: How an opponent moves to cover a straight path of the puck, once the puck is on it: its
+#: acceleration and largest speed [m/s², m/s], and the standard deviation of its reach [m].
+_PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
+#: Probability that the opponent reads a shot after 0, 1, 2 banks.
+_READS = (1.0, 1.0, 0.5)
 #: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
 _ROLLS_OUT = 0.98
 #: A slower puck rests [m/s].
@@ -81,15 +82,6 @@ class Flights:
     passes: Float[np.ndarray, "*n"]
 
 
-class Cover(NamedTuple):
-    """The opponent at the time of a shot."""
-
-    #: Positions [m], and the radius of its disc [m].
-    place: Float[np.ndarray, "*m 2"]
-    radius: float
-    rival: Rival = Rival()
-
-
 def unit(angle: Any) -> Float[np.ndarray, "*n 2"]:
     """Return the unit vectors of directions."""
     found = np.empty((*np.shape(angle), 2))
@@ -125,7 +117,7 @@ def flown(
     equipment: AirHockey,
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
-    opponent: Cover | None = None,
+    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
     *,
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
@@ -138,8 +130,8 @@ def flown(
         Table and puck.
     place, motion : array
         Initial position [m], and velocity and angular velocity [m/s, rad/s].
-    opponent : Cover, optional
-        The opponent at the time of the shot.
+    opponent : tuple, optional
+        Initial position of the opponent's disc, and its radius [m].
     restitution, grip : array, optional
         Restitution and grip of the rails, shot by shot; by default the table's.
 
@@ -155,7 +147,7 @@ def flown(
     reach, line = table.reach(puck.radius_m)[1], table.length_m / 2
     x, y = place[..., 0].copy(), place[..., 1].copy()
     vx, vy, spin = (motion[..., k].copy() for k in range(3))
-    bounces, scores, since = np.zeros_like(x), np.zeros(x.shape, dtype=bool), np.zeros_like(x)
+    bounces, scores = np.zeros_like(x), np.zeros(x.shape, dtype=bool)
     passes, going = np.ones_like(x), vx > 0
     drag = puck.drag_1_s
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -168,12 +160,11 @@ def flown(
             going &= drag * sigma < _ROLLS_OUT
             sigma = np.where(going, sigma, 0.0)
             if opponent is not None:
-                past = _passes((x, y, vx, vy), since, sigma, opponent, puck.radius_m)
+                past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m)
                 past = 1 - _READS[bounce] * (1 - past)
                 passes = np.where(going, np.minimum(passes, past), passes)
             left = 1 - drag * sigma
             lasted = -np.log(left) / drag if drag else sigma
-            since = since + lasted
             x, y = x + vx * sigma, y + vy * sigma
             # A post is not touched if it is a radius away from the path.
             room = table.goal_width_m / 2 - puck.radius_m * np.hypot(vx, vy) / np.abs(vx)
@@ -192,26 +183,19 @@ def flown(
 
 def _passes(
     start: tuple[Any, Any, Any, Any],
-    since: Float[np.ndarray, "*n"],
     sigma: Float[np.ndarray, "*n"],
-    opponent: Cover,
+    opponent: tuple[Float[np.ndarray, "*m 2"], float],
     radius: float,
 ) -> Float[np.ndarray, "*n"]:
-    """Return the probability that an opponent does not cover straight paths in time.
-
-    The paths begin some time after the shot.
-    """
+    """Return the probability that an opponent does not cover straight paths in time."""
     x, y, vx, vy = start
-    place, size, rival = opponent
+    place, size = opponent
     dx, dy = place[..., 0] - x, place[..., 1] - y
     square = np.maximum(vx * vx + vy * vy, _RESTS**2)
-    nearest = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
-    free = np.full(np.broadcast_shapes(x.shape, np.shape(nearest)), np.inf)
-    # The opponent has more time for the end of the path than for its nearest point.
-    for moving in (nearest, (nearest + sigma) / 2, sigma):
-        apart = np.hypot(dx - vx * moving, dy - vy * moving)
-        free = np.minimum(free, apart - rival.reach(since + moving))
-    return ndtr((free - size - radius) / _REACH_ERROR)
+    moving = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
+    apart = np.hypot(dx - vx * moving, dy - vy * moving)
+    reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
+    return ndtr((apart - size - radius - reached) / _REACH_ERROR)
 
 
 @cache
@@ -246,7 +230,7 @@ def chances(
     contacts: Contacts,
     covariance: Float[np.ndarray, "n 6 6"],
     error: ArrivalError,
-    opponent: Cover | None = None,
+    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
     count: int = 64,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the probability that contacts score, and the mean number of bounces.
@@ -266,7 +250,7 @@ def chances(
         Covariance of the puck at the contacts: x, y, yaw and their rates.
     error : ArrivalError
         Errors of the craft.
-    opponent : Cover, optional
+    opponent : tuple, optional
         See `flown`.
     count : int
         Number of trials per contact.
