@@ -41,6 +41,7 @@ def test_whatever_comes_a_command_is_finite_within_limits_and_says_what_it_is():
     assert len(found.statuses) > 2
 
 
+@pytest.mark.study
 def test_no_rail_is_met_on_the_way_to_targets_beside_it_though_packets_get_lost():
     tuning = flights.law("mpc")
     # Every other target lies within a centimetre of a rail; these do.

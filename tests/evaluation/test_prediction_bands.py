@@ -24,7 +24,7 @@ def in_deviations(bands):
     return BAND * ((bands.measured - bands.predicted) / bands.total)[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_bands_hold_what_they_say_on_the_twin():
     # Default radio: the model does not include jitter; maximum likelihood finds its effect.
     flight = preprocess(excite(TRUTH, 20.0, seed=3))

@@ -129,7 +129,7 @@ def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
     np.testing.assert_allclose(again.state, trajectory.state, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_retimed_fit_is_several_times_more_accurate():
     """Against a fit on the same flight that assumes the mean delay for every packet."""
     trajectory = flown(0.007, 40.0).trajectory

@@ -77,7 +77,7 @@ def test_delay_and_lag_are_found_together(applied):
     assert found.inertia == pytest.approx(TRUTH.parameters.inertia, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_held_by_whole_samples_the_lag_is_biased(flight):
     """Why the delay is continuous: 5 samples instead of 4.5 make the lag too short."""
     fit = identify(flight, preparation=FIXED, loss=LONG)
