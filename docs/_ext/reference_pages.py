@@ -119,7 +119,12 @@ def _commands() -> str:
     from airpuck.cli.app import app as cli
 
     group: Any = get_command(cli)
-    lines = ["# Command reference", "", "`airpuck COMMAND --help` prints the same; rare options are under `--help-all`.", ""]
+    lines = [
+        "# Command reference",
+        "",
+        "`airpuck COMMAND --help` prints the same; rare options are under `--help-all`.",
+        "",
+    ]
     for name, command in group.commands.items():
         help_text = inspect.cleandoc(command.help or "")
         lines += [f"## airpuck {name}", "", help_text, ""]

@@ -9,6 +9,7 @@ import pytest
 from airpuck.recording.bag_writer import write_bag
 
 from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.export_crafts import EXAMPLES
 from ..apparatus.synthetic_flights import record
 
 
@@ -163,3 +164,10 @@ def test_too_little_data_is_no_failure_of_ours(tmp_path):
     process = airpuck("identify", tmp_path / "bag", "-o", "m.toml", cwd=tmp_path)
     assert process.returncode in (0, 2), process.stderr
     assert "Traceback" not in process.stderr
+
+
+@pytest.mark.parametrize(("option", "value"), [("controller", "full"), ("estimator", "kalman")])
+def test_options_of_laws_for_a_pilot(option, value):
+    pilot = f"{EXAMPLES / 'own_pilot' / 'spring.py'}:Spring"
+    done = airpuck("track", "--regulator", pilot, f"--{option}", value)
+    assert refused(done, option, "no effect on a pilot")

@@ -157,9 +157,12 @@ def track(
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="flights")
     beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
-    for law in laws:
-        if pilot_named(law) is None:
-            inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
+    computed = [law for law in laws if pilot_named(law) is None]
+    for law in computed:
+        inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
+    for name, given in {"controller": controller, "estimator": estimator}.items():
+        if given is not None and not computed:
+            raise InputError("has no effect on a pilot; leave it out", field=name)
     tracked = airpuck.tracking_study(
         beliefs,
         plant,
