@@ -189,8 +189,9 @@ def league(
         players, games, seed, output, model=model, settings=settings, rules=rules, drawn=True
     )
     pairs, matches = [], []
-    for one, other in itertools.combinations(range(len(players)), 2):
-        for number in range(games):
+    # All pairs play a game before the next, so that an interrupted league is balanced.
+    for number in range(games):
+        for one, other in itertools.combinations(range(len(players)), 2):
             sides = (one, other) if number % 2 == 0 else (other, one)
             names = dict(zip(("left", "right"), (players[side] for side in sides), strict=True))
             pairs.append(sides)
