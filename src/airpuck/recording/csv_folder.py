@@ -189,7 +189,7 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
         return _poses(table, completed(mapping.pose, usual))
     table = plain_table(rows)
     if stream in COMMANDS:
-        return _commands(table, mapping.wheels if stream == "wheels" else mapping.command)
+        return _commands(table, mapping.of_commands(stream))
     if stream in POSES:
         return _poses(table, mapping.of_poses(stream), stream)
     types = list(PATHS[stream].values())

@@ -387,6 +387,21 @@ class RecordingMapping(Section):
         own = stream == "puck" and "puck" in self.model_fields_set
         return self.puck if own else self.pose
 
+    def of_commands(self, stream: str) -> CommandMapping:
+        """Return the section that applies to commands of a stream.
+
+        Parameters
+        ----------
+        stream : str
+            Name of the stream.
+
+        Returns
+        -------
+        CommandMapping
+            `wheels` for reaction wheels with a topic of their own; otherwise `command`.
+        """
+        return self.wheels if stream == "wheels" else self.command
+
 
 def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     """Read a mapping file.
@@ -394,8 +409,8 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     Parameters
     ----------
     path : path-like
-        A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[puck]``, ``[command]``; see
-        ``docs/your_own_craft.md``.
+        A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[puck]``, ``[command]``,
+        ``[wheels]``; see ``docs/your_own_craft.md``.
 
     Returns
     -------

@@ -255,7 +255,7 @@ def section_of(
     if stream in POSES:
         section = mapping.of_poses(stream)
     elif stream in COMMANDS:
-        section = mapping.wheels if stream == "wheels" else mapping.command
+        section = mapping.of_commands(stream)
     return completed(section, _USUAL.get(msgtype, {}))
 
 
