@@ -29,7 +29,7 @@ from airpuck.export.golden import golden_flight
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.planning.plan import Plan
-from airpuck.planning.tracking import given_up, rests
+from airpuck.planning.tracking import given_up, periods, rests
 
 #: Sources of the controller, besides the model's.
 _SOURCES = (
@@ -50,8 +50,6 @@ _SOURCES = (
 _PREDICTIVE = ("airpuck_mpc.h", "airpuck_mpc.c", "airpuck_slopes.h", "airpuck_slopes.c")
 #: Additional sources for a planned flight.
 _FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_slopes.c")
-#: How far ahead the tracker of a plan aims [s]; `AHEAD` in airpuck_flight.c.
-_AHEAD = 0.6
 #: DAQP's sources, which these include.
 _DAQP = (
     "LICENSE",
@@ -87,7 +85,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         sizes |= {
             "AIRPUCK_INTERVALS": len(plan.commands),
             "AIRPUCK_PARTS": (len(flight["states"]) - 1) // len(plan.commands),
-            "AIRPUCK_PERIODS": max(int(_AHEAD / tuning.period_s + 1e-9), 1),
+            "AIRPUCK_PERIODS": periods(math.inf, tuning.period_s),
         }
         numbers.append(constant("airpuck_flight", "airpuck_planned", flight))
         copy_sources(_FLIGHT, folder)

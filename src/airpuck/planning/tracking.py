@@ -96,7 +96,7 @@ class PlanTracker(Law):
         left = plan.begin + plan.duration - acting
         if rests(plan):
             left = max(left + _LATER, _LEAST)
-        return max(int(min(left, _HORIZON) / self.period + _ROUNDING), 1)
+        return periods(left, self.period)
 
     def _correction(
         self,
@@ -158,6 +158,11 @@ class PlanTracker(Law):
         jacobian[:, :, 2:] = slopes.transpose(2, 1, 0)
         maps = [acceleration_map(np, dynamics, yaw, 0.0)[0] for yaw in states[2]]
         return a + b @ jacobian, b @ np.stack(maps)
+
+
+def periods(left: float, period: float) -> int:
+    """Return how many control periods ahead a tracker aims, given the time that is left [s]."""
+    return max(int(min(left, _HORIZON) / period + _ROUNDING), 1)
 
 
 def rests(plan: Plan) -> bool:
