@@ -26,10 +26,10 @@ Bounds = Float[np.ndarray, " m+3"]
 #: allowed.
 Outcome = Literal["exact", "scaled", "nearest", "failed"]
 #: A request counts as fully met if both slacks are this close to 1.
-_UNSCALED = 1e-6
+UNSCALED = 1e-6
 #: Weights of slacks and thrusts relative to the distance in the nearest-acceleration problem: small
 #: enough not to change the distance, large enough to choose among equally near solutions.
-_TIE_SLACK, _TIE_THRUST = 1e-7, 1e-8
+TIE_SLACK, TIE_THRUST = 1e-7, 1e-8
 
 
 class Piqp:
@@ -210,7 +210,7 @@ class ThrustAllocator:
         self.arm, self.slack_weight = arm, slack_weight
         self._n, self._root = n_propellers, math.sqrt(slack_weight)
         sizes = n_propellers, 2
-        ties = np.repeat([_TIE_THRUST, _TIE_SLACK], sizes)
+        ties = np.repeat([TIE_THRUST, TIE_SLACK], sizes)
         self._solver = SOLVERS[solver](np.full(len(ties), 2.0), ties)
         # Scale √μ(1 - s) back to 1 - s, whose size suits the distance.
         self._unscale = np.repeat([1.0, self._root], sizes)
@@ -279,6 +279,6 @@ class ThrustAllocator:
             x = None if x is None else x * u
         if x is None or not all_finite(x):
             return None, "failed"
-        if outcome == "scaled" and 1 - max(x[self._n :].tolist()) / self._root > 1 - _UNSCALED:
+        if outcome == "scaled" and 1 - max(x[self._n :].tolist()) / self._root > 1 - UNSCALED:
             outcome = "exact"
         return x, outcome

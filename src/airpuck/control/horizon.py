@@ -34,10 +34,10 @@ _BRAKING = 0.5
 #: Braking assumed where dead motors leave no thrust in some direction [m/s²].
 _LEAST_BRAKING = 0.1
 #: Distance to a fence per yaw rate, and its maximum [m s/rad, m].
-_TURNING, _MOST_ROOM = 8e-4, 0.015
+TURNING, MOST_ROOM = 8e-4, 0.015
 #: Yaw errors between which a plan keeps its direction of rotation: a little less than half a turn
 #: either way [rad].
-_UNDECIDED = np.pi - 0.5
+UNDECIDED = np.pi - 0.5
 #: Below this speed, or this distance from a disc's centre, the direction is undefined [m/s, m].
 _NOWHERE = 1e-9
 #: Cost of a squared change of a command, apart from its effect. The linearisation holds only near
@@ -170,7 +170,7 @@ def stages(
         # Ignore whole turns; near half a turn, keep the chosen direction of rotation.
         left = state[2] - wanted[0, 2]
         apart = wrapped(xp, left)
-        turned_over = (apart * way < 0) & (xp.abs(way) > _UNDECIDED) & (xp.abs(apart) > _UNDECIDED)
+        turned_over = (apart * way < 0) & (xp.abs(way) > UNDECIDED) & (xp.abs(apart) > UNDECIDED)
         apart = apart + 2 * np.pi * xp.sign(way) * turned_over
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
         brake = braking(xp, believed, most)
@@ -284,7 +284,7 @@ def _limits(
     later = limits.headway_s + xp.abs(states[:, 3:5]) / (2 * brake)
     rows = [one[i] + later[:, i, None] * one[3 + i] for i in (0, 1)]
     # A craft that turns pushes in an unintended direction when a packet is late or lost.
-    room = xp.minimum(_TURNING * xp.abs(states[:, 5:]), _MOST_ROOM)
+    room = xp.minimum(TURNING * xp.abs(states[:, 5:]), MOST_ROOM)
     room = xp.minimum(room, (fence[1] - fence[0]) / 2)
     low, high = [[*(fence[0] + room).T], [*(fence[1] - room).T]]
     if limits.speed_m_s is not None:

@@ -29,7 +29,7 @@ from airpuck.model.model_file import Model
 #: Commands of the first plan: in the middle of the thrust curves, where they are steep.
 _FIRST = 0.3
 #: Time for which a plan continues without an answer from the solver [s].
-_FLOWN_ON = 0.1
+FLOWN_ON = 0.1
 #: Largest number of decision variables; many more take longer than a period.
 _MOST_COMMANDS = 200
 #: Shortest time to an arrival that is used [s].
@@ -195,7 +195,7 @@ class MPC(Law):
             ahead = Prediction(self._blocks.times, expected, active)
             step = Step(plan[0].copy(), status, request, estimate, ahead)
             return step, Ongoing(plan, state.since, state.since, np.asarray(way))
-        if state.since - state.answered <= _FLOWN_ON:
+        if state.since - state.answered <= FLOWN_ON:
             return Step(state.plan[0].copy(), "iteration limit", request, estimate), state
         known = moment._replace(foresee=partial(self._fall_back, estimate))
         step, _ = self.fallback.step(None, known)

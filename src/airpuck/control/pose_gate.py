@@ -23,11 +23,11 @@ _USUAL_RATE = 240.0
 #: Shortest time for which commands are kept after they begin to act [s].
 _REMEMBERED = 0.5
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
-_JUMP = (0.1, 0.1, 1.0)
+JUMP = (0.1, 0.1, 1.0)
 #: Number of directions, over half a turn, in which the largest acceleration is sought.
 _DIRECTIONS = 16
 #: Rounding of stamps must not cost a frame [s].
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 
 
 def longest_pause(model: Model, tuning: Tuning) -> float:
@@ -44,7 +44,7 @@ def longest_pause(model: Model, tuning: Tuning) -> float:
     angle = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ pushes
     fastest = max(np.maximum(sign * along, 0).sum(axis=1).max() for sign in (1, -1))
-    coasting = math.sqrt(2 * _JUMP[0] / fastest)
+    coasting = math.sqrt(2 * JUMP[0] / fastest)
     return max(SHORTEST_PAUSE, min(max(coasting, _FEWEST_FRAMES * frame), _MOST_FRAMES * frame))
 
 
@@ -81,14 +81,14 @@ class PoseGate:
             # The last pose is too old to predict from, or its stamp lies in the future: restart.
             self._restart(estimator, time, pose)
         # After a pause of doubtful poses, the prediction deserves no more trust than the poses.
-        elif time - self._used <= self.pause and estimator.pose(time, pose, gate=_JUMP):
+        elif time - self._used <= self.pause and estimator.pose(time, pose, gate=JUMP):
             self._used = time
             self._doubtful = None
         else:
             if self._doubtful is None or _far(pose, self._doubtful):
                 self._doubtful_since = time
             self._doubtful = pose
-            if time - self._doubtful_since >= self.pause - _ROUNDING:
+            if time - self._doubtful_since >= self.pause - ROUNDING:
                 self._restart(estimator, time, pose)
         return True
 
@@ -117,4 +117,4 @@ class PoseGate:
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     """Return whether two poses are too far apart for consecutive frames."""
-    return bool((np.abs(pose_difference(np, pose, other)) > _JUMP).any())
+    return bool((np.abs(pose_difference(np, pose, other)) > JUMP).any())

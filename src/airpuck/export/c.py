@@ -15,11 +15,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.horizon import Blocks, Sizes, braking
+from airpuck.control.allocation import TIE_SLACK, TIE_THRUST, UNSCALED
+from airpuck.control.horizon import MOST_ROOM, TURNING, UNDECIDED, Blocks, Sizes, braking
 from airpuck.control.law import LawOptions
 from airpuck.control.lqr import cost_to_go, motor_lag, point_mass, regulator
-from airpuck.control.mpc import MPC
-from airpuck.control.pose_gate import longest_pause, remembered
+from airpuck.control.mpc import FLOWN_ON, MPC
+from airpuck.control.pose_gate import JUMP, ROUNDING, longest_pause, remembered
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Regulator, Tuning
@@ -28,8 +29,8 @@ from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.golden import golden_flight
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
+from airpuck.planning import tracking
 from airpuck.planning.plan import Plan
-from airpuck.planning.tracking import given_up, periods, rests
 
 #: Sources of the controller, besides the model's.
 _SOURCES = (
@@ -85,7 +86,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         sizes |= {
             "AIRPUCK_INTERVALS": len(plan.commands),
             "AIRPUCK_PARTS": (len(flight["states"]) - 1) // len(plan.commands),
-            "AIRPUCK_PERIODS": periods(math.inf, tuning.period_s),
+            "AIRPUCK_PERIODS": tracking.periods(math.inf, tuning.period_s),
         }
         numbers.append(constant("airpuck_flight", "airpuck_planned", flight))
         copy_sources(_FLIGHT, folder)
@@ -199,7 +200,9 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
     return {
         "transport_delay": model.transport_delay,
         "longest_pause": pause,
+        "believed_after": pause - ROUNDING,
         "remembered": remembered(pause),
+        "jump": np.array(JUMP),
         "period": period,
         "gain": regulator(tuning.weights, period),
         "motor_lag": lag,
@@ -208,6 +211,9 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "command_max": vehicle.command_max,
         "arm": model.radius_of_gyration,
         "slack_root": math.sqrt(tuning.allocation.slack_weight),
+        "unscaled": UNSCALED,
+        "tie_thrust": TIE_THRUST,
+        "tie_slack": TIE_SLACK,
         "pose_variance": np.square(noise.pose),
         "initial_variance": np.square(np.array([noise.pose, INITIAL_VELOCITY, disturbed])).T,
         "acceleration_density": np.square(noise.acceleration),
@@ -218,9 +224,22 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
 def _flight(plan: Plan) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_flight`."""
     return {
+        "ahead": tracking.HORIZON,
+        "later": tracking.LATER,
+        "least": tracking.LEAST,
+        "lasting": tracking.LASTING,
+        "precision": tracking.PRECISION,
+        "correction": tracking.CORRECTION,
+        "difference": tracking.DIFFERENCE,
+        "samples": tracking.SAMPLES,
+        "iterations": tracking.ITERATIONS,
+        "tolerance": tracking.TOLERANCE,
+        "decrease": tracking.DECREASE,
+        "shortest": tracking.SHORTEST,
+        "rounding": tracking.ROUNDING,
         "duration": plan.duration,
-        "given_up": given_up(plan),
-        "rests": int(rests(plan)),
+        "given_up": tracking.given_up(plan),
+        "rests": int(tracking.rests(plan)),
         "times": plan.time,
         "commands": plan.commands,
         "states": plan.samples[1],
@@ -263,6 +282,10 @@ def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
         "first": float(law.init().plan[0, 0]),
         "brake": float(braking(np, model.dynamics, model.vehicle.command_max)),
         "headway": limits.headway_s,
+        "turning": TURNING,
+        "most_room": MOST_ROOM,
+        "undecided": UNDECIDED,
+        "flown_on": FLOWN_ON,
         "speed": limits.speed_m_s or 0.0,
         "spin": limits.spin_rad_s or 0.0,
         "fence": law.fence,

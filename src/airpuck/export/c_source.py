@@ -16,6 +16,7 @@ from airpuck.export.kinds import refuse_effects
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import thrust_scale
 from airpuck.physics.effects import Drag, Effect, IdleLag, Inflow, PairInteraction, Tilt, VoltageSag
+from airpuck.physics.motor import IDLE
 from airpuck.physics.rigid_body import Dynamics
 
 #: Effects that `airpuck_model.c` computes; those that change thrusts are in its order.
@@ -86,6 +87,7 @@ def title(model: Model) -> str:
     """Return a comment that names the model, its data and the version of airpuck."""
     lines = [
         f"Model {model.name} of the craft {model.vehicle.name}; source: {model.source or '-'}.",
+        f"Motors, in the order of commands: {', '.join(model.vehicle.propeller_names)}.",
         *(f"Learned from {name}, SHA-256 {digest}." for name, digest in model.data.items()),
         f"Written by airpuck {airpuck.__version__}; do not edit.",
     ]
@@ -129,6 +131,7 @@ def coefficients(model: Model, dynamics: Dynamics) -> dict[str, Any]:
         "center_of_mass_turns": int(dynamics.frame == "body"),
         "motor_time_constant": float(dynamics.motor_time_constant),
         "idle_lag": float(dynamics.idle_lag or 0.0),
+        "idle_speed": IDLE,
         "inflow": 0.0,
         "inflow_axes": np.zeros((n, 3)),
         "pair_interaction": 0.0,

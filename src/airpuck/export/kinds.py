@@ -160,6 +160,8 @@ def write(
         for name in names:
             if (target / name).resolve() in kept:
                 raise InputError("is also an input; give another folder", file=target / name)
+            if (target / name).is_dir():
+                raise InputError("is a folder; give another one for the files", file=target / name)
         for name in names:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             (temporary / name).replace(target / name)

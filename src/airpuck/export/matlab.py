@@ -14,7 +14,6 @@ from airpuck.export.c_source import check_effects, coefficients
 from airpuck.export.kinds import Subject, printable, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.model.statespace import trim
-from airpuck.physics.motor import IDLE
 
 #: Packaged function files.
 _SOURCES = ("airpuck_dynamics.m", "airpuck_acceleration.m", "airpuck_step.m", "airpuck_hover.m")
@@ -55,7 +54,6 @@ def parameters(model: Model) -> str:
         # MATLAB counts from 1.
         "twin": fields["twin"] + 1,
         "effects": int(bool(dynamics.effects)),
-        "idle_speed": IDLE,
         "hover": trim(replace(dynamics, effects=())),
         "command_range": np.array(
             [[vehicle.idle[one.column], vehicle.command_max] for one in vehicle.actuation.channels]

@@ -21,28 +21,30 @@ from airpuck.physics.rigid_body import acceleration, acceleration_map
 from airpuck.physics.thrust import InverseThrust, thrust
 from airpuck.planning.plan import Plan
 
+# The exported controller has the same numbers (`airpuck.export.c`).
+
 #: Times [s]: how far ahead on the plan the craft aims; how much later than planned it may come to
 #: rest; the shortest time in which motors and thrusts can have an effect.
-_HORIZON, _LATER, _LEAST = 0.6, 0.03, 0.08
+HORIZON, LATER, LEAST = 0.6, 0.03, 0.08
 #: Time after its end for which a plan to rest is still flown; then its goal is a set point [s].
 _AFTERWARDS = 0.1
 #: Equally weighted errors at the aim point (x, y, γ and their rates), and deviations from the
 #: planned thrusts over a period [N].
-_PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
-_CORRECTION = 0.05
+PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
+CORRECTION = 0.05
 #: How long an estimated disturbance is assumed to last: at full thrust it mostly indicates a late
 #: packet [s].
-_LASTING = 0.1
+LASTING = 0.1
 #: Step of the finite differences that linearise accelerations.
-_DIFFERENCE = 1e-5
+DIFFERENCE = 1e-5
 #: Number of samples per period over which planned commands are averaged.
-_PARTS = 4
+SAMPLES = 4
 #: Newton's method: largest remaining slope, and number of iterations.
-_TOLERANCE, _ITERATIONS = 1e-6, 40
+TOLERANCE, ITERATIONS = 1e-6, 40
 #: Its line search: least decrease as a share of the linear one (Armijo), and the shortest step.
-_DECREASE, _SHORTEST = 1e-4, 1e-4
+DECREASE, SHORTEST = 1e-4, 1e-4
 #: Rounding of a number of periods.
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
 #: The craft is at rest once it has stayed this near (x, y, γ and their rates) for this long [s];
 #: longer than a pilot's steps on the spot before a flight.
 _AT_REST = np.array([5e-3, 5e-3, 0.05, 0.05, 0.05, 1.0])
@@ -95,7 +97,7 @@ class PlanTracker(Law):
         """Return how many periods ahead the target state lies."""
         left = plan.begin + plan.duration - acting
         if rests(plan):
-            left = max(left + _LATER, _LEAST)
+            left = max(left + LATER, LEAST)
         return periods(left, self.period)
 
     def _correction(
@@ -125,22 +127,22 @@ class PlanTracker(Law):
         gains, missed = np.empty((6, count, n)), np.zeros(6)
         for k in reversed(range(count)):
             push = onward @ pushes[k]
-            lasting = np.exp(-ahead[k] / _LASTING) * estimate.disturbance
+            lasting = np.exp(-ahead[k] / LASTING) * estimate.disturbance
             missed += push @ surplus[k] + onward @ disturbed @ lasting
             push = push * share
             gains[:, k] = self._drive * (push / 2 + running)
             running = (1 + self._lag) / 2 * push + self._lag * running
             onward = onward @ transition[k]
         missed += onward @ pose_difference(np, estimate.state, states[0, :6]) + running @ aside
-        within = ahead[:-1, None] + period * (np.arange(_PARTS) + 0.5) / _PARTS
+        within = ahead[:-1, None] + period * (np.arange(SAMPLES) + 0.5) / SAMPLES
         asked = thrust(curves, np.moveaxis(plan.motors_at(acting, within), -1, 0)).mean(axis=2).T
         least, most = thrust(
             curves, np.outer(np.ones(n), [vehicle.command_min, vehicle.command_max])
         ).T
         low, high = np.minimum(least - asked, 0.0).ravel(), np.maximum(most - asked, 0.0).ravel()
-        a = (_CORRECTION / _PRECISION)[:, None] * gains.reshape(6, -1)
-        x = least_correction(a, missed / _PRECISION, low / _CORRECTION, high / _CORRECTION)
-        return _CORRECTION * x[:n]
+        a = (CORRECTION / PRECISION)[:, None] * gains.reshape(6, -1)
+        x = least_correction(a, missed / PRECISION, low / CORRECTION, high / CORRECTION)
+        return CORRECTION * x[:n]
 
     def _linearised(
         self, states: Float[np.ndarray, "s K"]
@@ -149,9 +151,9 @@ class PlanTracker(Law):
         dynamics = self.model.dynamics
         rates = [
             acceleration(np, dynamics, states[2:6] + row[:, None], states[6:])
-            for row in np.vstack([np.zeros(4), _DIFFERENCE * np.eye(4)])
+            for row in np.vstack([np.zeros(4), DIFFERENCE * np.eye(4)])
         ]
-        slopes = (np.array(rates[1:]) - np.array(rates[0])) / _DIFFERENCE
+        slopes = (np.array(rates[1:]) - np.array(rates[0])) / DIFFERENCE
         a, b = point_mass(self.period)
         # The effect depends on yaw and rates, not on the position.
         jacobian = np.zeros((states.shape[1], 3, 6))
@@ -162,7 +164,7 @@ class PlanTracker(Law):
 
 def periods(left: float, period: float) -> int:
     """Return how many control periods ahead a tracker aims, given the time that is left [s]."""
-    return max(int(min(left, _HORIZON) / period + _ROUNDING), 1)
+    return max(int(min(left, HORIZON) / period + ROUNDING), 1)
 
 
 def rests(plan: Plan) -> bool:
@@ -214,15 +216,15 @@ def least_correction(
 
     price = np.zeros(len(missed))
     slope, x = residual(price)
-    for _ in range(_ITERATIONS):
-        if np.abs(slope).max() < _TOLERANCE:
+    for _ in range(ITERATIONS):
+        if np.abs(slope).max() < TOLERANCE:
             break
         inside = a[:, (x > low) & (x < high)]
         step = np.linalg.solve(np.eye(len(price)) + inside @ inside.T, -slope)
         share, before = 1.0, dual(price)
         while (
-            dual(price + share * step) > before + _DECREASE * share * (slope @ step)
-            and share > _SHORTEST
+            dual(price + share * step) > before + DECREASE * share * (slope @ step)
+            and share > SHORTEST
         ):
             share /= 2
         price = price + share * step

@@ -8,11 +8,6 @@
 #define N AIRPUCK_MOTORS
 /* A time before all others. */
 #define NEVER (-(double)INFINITY)
-/* Poses that agree with each other for this long are accepted [s]; the margin covers rounding. */
-#define BELIEVED_AFTER (airpuck_tuned.longest_pause - 1e-6)
-
-/* A pose this far from its prediction cannot be the craft [m, m, rad]. */
-static const airpuck_real jump[3] = {AIRPUCK_R(0.1), AIRPUCK_R(0.1), AIRPUCK_R(1.0)};
 
 /* The queue of commands: each is in force until the next begins to act. */
 
@@ -194,7 +189,7 @@ static void difference(const airpuck_real pose[3], const airpuck_real other[3],
 static int is_far(const airpuck_real apart[3])
 {
     for (int axis = 0; axis < 3; axis++)
-        if (AIRPUCK_F(fabs)(apart[axis]) > jump[axis])
+        if (AIRPUCK_F(fabs)(apart[axis]) > airpuck_tuned.jump[axis])
             return 1;
     return 0;
 }
@@ -278,7 +273,7 @@ void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
             craft->doubtful_since = stamp;
         craft->doubtful = 1;
         memcpy(craft->doubtful_pose, pose, sizeof craft->doubtful_pose);
-        if (!(stamp - craft->doubtful_since >= BELIEVED_AFTER))
+        if (!(stamp - craft->doubtful_since >= airpuck_tuned.believed_after))
             return;
     }
     craft->doubtful = 0;
@@ -290,7 +285,8 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
 {
     if (!airpuck_finite(command, N))
         return;
-    if (isfinite(craft->clock) && !(time > NEVER && time <= craft->clock + airpuck_tuned.longest_pause))
+    if (isfinite(craft->clock) &&
+        !(time > NEVER && time <= craft->clock + airpuck_tuned.longest_pause))
         time = craft->clock;
     if (!isfinite(time))
         return;

@@ -66,13 +66,17 @@ typedef struct {
 typedef struct {
     double transport_delay;                 /* From sending a command to its effect [s]. */
     double longest_pause;                   /* No control without a pose newer than this [s]. */
+    double believed_after;                  /* Poses that agree for this long are accepted [s]. */
     double remembered;                      /* Older commands affect only motor speeds [s]. */
+    airpuck_real jump[3];                   /* A pose this far from its prediction is wrong. */
     airpuck_real period;                    /* Time between commands [s]. */
     airpuck_real gain[3][6];                /* Gain of the LQR. */
     airpuck_real motor_lag, motor_drive;    /* Next motor speed: lag * speed + drive * command. */
     airpuck_real command_min, command_max;  /* Range of commands. */
     airpuck_real arm;                       /* Lever arm that scales angular accelerations [m]. */
     airpuck_real slack_root;                /* Square root of the cost of scaling a request. */
+    airpuck_real unscaled;                  /* A request is met if both slacks are this near 1. */
+    airpuck_real tie_thrust, tie_slack;     /* Weights that choose among equally near solutions. */
     airpuck_real pose_variance[3];          /* Variance of measured poses. */
     airpuck_real initial_variance[3][3];    /* Variance of position, velocity, disturbance. */
     airpuck_real acceleration_density[3];   /* Squared density of unexplained accelerations. */
@@ -111,7 +115,6 @@ extern const airpuck_tuning airpuck_tuned;
 #define AIRPUCK_NUMBERS AIRPUCK_LEAST_NUMBERS
 #endif
 #endif
-
 
 /* A controller. The first fields describe the last step; the rest is its memory. */
 typedef struct {

@@ -8,31 +8,16 @@
 
 #define N AIRPUCK_MOTORS
 #define S AIRPUCK_STATES
-/* Times [s]: how far ahead on the plan the craft aims; how much later than planned it may come to
- * rest; the shortest time in which motors and thrusts can have an effect. */
-#define AHEAD 0.6
-#define LATER 0.03
-#define LEAST 0.08
-/* How long an estimated disturbance is assumed to last [s]. */
-#define LASTING AIRPUCK_R(0.1)
-/* Deviation from planned thrusts over a period that weighs as much as the precision below [N]. */
-#define CORRECTION AIRPUCK_R(0.05)
-/* Number of samples per period over which planned commands are averaged. */
-#define SAMPLES 4
-/* Newton's method: number of iterations; least decrease and shortest step of its line search. */
-#define ITERATIONS 40
-#define DECREASE AIRPUCK_R(1e-4)
-#define SHORTEST AIRPUCK_R(1e-4)
 #ifdef AIRPUCK_SINGLE
-/* Largest remaining slope, and relative rounding of the function that is minimised. */
-#define SLOPE AIRPUCK_R(1e-4)
+/* Limits of a float: remaining slope, relative rounding of the function that is minimised, rounding
+ * of a number of periods. */
+#define TOLERANCE AIRPUCK_R(1e-4)
 #define ROUNDED AIRPUCK_R(1e-6)
-/* Rounding of a number of periods. */
-#define FRACTION 1e-6
+#define ROUNDING 1e-6
 #else
-#define SLOPE AIRPUCK_R(1e-6)
+#define TOLERANCE plan->tolerance
 #define ROUNDED 0
-#define FRACTION 1e-9
+#define ROUNDING plan->rounding
 #endif
 
 static const airpuck_flight *const plan = &airpuck_planned;
@@ -83,10 +68,6 @@ void airpuck_flight_target(double time, airpuck_target *target)
 
 #if AIRPUCK_STEPS == 0
 
-/* Equally weighted errors where the craft rejoins the plan: x, y, yaw and their rates. */
-static const airpuck_real precision[6] = {AIRPUCK_R(2e-3), AIRPUCK_R(2e-3), AIRPUCK_R(0.02),
-                                          AIRPUCK_R(0.01), AIRPUCK_R(0.01), AIRPUCK_R(0.3)};
-
 /* The problem min |A x + missed|^2 + |x|^2 with bounds, in the caller's memory. */
 typedef struct {
     int count;
@@ -111,8 +92,8 @@ static void tracked_at(double time, airpuck_real state[S])
 static void asked_over(double begin, airpuck_real asked[N])
 {
     memset(asked, 0, sizeof(airpuck_real) * N);
-    for (int k = 0; k < SAMPLES; k++) {
-        double time = begin + (double)airpuck_tuned.period * (k + 0.5) / SAMPLES;
+    for (int k = 0; k < plan->samples; k++) {
+        double time = begin + (double)airpuck_tuned.period * (k + 0.5) / plan->samples;
         airpuck_real command[N], force[N];
         int flying = time >= 0 && time < plan->duration;
         for (int i = 0; i < N; i++)
@@ -120,7 +101,7 @@ static void asked_over(double begin, airpuck_real asked[N])
                 flying ? plan->commands[interval_at(time)][i] : airpuck_tuned.command_min;
         airpuck_thrust(&airpuck_identified, command, force);
         for (int i = 0; i < N; i++)
-            asked[i] += force[i] / SAMPLES;
+            asked[i] += force[i] / (airpuck_real)plan->samples;
     }
 }
 
@@ -134,7 +115,7 @@ static void accelerations_change(const airpuck_real state[S], airpuck_real slope
         memcpy(slopes[axis], all[axis], sizeof slopes[axis]);
 #else
     /* Finite differences as in Python, for the same rounding. A float cannot resolve them. */
-    const airpuck_real small = AIRPUCK_R(1e-5);
+    const airpuck_real small = plan->difference;
     airpuck_real rates[3], moved[3], motion[4];
     airpuck_acceleration(&airpuck_identified, state + 2, state + 6, rates);
     for (int q = 0; q < 4; q++) {
@@ -152,8 +133,9 @@ static int periods(double time)
 {
     double left = plan->duration - time;
     if (plan->rests)
-        left = left + LATER > LEAST ? left + LATER : LEAST;
-    int count = (int)((left < AHEAD ? left : AHEAD) / (double)airpuck_tuned.period + FRACTION);
+        left = left + plan->later > plan->least ? left + plan->later : plan->least;
+    left = left < plan->ahead ? left : plan->ahead;
+    int count = (int)(left / (double)airpuck_tuned.period + ROUNDING);
     return count < 1 ? 1 : count > AIRPUCK_PERIODS ? AIRPUCK_PERIODS : count;
 }
 
@@ -170,8 +152,8 @@ static void bound(corrections *p, int period, double time)
     asked_over(time, asked);
     for (int i = 0; i < N; i++) {
         airpuck_real low = least[i] - asked[i], high = most[i] - asked[i];
-        p->low[period * N + i] = (low < 0 ? low : 0) / CORRECTION;
-        p->high[period * N + i] = (high > 0 ? high : 0) / CORRECTION;
+        p->low[period * N + i] = (low < 0 ? low : 0) / plan->correction;
+        p->high[period * N + i] = (high > 0 ? high : 0) / plan->correction;
     }
 }
 
@@ -195,7 +177,7 @@ static void look_back(const airpuck *craft, corrections *p, int period, double t
     accelerations_change(middle, slopes);
     /* After its end a plan has no thrust, but the motors still spin down. */
     airpuck_real flying = (airpuck_real)within((plan->duration - time) / (double)h, 0, 1);
-    airpuck_real fading = AIRPUCK_F(exp)(-(airpuck_real)period * h / LASTING);
+    airpuck_real fading = AIRPUCK_F(exp)(-(airpuck_real)period * h / plan->lasting);
     for (int i = 0; i < 6; i++) {
         for (int axis = 0; axis < 3; axis++) {
             moved[i][axis] = h * h / 2 * to->onward[i][axis] + h * to->onward[i][3 + axis];
@@ -205,7 +187,8 @@ static void look_back(const airpuck *craft, corrections *p, int period, double t
             airpuck_real push = moved[i][0] * matrix[0][j] + moved[i][1] * matrix[1][j] +
                                 moved[i][2] * matrix[2][j];
             p->missed[i] += push * (1 - flying) * (to->force[j] + force[j]) / 2;
-            p->columns[period * N + j][i] = CORRECTION / precision[i] * airpuck_tuned.motor_drive *
+            p->columns[period * N + j][i] = plan->correction / plan->precision[i] *
+                                            airpuck_tuned.motor_drive *
                                             (push / 2 + to->running[i][j]);
             to->running[i][j] = (1 + lag) / 2 * push + lag * to->running[i][j];
         }
@@ -283,18 +266,18 @@ static void newton_step(const corrections *p, const airpuck_real price[6],
     }
 }
 
-/* Find the multipliers of the least corrections, by Newton's method on the convex dual. Six unknowns
- * are left, whatever the number of corrections. */
+/* Find the multipliers of the least corrections, by Newton's method on the convex dual. It has six
+ * unknowns, whatever the number of corrections. */
 static void find_price(const corrections *p, airpuck_real price[6])
 {
     airpuck_real slope[6], step[6], tried[6], along, share, value, before;
     memset(price, 0, sizeof(airpuck_real) * 6);
     before = dual(p, price, slope);
-    for (int pass = 0; pass < ITERATIONS; pass++) {
+    for (int pass = 0; pass < plan->iterations; pass++) {
         airpuck_real steepest = 0;
         for (int i = 0; i < 6; i++)
             steepest = AIRPUCK_F(fmax)(steepest, AIRPUCK_F(fabs)(slope[i]));
-        if (steepest < SLOPE)
+        if (steepest < TOLERANCE)
             return;
         newton_step(p, price, slope, step);
         along = 0;
@@ -305,7 +288,8 @@ static void find_price(const corrections *p, airpuck_real price[6])
                 tried[i] = price[i] + share * step[i];
             value = dual(p, tried, slope);
             airpuck_real margin = ROUNDED * AIRPUCK_F(fabs)(before);
-            if (!(value > before + DECREASE * share * along + margin) || share <= SHORTEST)
+            if (!(value > before + plan->decrease * share * along + margin) ||
+                share <= plan->shortest)
                 break;
         }
         memcpy(price, tried, sizeof tried);
@@ -350,13 +334,13 @@ airpuck_status airpuck_track(airpuck *craft, double time, airpuck_real command[A
             p.missed[i] += to.onward[i][j] * error[j];
         for (int j = 0; j < N; j++)
             p.missed[i] += to.running[i][j] * (now[j] - planned[j]);
-        p.missed[i] /= precision[i];
+        p.missed[i] /= plan->precision[i];
     }
     find_price(&p, price);
     airpuck_thrust_range(craft, coasting, least, most);
     for (int i = 0; i < N; i++) {
         airpuck_real force = following[i] + tuning->motor_lag * (now[i] - planned[i]) +
-                             tuning->motor_drive * CORRECTION * corrected(&p, i, price);
+                             tuning->motor_drive * plan->correction * corrected(&p, i, price);
         force = airpuck_clipped(force, least[i], most[i]);
         command[i] = airpuck_driven(i, force, coasting[i]);
     }

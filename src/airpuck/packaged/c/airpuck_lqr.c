@@ -5,8 +5,6 @@
 
 #define N AIRPUCK_MOTORS
 #define PI AIRPUCK_R(3.14159265358979323846)
-/* A request counts as met if both slacks are this close to 1. */
-#define UNSCALED AIRPUCK_R(1e-6)
 #ifdef AIRPUCK_SINGLE
 #define RESOLVED AIRPUCK_R(2e-7)
 #else
@@ -450,7 +448,7 @@ static int solve_constrained(airpuck *craft, allocation *posed, airpuck_real x[A
  * thrusts and slacks 1 - s within their bounds. Return whether it was found. */
 static int solve_nearest(airpuck *craft, const allocation *posed, airpuck_real x[AIRPUCK_ALLOCATED])
 {
-    const airpuck_real small[2] = {AIRPUCK_R(1e-8), AIRPUCK_R(1e-7)};
+    const airpuck_real small[2] = {airpuck_tuned.tie_thrust, airpuck_tuned.tie_slack};
 #ifdef AIRPUCK_SINGLE
     /* A float cannot resolve the small weights next to A'A; larger ones propose active bounds. */
     const airpuck_real weights[2] = {AIRPUCK_R(1e-3), AIRPUCK_R(1e-2)};
@@ -504,7 +502,7 @@ static airpuck_status allocate(airpuck *craft, allocation *posed, airpuck_real x
     if (!airpuck_finite(x, AIRPUCK_ALLOCATED))
         return AIRPUCK_FAILED;
     airpuck_real slack = (x[N] > x[N + 1] ? x[N] : x[N + 1]) / airpuck_tuned.slack_root;
-    return 1 - slack > 1 - UNSCALED ? AIRPUCK_EXACT : AIRPUCK_SCALED;
+    return 1 - slack > 1 - airpuck_tuned.unscaled ? AIRPUCK_EXACT : AIRPUCK_SCALED;
 }
 
 /* Return the thrust of one motor; set the slope of its curve. */

@@ -1,12 +1,6 @@
 /* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 #include "airpuck_model.h"
 
-/* A motor with a shorter lag follows its command at once [s]. */
-#define NO_LAG AIRPUCK_R(1e-12)
-/* Motor speed over which the additional lag of an idling motor fades. */
-#define IDLE AIRPUCK_R(0.1)
-/* Keeps the speed in the quadratic drag differentiable at rest [m^2/s^2]. */
-#define AT_REST AIRPUCK_R(1e-12)
 
 /* Velocity in the body frame. */
 typedef struct {
@@ -80,7 +74,7 @@ void airpuck_acceleration(const airpuck_model *model, const airpuck_real motion[
     }
     const airpuck_real *drag = model->drag;
     airpuck_real velocity =
-        AIRPUCK_F(sqrt)(felt.forward * felt.forward + felt.left * felt.left + AT_REST);
+        AIRPUCK_F(sqrt)(felt.forward * felt.forward + felt.left * felt.left + AIRPUCK_AT_REST);
     body[0] -= (drag[0] + drag[1] * velocity) * felt.forward;
     body[1] -= (drag[0] + drag[1] * velocity) * felt.left;
     body[2] -= (drag[2] + drag[3] * AIRPUCK_F(fabs)(felt.spin)) * felt.spin;
@@ -106,14 +100,14 @@ static airpuck_real lag_at(const airpuck_model *model, airpuck_real speed)
     airpuck_real lag = model->motor_time_constant;
     if (model->idle_lag == 0)
         return lag;
-    return lag * (1 + model->idle_lag * AIRPUCK_F(exp)(-speed / IDLE));
+    return lag * (1 + model->idle_lag * AIRPUCK_F(exp)(-speed / model->idle_speed));
 }
 
 /* Return the speed of one motor after a duration with a given lag. */
 static airpuck_real followed(airpuck_real speed, airpuck_real command, airpuck_real duration,
                              airpuck_real lag)
 {
-    if (lag > NO_LAG)
+    if (lag > AIRPUCK_NO_LAG)
         return command + (speed - command) * AIRPUCK_F(exp)(-duration / lag);
     return command;
 }

@@ -13,6 +13,10 @@
 #include "airpuck_sizes.h"
 
 #define AIRPUCK_STATES (6 + AIRPUCK_MOTORS)
+/* A motor with a shorter lag follows its command at once [s]. */
+#define AIRPUCK_NO_LAG AIRPUCK_R(1e-12)
+/* Keeps the speed in the quadratic drag differentiable at rest [m^2/s^2]. */
+#define AIRPUCK_AT_REST AIRPUCK_R(1e-12)
 
 /* Coefficients of the equations of motion. A coefficient of 0 switches an effect off. */
 typedef struct {
@@ -26,8 +30,8 @@ typedef struct {
     int center_of_mass_turns;
     /* Lag of motor speed behind its command [s]. */
     airpuck_real motor_time_constant;
-    /* Relative increase of the lag at standstill. */
-    airpuck_real idle_lag;
+    /* Relative increase of the lag at standstill, and motor speed over which it fades. */
+    airpuck_real idle_lag, idle_speed;
     /* Inflow: relative loss of thrust per air speed along the thrust [s/m]; and for each motor the
      * factors of forward, left and yaw rate in that speed. */
     airpuck_real inflow;

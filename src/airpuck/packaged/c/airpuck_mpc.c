@@ -10,13 +10,6 @@
 #define S AIRPUCK_STATES
 #define V AIRPUCK_COMMANDS
 #define PI AIRPUCK_R(3.14159265358979323846)
-/* Time for which a plan continues without an answer from the solver [s]. */
-#define FLOWN_ON 0.1
-/* Distance to a fence per yaw rate, and its upper limit [m s/rad, m]. */
-#define TURNING AIRPUCK_R(8e-4)
-#define MOST_ROOM AIRPUCK_R(0.015)
-/* Yaw errors between which a plan keeps its direction of rotation [rad]. */
-#define UNDECIDED (PI - AIRPUCK_R(0.5))
 /* Below this speed, or distance, a direction is undefined [m/s, m]. */
 #define NOWHERE AIRPUCK_R(1e-9)
 
@@ -96,8 +89,8 @@ static void choose_direction(prediction *p)
 {
     airpuck_real left = p->craft->state[2] - p->targets[1].state[2], way = p->craft->plan.way;
     p->apart = airpuck_wrapped(left);
-    if (p->apart * way < 0 && AIRPUCK_F(fabs)(way) > UNDECIDED &&
-        AIRPUCK_F(fabs)(p->apart) > UNDECIDED)
+    if (p->apart * way < 0 && AIRPUCK_F(fabs)(way) > horizon->undecided &&
+        AIRPUCK_F(fabs)(p->apart) > horizon->undecided)
         p->apart += way > 0 ? 2 * PI : -2 * PI;
     p->whole_turns = left - p->apart;
 }
@@ -222,9 +215,9 @@ static void limit_state(const prediction *p, const airpuck_real state[6],
         rows[row][row] = 1;
         rows[row][3 + row] =
             horizon->headway + AIRPUCK_F(fabs)(state[3 + row]) / (2 * horizon->brake);
-        airpuck_real room = TURNING * AIRPUCK_F(fabs)(state[5]);
+        airpuck_real room = horizon->turning * AIRPUCK_F(fabs)(state[5]);
         airpuck_real half = (plan->fence[1][row] - plan->fence[0][row]) / 2;
-        room = room < MOST_ROOM ? room : MOST_ROOM;
+        room = room < horizon->most_room ? room : horizon->most_room;
         room = room < half ? room : half;
         lower[row] = plan->fence[0][row] + room;
         upper[row] = plan->fence[1][row] - room;
@@ -463,7 +456,7 @@ airpuck_status airpuck_mpc(airpuck *craft, double now,
         memcpy(command, plan->commands[0], sizeof plan->commands[0]);
         return flag == DAQP_EXIT_OPTIMAL ? AIRPUCK_OPTIMAL : AIRPUCK_SOFTENED;
     }
-    if (now - plan->answered <= FLOWN_ON) {
+    if (now - plan->answered <= horizon->flown_on) {
         memcpy(command, plan->commands[0], sizeof plan->commands[0]);
         return AIRPUCK_ITERATION_LIMIT;
     }

@@ -30,8 +30,11 @@ typedef struct {
     airpuck_real used[AIRPUCK_BLOCKS];  /* Weights of squared commands above idle. */
     airpuck_real damping;               /* Weight of squared changes of a command. */
     airpuck_real first;                 /* Every command of the first plan. */
-    airpuck_real brake;                 /* Acceleration that is possible in all directions [m/s^2]. */
+    airpuck_real brake;                 /* Acceleration available in all directions [m/s^2]. */
     airpuck_real headway;               /* How far ahead the fence must be kept [s]. */
+    airpuck_real turning, most_room;    /* Distance to it per yaw rate, at most [m s/rad, m]. */
+    airpuck_real undecided;             /* Above this yaw error, a direction is kept [rad]. */
+    double flown_on;                    /* How long a plan goes on without an answer [s]. */
     airpuck_real speed, spin;           /* Speed and spin limits, if any [m/s, rad/s]. */
     airpuck_real fence[2][2];           /* Lowest and highest x, y of the craft's centre [m]. */
     airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one spare. */

@@ -1,10 +1,10 @@
 /* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Repeats the flight in golden.csv and compares statuses and commands.
  *
- * Lines: `target,x,y,yaw`, `depart,time` (of a planned flight), `pose,stamp,x,y,yaw`, `sent,time,command...`, and
- * `step,now,status,command...` with what the controller in Python computed. For the predictive law,
- * `plan,since,answered,way,commands...` is the plan before a step. It is copied, because rounding
- * would otherwise accumulate from plan to plan. */
+ * Lines: `target,x,y,yaw`, `depart,time` (of a planned flight), `pose,stamp,x,y,yaw`,
+ * `sent,time,command...`, and `step,now,status,command...` with what the controller in Python
+ * computed. For the predictive law, `plan,since,answered,way,commands...` is the plan before a step.
+ * It is copied, because rounding would otherwise accumulate from plan to plan. */
 #include "airpuck.h"
 
 #include <stdio.h>

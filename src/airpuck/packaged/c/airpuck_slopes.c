@@ -6,10 +6,6 @@
 #define N AIRPUCK_MOTORS
 #define Q AIRPUCK_MOVING
 #define P AIRPUCK_STEERED
-/* As in airpuck_model.c. */
-#define NO_LAG AIRPUCK_R(1e-12)
-#define IDLE AIRPUCK_R(0.1)
-#define AT_REST AIRPUCK_R(1e-12)
 
 /* Velocity in the body frame, and its derivatives with respect to yaw, vx, vy and yaw rate. */
 typedef struct {
@@ -95,7 +91,7 @@ static void resist(const airpuck_model *model, const body_motion *felt, airpuck_
 {
     const airpuck_real *drag = model->drag;
     airpuck_real velocity =
-        AIRPUCK_F(sqrt)(felt->forward * felt->forward + felt->left * felt->left + AT_REST);
+        AIRPUCK_F(sqrt)(felt->forward * felt->forward + felt->left * felt->left + AIRPUCK_AT_REST);
     airpuck_real resistance = drag[0] + drag[1] * velocity, spin = AIRPUCK_F(fabs)(felt->spin);
     body[0] -= resistance * felt->forward;
     body[1] -= resistance * felt->left;
@@ -161,21 +157,22 @@ static airpuck_real follow(const airpuck_model *model, airpuck_real speed, airpu
 {
     airpuck_real lag = model->motor_time_constant, apart = speed - command;
     airpuck_real lag_by_speed = 0, lag_by_command = 0;
-    if (!(lag > NO_LAG)) {
+    if (!(lag > AIRPUCK_NO_LAG)) {
         *by_speed = 0;
         *by_command = 1;
         return command;
     }
     if (model->idle_lag != 0) {
-        airpuck_real longer = lag * model->idle_lag;
-        airpuck_real at_begin = longer * AIRPUCK_F(exp)(-speed / IDLE), first = lag + at_begin;
+        airpuck_real longer = lag * model->idle_lag, idle = model->idle_speed;
+        airpuck_real at_begin = longer * AIRPUCK_F(exp)(-speed / idle), first = lag + at_begin;
         airpuck_real half = duration / 2, decay = AIRPUCK_F(exp)(-half / first);
         airpuck_real middle = command + apart * decay;
-        airpuck_real middle_by_speed = decay - apart * decay * half / (first * first) * at_begin / IDLE;
-        airpuck_real at_middle = longer * AIRPUCK_F(exp)(-middle / IDLE);
+        airpuck_real middle_by_speed =
+            decay - apart * decay * half / (first * first) * at_begin / idle;
+        airpuck_real at_middle = longer * AIRPUCK_F(exp)(-middle / idle);
         lag += at_middle;
-        lag_by_speed = -at_middle / IDLE * middle_by_speed;
-        lag_by_command = -at_middle / IDLE * (1 - decay);
+        lag_by_speed = -at_middle / idle * middle_by_speed;
+        lag_by_command = -at_middle / idle * (1 - decay);
     }
     airpuck_real decay = AIRPUCK_F(exp)(-duration / lag);
     airpuck_real by_lag = apart * decay * duration / (lag * lag);

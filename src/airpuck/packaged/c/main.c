@@ -1,8 +1,9 @@
 /* Copyright (c) 2026, the airpuck authors. SPDX-License-Identifier: BSD-2-Clause */
 /* Reads poses from standard input and writes commands.
  *
- * Input lines: `time x y yaw`, or `target x y yaw`; with a plan also `depart time`. Output lines: time, status, a number for each
- * motor. Replace the input by your motion capture and the output by your radio. */
+ * Input lines: `time x y yaw`, or `target x y yaw`; with a plan also `depart time`. Output lines:
+ * time, status, a command for each motor. Write your own program after this one: it receives poses
+ * from your motion capture and sends commands to your motors. */
 #include "airpuck.h"
 
 #include <stdio.h>

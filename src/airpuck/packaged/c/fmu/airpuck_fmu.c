@@ -283,7 +283,8 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
     *lastSuccessfulTime = plant->value[AIRPUCK_TIME] + unit->state.start_time;
     if (!(fabs(begin - plant->value[AIRPUCK_TIME]) <= SAME_TIME))
-        return failed(unit, fmi3Error, function, "the step does not begin where the last one ended");
+        return failed(unit, fmi3Error, function,
+                      "the step does not begin where the last one ended");
     if (!(communicationStepSize > 0 && end <= LONGEST))
         return failed(unit, fmi3Discard, function, "the step must be above 0 and end before 1e6 s");
     const char *problem = unit->state.commanded ? airpuck_plant_send(plant, begin) : NULL;

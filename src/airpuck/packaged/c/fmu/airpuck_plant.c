@@ -120,7 +120,8 @@ static void contact_impulse(const airpuck_plant *plant, double arm_n, double arm
     }
     /* With friction and an offset centre of mass, Newton's law can add energy (Kane and Levinson
      * 1985). In that case the contact is treated as smooth. */
-    double work = n * (speed_n + (k_nn * n + k_nt * t) / 2) + t * (slip + (k_nt * n + k_tt * t) / 2);
+    double work =
+        n * (speed_n + (k_nn * n + k_nt * t) / 2) + t * (slip + (k_nt * n + k_tt * t) / 2);
     impulse[0] = work > 0 ? wanted_n / k_nn : n;
     impulse[1] = work > 0 ? 0 : t;
 }
