@@ -161,3 +161,8 @@ def test_no_name_escapes_the_comment(text: str) -> None:
     inside = lines.removeprefix("/*").removesuffix("*/")
     assert not [code for code in ("*/", "/*", "\\", "??", "\0") if code in inside]
     assert all(len(line) < 110 for line in lines.split("\n"))
+
+
+def test_the_sources_name_the_motors_in_the_order_of_commands() -> None:
+    told = " ".join(title(PUBLISHED).replace("\n *", "").split())
+    assert f"commands: {', '.join(PUBLISHED.vehicle.propeller_names)}." in told

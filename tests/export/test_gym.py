@@ -203,7 +203,8 @@ def test_wrong_use_is_named():
         (lambda: CourseEnv(limit_s=math.nan), "limit_s"),
         (lambda: PuckEnv("juggle"), "skill"),
         (lambda: CourseVectorEnv(0), "num_envs"),
-        (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "pose"),
+        (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "goal: is beyond"),
+        (lambda: CourseEnv().reset(options={"gaol": (0.1, 0.0, 0.0)}), "did you mean 'goal'"),
         (lambda: CourseEnv().reset(options={"goal": "left"}), "goal"),
         (lambda: CourseVectorEnv(2).reset(options={"start": np.zeros((3, 3))}), "start"),
     ):

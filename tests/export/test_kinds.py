@@ -99,6 +99,13 @@ def test_files_of_others_in_the_folder_stay(tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+def test_a_folder_of_a_file_s_name_stops_the_export_before_it_writes(tmp_path):
+    (tmp_path / "craft.xml").mkdir()
+    with pytest.raises(InputError, match=r"craft\.xml: is a folder"):
+        export.write(M4, "mjcf", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["craft.xml"]
+
+
 def test_the_command_prints_files_and_facts_as_json(tmp_path):
     done = airpuck("export", "paper:M4", "--to", "mjcf", "-o", tmp_path, "--json", "-")
     found = json.loads(done.stdout)

@@ -67,10 +67,12 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "*n
 
 def given_poses(options: Mapping[str, Any] | None, size: int) -> dict[str, np.ndarray]:
     """Return the poses ``start`` and ``goal`` in the options of a reset, one for each craft."""
-    found = {}
-    for name in sorted({"start", "goal"} & set(options or {})):
+    found, known = {}, ["start", "goal"]
+    for name, pose in dict(options or {}).items():
+        if name not in known:
+            raise InputError(unknown(name, known), field="options")
         try:
-            found[name] = np.broadcast_to(np.array((options or {})[name], float), (size, 3))
+            found[name] = np.broadcast_to(np.array(pose, float), (size, 3))
         except (TypeError, ValueError):
             raise InputError("needs x, y [m] and yaw [rad]", field=name) from None
     return found
@@ -222,8 +224,8 @@ class CourseTask:
         start, goal, via = self._fixed or (*(self._pose(rng) for _ in range(2)), ())
         start = np.array(given["start"][row] if "start" in given else start)
         goal = np.array(given["goal"][row] if "goal" in given else goal)
-        for pose in (start, goal):
-            check_pose(pose, self._table, self._radius)
+        for name, pose in (("start", start), ("goal", goal)):
+            check_pose(pose, self._table, self._radius, name)
         self.goal[row], self.points[row] = goal, [*via, goal[:2]]
         legs = np.hypot(*np.diff(self.points[row], axis=0).T)
         self._after[row] = np.append(np.cumsum(legs[::-1])[::-1], 0.0)

@@ -263,15 +263,15 @@ def check_seed(seed: Any, field: str = "seed", limits: numbers.Range = numbers.S
     limits.check(int(seed), field)
 
 
-def check_pose(pose: Any, table: Table, radius: float) -> None:
+def check_pose(pose: Any, table: Table, radius: float, field: str = "pose") -> None:
     """Raise InputError for a pose off the table."""
     if len(pose) != 3 or not all(map(math.isfinite, pose)):
-        raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field="pose")
+        raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field=field)
     reach = table.reach(radius)
     if min(reach) < 0:
         raise InputError("is smaller than the craft", field="table")
     if abs(pose[0]) > reach[0] or abs(pose[1]) > reach[1]:
         raise InputError(
             f"is beyond the rails; x must lie within ±{reach[0]:g} m, y within ±{reach[1]:g} m",
-            field="pose",
+            field=field,
         )
