@@ -9,10 +9,13 @@ WORKERS ?= auto
 LIVE := .[ros2,play]
 
 # What `make dist` runs against the wheel, and the tools for it.
-EXTRAS := control,ros2,play,campaign,plan,px4,gym
+EXTRAS := control ros2 play campaign plan px4 gym
 CORE_TESTS := tests/boundary tests/craft tests/model tests/data tests/recording \
 	tests/test_docstring_examples.py
-TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.8' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19'
+# Or lowest-direct: the lowest versions that pyproject.toml allows.
+RESOLUTION ?= highest
+TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.8' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19' \
+	'pandas>=2.2'
 
 # uv takes a quarter of pip's time; .venv gets one unless it is in PATH. If uv cannot be installed,
 # or cannot reach an index that only pip is configured for, pip does the work.
@@ -24,7 +27,14 @@ define install
 	@touch $@
 endef
 
-.PHONY: help install dev live play demo test test-all test-browser lint format docs dist results-quick studies bench clean
+# Runs the core tests with the package that an environment has installed, not with src.
+define test_installed
+	@cd $(1) && env -u PYTHONPATH bin/python -c \
+		"import airpuck as a, sys; print(a.__version__, a.__file__); sys.exit('site-packages' not in a.__file__)"
+	env -u PYTHONPATH $(1)/bin/python -m pytest -n 0 -m "not slow" --hypothesis-profile quick $(CORE_TESTS)
+endef
+
+.PHONY: help install dev live play demo test test-all test-browser lint format docs dist dist-python results-quick studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -65,16 +75,22 @@ test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 docs: dev  ## the site, in docs/_build/html; its notebooks run once and are cached
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
-dist: dev  ## wheel and sdist, tried in a fresh environment; licences of all dependencies: in dist/
+dist: dev  ## wheel and sdist, the wheel tried in a fresh environment, and all licences: in dist/
 	rm -rf dist build/dist
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/python -m venv build/dist
-	build/dist/bin/python -m pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[$(EXTRAS)]"
-	$(BIN)/pip-licenses --python build/dist/bin/python --format markdown --order license \
-		--output-file dist/LICENCES.md
+	build/dist/bin/python -m pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[$$(echo $(EXTRAS) | tr ' ' ,)]"
+	build/dist/bin/python studies/licences.py > dist/LICENCES.md
 	build/dist/bin/python -m pip install --quiet --disable-pip-version-check $(TEST_TOOLS)
-	build/dist/bin/airpuck --version
-	build/dist/bin/python -m pytest -n 0 -m "not slow" --hypothesis-profile quick $(CORE_TESTS)
+	$(call test_installed,build/dist)
+
+dist-python: dev  ## try the wheel of dist/ with another Python: PYTHON=python3.13
+	rm -rf build/python
+	PATH="$$PATH:$(BIN)" uv venv --quiet --python "$(PYTHON)" build/python
+	PATH="$$PATH:$(BIN)" uv pip install --quiet --python build/python/bin/python \
+		--resolution $(RESOLUTION) -r pyproject.toml $(addprefix --extra ,$(EXTRAS)) $(TEST_TOOLS)
+	PATH="$$PATH:$(BIN)" uv pip install --quiet --python build/python/bin/python --no-deps dist/*.whl
+	$(call test_installed,build/python)
 
 results-quick: dev  ## recompute tables of docs/results.md in a minute; which numbers no longer hold?
 	$(BIN)/python studies/tables.py --check
