@@ -26,7 +26,7 @@ _SAME_PERIOD = 0.1
 _ONE_EVENT = 1e-9
 #: Longest plausible times of a valve, and of a PWM period [s].
 _VALVE_TIME, _PWM_TIME = 0.5, 2.0
-#: Shortest and longest lag of a wheel [s], as those of propellers that a fit may find.
+#: Shortest and longest lag of a wheel [s]; a fit of propellers has the same bounds.
 _LEAST_LAG, _LONGEST_LAG = 1e-4, 1.0
 #: Changes of a wheel's speed below this are rounding [fraction of the largest speed].
 _NO_SPEED = 1e-12
@@ -161,7 +161,7 @@ class Wheel(Section):
     commanded: Literal["torque", "speed"] = "torque"
     #: Which way a positive command turns the craft: against the wheel.
     turns_craft: Literal["left", "right"] = "right"
-    #: First-order lag of its torque; by default that of the propellers.
+    #: First-order lag of its torque; by default the propellers' lag.
     time_constant_s: Annotated[float, pydantic.Field(ge=_LEAST_LAG, le=_LONGEST_LAG)] | None = None
 
     @property
@@ -227,13 +227,13 @@ class Channel:
     column: int
     sign: int
     #: Where it pushes, the direction of its force, counter-clockwise from the body's x axis, and
-    #: its moment per thrust in addition to that of the force.
+    #: a moment per thrust in addition to the moment of this force.
     position_m: tuple[float, float]
     direction_deg: float
     couple: float = 0.0
     #: Thrust relative to the actuator's nominal one.
     strength: float = 1.0
-    #: Its own lag [s]; None: that of the propellers.
+    #: Its own lag [s]; None: the propellers' lag.
     time_constant_s: float | None = None
 
     @property

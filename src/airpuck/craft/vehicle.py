@@ -102,7 +102,7 @@ class Vehicle(Section):
     propellers : tuple of Propeller
         Propellers, in the order of a command's columns.
     wheels : tuple of Wheel
-        Reaction wheels; their columns follow those of the propellers.
+        Reaction wheels; their columns follow the propellers' columns.
     pairs : tuple of pairs of str
         Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
         other: push in opposite directions, and turn the craft in opposite directions about its
@@ -262,7 +262,7 @@ class Vehicle(Section):
 
     @cached_property
     def couples(self) -> Float[np.ndarray, " n"]:
-        """Moment of each propeller per thrust, in addition to that of its force; ±1 for wheels."""
+        """Moment of each propeller per thrust, beside the moment of its force; ±1 for wheels."""
         return np.array([channel.couple for channel in self.actuation.channels])
 
     @cached_property

@@ -1,7 +1,7 @@
 """The whole controller as C99: estimator, law, allocation, and the model.
 
 The sources in ``packaged/c`` are written by hand; an export adds one file of sizes and one of
-numbers. The laws and the estimator are those of `airpuck.control.tracking`.
+numbers. It has the laws and the estimator of `airpuck.control.tracking`.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ def check_effects(model: Model, kind: str, dynamics: Dynamics | None = None) -> 
     if len(set(present)) < len(present) or changing != sorted(changing, key=EFFECTS.index):
         names = ", ".join(effect.__name__ for effect in present)
         raise InputError(
-            f"has the effects {names}, those of the twin's settings included; an export to {kind} "
+            f"has the effects {names}, including the twin's settings; an export to {kind} "
             "computes each at most once, in the order of docs/export.md; leave one out",
             field="MODEL",
         )

@@ -45,7 +45,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
     Raises
     ------
     InputError
-        If CasADi is not installed, or a name is not that of a parameter of the equations of motion.
+        If CasADi is not installed, or the equations of motion have no parameter of a given name.
     """
     try:
         import casadi

@@ -32,7 +32,7 @@ from airpuck.twin.batch import TwinBatch
 class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
     """Many `CourseEnv` at once; with seed s, row i draws like a single one with seed s + i.
 
-    Only the noise and latency of its poses differ. Parameters are those of `CourseEnv`.
+    Only the noise and latency of its poses differ. It takes the parameters of `CourseEnv`.
 
     Raises
     ------

@@ -159,7 +159,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     (folder / "holohover_params.yaml").write_text(properties, encoding="utf-8")
     return {
         "params.json": "without data and learning_params, which describe a training",
-        "radius, pairs and names": "not in the files; read_model takes those of the paper's craft",
+        "radius, pairs and names": "not in the files; read_model assumes the paper's craft",
         "transport delay": f"{1e3 * subject.model.transport_delay:.4g} ms, not in the files",
     }
 

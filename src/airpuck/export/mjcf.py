@@ -30,7 +30,7 @@ _RAIL = 500.0
 #: MuJoCo's largest constraint impedance; its difference from 1 is the influence on the bounce of
 #: forces that push the craft into the rail.
 _IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
-#: Lower restitutions need so much damping that the contact becomes stiff [fraction].
+#: Lowest restitution exported: below it, the damping makes the contact stiff [fraction].
 _LEAST_RESTITUTION = 0.05
 #: Drawn height and thickness of a rail [m].
 _RAIL_HEIGHT, _RAIL_THICKNESS = 0.03, 0.05

@@ -3,7 +3,7 @@
 Measured and expected effects of propellers (two forces, a moment) are matched by direction. Effects
 are columns; forces rotate with the frame, moments do not. Magnitudes are compared with each other
 only, so thrust, mass and inertia need not be right. Effects come with standard errors
-(`window_regression`): nothing is said of a propeller whose effect these leave open.
+(`window_regression`); a propeller gets no verdict if they leave its effect open.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ _SEEN, _DIRECTION_LIMIT = 0.3, 0.25
 _DEAD, _CERTAIN = 0.5, 2.6
 #: Effect relative to the others below which a propeller may give nothing, beside errors of curves.
 _NOTHING = 0.15
-#: Verdicts on propellers that give no thrust, and on those of which too little is known.
+#: Verdicts on propellers without thrust, and on propellers whose effect is still uncertain.
 DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
 
 
@@ -117,7 +117,7 @@ class LayoutCheck(Result):
     usable: float = np.inf
     #: Our x, y, z in terms of the file's axes, as in the mapping.
     axes: tuple[str, ...] = AXES
-    #: Duration at which nominal motors would be seen, over that of the recording.
+    #: Flight time needed to detect nominal motors, relative to the recording's duration.
     longer: float = np.inf
     #: Length of the windows over which accelerations are averaged [s].
     window: float = np.nan

@@ -109,7 +109,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
     effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
-    fit is useless, and all strengths are those of the check. The same applies if the table is
+    fit is useless, and all strengths come from the check. The same applies if the table is
     tilted and the model has no tilt.
 
     Parameters

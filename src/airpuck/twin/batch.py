@@ -85,13 +85,13 @@ class TwinBatch:
         self.state = np.zeros((6 + n, size))
         self.steps = np.zeros(size, dtype=int)
         self._now = np.zeros(size)
-        #: Commands sent so far, with zeros for motors that stop; the command that motors follow.
+        #: All commands sent, with zeros for motors that stop; the command that motors follow.
         self._sent, self._followed = np.zeros((packets + 1, size, n)), np.zeros((n, size))
-        #: Times at which the followed command changes, its index, and the number of changes so far.
+        #: Times at which the followed command changes, its index, and the number of changes.
         self._times = np.full((2 * packets + 2, size), np.inf)
         self._heard = np.full(self._times.shape, packets)
         self._changes = np.zeros(size, dtype=int)
-        #: Number of frames so far, and of those not missed; arrival, number and pose of the latest.
+        #: Number of frames, and of frames not missed; arrival, number and pose of the latest.
         self._frames, self._seen = np.zeros(size, dtype=int), np.zeros(size, dtype=int)
         self._arrival, self._number = np.full((kept, size), np.inf), np.zeros((kept, size), int)
         self._poses, self._last_arrival = np.zeros((kept, size, 3)), np.zeros(size)

@@ -130,8 +130,8 @@ def fly_fleet(
 
     Notes
     -----
-    The steps equal those of a `Twin` with its on-board sensors off; the states agree up to
-    rounding. Runs on JAX's default device.
+    A `Twin` without on-board sensors takes the same steps; the states agree up to rounding.
+    Runs on JAX's default device.
 
     Examples
     --------

@@ -41,8 +41,8 @@ def queued_delay(
 ) -> tuple[float, float]:
     """Simulate delays of packets that do not overtake each other.
 
-    A packet waits for earlier packets. Delays are therefore longer on average, and vary less, than
-    those of single packets: 21.7 ± 6.3 ms instead of 20.8 ± 7 ms at a hundred packets a second.
+    A packet waits for earlier packets. That makes delays longer on average, and less variable: at a
+    hundred packets a second 21.7 ± 6.3 ms, instead of 20.8 ± 7 ms for single packets.
     """
     sent = period * np.arange(packets)
     chance = np.random.default_rng(seed).random((packets, 2))

@@ -242,7 +242,7 @@ def _flown(
     make_pilot: PilotMaker | None,
     **options: Any,
 ) -> Tracked:
-    """Fly a course on the twin with one model and one law; `options` are those of `track`."""
+    """Fly a course on the twin with one model and one law; `options` go to `track`."""
     law, pilot, gains = tuning.regulator.kind, None, None
     if make_pilot is not None:
         pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)

@@ -161,9 +161,9 @@ def verdict(
     model : Model
         Any model.
     trajectory : Trajectory, optional
-        A recording to judge it on, preferably one that it was not learned from.
+        A recording to judge the model on, preferably not part of its training data.
     evaluation : Evaluation, optional
-        How well it predicts that recording, if it was not learned from it.
+        How well it predicts that recording, if the recording is not part of its training data.
 
     Returns
     -------
@@ -385,8 +385,7 @@ def _unknown(model: Model, errors: dict[str, float]) -> list[str]:
     if not named:
         return []
     return [
-        f"Unknown: {', '.join(named)}. Fly an excitation; `airpuck design` proposes one that "
-        "determines them."
+        f"Unknown: {', '.join(named)}. Fly an excitation that determines them (`airpuck design`)."
     ]
 
 

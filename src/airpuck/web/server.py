@@ -112,7 +112,7 @@ class _Page:
 
 
 class _Server:
-    """All pages, and the one that plays."""
+    """All pages, and the page that plays."""
 
     def __init__(
         self, pipe: Connection, host: str, page: PageName, hello: dict[str, Any], patience: float

@@ -127,7 +127,7 @@ class _GraphView:
             commands = newest["command"].tolist() if commanded else []
             pages.show(packed_state(now, 0, True, _NOTHING, _NOWHERE, pose.tolist(), commands))
         fixed = bool(self._process.graph.publishers(topics.reference))
-        # A page's set point is newer than the one that the controller reports.
+        # A page's set point is newer than the set point that the controller reports.
         wanted = None if fixed else self._wanted
         if wanted is None:
             wanted = newest.get("reference", pose)
