@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches
 from functools import cache
+from inspect import get_annotations
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
@@ -92,8 +93,11 @@ class Settings:
 @cache
 def declared(kind: type) -> tuple[Declared, ...]:
     """Return the fields of a settings class that carry a `Setting`, in declaration order."""
-    names = _Names(vars(sys.modules[kind.__module__]))
-    return tuple(_declared(kind, get_type_hints(kind, localns=names, include_extras=True)))
+    hints: dict[str, Any] = {}
+    for base in reversed(kind.__mro__):
+        names = _Names(vars(sys.modules[base.__module__]))
+        hints |= get_annotations(base, eval_str=True, locals=names)
+    return tuple(_declared(kind, hints))
 
 
 class _Names(dict[str, Any]):
