@@ -227,3 +227,18 @@ def test_a_planned_shot_is_replaced_by_one_that_is_better_by_0_08(monkeypatch):
     assert found[0] is None
     assert [one.meet for one in found[2:11]] == [found[1].meet] * 9
     assert [one.chance for one in found[1:]] == pytest.approx([0.5] * 10 + [0.65], abs=0.02)
+
+
+def test_where_shots_come_back_quickly_the_craft_is_home_sooner_after_them():
+    def home_after(returns):
+        puck = (-0.35, 0.0, 0, 0, 0, 0)
+        view = view_of(puck, (-0.6, 0, 0, 0, 0, 0), opponent=np.array([0.9, 0.0, 0.0, 0.0]))
+        view = replace(view, rival=Rival(returns=returns))
+        intention = decided(Shoot(least=0.0, clears=True), view)
+        place = contact(view, intention)[1]
+        flown, craft = after_contact(view, intention)
+        crosses = 0.35 / flown.state.vx
+        return float(view.times(PITCH.home - place, craft, "rest")) - crosses
+
+    quick = home_after((0.6,) * 12)
+    assert quick < home_after(())

@@ -164,6 +164,21 @@ def test_a_threat_is_when_the_puck_is_at_the_own_goal():
         assert Outlook(view_of(puck)).threat is None
 
 
+def test_a_path_counts_until_the_opponent_may_touch_the_puck():
+    end = Outlook(view_of((0.0, 0, 0, 0, 0, 0))).times[-1]
+    beside, away, still = (0.5, 0.2, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.4, 0.0, 0, 0, 0, 0)
+    for puck, opponent, until in (
+        ((-0.5, 0, 0, 1.0, 0, 0), away, 0.53),  # crosses the centre line
+        ((0.3, 0, 0, 1.0, 0, 0), away, 0.0),
+        ((0.3, 0, 0, -3.0, 0, 0), away, end),  # faster than the opponent
+        (still, beside, 0.32),  # 0.2 s, 20 ms to speed up, and 14 cm at 1.5 m/s
+        ((0.3, 0, 0, 1.0, 0, 0), None, end),
+        ((-0.5, 0, 0, 0, 0, 0), beside, end),
+    ):
+        opponent = opponent and np.array(opponent)
+        assert Outlook(view_of(puck, opponent=opponent)).until == pytest.approx(until, abs=0.03)
+
+
 def test_a_velocity_is_known_or_not():
     view = view_of((0.3, 0, 0, -1.0, 0, 0))
     for deviation, known in ((0.02, True), (0.04, False)):

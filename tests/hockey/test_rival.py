@@ -35,3 +35,19 @@ def test_nobody_moves_before_the_reaction_and_everybody_speeds_up():
     # 40 m/s² for 50 ms, and then 2 m/s.
     np.testing.assert_allclose(np.diff(reach)[260:] / np.diff(times)[260:], 2.0)
     assert reach[-1] == pytest.approx(0.05 * 1.0 + 0.75 * 2.0)
+
+
+def test_returns_last_from_the_centre_line_to_the_goal():
+    watcher = RivalWatcher(1.1)
+    # Away at 2 m/s, 0.3 s in the other half, back at 4 m/s; then away again, and lost in the goal.
+    for k in range(100):
+        time = k / 100
+        x = min(2.0 * (time - 0.2), 0.2, 4.0 * (0.5 - time))
+        watcher.puck(time, x, 2.0 if time < 0.4 else -4.0)
+    watcher.puck(2.0, -0.3, 0.0)
+    watcher.puck(2.01, 0.3, 0.0)
+    watcher.puck(4.0, -0.3, 0.0)
+    rival = watcher.rival
+    assert rival.returns == pytest.approx([0.3 + 1.1 / 4.0], abs=0.02)
+    # One return counts against the assumption of slow ones.
+    assert rival.is_quicker(np.array([0.5, 0.7])).tolist() == pytest.approx([0.0, 1 / 3])

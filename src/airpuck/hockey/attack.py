@@ -35,6 +35,8 @@ _PATIENCE = 0.12
 #: Value of a shot per speed of the puck [s/m]: a saved fast shot comes back, a slow one is the
 #: opponent's to strike. A guess.
 _PRESSURE = 0.01
+#: Probability that the opponent scores if the puck comes back before the craft; a guess.
+_CONCEDED = 0.4
 #: Gain in probability for which the planned shot is replaced; a guess.
 _BETTER = 0.08
 #: Decisions between searches for shots, and for the fallback that only clears the puck.
@@ -123,6 +125,7 @@ class Shoot(Searcher):
         times = view.time + _TIMES
         pucks = outlook.at(times)
         near = pucks[:, 0] < pitch.fence[1, 0] + pitch.contact_distance
+        near &= times <= outlook.until
         times, pucks = times[near], pucks[near]
         if not len(times):
             return None
@@ -144,11 +147,12 @@ class Shoot(Searcher):
             return None
         rows, inverse = np.unique(able[0], return_inverse=True)
         part = inverse, able[1], able[2]
-        chance, speed = self._coarse(view, times[rows], pucks[rows], normal[rows], velocity[rows])
-        value = np.full(shape, -1.0)
-        later = np.exp(-_PATIENCE * (when[able] - view.time))
+        chance, after = self._coarse(view, times[rows], pucks[rows], normal[rows], velocity[rows])
+        value = np.full(shape, -np.inf)
         likely = chance[part] >= _PROMISING * self.least
-        value[able] = np.where(likely, (chance[part] + _PRESSURE * speed[part]) * later, -1.0)
+        moves = velocity[able] + recoil[able]
+        worth = _worth(view, when[able], chance[part], after[part], place[able], moves)
+        value[able] = np.where(likely, worth, -np.inf)
         best = self._apart(
             np.unravel_index(np.argsort(value, axis=None)[:-_PICKED:-1], shape), value
         )
@@ -164,8 +168,8 @@ class Shoot(Searcher):
         pucks: Float[np.ndarray, "K 6"],
         normal: Float[np.ndarray, "K J L"],
         velocity: Float[np.ndarray, "K J L 2"],
-    ) -> tuple[Float[np.ndarray, "K J L"], Float[np.ndarray, "K J L"]]:
-        """Return rough probabilities, averaged over nearby directions, and speeds of the puck."""
+    ) -> tuple[Float[np.ndarray, "K J L"], Float[np.ndarray, "K J L 2"]]:
+        """Return rough probabilities, averaged over nearby directions, and the puck's velocity."""
         pitch, shape = view.pitch, normal.shape
         contacts = Contacts(
             np.broadcast_to(pucks[:, None, None, :2], (*shape, 2)),
@@ -182,7 +186,7 @@ class Shoot(Searcher):
         weights = np.exp(-(apart**2) / 2)
         weights /= weights.sum(axis=1, keepdims=True)
         chance = np.einsum("ji,kil->kjl", weights, flights.scores * flights.passes)
-        return chance, np.hypot(after[..., 0], after[..., 1])
+        return chance, after[..., :2]
 
     def _apart(
         self, order: tuple[np.ndarray, ...], value: Float[np.ndarray, "K J L"]
@@ -190,7 +194,7 @@ class Shoot(Searcher):
         """Return the best few contacts that differ from each other."""
         found: list[tuple[int, int, int]] = []
         for k, j, s in zip(*(part.tolist() for part in order), strict=True):
-            if value[k, j, s] < 0:
+            if not np.isfinite(value[k, j, s]):
                 break
             if all(abs(k - a) > 1 or abs(j - b) > 2 or s != c for a, b, c in found):
                 found.append((k, j, s))
@@ -217,18 +221,43 @@ class Shoot(Searcher):
             self.error,
             opponent and (opponent[0][:, None], opponent[1]),
         )
-        speed_after = np.linalg.norm(struck(view.pitch, contacts)[:, :2], axis=1)
-        value = (chance + _PRESSURE * speed_after) * np.exp(-_PATIENCE * (time - view.time))
+        after = struck(view.pitch, contacts)[:, :2]
+        place = contacts.place - view.pitch.contact_distance * unit(normal)
+        # The craft loses the momentum that the puck gains.
+        puck = view.pitch.equipment.puck
+        lost = puck.mass_kg / view.pitch.craft_mass * (after - contacts.puck[:, :2])
+        value = _worth(view, time, chance, after, place, contacts.craft - lost)
         shots = []
         for k in np.argsort(value)[::-1].tolist():
             # A later contact of lower value may have a higher chance.
-            if chance[k] < self.least:
+            if chance[k] < self.least or (value[k] < self.least and not self.clears):
                 continue
             kind: Kind = "bank" if bounces[k] > _BANKED else "strike"
             when = float(time[k]), float(normal[k]), float(speed[k])
             kind = "clear" if self.clears else kind
             shots.append(PlannedContact(*when, kind, float(chance[k])))
         return shots
+
+
+def _worth(
+    view: View,
+    time: Float[np.ndarray, " n"],
+    chance: Float[np.ndarray, " n"],
+    puck: Float[np.ndarray, "n 2"],
+    place: Float[np.ndarray, "n 2"],
+    craft: Float[np.ndarray, "n 2"],
+) -> Float[np.ndarray, " n"]:
+    """Return the values of shots at times, by the velocities of puck and craft after them.
+
+    A shot that comes back before the craft is at home again may be a goal against it.
+    """
+    value = chance + _PRESSURE * np.hypot(puck[:, 0], puck[:, 1])
+    if view.rival.returns:
+        home = np.moveaxis(np.array(view.pitch.home) - place, -1, 0)
+        back = view.times(home, np.moveaxis(craft, -1, 0), "rest") + view.pitch.delay
+        crosses = -place[:, 0] / np.maximum(puck[:, 0], _FASTER)
+        value = value - _CONCEDED * view.rival.is_quicker(back - crosses)
+    return value * np.exp(-_PATIENCE * (time - view.time))
 
 
 def _of(indices: tuple[np.ndarray, ...], which: Bool[np.ndarray, " N"]) -> tuple[np.ndarray, ...]:

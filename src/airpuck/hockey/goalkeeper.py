@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.interception import AVOIDED, Outlook, around, slack, standing
+from airpuck.hockey.interception import AVOIDED, NOTICED, Outlook, around, slack, standing
 from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
@@ -66,8 +66,10 @@ def block(view: View, outlook: Outlook) -> Intention:
     motions = outlook.motions[1:count, :2]
     speed = np.maximum(np.hypot(motions[:, 0], motions[:, 1]), _RESTS)
     places = pitch.clipped(pucks + pitch.contact_distance * motions / speed[:, None])
-    # Leave room for the recoil: stay as far from the rail as home.
-    places[:, 0] = np.maximum(places[:, 0], pitch.home[0])
+    # Leave room for the recoil, but no more than home does: deep in the goal the craft covers more.
+    back = np.maximum(-pitch.recoil * motions[:, 0], 0)
+    room = back * NOTICED + back**2 / (2 * pitch.acceleration)
+    places[:, 0] = np.maximum(places[:, 0], np.minimum(pitch.fence[0, 0] + room, pitch.home[0]))
     apart = np.linalg.norm(places - pucks, axis=1)
     spare = slack(view, times, places, np.zeros_like(places))
     away = np.linalg.norm(places - view.craft[:2], axis=1)

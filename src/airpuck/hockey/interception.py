@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from airpuck.control.reference import Reference, Rendezvous, SetPoint
 from airpuck.hockey.prediction import predict_path
+from airpuck.hockey.rival import STILL
 from airpuck.hockey.shot import unit
 from airpuck.hockey.tactic import Intention, Kind, View
 
@@ -43,7 +44,7 @@ _PRECISE = (0.0015, 0.0015, math.inf, 0.04, 0.04, math.inf)
 #: Fractions of the path at which clearance from the puck is checked.
 _CHECKED = np.linspace(0.1, 0.9, 9)
 #: Delay until the craft reacts to a recoil [s].
-_NOTICED = 0.08
+NOTICED = 0.08
 #: Distance from the start of the run-up to the contact [m].
 _RUN_UP = 0.1
 #: Clearance when passing the puck [m]: on the path to a contact, of the disc that the law keeps out
@@ -73,6 +74,21 @@ class Outlook:
         self.speed = float(np.hypot(*self.motions[0, :2]))
 
     @cached_property
+    def until(self) -> float:
+        """Time at which the opponent can touch the puck in its half, or the puck leaves for it."""
+        if self.view.opponent is None:
+            return float(self.times[-1])
+        here, motion = self.view.opponent[:2], self.view.opponent[2:]
+        rival, pitch = self.view.rival, self.view.pitch
+        # An opponent that moves already has reacted.
+        ahead = self.times - self.view.time + rival.reaction * (np.hypot(*motion) > STILL)
+        radii = pitch.opponent_radius + pitch.equipment.puck.radius_m
+        apart = np.linalg.norm(self.places - here, axis=1) - radii
+        lost = (self.motions[:, 0] > 0) | (rival.reach(ahead) > apart)
+        lost &= self.places[:, 0] > 0
+        return float(self.times[np.argmax(lost) if lost.any() else -1])
+
+    @cached_property
     def threat(self) -> float | None:
         """Time at which the puck will be at its own goal [s]; None: it will not."""
         pitch = self.view.pitch
@@ -97,7 +113,8 @@ class Outlook:
     @cached_property
     def is_reachable(self) -> bool:
         """Whether the puck will be in the half in which the craft can touch it."""
-        return bool((self.places[:, 0] < self.view.pitch.fence[1, 0] + _TOUCHED).any())
+        near = self.places[:, 0] < self.view.pitch.fence[1, 0] + _TOUCHED
+        return bool((near & (self.times <= self.until)).any())
 
 
 def slack(
@@ -129,7 +146,7 @@ def stays_inside(
     """
     pitch = view.pitch
     start = place - _braking(view, velocity)
-    stop = place + recoil * _NOTICED + _braking(view, velocity + recoil)
+    stop = place + recoil * NOTICED + _braking(view, velocity + recoil)
     return pitch.inside(place) & pitch.inside(start) & pitch.inside(stop)
 
 

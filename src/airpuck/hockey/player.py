@@ -242,6 +242,9 @@ class Player(Pilot):
         self._last_puck = pose
         hits = len(self.filter.events)
         self.filter.pose(stamp, pose)
+        belief = self.filter.belief
+        if belief is not None:
+            self._watcher.puck(stamp, float(pose[0]), float(belief.mean[3]))
         hit = any(event.kind == "hit" for event in self.filter.events[hits:])
         if hit and pose[0] < 0 and self._opponent is not None:
             self._watcher.shot(self.filter.events[-1].time, self._opponent[1])

@@ -16,8 +16,11 @@ from airpuck.hockey.shot import Contacts, struck, unit
 from airpuck.hockey.tactic import View
 
 # Numbers without a source are guesses that won matches.
-#: Points of the puck's predicted path at which a catch is tried.
-_TRIED = slice(4, None, 3)
+#: Points of the puck's predicted path at which a catch is tried: up to 1.4 s ahead, because later
+#: the path is too uncertain to leave the goal for it.
+_TRIED = slice(4, 71, 3)
+#: A faster puck is not caught, because it soon threatens the goal again if the catch fails [m/s].
+_FAST = 3.0
 #: Directions of a contact relative to the reversed motion of the puck, and the largest turn of the
 #: puck's motion for which a catch is kept [rad].
 _BESIDE, _TURNED = np.array([0.0, -0.25, 0.25, -0.55, 0.55]), 0.4
@@ -85,7 +88,8 @@ class Catch(Searcher):
         times = np.broadcast_to(when[:, None], normal.shape)
         closing = speed[:, None] * np.cos(_BESIDE) + recede
         recoil = -view.pitch.recoil * closing[..., None] * unit(normal)
-        fits = stays_inside(view, place, velocity, recoil) & (speed[:, None] > self.slowest)
+        suits = (speed > self.slowest) & (speed < _FAST) & (when <= outlook.until)
+        fits = stays_inside(view, place, velocity, recoil) & suits[:, None]
         spare = np.full(normal.shape, -np.inf)
         spare[fits] = slack(view, times[fits], place[fits], velocity[fits])
         # Having enough time matters more than having much; sooner is better, and so is head-on.

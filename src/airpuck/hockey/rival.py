@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,13 +18,16 @@ _ACCELERATION = 40.0
 #: Weights of these assumptions: in observed reactions; in seconds of waiting; in m² s.
 _REACTIONS, _SECONDS, _SQUARES = 2.0, 0.5, 0.005
 #: An opponent slower than this stands still; a faster change of velocity is a reaction [m/s].
-_STILL, _REACTS = 0.2, 0.4
+STILL, _REACTS = 0.2, 0.4
 #: A hand is not faster; poses that jump look faster [m/s].
 _FASTEST = 8.0
 #: Reactions outside these times are coincidences [s].
 _SOONEST, _LATEST = 0.08, 0.5
-#: Longest time between two sights that counts as waiting [s].
+#: Longest time between two sights that counts as waiting, and as one motion of the puck [s].
 _GAP = 0.05
+#: Number of last returns that are remembered; weight of the assumption that none is quick, in
+#: returns; a puck that comes more slowly than this counts as this fast [m/s]. Guesses.
+_RETURNS, _NO_RETURNS, _SLOWEST = 12, 2, 0.2
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,13 @@ class Rival:
     waits: float = _WAITS
     #: Its y while it waits, as a share of the puck's.
     follows: float = _FOLLOWS
+    #: Times from when the puck left for its half until the puck could be in the player's goal,
+    #: sorted [s].
+    returns: tuple[float, ...] = ()
+
+    def is_quicker(self, time: Any) -> Any:
+        """Return the probability that a shot comes back to the goal sooner than after a time."""
+        return np.searchsorted(self.returns, time) / (len(self.returns) + _NO_RETURNS)
 
     def reach(self, time: Any) -> Any:
         """Return how far it gets in a time after a shot [m]."""
@@ -65,6 +76,9 @@ class RivalWatcher:
         self._waited, self._time = _SECONDS * _WAITS, _SECONDS
         self._products, self._squares = _SQUARES * _FOLLOWS, _SQUARES
         self._last = -math.inf
+        #: Last returns; whether the puck is in the other half, and when it got there and was seen.
+        self._returns: deque[float] = deque(maxlen=_RETURNS)
+        self._away, self._left, self._puck = False, -math.inf, -math.inf
         #: When the puck was shot, and the opponent's velocity then.
         self._shot: tuple[float, Float[np.ndarray, " 2"]] | None = None
 
@@ -76,11 +90,22 @@ class RivalWatcher:
             self._speed,
             self._waited / self._time,
             self._products / self._squares,
+            tuple(sorted(self._returns)),
         )
+
+    def puck(self, time: float, x: float, vx: float) -> None:
+        """Receive a sight of the puck: its x, and its velocity along x."""
+        if time - self._puck > _GAP:
+            self._left = -math.inf
+        elif x > 0 and not self._away:
+            self._left = time
+        elif x <= 0 and self._away:
+            self._returns.append(time - self._left + self._goal_line / max(-vx, _SLOWEST))
+        self._away, self._puck = x > 0, time
 
     def shot(self, time: float, opponent: Float[np.ndarray, " 4"]) -> None:
         """Begin to wait for the reaction to a shot, if the opponent stands still."""
-        if math.hypot(*opponent[2:]) < _STILL:
+        if math.hypot(*opponent[2:]) < STILL:
             self._shot = time, opponent[2:]
 
     def seen(
@@ -91,7 +116,7 @@ class RivalWatcher:
         if speed < _FASTEST:
             self._speed = max(self._speed, speed)
         passed, self._last = time - self._last, time
-        if puck[0] < 0 and speed < _STILL and passed < _GAP:
+        if puck[0] < 0 and speed < STILL and passed < _GAP:
             self._time += passed
             self._waited += passed * (self._goal_line - float(opponent[0]))
             self._squares += passed * puck[1] ** 2
