@@ -1,4 +1,4 @@
-"""Sizes of the exported controller on Cortex-M, and instructions per step counted by QEMU.
+"""Sizes and stack of the exported controller on Cortex-M, and instructions counted by QEMU.
 
     python studies/exported_c_cortex.py
 
@@ -52,7 +52,17 @@ void __real_airpuck_pose(airpuck *, double, const airpuck_real *);
 void __wrap_airpuck_pose(airpuck *, double, const airpuck_real *);
 __attribute__((section(".vectors"), used)) void *const vectors[] = {(void *)0x20400000,
                                                                     (void *)reset};
-static unsigned total[2], most[2], count[2];
+static unsigned total[2], most[2], count[2], deepest;
+/* Bytes of unused stack that are painted before a step, except for those of the painter. */
+enum { PAINTED = 65536, OWN = 128 };
+#define PAINT 0xA5A5A5A5u
+static unsigned *painted(unsigned here)
+{
+    unsigned *low = (unsigned *)(here - PAINTED);
+    for (unsigned *p = low; p < (unsigned *)(here - OWN); p++)
+        *(volatile unsigned *)p = PAINT;
+    return low;
+}
 static void noted(int kind, unsigned before)
 {
     unsigned ticks = (before - SYSTICK[2]) & 0xFFFFFF;
@@ -63,9 +73,13 @@ static void noted(int kind, unsigned before)
 airpuck_status __wrap_airpuck_step(airpuck *craft, double now, const airpuck_target *targets,
                                    airpuck_real *command)
 {
+    unsigned here = (unsigned)__builtin_frame_address(0), *low = painted(here);
     unsigned before = SYSTICK[2];
     airpuck_status status = __real_airpuck_step(craft, now, targets, command);
     noted(0, before);
+    while (*(volatile unsigned *)low == PAINT)
+        low++;
+    deepest = here - (unsigned)low > deepest ? here - (unsigned)low : deepest;
     return status;
 }
 void __wrap_airpuck_pose(airpuck *craft, double stamp, const airpuck_real *pose)
@@ -86,6 +100,7 @@ void reset(void)
     int failed = main(2, words);
     for (int k = 0; k < 2; k++)
         printf("%u %u\\n", total[k] / count[k], most[k]);
+    printf("%u\\n", deepest);
     fflush(stdout);
     _exit(failed);
 }
@@ -123,8 +138,12 @@ def code(folder: Path, core: str, *options: str) -> int:
     return int(listed.splitlines()[-1].split()[0])
 
 
-def instructions(folder: Path) -> tuple[str, list[list[int]]]:
-    """Return what the self-test prints, and instructions of steps and of poses: mean, most."""
+def flight(folder: Path) -> tuple[str, list[list[int]], int]:
+    """Repeat the golden flight in single precision.
+
+    Return what the self-test prints, the instructions of steps and of poses (mean, most), and the
+    most bytes of stack in a step.
+    """
     (folder / "board.ld").write_text(LINKER)
     (folder / "board.c").write_text(BOARD)
     words = ["arm-none-eabi-gcc", *COMMON, *CORES["M4F"], "-DAIRPUCK_SINGLE", "-w"]
@@ -135,8 +154,9 @@ def instructions(folder: Path) -> tuple[str, list[list[int]]]:
     words = ["qemu-system-arm", "-M", "mps2-an386", "-kernel", "board.elf", "-nographic"]
     words += ["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"]
     printed = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=600).stdout
-    told, *counted = printed.splitlines()
-    return told, [[PER_TICK * int(n) for n in re.findall(r"\d+", line)] for line in counted]
+    told, *counted, deepest = printed.splitlines()
+    ticks = [[PER_TICK * int(n) for n in re.findall(r"\d+", line)] for line in counted]
+    return told, ticks, int(deepest)
 
 
 def main() -> None:
@@ -149,9 +169,9 @@ def main() -> None:
             for core in CORES:
                 single, double = code(folder, core, "-DAIRPUCK_SINGLE"), code(folder, core)
                 print(f"  {core}: {single} bytes of code in single precision, {double} in double")
-            told, ((step, most), (pose, _)) = instructions(folder)
+            told, ((step, most), (pose, _)), stack = flight(folder)
             rate = CLOCK / CYCLES / (most + 3 * pose)
-            print(f"  QEMU: {told}")
+            print(f"  QEMU: {told}; {stack} bytes of stack")
             print(f"  instructions of a step: mean {step}, most {most}; of a pose: mean {pose}")
             print(f"  estimate for an STM32F405 with 3 poses per step: {rate:.0f} steps/s")
 

@@ -210,6 +210,14 @@ def test_without_disturbance_noise_no_disturbance_is_estimated():
     assert ours.predict(0.3).disturbance[1] != 0
 
 
+@pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value")
+def test_a_pose_is_too_far_from_an_estimate_that_is_not_a_number():
+    ours = KalmanFilter(MODEL, NOISE, compiled=False)
+    ours.pose(0.0, np.zeros(3))
+    ours.command(0.0, np.full(MODEL.vehicle.n_propellers, 1e200))
+    assert not ours.pose(0.1, np.zeros(3), gate=(0.1, 0.1, 1.0))
+
+
 def velocity_error(imu: bool, mouse: bool) -> np.ndarray:
     """Root mean square error of vx, vy, ω from noisy poses eight times a second."""
     random = np.random.default_rng(2)

@@ -139,11 +139,43 @@ def test_no_compiler_warns(exported, using):
         program(exported, "main.c", *options, using=using)
 
 
-def test_single_precision_decides_alike(tmp_path):
-    c = CompiledController(library(M4, tmp_path / "c", "-DAIRPUCK_SINGLE"), M4)
+def test_a_program_in_c_plus_plus_can_call_the_controller(exported, tmp_path):
+    (tmp_path / "main.cpp").write_text(
+        '#include "airpuck.h"\nstatic airpuck craft;\n'
+        "int main() { airpuck_init(&craft); return airpuck_identified.twin[0]; }\n"
+    )
+    words = [compiler("clang"), "-std=c++11", "-Wall", "-Wextra", "-Werror", f"-I{exported}", "-c"]
+    subprocess.run([*words, tmp_path / "main.cpp", "-o", tmp_path / "main.o"], check=True)
+    words = ["nm", "--undefined-only", tmp_path / "main.o"]
+    listed = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert " U airpuck_init\n" in listed
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory) -> Path:
+    return library(M4, tmp_path_factory.mktemp("single") / "c", "-DAIRPUCK_SINGLE")
+
+
+def test_single_precision_decides_alike(single):
+    c = CompiledController(single, M4)
     found = compare(TrackingController(M4, HOME, compiled=False), c, 300)
     assert found.same > 0.99
     assert np.quantile([step.command for step in found.steps], 0.99) < 2e-5
+
+
+@pytest.mark.parametrize("fault", ["poses at nearly the same time", "an absurd command"])
+def test_single_precision_recovers_from(fault, single):
+    c = CompiledController(single, M4)
+    c.reference = HOME
+    for k in range(400):
+        c.pose(0.01 * k, np.zeros(3))
+        if k == 50 and fault == "poses at nearly the same time":
+            c.pose(0.01 * k + 1e-11, np.zeros(3))
+        result = c.step(0.01 * k)
+        absurd = k == 50 and fault == "an absurd command"
+        c.sent(0.01 * k, np.full(6, 1e30) if absurd else result.command)
+    assert result.flies
+    assert np.abs(result.estimate.state).max() < 1e-3
 
 
 def test_the_licences_are_with_the_sources(exported):

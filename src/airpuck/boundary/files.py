@@ -47,6 +47,7 @@ _KINDS = {
     "setpoints": "a list of set points",
     "pose": "a mapping of recordings",
     "radio": "settings of the twin",
+    "motion_capture": "settings of the twin",
     "estimation": "a controller tuning",
 }
 

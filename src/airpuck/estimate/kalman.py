@@ -217,7 +217,8 @@ class KalmanFilter:
         *belief, speed, innovation = self._use_pose(*belief, speed, *pieces, pose)
         if gate is not None:
             x, y, yaw = innovation.tolist()
-            if abs(x) > gate[0] or abs(y) > gate[1] or abs(yaw) > gate[2]:
+            # Not a number is too far, too: the estimate is lost, and a restart recovers it.
+            if not (abs(x) <= gate[0] and abs(y) <= gate[1] and abs(yaw) <= gate[2]):
                 return False
         if self._remembers:
             # It passed the check once: a late measurement must not change that.

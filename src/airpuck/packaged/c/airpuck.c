@@ -8,6 +8,8 @@
 #define N AIRPUCK_MOTORS
 /* A time before all others. */
 #define NEVER (-(double)INFINITY)
+/* In a shorter time covariances do not change; its powers would underflow in a float [s]. */
+#define INSTANT AIRPUCK_R(1e-9)
 
 /* The queue of commands: each is in force until the next begins to act. */
 
@@ -121,7 +123,7 @@ static void spread(airpuck_real d[3], airpuck_real l[3], airpuck_real h, airpuck
                    airpuck_real disturbance)
 {
     airpuck_real h2 = h * h, h3 = h2 * h;
-    if (!(h > 0))
+    if (!(h > INSTANT))
         return;
     /* Independent causes, one column each: the errors so far, the unexplained acceleration, and
      * what drives the disturbance, the last two as factors of their covariances over the time. */
@@ -185,11 +187,12 @@ static void difference(const airpuck_real pose[3], const airpuck_real other[3],
     result[2] = airpuck_wrapped(airpuck_wrapped(pose[2]) - other[2]);
 }
 
-/* Whether a difference of poses is too large for consecutive frames. */
+/* Whether a difference of poses is too large for consecutive frames, or not a number: then the
+ * estimate is lost, and poses that agree with each other restart it. */
 static int is_far(const airpuck_real apart[3])
 {
     for (int axis = 0; axis < 3; axis++)
-        if (AIRPUCK_F(fabs)(apart[axis]) > airpuck_tuned.jump[axis])
+        if (!(AIRPUCK_F(fabs)(apart[axis]) <= airpuck_tuned.jump[axis]))
             return 1;
     return 0;
 }

@@ -21,6 +21,10 @@
 #include "airpuck_model.h"
 #include "airpuck_qp.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Number of targets for a control step: one for the allocation, and one for each predicted step. */
 #define AIRPUCK_TARGETS (1 + AIRPUCK_STEPS)
 /* Variables of the thrust allocation: thrusts and two slacks. */
@@ -186,5 +190,9 @@ void airpuck_set_point(airpuck_target targets[AIRPUCK_TARGETS], airpuck_real x, 
 
 /* Return the name of a status. */
 const char *airpuck_status_name(airpuck_status status);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -12,6 +12,10 @@
 #include "airpuck_real.h"
 #include "airpuck_sizes.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define AIRPUCK_STATES (6 + AIRPUCK_MOTORS)
 /* A motor with a shorter lag follows its command at once [s]. */
 #define AIRPUCK_NO_LAG AIRPUCK_R(1e-12)
@@ -78,5 +82,9 @@ void airpuck_model_step(const airpuck_model *model, airpuck_real state[AIRPUCK_S
  * given durations [s]; one step for each command. */
 void airpuck_predict(const airpuck_model *model, airpuck_real state[AIRPUCK_STATES],
                      const airpuck_real *commands, const airpuck_real *durations, int count);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
