@@ -52,6 +52,9 @@ def main() -> None:
     print(f"{options.steps} steps, {options.model}, {options.regulator}, seed {options.seed}")
     worst = found.worst("state")
     print(f"equal statuses: {found.same:.4%}; largest difference of a state {worst:.2g}")
+    for k, (one, done) in enumerate(zip(found.steps, iterations, strict=True)):
+        if one.statuses[0] != one.statuses[1]:
+            print(f"step {k}: {' in Python, '.join(one.statuses)} in C, {done} iterations")
     print(f"iterations: mean {np.mean(iterations):.1f}, most {max(iterations)}")
     print(
         f"{'status':>16} {'steps':>7} {'p50':>8} {'p99.9':>8} {'max':>8}   difference of commands"

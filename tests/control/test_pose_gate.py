@@ -116,3 +116,25 @@ def test_the_longest_pause_follows_camera_and_craft():
     # Without a stated rate, that of the model's recordings counts.
     assert longest_pause(replace(slow, fit={"sample_period_s": 0.125}), tuning) == pauses[1]
     assert longest_pause(slow, tuning.with_camera(8.0).with_camera(240.0)) == pauses[1]
+
+
+class Spinning(KalmanFilter):
+    """An estimate so fast that every third frame of a craft at rest agrees with it."""
+
+    def __init__(self):
+        self.poses, self.restarts = 0, []
+
+    def pose(self, time, pose, gate):
+        self.poses += 1
+        return self.poses % 3 == 0
+
+    def restart(self, time, pose):
+        self.restarts.append(time)
+
+
+def test_poses_that_agree_restart_an_estimate_with_which_some_agree_by_chance():
+    gate, estimate = PoseGate(), Spinning()
+    for k in range(25):
+        gate.offer(estimate, k * FRAME, np.zeros(3))
+    assert len(estimate.restarts) == 2
+    assert 0.0499 < estimate.restarts[1] < 0.05 + 2 * FRAME

@@ -12,7 +12,6 @@ from airpuck.control.allocation import all_finite
 from airpuck.control.tuning import Tuning
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
 
 #: No controller needs poses more often than this [s]: twelve frames of the paper's motion capture.
 SHORTEST_PAUSE = 0.05
@@ -62,10 +61,11 @@ class PoseGate:
         #: Stamps of the last pose received and of the last pose used.
         self.received: float | None = None
         self._used = -math.inf
-        #: Last of the poses that agree only with each other, and the stamp of the first of them.
-        self._doubtful: Float[np.ndarray, " 3"] | None = None
-        self._doubtful_since = 0.0
-        self._bad = False
+        #: The last pose, and since when poses agree with each other.
+        self._pose: Float[np.ndarray, " 3"] | None = None
+        self._agreeing_since = 0.0
+        #: Whether the last pose was not finite, or too far from its prediction.
+        self._bad = self._doubtful = False
 
     def offer(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> bool:
         """Use a pose if it is plausible; return whether it is finite and new.
@@ -77,18 +77,20 @@ class PoseGate:
         if self._bad or (last is not None and last - self.pause <= time <= last):
             return False
         self.received = time
+        if self._pose is None or _far(pose, self._pose):
+            self._agreeing_since = time
+        self._pose = pose
         if last is None or abs(time - last) > self.pause:
             # The last pose is too old to predict from, or its stamp lies in the future: restart.
             self._restart(estimator, time, pose)
         # After a pause of doubtful poses, the prediction deserves no more trust than the poses.
         elif time - self._used <= self.pause and estimator.pose(time, pose, gate=JUMP):
             self._used = time
-            self._doubtful = None
+            self._doubtful = False
         else:
-            if self._doubtful is None or _far(pose, self._doubtful):
-                self._doubtful_since = time
-            self._doubtful = pose
-            if time - self._doubtful_since >= self.pause - ROUNDING:
+            # An estimate that spins too fast agrees with every few poses: the others count, too.
+            self._doubtful = True
+            if time - self._agreeing_since >= self.pause - ROUNDING:
                 self._restart(estimator, time, pose)
         return True
 
@@ -102,7 +104,7 @@ class PoseGate:
             return "no pose"
         if not self.is_recent(time):
             return "stale pose"
-        return None if self._doubtful is None else "jumping pose"
+        return "jumping pose" if self._doubtful else None
 
     def is_recent(self, time: float) -> bool:
         """Return whether a time is close to that of the last pose."""
@@ -110,11 +112,13 @@ class PoseGate:
 
     def _restart(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Restart the estimator at a pose, keeping the known commands."""
-        self._doubtful = None
-        self._used = time
+        self._doubtful = False
+        self._used = self._agreeing_since = time
         estimator.restart(time, pose)
 
 
 def _far(pose: Float[np.ndarray, " 3"], other: Float[np.ndarray, " 3"]) -> bool:
     """Return whether two poses are too far apart for consecutive frames."""
-    return bool((np.abs(pose_difference(np, pose, other)) > JUMP).any())
+    x, y, yaw = (pose - other).tolist()
+    yaw = math.remainder(yaw, math.tau)
+    return abs(x) > JUMP[0] or abs(y) > JUMP[1] or abs(yaw) > JUMP[2]

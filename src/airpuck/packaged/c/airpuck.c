@@ -258,9 +258,14 @@ void airpuck_depart(airpuck *craft, double time)
 void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
 {
     double last = craft->received;
+    airpuck_real apart[3];
     craft->bad = !(isfinite(stamp) && airpuck_finite(pose, 3));
     if (craft->bad || (last - airpuck_tuned.longest_pause <= stamp && stamp <= last))
         return;
+    difference(pose, craft->pose, apart);
+    if (!(craft->received > NEVER) || is_far(apart))
+        craft->agreeing_since = stamp;
+    memcpy(craft->pose, pose, sizeof craft->pose);
     craft->received = stamp;
     craft->clock = stamp > craft->clock ? stamp : craft->clock;
     if (!(fabs(stamp - last) <= airpuck_tuned.longest_pause)) {
@@ -270,17 +275,13 @@ void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
         craft->doubtful = 0;
         return;
     } else {
-        airpuck_real apart[3];
-        difference(pose, craft->doubtful_pose, apart);
-        if (!craft->doubtful || is_far(apart))
-            craft->doubtful_since = stamp;
+        /* An estimate that spins too fast agrees with every few poses: the others count, too. */
         craft->doubtful = 1;
-        memcpy(craft->doubtful_pose, pose, sizeof craft->doubtful_pose);
-        if (!(stamp - craft->doubtful_since >= airpuck_tuned.believed_after))
+        if (!(stamp - craft->agreeing_since >= airpuck_tuned.believed_after))
             return;
     }
     craft->doubtful = 0;
-    craft->used = stamp;
+    craft->used = craft->agreeing_since = stamp;
     restart(craft, stamp, pose);
 }
 

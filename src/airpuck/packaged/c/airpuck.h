@@ -133,9 +133,9 @@ typedef struct {
     double received; /* Stamps of the last pose received, and of the last one used. */
     double used;
     int bad;      /* Whether the last pose was not finite. */
-    int doubtful; /* Whether poses agree only with each other, since when, and the last one. */
-    double doubtful_since;
-    airpuck_real doubtful_pose[3];
+    int doubtful; /* Whether the last pose was too far from its prediction. */
+    double agreeing_since; /* Since when poses agree with each other. */
+    airpuck_real pose[3];  /* The last pose. */
 
     double filtered;  /* Time of the belief; -INFINITY: none yet. */
     double motors_at; /* Time of the motor speeds, if later; otherwise -INFINITY. */
