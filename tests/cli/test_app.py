@@ -256,8 +256,10 @@ def test_bad_input_ends_a_process_alike(tmp_path):
 
 @pytest.mark.slow
 def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
-    # A report needs flights of 90 s, a test does not.
+    # A report needs five models and flights of 90 s, a test does not.
     monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))
+    monkeypatch.setattr("airpuck.report.demo._MODELS", ("M0", "M3"))
+    monkeypatch.setattr("airpuck.report.demo._PILOTS", ("M3",))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

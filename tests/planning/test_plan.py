@@ -86,7 +86,7 @@ def test_a_double_integrator_takes_two_root_d_over_a():
 
 @pytest.mark.slow
 def test_without_lag_one_axis_switches_once_from_full_ahead_to_full_back():
-    found = airpuck.plan(one_axis(), at_rest(0), at_rest(1.0))
+    found = airpuck.plan(one_axis(), at_rest(0), at_rest(1.0), intervals=20)
     forward, back = found.commands.T[:2]
     half = len(forward) // 2
     np.testing.assert_allclose(forward, np.arange(len(forward)) < half, atol=1e-3)
@@ -96,7 +96,7 @@ def test_without_lag_one_axis_switches_once_from_full_ahead_to_full_back():
 @pytest.mark.slow
 def test_lag_costs_time_and_bound_alike():
     lag = 0.05
-    slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5))
+    slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5), intervals=20)
     quick = 2 * np.sqrt(0.5 / ACCELERATION)
     assert quick < slow.lower_bound <= slow.duration < quick + 2 * lag
 
@@ -108,7 +108,7 @@ def test_lag_costs_time_and_bound_alike():
     [((0.5, 0, 0), 0.798), ((-0.5, 0, 2 * np.pi / 3), None)],
 )
 def test_the_papers_craft(metre, goal, seconds):
-    found = metre if seconds else airpuck.plan(M3, (-0.5, 0, 0), goal)
+    found = metre if seconds else airpuck.plan(M3, (-0.5, 0, 0), goal, intervals=20)
     if seconds:
         assert found.duration == pytest.approx(seconds, rel=5e-3)
     assert 0.9 * found.duration < found.lower_bound <= found.duration
@@ -207,7 +207,8 @@ def test_way_points_rails_discs_and_limits_are_kept():
 
 @pytest.mark.slow
 def test_an_open_goal_is_reached_sooner(metre):
-    free = airpuck.plan(M3, (-0.5, 0, 0), Goal(0.5, 0.0, None, None), table=Table())
+    goal = Goal(0.5, 0.0, None, None)
+    free = airpuck.plan(M3, (-0.5, 0, 0), goal, table=Table(), intervals=20)
     assert 0.9 * free.duration < free.lower_bound < free.duration < 0.8 * metre.duration
 
 

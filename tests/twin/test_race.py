@@ -7,17 +7,22 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
+from airpuck.twin import race as module
 
 # All courses are on the table; flying each takes minutes.
 from airpuck.twin.race import COURSES, course_plan, race
 from airpuck.twin.settings import default_twin_settings
 
 M3 = airpuck.read_model("paper:M3")
+COARSE = {"intervals": 20}
 
 
 @pytest.fixture(scope="module")
 def planned():
-    return course_plan("straight", M3, default_twin_settings())
+    # A grid half as fine as a user's.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "plan", lambda *what, **how: airpuck.plan(*what, **how | COARSE))
+        return course_plan("straight", M3, default_twin_settings())
 
 
 @pytest.mark.slow

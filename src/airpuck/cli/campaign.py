@@ -31,7 +31,8 @@ def campaign(
     spec: Annotated[Path, Argument(metavar="SPEC", help="A spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
     scheduler: Annotated[
-        str | None, Setting("Address of a Dask scheduler, tcp://HOST:PORT.", metavar="TCP")
+        str | None,
+        Setting("Dask scheduler, whose workers compute instead: tcp://HOST:PORT.", metavar="TCP"),
     ] = None,
     workers: options.Workers = None,
     retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
@@ -39,10 +40,6 @@ def campaign(
     quiet: options.Quiet = False,
 ) -> None:
     """Run many independent flights or fits, skipping those already done."""
-    if scheduler is not None and workers is not None:
-        raise InputError(
-            "a running cluster has its own processes; give one of the two", field="--workers"
-        )
     with show_time_left("items", quiet) as progress:
         found = airpuck.campaign(
             spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress

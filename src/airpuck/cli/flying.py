@@ -198,23 +198,19 @@ def animate(
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     speed: Annotated[float, Setting("Seconds of flight per second.", numbers.SPEED, "X")] = 1.0,
-    fps: Annotated[
-        float | None, Setting("Frames of a GIF per second, by default 25.", numbers.FRAME_RATE, "N")
-    ] = None,
+    fps: Annotated[float, Setting("Frames of a GIF per second.", numbers.FRAME_RATE, "N")] = 25.0,
     twin: options.ReadTwin = None,
 ) -> None:
     """Show a flight from above, as a GIF or an interactive page."""
     from airpuck.report.scene import TABLE
 
-    if fps is not None and output.suffix != ".gif":
-        raise InputError("sets the frame rate of a GIF; a page has none", field="fps")
     written = airpuck.animate(
         airpuck.read_recording(recording, mapping=mapping),
         output,
         vehicle=vehicle,
         span=span or (0.0, 1.0),
         speed=speed,
-        frames_per_second=fps or 25.0,
+        frames_per_second=fps,
         table=twin or TABLE,
     )
     show(written)

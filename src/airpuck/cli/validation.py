@@ -203,10 +203,8 @@ def compare(
     chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
     names = models if alone else models[:-1]
-    if not names or (alone and len(names) != 2):
-        raise InputError("give at least one MODEL and a RECORDING, or two MODELs")
-    if alone and output is not None:
-        raise InputError("needs a RECORDING to evaluate the models on", field="-o")
+    if not names or (alone and (len(names) != 2 or output is not None)):
+        raise InputError("give at least one MODEL and a RECORDING; without -o, two MODELs will do")
     read, called = [airpuck.read_model(name) for name in names], _short_names(names)
     figures, shown = dict[str, Any](), list[Any]()
     if (drift := _drift_of(read, alone)) is not None:
