@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -55,14 +54,10 @@ def evaluate(
     """Measure how well a model predicts a recording."""
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.evaluate import PROTOCOLS, better_from, coasting
-    from airpuck.preprocessing.time_scale import showing_time
     from airpuck.twin.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
-    chosen = PROTOCOLS[protocol].after(horizon)
-    # A slow craft is predicted for longer, to see from when on the model helps.
-    needed = showing_time([trajectory], judged.vehicle)
-    chosen = replace(chosen, prediction_time=max(needed, chosen.prediction_time))
+    chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said, since = verdict(judged, trajectory, found), better_from(found, trajectory)
     page = None

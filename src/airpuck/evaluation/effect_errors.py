@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.data.windows import Windows, make_windows
+from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.statistical_tests import block_regression
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, acceleration
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.time_scale import patience, showing_time
+from airpuck.preprocessing.time_scale import forgetting_time, patience, showing_time
 
 #: Time before and after the present of a window [s]; the latter is longer for a slow craft. Jitter
 #: of the radio biases accelerations by 3 % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
@@ -76,9 +76,10 @@ class EffectErrors:
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     """Estimate the systematic errors of a model; None if the recording is too short."""
-    before = trajectory.steps(_PAST_S, least=2)
-    # The thrust of a slow craft stands out from the noise later.
-    lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle))
+    remembered = forgetting_time(model.vehicle)
+    before = trajectory.steps(max(_PAST_S, remembered), least=2)
+    # The thrust of a slow craft stands out from the noise later, and that of slow motors builds up.
+    lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle), remembered)
     ahead = trajectory.steps(lasting)
     count = len(trajectory.window_starts(before + ahead, ahead))
     block = max(_BLOCK_S, 2 * lasting)
@@ -199,6 +200,8 @@ def _regression(
     if not model.delay_learned and not all(t.delay_known for t in windows.trajectories):
         delay = usual
     delay += moved
+    parts = max(map(integration_parts, windows.trajectories))
+    windows = windows.refined(parts)
     held = windows.delayed(delay, usual)
     samples = held.present + np.arange(held.prediction_length + 1)[:, None]
     measured, durations = held.state[samples], np.diff(held.time[samples], axis=0)
@@ -220,9 +223,9 @@ def _regression(
     added = _twice_integrated(_accelerations(curves, matrix, speed, measured), durations)
     n = _PER_MOTOR * len(curves)
     columns = np.concatenate([added[..., :n], timing, added[..., n:]], axis=3)
-    time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])
-    values = _without_start((measured[..., :3] - driven)[..., None], time)[..., 0]
-    columns = _without_start(columns, time)
+    time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])[::parts]
+    values = _without_start((measured[..., :3] - driven)[::parts, ..., None], time)[..., 0]
+    columns = _without_start(columns[::parts], time)
     return columns.reshape(-1, *columns.shape[2:]), values.reshape(-1, 3)
 
 

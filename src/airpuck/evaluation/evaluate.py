@@ -18,12 +18,13 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
 from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
-from airpuck.data.windows import Windows, make_windows
+from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.estimate.actuation import ActuationEncoder
-from airpuck.estimate.encoder import Encoder, PaperEncoder
+from airpuck.estimate.encoder import Encoder, PaperEncoder, StateEncoder
 from airpuck.evaluation.statistical_tests import BLOCK_S, redrawn_means, rmse_interval
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics, rollout
+from airpuck.preprocessing.time_scale import forgetting_time, showing_time
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
@@ -31,6 +32,8 @@ CHANNELS = ("x_m", "y_m", "yaw_rad")
 #: sample at 240 Hz. Neighbours nearly repeat each other: root mean squares differ by less than 1 %
 #: from a count of all starts, and intervals by less than their own error.
 _STARTS_PER_HORIZON = 12
+#: Past that is long enough for the motors of the paper's craft [s].
+_LONG = 40 / 240
 #: Number of windows predicted at once, which bounds the memory.
 _BATCH = 1024
 
@@ -64,12 +67,26 @@ class Protocol:
         """
         return replace(self, horizon=horizon, prediction_time=max(horizon, self.prediction_time))
 
+    def suited(self, model: Model, trajectory: Trajectory) -> Protocol:
+        """Return the protocol with times that suit a slow craft; others keep it.
+
+        Predictions last until thrust stands out from the noise of poses. Slow motors remember more
+        commands than the window has.
+        """
+        lasting = showing_time([trajectory], model.vehicle)
+        remembered = forgetting_time(model.vehicle)
+        if remembered <= _LONG:
+            return replace(self, prediction_time=max(self.prediction_time, lasting))
+        past = max(self.longest_past or self.encoder_time, remembered)
+        lasting = max(self.prediction_time, lasting, remembered)
+        return replace(self, prediction_time=lasting, longest_past=past)
+
 
 #: The windows, and therefore the predictions, are the same for all horizons.
 PROTOCOLS = {
     "paper": Protocol(),
-    "paper-long": Protocol("paper-long", longest_past=40 / 240),
-    "causal": Protocol("causal", longest_past=40 / 240, causal=True),
+    "paper-long": Protocol("paper-long", longest_past=_LONG),
+    "causal": Protocol("causal", longest_past=_LONG, causal=True),
 }
 #: Their names.
 ProtocolName = Literal["paper", "paper-long", "causal"]
@@ -243,7 +260,8 @@ def evaluate(
     trajectory : Trajectory
         Data that the model was not learned from.
     protocol : Protocol or {"paper", "paper-long", "causal"}, default "paper"
-        By default the paper's: E = 20 and T = 50 samples at 240 Hz, evaluated after 0.2 s.
+        By default the paper's: E = 20 and T = 50 samples at 240 Hz, evaluated after 0.2 s. For a
+        slow craft, the times of a named protocol become longer.
     encoder : Encoder or {"paper", "actuation"}, default "paper"
         Encoder for initial states. The paper's encoder has the indexing that the model was learned
         with.
@@ -268,7 +286,7 @@ def evaluate(
     [trajectory] = as_trajectories(trajectory)
     check_propellers(model.vehicle, trajectory)
     if not isinstance(protocol, Protocol):
-        protocol = chosen(protocol, PROTOCOLS, "protocol")
+        protocol = chosen(protocol, PROTOCOLS, "protocol").suited(model, trajectory)
     if isinstance(encoder, str):
         encoder = chosen(encoder, ENCODERS, "encoder")(model, protocol)
     if protocol.causal and not encoder.causal:
@@ -386,8 +404,14 @@ def _predicted(
 ) -> tuple[Windows, Float[np.ndarray, "T 3 W"]]:
     """Predict from one start in every `stride` samples."""
     before, ahead = _samples(trajectory, protocol)
-    windows = hold_for(model, make_windows(trajectory, before, ahead, stride=stride))
+    windows = make_windows(trajectory, before, ahead, stride=stride)
     past = _past(trajectory, windows, protocol)
+    if isinstance(encoder, StateEncoder):
+        windows = hold_for(model, windows)
+        past = windows.parts * (past - 1) + 1
+    elif model.delay_learned:
+        # Such an encoder compares its model with each pose, of which there are no more.
+        windows = windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
     return windows, prediction_errors(model.dynamics, windows, encoder, past)
 
 
@@ -442,9 +466,10 @@ def delay_for(model: Model, trajectory: Trajectory) -> float:
 
 
 def hold_for(model: Model, windows: Windows) -> Windows:
-    """Hold the commands of windows with a model's delay."""
+    """Hold the commands of windows with a model's delay, in steps as short as a fit's."""
     if not model.delay_learned:
         return windows
+    windows = windows.refined(max(map(integration_parts, windows.trajectories)))
     return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
@@ -470,9 +495,10 @@ def prediction_errors(
     Returns
     -------
     array, shape (T, 3, W)
-        Predicted minus measured x, y [m], γ [rad].
+        Predicted minus measured x, y [m], γ [rad], at the poses.
     """
-    errors = np.empty((windows.prediction_length, 3, len(windows)))
+    poses = slice(windows.parts - 1, None, windows.parts)
+    errors = np.empty((windows.prediction_length // windows.parts, 3, len(windows)))
     if past is None:
         past = np.full(len(windows), windows.encoder_length)
     for length in np.unique(past).tolist():
@@ -483,5 +509,5 @@ def prediction_errors(
             state, now = encoder.begin(dynamics, windows.past(starts, length))
             commands, durations, measured = windows.future(starts)
             predicted = rollout(np, now, state, commands, durations)
-            errors[:, :, part] = predicted[:, :3] - measured[:, :3]
+            errors[:, :, part] = (predicted[:, :3] - measured[:, :3])[poses]
     return errors

@@ -122,7 +122,7 @@ def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.nda
     """Return the weight of each window, per count in the loss."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
     windows = loss.windows_at(parameters)
-    errors = prediction_errors(dynamics, windows, loss.encoder)[windows.parts - 1 :: windows.parts]
+    errors = prediction_errors(dynamics, windows, loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
     return student_weights(np.mean(scaled**2, axis=(0, 1)), loss.multiplicity)
 

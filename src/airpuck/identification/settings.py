@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import numpy as np
-
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
@@ -23,9 +21,6 @@ if TYPE_CHECKING:
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 #: Shortest default times of encoder and prediction [s]: 40 and 50 samples at 240 Hz.
 _ENCODER, _PREDICTION = 40 / 240, 50 / 240
-#: Time constants of the slowest motors that default times last at least: until then, the guess of
-#: their initial speed is forgotten to 0.4 %.
-_FORGOTTEN = 5.5
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
 
@@ -154,11 +149,9 @@ class Loss(Settings):
             With encoder and prediction at least as long as thrust takes to show above the noise of
             poses (`airpuck.preprocessing.time_scale`), and as the slowest motors remember.
         """
-        from airpuck.model.model_file import nominal_model
-        from airpuck.preprocessing.time_scale import showing_time
+        from airpuck.preprocessing.time_scale import forgetting_time, showing_time
 
-        lag = float(np.max(nominal_model(vehicle).dynamics.lag))
-        slow = max(showing_time(trajectories, vehicle), _FORGOTTEN * lag)
+        slow = max(showing_time(trajectories, vehicle), forgetting_time(vehicle))
         return replace(
             self,
             encoder_time=self.encoder_time or max(_ENCODER, slow),

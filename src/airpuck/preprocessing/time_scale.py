@@ -40,6 +40,9 @@ _SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
 #: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
 #: takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
+#: Time constants of the slowest motors after which a guess of their initial speed is forgotten to
+#: 0.4 %.
+_FORGOTTEN = 5.5
 #: Longest pause between poses that are compared, in sample periods.
 _NO_GAP = 1.5
 
@@ -52,6 +55,11 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     push = usual_push(vehicle)
     noise = (pose_noise(one.time, one.state[:, :2], push) for one in trajectories)
     return min(math.sqrt(2 * _CLEAR * max(noise) / push), _LONGEST) if push > 0 else 0.0
+
+
+def forgetting_time(vehicle: Vehicle) -> float:
+    """Return the time after which the slowest motors have forgotten an initial speed [s]."""
+    return _FORGOTTEN * float(np.max(nominal_model(vehicle).dynamics.lag))
 
 
 def smoothing_time(
