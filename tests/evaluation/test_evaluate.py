@@ -7,7 +7,8 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Span
-from airpuck.evaluation.evaluate import Protocol, coasting, compare, evaluate
+from airpuck.evaluation.coasting import coasting
+from airpuck.evaluation.evaluate import Protocol, compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 
 from ..apparatus.models import four_propellers, model_of

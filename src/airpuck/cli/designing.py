@@ -69,7 +69,7 @@ def design(
             margin=margin,
             seed=seed,
             settings=twin,
-            tuning=read_controls(tuning),
+            tuning=read_controls(tuning, None, craft),
             progress=progress,
         )
     figures, checked = found.to_json(), None

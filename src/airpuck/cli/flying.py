@@ -85,7 +85,7 @@ def excite(
         experiment,
         seed,
         settings=twin,
-        tuning=inputs.read_controls(tuning),
+        tuning=inputs.read_controls(tuning, None, truth),
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     figures = {
@@ -140,7 +140,8 @@ def track(
     from airpuck.flight.pilot import pilot_named
     from airpuck.twin.tracking_study import DWELL
 
-    controls = inputs.read_controls(tuning)
+    plant = airpuck.read_model(truth)
+    controls = inputs.read_controls(tuning, None, plant)
     if estimator is not None:
         controls = controls.with_estimator(estimator)
     if flights and (setpoints is not None or dwell is not None):
@@ -156,7 +157,7 @@ def track(
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
         raise InputError("give one for each --model, in the same order", field="flights")
-    beliefs, plant = [inputs.read_belief(name) for name in names], airpuck.read_model(truth)
+    beliefs = [inputs.read_belief(name) for name in names]
     computed = [law for law in laws if pilot_named(law) is None]
     for law in computed:
         inputs.check_law(tuning, controls.with_regulator(law), *beliefs)

@@ -115,14 +115,15 @@ def model_or_nominal(
 
 
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
-    """Read a tuning file, by default the packaged one, and check that it gives a regulator.
+    """Read a tuning file, by default the one for the craft, and check that it gives a regulator.
 
     `kind` overrides the tuning's law; it must suit the models.
     """
     from airpuck.control.lqr import regulator
-    from airpuck.control.tuning import default_tuning
+    from airpuck.control.tuning import default_tuning, tuning_for
 
-    tuning = default_tuning() if path is None else airpuck.read_tuning(path)
+    usual = tuning_for(models[0].vehicle) if models else default_tuning()
+    tuning = usual if path is None else airpuck.read_tuning(path)
     tuning = tuning if kind is None else tuning.with_regulator(kind)
     if path is not None:
         with about(path):

@@ -185,7 +185,7 @@ def error_table(
     names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
 ) -> Table:
     """Lay out the errors of several models, and of a craft that coasts."""
-    from airpuck.evaluation.evaluate import coasting
+    from airpuck.evaluation.coasting import coasting
 
     first = evaluations[0]
     baseline = coasting(first, trajectory)

@@ -53,7 +53,8 @@ def evaluate(
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.data.left_out import left_out_json, left_out_words
-    from airpuck.evaluation.evaluate import PROTOCOLS, better_from, coasting
+    from airpuck.evaluation.coasting import better_from, coasting
+    from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.twin.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)

@@ -19,10 +19,15 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.control.laws import check_law
+from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.axis_filter import Noise
+from airpuck.preprocessing.time_scale import patience
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
+#: How much longer a craft must take for the same motion to need a slower controller: it has less
+#: than 0.9 m/s² by one actuator.
+_SLOW = 2.0
 #: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
 MOST_STEPS, _MOST_DISCS = 80, 8
 
@@ -275,6 +280,32 @@ class Tuning(Section):
             update={"regulator": self.regulator.model_copy(update={"kind": kind})}
         )
 
+    def slowed(self, times: float) -> Tuning:
+        """Return the tuning for a craft that takes `times` as long for the same motion.
+
+        Rates are then lower by this factor, accelerations by its square. The law's and the filter's
+        poles slow down with them.
+
+        Parameters
+        ----------
+        times : float
+            Ratio of the durations, such as `airpuck.preprocessing.time_scale.patience`.
+
+        Returns
+        -------
+        Tuning
+            A copy. The periods and the predictive law's horizon remain.
+        """
+        powers = {"speed": 2, "spin": 2, "acceleration": 4, "angular_acceleration": 4}
+        powers |= {"acceleration_density": -1.5, "angular_acceleration_density": -1.5}
+        powers |= {"disturbance_density": -2.5, "angular_disturbance_density": -2.5}
+        changed = {}
+        for name in ("weights", "estimation"):
+            section = getattr(self, name)
+            scaled = {key: v * times ** powers[key] for key, v in section if key in powers}
+            changed[name] = section.model_copy(update=scaled)
+        return self.model_copy(update=changed)
+
     def with_camera(self, rate_hz: float) -> Tuning:
         """Return the tuning for a camera, unless it states its own rate.
 
@@ -335,3 +366,9 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
 def default_tuning() -> Tuning:
     """Return the packaged tuning, close to the one that flew the paper's experiment."""
     return read_packaged("tuning.toml", Tuning)
+
+
+def tuning_for(vehicle: Vehicle) -> Tuning:
+    """Return the packaged tuning, slowed down for a craft that is much slower than the paper's."""
+    slower = patience(vehicle)
+    return default_tuning().slowed(slower) if slower > _SLOW else default_tuning()

@@ -13,7 +13,8 @@ import numpy as np
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Span, Trajectory
-from airpuck.evaluation.evaluate import Evaluation, coasting
+from airpuck.evaluation.coasting import coasting
+from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.fit_measures import FitMeasures, fit_text
 from airpuck.model.model_file import Model
 from airpuck.report.craft import craft_section

@@ -15,7 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.authority import control_authority
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import default_tuning
+from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.evaluation.presentation import largest_acceleration
@@ -39,7 +39,7 @@ _MOST_FRAMES = 240.0
 
 def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
     """Return whether the controller designed from a model brings a craft to rest at the goal."""
-    tuning = default_tuning()
+    tuning = tuning_for(model.vehicle)
     # NumPy, since compiling a program for one flight takes longer than it saves.
     pilot = TrackingController(model, SetPoint(*GOAL), tuning, table=settings.table, compiled=False)
     plant = build_plant(craft, settings, compiled=False)

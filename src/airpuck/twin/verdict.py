@@ -16,8 +16,9 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
 from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.coasting import coasting
 from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
-from airpuck.evaluation.evaluate import Evaluation, coasting
+from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect

@@ -7,7 +7,8 @@ import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import better_from, evaluate
+from airpuck.evaluation.coasting import better_from
+from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import read_model
 
 PERIOD, PUSH = 1 / 240, 0.5
