@@ -5,6 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.evaluation.coasting import better_from
+from airpuck.evaluation.effect_errors import effect_errors
+from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import nominal_model
@@ -16,8 +19,8 @@ from ..apparatus.two_way_craft import triangle
 STEP, DELAY = 0.02, 0.04
 
 
-@pytest.mark.slow
-def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
+def flown(tmp_path):
+    """Return the craft, its true model, and a trajectory of 60 s seen at 8 Hz."""
     fast = 'commanded = "torque"\ntime_constant_s = 0.01'
     vehicle = triangle(tmp_path, fast, **{"constant_s = 0.06": "constant_s = 0.15"})
     random, nominal = np.random.default_rng(1), nominal_model(vehicle)
@@ -35,7 +38,28 @@ def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
     pose = moved[seen, :3] + random.normal(0, [1e-4, 1e-4, 5e-4], (len(time[seen]), 3))
     sent = STEP * held * np.arange(count // held) - DELAY
     recording = Recording.from_arrays(time[seen], pose, sent, command, propellers=vehicle.columns)
-    model = identify(preprocess(recording, vehicle), preparation=Preparation(faults="keep")).model
+    return vehicle, truth, preprocess(recording, vehicle)
+
+
+def test_timing_and_predictions_are_judged_between_the_poses_of_a_slow_camera(tmp_path):
+    vehicle, truth, trajectory = flown(tmp_path)
+    parameters = replace(truth, transport_delay=DELAY)
+    free = parameters.mask(frozenset({"transport_delay"}))
+    model = replace(nominal_model(vehicle), parameters=parameters, free=free)
+    errors = effect_errors(model, trajectory)
+    assert errors is not None
+    assert errors.later_error < 0.006
+    assert abs(errors.later) < 4 * errors.later_error
+    assert (errors.push_error < 0.1).all()
+    since = better_from(evaluate(model, trajectory), trajectory)
+    assert since.longest > 0.8  # 5.5 time constants of the propellers
+    assert since.since is not None
+
+
+@pytest.mark.slow
+def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
+    vehicle, truth, trajectory = flown(tmp_path)
+    model = identify(trajectory, preparation=Preparation(faults="keep")).model
     known = model.uncertainty
     assert known is not None
     full = model.parameters.thrust.sum(axis=1) / truth.thrust.sum(axis=1) - 1
