@@ -58,7 +58,7 @@ def test_timing_and_predictions_are_judged_between_the_poses_of_a_slow_camera(tm
 
 @pytest.mark.slow
 def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
-    vehicle, truth, trajectory = flown(tmp_path)
+    _, truth, trajectory = flown(tmp_path)
     model = identify(trajectory, preparation=Preparation(faults="keep")).model
     known = model.uncertainty
     assert known is not None
