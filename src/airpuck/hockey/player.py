@@ -230,15 +230,15 @@ class Player(Pilot):
 
     def _see_puck(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Update the puck with a pose, unless it is off the table."""
-        table = self.equipment.table
-        if (np.abs(pose[:2]) > np.array([table.length_m, table.width_m]) / 2 + _BEYOND).any():
+        table, (x, y) = self.equipment.table, pose[:2].tolist()
+        if abs(x) > table.length_m / 2 + _BEYOND or abs(y) > table.width_m / 2 + _BEYOND:
             return
-        if self._last_puck is not None and np.array_equal(pose, self._last_puck):
+        if self._last_puck is not None and pose.tolist() == self._last_puck.tolist():
             self._same += 1
         else:
             belief = self.filter.belief
             self._same = 0
-            self._before_same = 0.0 if belief is None else float(np.hypot(*belief.mean[3:5]))
+            self._before_same = 0.0 if belief is None else math.hypot(*belief.mean[3:5].tolist())
         self._last_puck = pose
         hits = len(self.filter.events)
         self.filter.pose(stamp, pose)
@@ -378,5 +378,5 @@ def _queue(
 ) -> None:
     """Store a pose until it becomes visible."""
     pose = np.array(pose, dtype=float)
-    if pose.shape == (3,) and math.isfinite(time) and np.isfinite(pose).all():
+    if pose.shape == (3,) and all(map(math.isfinite, (time, *pose.tolist()))):
         poses.append((time, pose))

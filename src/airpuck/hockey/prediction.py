@@ -21,6 +21,8 @@ _ASSUMED = {"drag_1_s": 0.05, "spin_drag_1_s": 0.1, "rail.restitution": 0.07, "r
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
 #: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
 _BEYOND = 1e-8
+#: A smaller drag has no effect; with none, the distance would be 0 / 0 [1/s].
+_NO_DRAG = 1e-12
 #: Times at which a path is drawn, in addition to its bounces [s].
 _DRAWN = np.arange(0.0, 1.2, 0.02)
 
@@ -191,13 +193,13 @@ def _coasting(
     puck: Puck, state: PuckState, durations: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T 6"]:
     """Return the states of a puck that coasts: `coast` at many times."""
-    rates = np.array([puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s])
-    sigma = np.where(
-        rates > 0, -np.expm1(-rates * durations[:, None]) / np.where(rates > 0, rates, 1.0), 0.0
-    )
-    sigma = np.where(rates > 0, sigma, durations[:, None])
-    start = np.array(state)
-    return np.hstack([start[:3] + start[3:] * sigma, start[3:] * (1 - rates * sigma)])
+    drag, spin_drag = max(puck.drag_1_s, _NO_DRAG), max(puck.spin_drag_1_s, _NO_DRAG)
+    rates = np.array([drag, drag, spin_drag])
+    sigma = np.expm1(durations[:, None] * -rates) / -rates
+    start, found = np.array(state), np.empty((len(durations), 6))
+    found[:, :3] = start[:3] + start[3:] * sigma
+    found[:, 3:] = start[3:] * (1 - rates * sigma)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,10 +290,7 @@ def _crossing(
 
 def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np.ndarray, "T 6 6"]:
     """Return the contribution of white accelerations to the covariance."""
-    noise = np.zeros((len(duration), 6, 6))
-    squares = np.square([density, density, SPIN_DENSITY])
-    for axis, square in enumerate(squares.tolist()):
-        noise[:, axis, axis] = square * duration**3 / 3
-        noise[:, axis, axis + 3] = noise[:, axis + 3, axis] = square * duration**2 / 2
-        noise[:, axis + 3, axis + 3] = square * duration
-    return noise
+    squares = np.diag([density**2, density**2, SPIN_DENSITY**2])
+    cross = duration**2 / 2
+    growth = np.array([[duration**3 / 3, cross], [cross, duration]])
+    return (growth.T[:, :, None, :, None] * squares[:, None]).reshape(-1, 6, 6)

@@ -104,7 +104,7 @@ class PuckFilter:
         self.belief: PuckBelief | None = None
         self.events: list[PuckEvent] = []
         self.outliers = 0
-        self._variance = np.square([noise.position_m, noise.position_m, noise.yaw_rad])
+        self._noise = np.diag(np.square([noise.position_m, noise.position_m, noise.yaw_rad]))
         self._walls = walls_of(equipment)
         # Belief before a pose that did not fit.
         self._before: PuckBelief | None = None
@@ -119,7 +119,7 @@ class PuckFilter:
         pose : array, shape (3,)
             x, y [m], yaw [rad].
         """
-        if not np.isfinite(pose).all() or not math.isfinite(time):
+        if not all(map(math.isfinite, (time, *pose.tolist()))):
             return
         if self.belief is not None and time <= self.belief.time + _SAME:
             return
@@ -129,13 +129,14 @@ class PuckFilter:
         if self._before is not None:
             self._decide(time, pose)
         moved, bounces = self._moved(self.belief, time)
-        if self._distance(moved, pose) > GATE:
+        innovation, gain, distance = self._compared(moved, pose)
+        if distance > GATE:
             # Twice in a row: the first one was a hit.
             self._before = self.belief if self._before is None else None
             self._begin(time, pose, None)
             return
         self.events += [PuckEvent(t.time, t.met) for t in bounces if t.met in ("rail", "post")]
-        last, self.belief = self.belief, self._corrected(moved, pose)
+        last, self.belief = self.belief, self._corrected(moved, innovation, gain)
         if self._learner is not None:
             if bounces:
                 single = bounces[0] if [t.met for t in bounces] == ["rail"] else None
@@ -193,7 +194,7 @@ class PuckFilter:
         """Restart from a pose, with unknown velocity."""
         if self._learner is not None:
             self._learner.touched(time)
-        covariance = np.diag(np.concatenate([self._variance, np.square(_UNKNOWN)]))
+        covariance = np.diag(np.concatenate([self._noise.diagonal(), np.square(_UNKNOWN)]))
         self.belief = PuckBelief(time, np.concatenate([pose, np.zeros(3)]), covariance)
         if kind is not None:
             self._before = None
@@ -205,7 +206,7 @@ class PuckFilter:
         assert before is not None
         assert self.belief is not None
         moved, _ = self._moved(before, time)
-        if self._distance(moved, pose) <= GATE:
+        if self._compared(moved, pose)[2] <= GATE:
             self.outliers += 1
             self.belief = before
             return
@@ -225,37 +226,37 @@ class PuckFilter:
         if time_of(puck.drag_1_s, bounce.sigma) <= duration:
             found = predict_puck(self.model, belief, [time])
             return PuckBelief(time, found.mean[0], found.covariance[0]), found.touches
-        rates = (puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s)
-        sigma = np.array([sigma_of(rate, duration) for rate in rates])
-        step = np.eye(6)
-        step[range(3), range(3, 6)] = sigma
-        step[range(3, 6), range(3, 6)] = 1 - np.array(rates) * sigma
-        speed = float(np.hypot(*belief.mean[3:5]))
+        sigma, turned = (sigma_of(rate, duration) for rate in (puck.drag_1_s, puck.spin_drag_1_s))
+        left, spins = 1 - puck.drag_1_s * sigma, 1 - puck.spin_drag_1_s * turned
+        step = np.diag([1.0, 1.0, 1.0, left, left, spins])
+        step[0, 3] = step[1, 4] = sigma
+        step[2, 5] = turned
+        speed = math.hypot(*belief.mean[3:5].tolist())
         density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
         grown = step @ belief.covariance @ step.T
         grown += process_noise(np.array([duration]), density)[0]
         return PuckBelief(time, step @ belief.mean, grown), ()
 
-    def _innovation(
+    def _compared(
         self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]
-    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3 3"]]:
-        """Return the difference between a pose and the belief, and its covariance."""
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "6 3"], float]:
+        """Return a pose's innovation, its gain, and its squared distance from the belief."""
         innovation = pose - belief.mean[:3]
         innovation[2] = math.remainder(innovation[2], 2 * math.pi)
-        return innovation, belief.covariance[:3, :3] + np.diag(self._variance)
+        inverse = np.linalg.inv(belief.covariance[:3, :3] + self._noise)
+        gain = belief.covariance[:, :3] @ inverse
+        return innovation, gain, float(innovation @ inverse @ innovation)
 
-    def _distance(self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]) -> float:
-        """Return the squared, normalised innovation."""
-        innovation, covariance = self._innovation(belief, pose)
-        return float(innovation @ np.linalg.solve(covariance, innovation))
-
-    def _corrected(self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]) -> PuckBelief:
+    def _corrected(
+        self,
+        belief: PuckBelief,
+        innovation: Float[np.ndarray, " 3"],
+        gain: Float[np.ndarray, "6 3"],
+    ) -> PuckBelief:
         """Update the belief with a measured pose."""
-        innovation, covariance = self._innovation(belief, pose)
-        gain = np.linalg.solve(covariance, belief.covariance[:3]).T
         # Joseph's form stays positive definite after a hit, when variances differ by 1e10.
         left = np.eye(6)
         left[:, :3] -= gain
-        corrected = left @ belief.covariance @ left.T + (gain * self._variance) @ gain.T
+        corrected = left @ belief.covariance @ left.T + gain @ self._noise @ gain.T
         mean = belief.mean + gain @ innovation
         return PuckBelief(belief.time, mean, corrected)

@@ -43,11 +43,12 @@ class MotorUnit:
         )
         #: When each motor may follow its command; infinite while it idles.
         self._released = np.full(len(names), np.inf)
+        self._full = np.ones(len(names))
 
     def next_change(self, now: float) -> float:
         """Return when a motor next fails or recovers."""
-        times = [t for t in (*self._edges, *self._released.tolist()) if now < t < math.inf]
-        return min(times, default=math.inf)
+        released = self._released.tolist() if self._settings.starting_delay_s > 0 else ()
+        return min((t for t in (*self._edges, *released) if now < t < math.inf), default=math.inf)
 
     def follow(self, now: float, command: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         """Return the commands that the motors follow now."""
@@ -69,7 +70,7 @@ class MotorUnit:
 
     def share(self, now: float) -> Float[np.ndarray, " n"]:
         """Return the fraction of its thrust that each motor gives now."""
-        share = np.ones(len(self._released))
+        share = self._full.copy() if self._weak else self._full
         for motor, weakness in self._weak:
             if weakness.start_s <= now < weakness.stop_s:
                 share[motor] *= weakness.share
@@ -123,6 +124,7 @@ class Craft:
         self.contacts: list[tuple[float, float]] = []
         self._logs = logs
         self._sag = settings.effects.battery_sag_1_s
+        self._center_of_mass = tuple(map(float, plant.dynamics.center_of_mass))
         # State at the beginning of the current step, and at its end without a puck.
         self._step: tuple[float, float, Any, Any] = (0.0, 0.0, None, None)
         self._after, self._met = self.state, False
@@ -183,6 +185,12 @@ class Craft:
         """Return it as a disc that others meet now."""
         return self._disc(self.state, 1.0)
 
+    @property
+    def place(self) -> tuple[float, float]:
+        """The position of its centre [m]."""
+        x, y = self.state[:2].tolist()
+        return x, y
+
     def take(self, disc: Moving) -> None:
         """Take the position and motion after a contact with another disc."""
         moved = [disc.x, disc.y, self.state[2], disc.vx, disc.vy, disc.spin]
@@ -191,7 +199,7 @@ class Craft:
     def _flown(self, duration: float) -> tuple[Any, bool]:
         """Return where the craft gets to without a puck, and whether it meets a rail."""
         _, _, drive, left = self._step
-        state, met = self.plant.advance(self.state, drive, duration, left)
+        state, met = self.plant.advance(self.state, drive, np.float64(duration), left)
         return state, bool(met)
 
     def _disc(self, after: Float[np.ndarray, " s"], duration: float) -> Moving:
@@ -199,7 +207,7 @@ class Craft:
         x, y, yaw, vx, vy, spin = self.state[:6].tolist()
         to_x, to_y, _, to_vx, to_vy, to_spin = after[:6].tolist()
         dynamics, disc = self.plant.dynamics, self.plant.disc
-        rx, ry = map(float, dynamics.center_of_mass)
+        rx, ry = self._center_of_mass
         if dynamics.frame == "body":
             cos, sin = math.cos(yaw), math.sin(yaw)
             rx, ry = cos * rx - sin * ry, sin * rx + cos * ry

@@ -78,6 +78,11 @@ class HandMallet:
         """Return its pose; it does not turn."""
         return np.array([self.x, self.y, 0.0])
 
+    @property
+    def place(self) -> tuple[float, float]:
+        """The position of its centre [m]."""
+        return self.x, self.y
+
     def disc(self) -> Moving:
         """Return it as a disc that others meet now."""
         return Moving(self.x, self.y, self.vx, self.vy, radius=self.radius)
@@ -221,6 +226,8 @@ class World:
     def _part(self) -> None:
         """Separate discs that overlap; a craft bounces off the other as off a rail."""
         for first, second in itertools.combinations(self.bodies, 2):
+            if math.dist(first.place, second.place) > first.radius + second.radius:
+                continue
             one, other = first.disc(), second.disc()
             dx, dy = one.x - other.x, one.y - other.y
             distance = math.hypot(dx, dy)

@@ -43,6 +43,9 @@ class Sensor:
     def __post_init__(self) -> None:
         """Begin without any samples."""
         self._count = self._delivered = 0
+        #: Time of the next sample [s].
+        self.due = 0.0
+        self._deviation = np.array(self.noise)
         self._last_arrival = -math.inf
         self._logged: list[tuple[float, float, Float[np.ndarray, " k"]]] = []
 
@@ -52,19 +55,15 @@ class Sensor:
         waits = self._delivered < len(self._logged)
         return self._logged[self._delivered][1] if waits else math.inf
 
-    @property
-    def due(self) -> float:
-        """Time of the next sample [s]."""
-        return self._count / self.rate
-
     def measure(self, truth: Float[np.ndarray, " k"]) -> None:
         """Take the due sample; a truth of NaN gives none."""
         time = self.due
         self._count += 1
+        self.due = self._count / self.rate
         # All numbers are always drawn, so that one setting does not change the draws of another.
-        values = truth + np.multiply(self.noise, self.rng.standard_normal(len(self.noise)))
+        values = truth + self._deviation * self.rng.standard_normal(len(self._deviation))
         late, luck = self.rng.exponential(self.latency[1]), self.rng.random()
-        unseen = luck < self.dropped or np.isnan(truth).any()
+        unseen = luck < self.dropped or any(map(math.isnan, values.tolist()))
         if unseen or any(start <= time < stop for start, stop in self.gaps):
             return
         if self.kind in POSES:
