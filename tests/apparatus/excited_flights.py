@@ -24,8 +24,14 @@ from airpuck.twin.twin import Twin
 
 from .once import once
 
-#: The craft: the published M3, its centre of mass fixed to the body.
-TRUTH = replace(published_model("M3"), frame="body", indexing="start")
+PUBLISHED = published_model("M3")
+#: The craft: the published M3 with a centre of mass away from the origin, fixed to the body.
+TRUTH = replace(
+    PUBLISHED,
+    frame="body",
+    indexing="start",
+    parameters=replace(PUBLISHED.parameters, center_of_mass=np.array([1.5e-3, -1e-3])),
+)
 
 
 @dataclass(frozen=True, eq=False)

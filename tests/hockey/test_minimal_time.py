@@ -125,8 +125,8 @@ def test_times_of_another_craft_miss_its_plans_by_what_they_say(monkeypatch, tmp
     # Fewer plans than for a player, from fewer starts.
     starts = ((0.0, 0.0), (1.8, 0.0), (-1.8, 0.0))
     monkeypatch.setattr("airpuck.planning.search._FREE", starts)
-    monkeypatch.setattr("airpuck.hockey.minimal_time._FITTED", 5)
-    monkeypatch.setattr("airpuck.hockey.minimal_time._CHECKED", 4)
+    monkeypatch.setattr("airpuck.hockey.minimal_time._FITTED", 3)
+    monkeypatch.setattr("airpuck.hockey.minimal_time._CHECKED", 3)
     model, told = weak(0.4), []
     found = minimal_times_of(model, lambda done, of: told.append((done, of)))
     assert told[-1][0] == told[-1][1]

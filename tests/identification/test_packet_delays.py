@@ -68,7 +68,7 @@ def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
 
 
 def test_without_jitter_there_is_none():
-    found = identify(flown(0.0, 20.0, seed=1).trajectory)
+    found = identify(flown(0.0, 12.0, seed=1).trajectory)
     assert found.model.delay_jitter.standard_deviation_s < 0.7e-3
 
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,23 +12,15 @@ from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.track import Track
-from airpuck.identification.fit import identify
 from airpuck.model.model_file import nominal_model, published_model
-from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite, track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
 
+from ..apparatus.excited_flights import TRUTH, fit_of_flown, flown
 from ..apparatus.recovery import assert_recovered
 
-PUBLISHED = published_model("M3")
-TRUTH = replace(
-    PUBLISHED,
-    frame="body",
-    indexing="start",
-    parameters=replace(PUBLISHED.parameters, center_of_mass=np.array([1.5e-3, -1e-3])),
-)
 M0, M4 = published_model("M0"), published_model("M4")
 SETTINGS = default_twin_settings()
 
@@ -45,18 +36,13 @@ def plant_m4():
 
 
 @pytest.fixture(scope="module")
-def excited(plant):
-    return excite(TRUTH, 45.0, 3, plant=plant)
-
-
-@pytest.fixture(scope="module")
-def fit(excited):
-    return identify(preprocess(excited), "M3")
+def fit():
+    return fit_of_flown(SETTINGS.radio.jitter_s, 40.0)
 
 
 @pytest.mark.slow
-def test_an_excitation_stays_inside_the_rails_and_moves_about(excited):
-    pose = excited["pose"].values
+def test_an_excitation_stays_inside_the_rails_and_moves_about():
+    pose = flown(SETTINGS.radio.jitter_s, 40.0).trajectory.state[:, :3]
     reach = SETTINGS.table.reach(TRUTH.vehicle.radius_m)
     assert (np.abs(pose[:, :2]) < np.array(reach) - 0.01).all()
     assert (np.ptp(pose[:, :2], axis=0) > 0.2).all()

@@ -171,7 +171,7 @@ def test_flights_of_a_fleet_give_the_parameters_back():
     # One motor of each pair and its opposite, and back: the craft comes to rest, far from a rail.
     hall = QUIET.model_copy(update={"table": Table(length_m=200.0, width_m=200.0)})
     rows = []
-    for _ in range(50):
+    for _ in range(30):
         first, second = np.full((2, 6), 0.05)
         which, command = rng.integers(0, 2, 3), rng.uniform(0.05, 0.6, 3)
         first[np.arange(0, 6, 2) + which] = second[np.arange(1, 6, 2) - which] = command
