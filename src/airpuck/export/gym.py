@@ -36,6 +36,8 @@ from airpuck.export.gym_picture import (
     picture,
 )
 from airpuck.export.gym_task import (
+    ALL,
+    ROW,
     CourseTask,
     ModelSource,
     Observation,
@@ -66,8 +68,6 @@ from airpuck.twin.twin import Twin
 
 #: Stamps closer than this count as equal, since ages are rounded [s].
 _SAME = 1e-9
-#: A batch of one: its row, and a mask that includes it.
-_ROW, _ALL = np.zeros(1, int), np.ones(1, bool)
 
 #: Environments by name: class, vector environment if there is one, settings.
 ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, str]]] = {
@@ -183,7 +183,7 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         command = checked_action(action, (self.model.vehicle.n_propellers,))
         self._twin.send(command)
-        self._seen.command(_ALL, command[None])
+        self._seen.command(ALL, command[None])
         self._seen.measured(self._twin.wait_until(float(self._seen.time[0])))
         return self._twin
 
@@ -237,7 +237,7 @@ class CourseEnv(TwinEnv):
             plant=self._plant,
             logs=False,
         )
-        self._seen.begin(_ROW, "pose", start[None])
+        self._seen.begin(ROW, "pose", start[None])
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -304,9 +304,9 @@ class PuckEnv(TwinEnv):
         super().reset(seed=seed)
         puck, _, number = opening(self._stage, self.skill, self.np_random)
         self._twin = self._stage.twin(puck, number)
-        self._seen.begin(_ROW, "pose", self._twin.state[None, :3])
+        self._seen.begin(ROW, "pose", self._twin.state[None, :3])
         start = np.array([puck])
-        self._seen.begin(_ROW, "puck", start[:, :3], start[:, 3:])
+        self._seen.begin(ROW, "puck", start[:, :3], start[:, 3:])
         return self._observation(), {"is_success": False}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

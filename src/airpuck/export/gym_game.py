@@ -21,6 +21,9 @@ from airpuck.export.gym_picture import (
     picture,
 )
 from airpuck.export.gym_task import (
+    ALL,
+    ROW,
+    SEEDS,
     ModelSource,
     Observation,
     Seen,
@@ -42,11 +45,8 @@ except ImportError:
     raise InputError("the game for two needs PettingZoo: pip install pettingzoo") from None
 
 _BODIES: tuple[Kind, ...] = ("pose", "puck", "mallet")
-_ROW, _ALL = np.zeros(1, int), np.ones(1, bool)
 #: Signs of the sides, by agent.
 _SIDES = {"left": -1, "right": 1}
-#: Seeds of games lie below this.
-_SEEDS = 2**31
 
 
 class _Agent(Pilot):
@@ -134,7 +134,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             settings=self.settings,
             rules=self._rules,
             model=self.model,
-            seed=int(self._random.integers(_SEEDS)),
+            seed=int(self._random.integers(SEEDS)),
             logs=False,
         )
         self.agents, self._seen = list(_SIDES), {}
@@ -146,7 +146,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             offset = self.settings.motion_capture.clock_offset_s
             seen = self._seen[name] = Seen(1, space, _BODIES, offset)
             for body, pose in zip(_BODIES, (own, puck, other), strict=True):
-                seen.begin(_ROW, body, self._frame(name).states(pose)[None])
+                seen.begin(ROW, body, self._frame(name).states(pose)[None])
         return self._observations(), {name: {} for name in _SIDES}
 
     def step(self, actions: dict[str, Any]) -> tuple[Any, Any, Any, Any, Any]:
@@ -161,7 +161,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
             commands[name] = checked_action(actions[name], self._pilots[name].command.shape)
         for name, command in commands.items():
             self._pilots[name].command = command
-            self._seen[name].command(_ALL, command[None])
+            self._seen[name].command(ALL, command[None])
         before, game = self.game.score, self.game
         game.step()
         for name, side in zip(playing, game.sides, strict=True):

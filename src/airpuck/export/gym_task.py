@@ -33,8 +33,11 @@ _MARGIN = 0.05
 _BEYOND = 0.1
 #: Poses further apart in time give no rates: the body was out of sight [s].
 _HIDDEN = 0.1
-#: Seeds of twins lie below this.
-_SEEDS = 2**31
+#: Seeds of twins and games lie below this.
+SEEDS = 2**31
+
+#: A batch of one: its row, and a mask that includes it.
+ROW, ALL = np.zeros(1, int), np.ones(1, bool)
 
 Observation = dict[str, np.ndarray]
 ModelSource = Model | str | os.PathLike[str]
@@ -169,7 +172,7 @@ class Seen:
         """Store the latest measurement of each body, for a batch of one."""
         latest: dict[Kind, Measurement] = {m.kind: m for m in measurements if m.kind in self.pose}
         for kind, m in latest.items():
-            self.see(np.ones(1, bool), kind, np.array([m.stamp]), m.values[None])
+            self.see(ALL, kind, np.array([m.stamp]), m.values[None])
 
     def _inside(self, body: Kind, pose: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
         """Return poses with wrapped yaw, within the limits of their space."""
@@ -231,7 +234,7 @@ class CourseTask:
         self._after[row] = np.append(np.cumsum(legs[::-1])[::-1], 0.0)
         self._passed[row] = 0
         self._left[row] = self._remaining(np.tile(start, (len(self._rows), 1)))[row]
-        return start, int(rng.integers(_SEEDS))
+        return start, int(rng.integers(SEEDS))
 
     def judge(
         self, pose: Float[np.ndarray, "B 3"], rate: Float[np.ndarray, "B 3"]
