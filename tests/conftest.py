@@ -8,6 +8,7 @@ import shutil
 import signal
 import sys
 import threading
+from importlib.metadata import version
 from pathlib import Path
 
 import hypothesis
@@ -25,12 +26,14 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(user_cache_path("airpuck-
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
 
 # Most programs run once here, so that compiling them costs more than running them. An XLA that does
-# not know one of these says so at once.
-os.environ.setdefault(
-    "XLA_FLAGS",
-    "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=1"
-    " --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1",
+# not know a flag ends the process without a summary of the tests; the message is on stderr (-s).
+flags = (
+    "--xla_backend_optimization_level=1"
+    " --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
 )
+if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):
+    flags += " --xla_cpu_use_fusion_emitters=false"
+os.environ.setdefault("XLA_FLAGS", flags)
 
 # The hook below compiles all modules of ours. Without their bytecode each worker, and each process
 # that a test starts, does so again, for seconds.
