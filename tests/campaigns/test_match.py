@@ -21,7 +21,7 @@ from airpuck.recording.read import read_recording
 
 from ..apparatus.commands import airpuck, refused
 
-SHORT = Rules(goals=2, limit_s=20.0)
+SHORT = Rules(goals=2, limit_s=8.0)
 
 
 @pytest.mark.slow
@@ -100,13 +100,13 @@ def test_a_campaign_can_play(tmp_path):
 def test_from_the_command_line(tmp_path):
     who = ("--left", "human:hard", "--right", "human:easy")
     done = airpuck(
-        "match", *who, "--games", "2", "--limit", "5", "--workers", "1", "--json", "-", cwd=tmp_path
+        "match", *who, "--games", "2", "--limit", "2", "--workers", "1", "--json", "-", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert (figures["left"], figures["right"], figures["games"]) == ("human:hard", "human:easy", 2)
     assert figures["rail_contacts"] == 0
-    shown = airpuck("match", *who, "--limit", "5", "-q", cwd=tmp_path)
+    shown = airpuck("match", *who, "--limit", "2", "-q", cwd=tmp_path)
     assert "human:hard" in shown.stdout
     assert "times real time" in shown.stdout
     watched = airpuck("watch-match", *who, "--limit", "1", cwd=tmp_path)
@@ -182,4 +182,4 @@ def test_a_game_is_drawn_in_a_terminal_and_says_how_far_it_is():
         return text.decode()
 
     assert "LLL" in shown("watch-match", "--limit", "0.3")
-    assert "%" in shown("match", "--limit", "5")
+    assert "%" in shown("match", "--limit", "2")

@@ -25,7 +25,7 @@ MODEL = published_model("M3")
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags") / "flight"
-    write_bag(record(duration=14.0, noise=1e-4), folder)
+    write_bag(record(duration=9.0, noise=1e-4), folder)
     return folder
 
 

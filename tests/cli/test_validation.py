@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 def flown(tmp_path_factory):
     """A bag, and two models, each learned from one half of it."""
     folder = tmp_path_factory.mktemp("judging")
-    write_bag(record(duration=16.0, noise=1e-4), folder / "bag")
+    write_bag(record(duration=10.0, noise=1e-4), folder / "bag")
     for name, span in (("early", (0, 0.5)), ("late", (0.5, 1))):
         out = folder / f"{name}.toml"
         process = airpuck("identify", folder / "bag", "--span", *span, "-o", out, "--model", "M2")

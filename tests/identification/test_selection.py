@@ -11,7 +11,7 @@ from airpuck.identification.objective import PredictionLoss
 
 # No result shows which windows are held out, so the test reads them from the implementation.
 from airpuck.identification.selection import CandidateModel, _HeldOut, select_model
-from airpuck.identification.settings import Loss
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.preprocessing.pipeline import preprocess
@@ -28,6 +28,8 @@ RICH = Effects(
     inflow_s_m=0.2,
     pair_interaction_1_N=20.0,
 )
+#: There are none.
+KEEP_FAULTS = Preparation(faults="keep")
 #: Two programs to compile instead of four.
 SHORT_LADDER = ("M2", "M3", "M5+drag")
 
@@ -47,7 +49,7 @@ def plain():
 
 @pytest.mark.slow
 def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
-    selection = select_model(plain, SHORT_LADDER)
+    selection = select_model(plain, SHORT_LADDER, preparation=KEEP_FAULTS)
     assert selection.fit.model.name == "M3"
     names = [candidate.name for candidate in selection.candidates]
     assert names == list(SHORT_LADDER)
@@ -61,7 +63,9 @@ def test_a_craft_without_optional_terms_gets_none(plain, tmp_path):
 @pytest.mark.slow
 def test_a_craft_with_inflow_pair_interaction_and_drag_gets_them():
     told = []
-    selection = select_model(flight(RICH, 14.0), SHORT_LADDER[1:], progress=told.append)
+    selection = select_model(
+        flight(RICH, 14.0), SHORT_LADDER[1:], preparation=KEEP_FAULTS, progress=told.append
+    )
     assert selection.fit.model.name == "M5+drag"
     assert len(told) == 2
     assert (selection.candidates[1].interval[1] < 1).any()
