@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,12 +83,20 @@ class Blocks:
 
         The last command is held.
         """
-        edges = self.step * np.concatenate([[0], np.cumsum(self.lengths)])
-        beyond = np.append(edges, edges[-1] + max(elapsed, self.step))
-        lasting = np.diff(beyond)[:, None] * np.concatenate([plan, plan[-1:]])
-        total = np.concatenate([np.zeros_like(plan[:1]), np.cumsum(lasting, axis=0)])
-        reached = [np.interp(edges + elapsed, beyond, column) for column in total.T]
-        return np.diff(reached, axis=1).T / np.diff(edges)[:, None]
+        return _shift(self, elapsed) @ plan
+
+
+# Consecutive times of control differ by a handful of numbers, all within rounding of a period.
+@lru_cache(maxsize=256)
+def _shift(blocks: Blocks, elapsed: float) -> Float[np.ndarray, "B B"]:
+    """Return the matrix that shifts a plan in time; see `Blocks.shifted`."""
+    plan = np.eye(len(blocks.lengths))
+    edges = blocks.step * np.concatenate([[0], np.cumsum(blocks.lengths)])
+    beyond = np.append(edges, edges[-1] + max(elapsed, blocks.step))
+    lasting = np.diff(beyond)[:, None] * np.concatenate([plan, plan[-1:]])
+    total = np.concatenate([np.zeros_like(plan[:1]), np.cumsum(lasting, axis=0)])
+    reached = [np.interp(edges + elapsed, beyond, column) for column in total.T]
+    return np.diff(reached, axis=1).T / np.diff(edges)[:, None]
 
 
 class Ahead(NamedTuple):

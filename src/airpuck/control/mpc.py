@@ -77,6 +77,7 @@ class MPC(Law):
         regulator, vehicle = tuning.regulator, model.vehicle
         limits = regulator.limits
         self._blocks = blocks = Blocks.of(regulator)
+        self._times = blocks.times
         decided = vehicle.n_propellers * len(blocks.lengths)
         if decided > _MOST_COMMANDS:
             raise InputError(
@@ -85,7 +86,7 @@ class MPC(Law):
                 "a longer step or a shorter horizon",
                 field="regulator.block",
             )
-        count = len(blocks.times)
+        count = len(self._times)
         self._fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
         self._keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
         self._kinds = ["rail", "rail"]
@@ -146,7 +147,7 @@ class MPC(Law):
         self, state: Ongoing, reference: Reference, now: float, delay: float
     ) -> tuple[tuple[np.ndarray, ...], Ongoing]:
         """Return the stage's inputs (the plan, targets, limits) and the shifted plan."""
-        if not 0 <= now - state.since <= self._blocks.times[-1]:
+        if not 0 <= now - state.since <= self._times[-1]:
             state = self.init()
         elif now > state.since:
             plan = self._blocks.shifted(state.plan, now - state.since).clip(*self._range)
@@ -157,8 +158,7 @@ class MPC(Law):
 
     def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
         """Return targets and weights at the ends of the steps."""
-        times = self._blocks.times
-        wanted = course(reference, now, delay + times)
+        wanted = course(reference, now, delay + self._times)
         weights, terminal = self._weights, self._terminal
         if wanted.arrival is not None:
             weights, terminal = self._to_arrive(wanted.arrival, delay)
@@ -170,7 +170,7 @@ class MPC(Law):
         """Return weights that count only the arrival."""
         # An error equal to the given precision costs as much as 1 m/s² or rad/s² for a second.
         sharp = np.tile(self._efforts, 2) / arrival.precision**2
-        times, left = self._blocks.times, max(arrival.remaining - delay, _SOON)
+        times, left = self._times, max(arrival.remaining - delay, _SOON)
         weights = np.zeros_like(self._weights)
         if left > times[-1]:
             return weights, _way_left(left - times[-1], self._efforts, sharp)
@@ -192,7 +192,7 @@ class MPC(Law):
             plan = (state.plan + answer.change).clip(*self._range)
             status: Status = "softened" if answer.exceeded else "optimal"
             expected, active = states[:, :6] + answer.moved, self._active(answer.binding, plan.size)
-            ahead = Prediction(self._blocks.times, expected, active)
+            ahead = Prediction(self._times, expected, active)
             step = Step(plan[0].copy(), status, request, estimate, ahead)
             return step, Ongoing(plan, state.since, state.since, np.asarray(way))
         if state.since - state.answered <= FLOWN_ON:

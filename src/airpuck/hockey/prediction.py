@@ -23,6 +23,8 @@ ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
 _BEYOND = 1e-8
 #: A smaller drag has no effect; with none, the distance would be 0 / 0 [1/s].
 _NO_DRAG = 1e-12
+#: For at most this many times, plain numbers are faster than arrays.
+_FEW = 4
 #: Times at which a path is drawn, in addition to its bounces [s].
 _DRAWN = np.arange(0.0, 1.2, 0.02)
 
@@ -193,6 +195,8 @@ def _coasting(
     puck: Puck, state: PuckState, durations: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "T 6"]:
     """Return the states of a puck that coasts: `coast` at many times."""
+    if len(durations) <= _FEW:
+        return np.array([coast(puck, state, each) for each in durations.tolist()]).reshape(-1, 6)
     drag, spin_drag = max(puck.drag_1_s, _NO_DRAG), max(puck.spin_drag_1_s, _NO_DRAG)
     rates = np.array([drag, drag, spin_drag])
     sigma = np.expm1(durations[:, None] * -rates) / -rates
@@ -266,7 +270,10 @@ def _both_sides(
     """Yield table and belief a standard deviation to both sides: of the state, of the numbers."""
     variance, axes = np.linalg.eigh(belief.covariance)
     for step in (axes * np.sqrt(np.maximum(variance, 0.0))).T[variance > 0]:
-        above, below = (replace(belief, mean=belief.mean + sign * step) for sign in (1, -1))
+        above, below = (
+            PuckBelief(belief.time, mean, belief.covariance)
+            for mean in (belief.mean + step, belief.mean - step)
+        )
         yield (model.equipment, above), (model.equipment, below)
     for upper, lower in model.variants:
         yield (upper, belief), (lower, belief)
