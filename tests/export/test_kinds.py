@@ -11,13 +11,15 @@ import pytest
 
 from airpuck import export
 from airpuck.boundary.errors import InputError
-from airpuck.control.tuning import default_tuning
+from airpuck.control.lqr import regulator
+from airpuck.control.tuning import default_tuning, tuning_for
 from airpuck.export import kinds
-from airpuck.model.model_file import read_model
+from airpuck.export.c_source import initializer
+from airpuck.model.model_file import nominal_model, read_model
 from airpuck.planning.plan import Plan
 from airpuck.twin.settings import default_twin_settings
 from tests.apparatus.commands import airpuck, refused
-from tests.apparatus.export_crafts import DISH, ON_OFF, PAPER, REVERSIBLE, WHEELED
+from tests.apparatus.export_crafts import DISH, FOUR, ON_OFF, PAPER, REVERSIBLE, WHEELED
 
 M4 = PAPER["M4"]
 
@@ -132,6 +134,16 @@ def test_the_command_adds_a_plan(tmp_path):
     assert found["facts"]["law"] == "plan"
     assert "airpuck_flight.c" in found["files"]
     assert refused(airpuck(*words, "--to", "fmu"), "--plan: is not part of an export to fmu")
+
+
+def test_the_command_exports_the_controller_that_other_commands_fly(tmp_path):
+    heavy = FOUR.vehicle.model_copy(update={"mass_kg": 2.0})
+    nominal_model(heavy).save(tmp_path / "slow.toml")
+    airpuck("export", tmp_path / "slow.toml", "--to", "c", "-o", tmp_path)
+    slowed = tuning_for(heavy)
+    assert slowed != default_tuning()
+    gain = initializer(regulator(slowed.weights, slowed.period_s))
+    assert f".gain = {gain}" in (tmp_path / "airpuck_data.c").read_text()
 
 
 @pytest.mark.parametrize("option", ["--tuning", "--regulator"])

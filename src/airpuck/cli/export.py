@@ -40,12 +40,13 @@ def export(
     """Write a model, or its whole controller, for other tools."""
     check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
-    given = tuning is not None or regulator is not None
+    # The controller is that of the other commands, which depends on the craft.
+    controls = "tuning" in KINDS[kind].uses
     written = airpuck.export.write(
         exported,
         kind,
         output,
-        tuning=inputs.read_controls(tuning, regulator, exported) if given else None,
+        tuning=inputs.read_controls(tuning, regulator, exported) if controls else None,
         twin=None if twin is None else airpuck.read_twin_settings(twin),
         plan=None if plan is None else read_plan(plan, exported),
         inputs=[one for one in (model, tuning, twin, plan) if one is not None],
