@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -375,7 +376,8 @@ def plan(
     if warm is None and bound is not None and bound < _DOUBTFUL * solved.path.times[-1]:
         for begun, other in further(request, intervals, solved.time):
             tried = (*tried, begun)
-            if other is not None:
+            # Several starts lead to the same flight.
+            if other is not None and not math.isclose(other.time, solved.time):
                 # The bound holds whatever weight it comes from.
                 bound = max(bound, _bound(request, other) or 0.0)
                 solved = min(solved, other, key=lambda one: float(one.path.times[-1]))
