@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.authority import control_authority
+from airpuck.control.authority import control_authority, weakest_effort
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import tuning_for
@@ -20,7 +20,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.flight.loop import fly
-from airpuck.model.model_file import Model
+from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.angle import pose_difference
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -33,6 +33,10 @@ _ARRIVES, _STAYS = 2.0, 1.0
 #: A craft with little thrust is given this multiple of the shortest time that its accelerations
 #: allow, up to a limit [s].
 _LEISURE, _LONGEST = 3.0, 20.0
+#: Fraction of its effort in the vehicle file that a craft needs in its weakest motion. With 3 %, one
+#: propeller almost dead, all controllers hold the paper's craft; with none it drifts away, though
+#: MPC may bring it to the goal for a second.
+_HELD = 0.02
 #: Largest useful frame rate for a controller; more frames only cost time.
 _MOST_FRAMES = 240.0
 
@@ -96,6 +100,11 @@ def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSet
 def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:
     """Describe why the controller does not settle, and the remedy; empty if it settles."""
     settings, seen = like(trajectory, effects, model), as_seen(model, effects)
+    missing = "; ".join(
+        control_authority(model).sentences or ("its motors are too weak or unequal",)
+    )
+    if weakest_effort(model) < _HELD * weakest_effort(nominal_model(model.vehicle)):
+        return [f"No controller can hold the modelled craft: {missing}. Check the motors."]
     flown = "In simulation, the packaged controller"
     try:
         if settles(model, seen, settings):
@@ -117,9 +126,8 @@ def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> lis
             ]
     except InputError as error:
         return [f"No controller can be designed from the model: {error.problem}."]
-    missing = control_authority(model).sentences or ("its motors are too weak or too unequal",)
     return [
-        f"{flown} does not settle on the modelled craft: {'; '.join(missing)}. "
+        f"{flown} does not settle on the modelled craft: {missing}. "
         "Check the motors, or tune a controller for this craft and fly it in simulation first "
         "(`airpuck twin`)."
     ]
