@@ -174,8 +174,8 @@ def test_an_opponent_goes_home_when_the_puck_is_gone(monkeypatch):
         view = view_of((-0.45, 0.1, 0, 0, 0, 0), opponent=np.array([*here, 0.0, 0.0]))
         view = replace(view, rival=rival)
         intention = decided(Shoot(least=0.0), view, 2)
-        places, radius = seen[-1][-1]
-        assert radius == PITCH.opponent_radius
+        places, radius, limits = seen[-1][-1]
+        assert (radius, limits) == (PITCH.opponent_radius, rival)
         # Until then on a straight line at 1.5 m/s, from 0.2 s on, after speeding up at 40 m/s².
         length = np.hypot(*(home - here))
         gone = min(1.5 * (intention.meet[0] - 0.01 - 0.2 - 1.5 / 40 / 2), length)

@@ -171,7 +171,7 @@ def test_a_path_counts_until_the_opponent_may_touch_the_puck():
         ((-0.5, 0, 0, 1.0, 0, 0), away, 0.53),  # crosses the centre line
         ((0.3, 0, 0, 1.0, 0, 0), away, 0.0),
         ((0.3, 0, 0, -3.0, 0, 0), away, end),  # faster than the opponent
-        (still, beside, 0.32),  # 0.2 s, 20 ms to speed up, and 14 cm at 1.5 m/s
+        (still, beside, 0.29),  # 0.2 s, 30 ms to speed up, and 14 cm at 2.5 m/s
         ((0.3, 0, 0, 1.0, 0, 0), None, end),
         ((-0.5, 0, 0, 0, 0, 0), beside, end),
     ):

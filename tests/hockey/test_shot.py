@@ -9,6 +9,7 @@ from airpuck.craft.table import AirHockey, Contact, Puck
 from airpuck.hockey.hand import HUMANS, ScriptedHand
 from airpuck.hockey.player import pitch_of
 from airpuck.hockey.prediction import PuckModel
+from airpuck.hockey.rival import Rival
 from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
@@ -161,7 +162,7 @@ def test_an_opponent_counts_where_it_can_be_in_the_way():
     start, motion = np.array([[-0.3, 0.0]]), np.array([[3.0, 0.0, 0.0]])
 
     def passes(x, y):
-        return float(flown(PLAY, start, motion, (np.array([x, y]), 0.048)).passes[0])
+        return float(flown(PLAY, start, motion, (np.array([x, y]), 0.048, Rival())).passes[0])
 
     assert passes(0.9, 0.0) < 0.1
     assert passes(0.0, 0.4) > 0.95
@@ -201,7 +202,10 @@ def shot_at_a_person(rng: np.random.Generator, seed: int) -> tuple[float, bool] 
     person = Person(seed)
     person.puck.place(PuckState(*place.tolist()))
     person.world.run(0.4)
-    opponent = np.array([person.mallet.x, person.mallet.y]), person.mallet.radius
+    at = np.array([person.mallet.x, person.mallet.y])
+    # What is learned of it: it decides every 30 ms.
+    limits = Rival(HUMANS["medium"].reaction_s + 0.015, HUMANS["medium"].speed_m_s)
+    opponent = at, person.mallet.radius, limits
     chance = flown(PLAY, place[None], motion[None], opponent).passes[0]
     person.puck.place(PuckState(*place.tolist(), 0.0, *motion.tolist()))
     person.world.run(1.9)
@@ -225,12 +229,13 @@ def test_a_person_lets_past_what_is_expected():
 def test_the_probability_to_get_past_by_hand(x, aside):
     # Without drag the puck passes a defender at a known time, and does not meet a rail before.
     start, speed, size = np.array([[-0.3, 0.0]]), 3.0, 0.048
-    opponent = np.array([x, aside]), size
+    opponent = np.array([x, aside]), size, Rival(reaction=0.1, speed=2.0)
     found = flown(MIRRORS, start, np.array([[speed, 0.0, 0.0]]), opponent).passes[0]
     time = (x + 0.3) / speed
-    reaches = min(15.0 * time**2 / 2, 0.9 * time)
+    # It begins after 0.1 s, and is at full speed 50 ms later: half of that is lost.
+    reaches = 2.0 * (time - 0.125) if time > 0.15 else 40.0 * max(time - 0.1, 0.0) ** 2 / 2
     room = aside - size - RADIUS - reaches
-    assert found == pytest.approx(0.5 * (1 + math.erf(room / 0.1 / math.sqrt(2))), abs=1e-9)
+    assert found == pytest.approx(0.5 * (1 + math.erf(room / 0.04 / math.sqrt(2))), abs=1e-9)
 
 
 def test_a_bank_shot_is_read_by_halves():
@@ -239,7 +244,7 @@ def test_a_bank_shot_is_read_by_halves():
     for bounces, low, high in ((1, 0.0, 0.25), (2, 0.5, 0.65)):
         angle = math.atan2(2 * reach * bounces - start[1], PITCH.goal_line - start[0])
         motion = np.array([[*(6.0 * unit(angle)), 0.0]])
-        before_the_goal = np.array([PITCH.goal_line - 0.06, 0.0]), 0.048
+        before_the_goal = np.array([PITCH.goal_line - 0.06, 0.0]), 0.048, Rival()
         found = flown(MIRRORS, start[None], motion, before_the_goal)
         assert found.bounces[0] == bounces
         assert low < found.passes[0] < high

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from airpuck.hockey.interception import Outlook, PlannedContact, effort, slack, stays_inside
 from airpuck.hockey.prediction import PuckBelief, drawn_path, predict_puck
 from airpuck.hockey.searching import Searcher
-from airpuck.hockey.shot import ArrivalError, Contacts, chances, flown, struck, unit
+from airpuck.hockey.shot import ArrivalError, Contacts, Opposed, chances, flown, struck, unit
 from airpuck.hockey.tactic import Kind, View
 
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
@@ -179,7 +179,7 @@ class Shoot(Searcher):
         )
         after = struck(pitch, contacts)
         opponent = _opponent(view, times - view.time, pucks[:, 1])
-        others = opponent and (opponent[0][:, None, None], opponent[1])
+        others = opponent and (opponent[0][:, None, None], *opponent[1:])
         flights = flown(pitch.equipment, contacts.place, after, others)
         spread = math.hypot(self.error.place / pitch.contact_distance, _DIRECTION_ERROR)
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
@@ -219,7 +219,7 @@ class Shoot(Searcher):
             contacts,
             predicted.covariance[where],
             self.error,
-            opponent and (opponent[0][:, None], opponent[1]),
+            opponent and (opponent[0][:, None], *opponent[1:]),
         )
         after = struck(view.pitch, contacts)[:, :2]
         place = contacts.place - view.pitch.contact_distance * unit(normal)
@@ -277,7 +277,7 @@ def after_contact(
 
 def _opponent(
     view: View, ahead: Float[np.ndarray, " n"], aside: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n 2"], float] | None:
+) -> Opposed | None:
     """Return where the opponent will be on its return home, given the puck's y; None if unseen."""
     if view.opponent is None:
         return None
@@ -287,4 +287,4 @@ def _opponent(
     path = home - here
     length = np.maximum(np.hypot(path[:, 0], path[:, 1]), _AT_HOME)
     share = np.minimum(rival.reach(ahead) / length, 1.0)
-    return here + share[:, None] * path, view.pitch.opponent_radius
+    return here + share[:, None] * path, view.pitch.opponent_radius, rival

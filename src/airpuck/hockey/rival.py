@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 # Before anything is seen; guesses except for the reaction, an adult's to a visual stimulus
 # (Kosinski, "A literature review on reaction time", 2008).
-_REACTION, _SPEED, _WAITS, _FOLLOWS = 0.2, 1.5, 0.2, 0.3
+_REACTION, _SPEED, _WAITS, _FOLLOWS = 0.2, 2.5, 0.2, 0.3
 #: Acceleration of a hand with a mallet: the default limit of the table file [m/s²].
 _ACCELERATION = 40.0
 #: Weights of these assumptions: in observed reactions; in seconds of waiting; in m² s.

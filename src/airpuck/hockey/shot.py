@@ -16,14 +16,20 @@ from scipy.special import ndtr, ndtri
 
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.prediction import PuckModel
+from airpuck.hockey.rival import Rival
 from airpuck.hockey.tactic import Pitch
 from airpuck.physics.puck import Disc, strike
 
+#: An opponent at the time of a shot: places of its disc [m], its radius [m], and its limits.
+Opposed = tuple[Float[np.ndarray, "*m 2"], float, Rival]
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
-#: How an opponent moves to cover a straight path of the puck, once the puck is on it: its
-#: acceleration and largest speed [m/s², m/s], and the standard deviation of its reach [m].
-_PUSH, _FASTEST, _REACH_ERROR = 15.0, 0.9, 0.1
+#: How an opponent moves to cover a straight path of the puck after a bank, once the puck is on it:
+#: its acceleration and largest speed [m/s², m/s].
+_PUSH, _FASTEST = 15.0, 0.9
+#: Standard deviation of an opponent's reach [m]: for direct shots, which depend on its reaction and
+#: speed (from 400 shots of 3 to 6.5 m/s at scripted hands in their place), and after banks.
+_DIRECT_ERROR, _BANK_ERROR = 0.04, 0.1
 #: Probability that the opponent reads a shot after 0, 1, 2 banks.
 _READS = (1.0, 1.0, 0.5)
 #: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
@@ -117,7 +123,7 @@ def flown(
     equipment: AirHockey,
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
-    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
+    opponent: Opposed | None = None,
     *,
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
@@ -130,8 +136,8 @@ def flown(
         Table and puck.
     place, motion : array
         Initial position [m], and velocity and angular velocity [m/s, rad/s].
-    opponent : tuple, optional
-        Initial position of the opponent's disc, and its radius [m].
+    opponent : Opposed, optional
+        The opponent; by default there is none.
     restitution, grip : array, optional
         Restitution and grip of the rails, shot by shot; by default the table's.
 
@@ -160,7 +166,7 @@ def flown(
             going &= drag * sigma < _ROLLS_OUT
             sigma = np.where(going, sigma, 0.0)
             if opponent is not None:
-                past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m)
+                past = _passes((x, y, vx, vy), sigma, opponent, puck.radius_m, bounce)
                 past = 1 - _READS[bounce] * (1 - past)
                 passes = np.where(going, np.minimum(passes, past), passes)
             left = 1 - drag * sigma
@@ -184,18 +190,21 @@ def flown(
 def _passes(
     start: tuple[Any, Any, Any, Any],
     sigma: Float[np.ndarray, "*n"],
-    opponent: tuple[Float[np.ndarray, "*m 2"], float],
+    opponent: Opposed,
     radius: float,
+    bounce: int,
 ) -> Float[np.ndarray, "*n"]:
     """Return the probability that an opponent does not cover straight paths in time."""
     x, y, vx, vy = start
-    place, size = opponent
+    place, size, rival = opponent
     dx, dy = place[..., 0] - x, place[..., 1] - y
     square = np.maximum(vx * vx + vy * vy, _RESTS**2)
     moving = np.clip((dx * vx + dy * vy) / square, 0.0, sigma)
     apart = np.hypot(dx - vx * moving, dy - vy * moving)
-    reached = np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)
-    return ndtr((apart - size - radius - reached) / _REACH_ERROR)
+    room = apart - size - radius
+    if not bounce:
+        return ndtr((room - rival.reach(moving)) / _DIRECT_ERROR)
+    return ndtr((room - np.minimum(_PUSH * moving**2 / 2, _FASTEST * moving)) / _BANK_ERROR)
 
 
 @cache
@@ -230,7 +239,7 @@ def chances(
     contacts: Contacts,
     covariance: Float[np.ndarray, "n 6 6"],
     error: ArrivalError,
-    opponent: tuple[Float[np.ndarray, "*m 2"], float] | None = None,
+    opponent: Opposed | None = None,
     count: int = 64,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Return the probability that contacts score, and the mean number of bounces.
@@ -250,7 +259,7 @@ def chances(
         Covariance of the puck at the contacts: x, y, yaw and their rates.
     error : ArrivalError
         Errors of the craft.
-    opponent : tuple, optional
+    opponent : Opposed, optional
         See `flown`.
     count : int
         Number of trials per contact.
