@@ -129,7 +129,7 @@ def test_the_way_round_the_puck_does_not_touch_it():
 
 
 def test_the_outlook_is_the_way_of_the_twins_puck():
-    for puck in ((0.2, 0.3, 0.1, 2.0, 1.5, 4.0), (0.5, 0.1, 0, -3.0, 0.2, 0), (0, 0, 0, 0, 0, 0)):
+    for puck in ((0.2, 0.3, 0.1, 2.0, 1.5, 4.0), (0.5, 0.1, 0, -3.0, 0.5, 0), (0, 0, 0, 0, 0, 0)):
         view = view_of(puck, time=3.0)
         outlook, alone = Outlook(view), PuckOnTable(PLAY, PuckState(*puck), 3.0)
         assert outlook.speed == pytest.approx(math.hypot(*puck[3:5]))
@@ -170,13 +170,20 @@ def test_a_path_counts_until_the_opponent_may_touch_the_puck():
     for puck, opponent, until in (
         ((-0.5, 0, 0, 1.0, 0, 0), away, 0.53),  # crosses the centre line
         ((0.3, 0, 0, 1.0, 0, 0), away, 0.0),
-        ((0.3, 0, 0, -3.0, 0, 0), away, end),  # faster than the opponent
+        ((0.3, 0, 0, -3.0, 0, 0), away, 0.47),  # faster than the opponent, and then at the goal
         (still, beside, 0.29),  # 0.2 s, 30 ms to speed up, and 14 cm at 2.5 m/s
         ((0.3, 0, 0, 1.0, 0, 0), None, end),
         ((-0.5, 0, 0, 0, 0, 0), beside, end),
     ):
         opponent = opponent and np.array(opponent)
         assert Outlook(view_of(puck, opponent=opponent)).until == pytest.approx(until, abs=0.03)
+
+
+def test_a_puck_that_will_touch_a_post_is_a_threat():
+    # Within one step of the path it comes, touches the post, and is 4 cm away again.
+    for shift in np.linspace(0.0, 0.1, 11):
+        outlook = Outlook(view_of((-0.3 + shift, 0.19, 0, -5.0, 0, 0)))
+        assert outlook.threat == pytest.approx((0.758 + shift) / 5, abs=0.02)
 
 
 def test_a_velocity_is_known_or_not():

@@ -19,8 +19,9 @@ from airpuck.hockey.tactic import Intention, Kind, View
 # Numbers without a source are guesses that won matches.
 #: Horizon and step of the puck's predicted path [s].
 HORIZON, STEP = 2.0, 0.02
-#: The puck threatens the goal within this of the line, and of the posts [m]: the path has steps.
-_AT_LINE, _AT_POSTS = 0.01, 0.02
+#: The puck threatens the goal within this of the line, and of the posts [m]: where it goes after a
+#: post is not foreseen.
+_AT_LINE, _AT_POSTS = 0.01, 0.04
 #: Standard deviation of the puck's velocity up to which it is known well enough to plan [m/s]: five
 #: frames after a hit.
 _KNOWN = 0.05
@@ -75,9 +76,10 @@ class Outlook:
 
     @cached_property
     def until(self) -> float:
-        """Time at which the opponent can touch the puck in its half, or the puck leaves for it."""
+        """Time of a threat, or until when the opponent cannot touch the puck in its half [s]."""
+        end = float(self.times[-1]) if self.threat is None else self.threat
         if self.view.opponent is None:
-            return float(self.times[-1])
+            return end
         here, motion = self.view.opponent[:2], self.view.opponent[2:]
         rival, pitch = self.view.rival, self.view.pitch
         # An opponent that moves already has reacted.
@@ -86,17 +88,19 @@ class Outlook:
         apart = np.linalg.norm(self.places - here, axis=1) - radii
         lost = (self.motions[:, 0] > 0) | (rival.reach(ahead) > apart)
         lost &= self.places[:, 0] > 0
-        return float(self.times[np.argmax(lost) if lost.any() else -1])
+        return min(end, float(self.times[np.argmax(lost)])) if lost.any() else end
 
     @cached_property
     def threat(self) -> float | None:
         """Time at which the puck will be at its own goal [s]; None: it will not."""
         pitch = self.view.pitch
         half = pitch.equipment.table.goal_width_m / 2
-        at = (self.places[:, 0] < -pitch.goal_line + pitch.equipment.puck.radius_m + _AT_LINE) & (
-            np.abs(self.places[:, 1]) < half + _AT_POSTS
-        )
-        return float(self.times[np.argmax(at)]) if at.any() else None
+        line = -pitch.goal_line + pitch.equipment.puck.radius_m + _AT_LINE
+        (x, y), (vx, vy) = self.places.T, self.motions[:, :2].T
+        # Between two times the puck may reach a post and leave it again.
+        passed = np.clip((line - x) / np.minimum(vx, -_NO_DISTANCE), 0, STEP)
+        at = (x + np.minimum(vx, 0) * passed <= line) & (np.abs(y + vy * passed) < half + _AT_POSTS)
+        return float((self.times + passed)[np.argmax(at)]) if at.any() else None
 
     @cached_property
     def known(self) -> bool:
@@ -188,6 +192,8 @@ class PlannedContact:
         """Return whether the craft can still keep the contact."""
         if self.is_committed(view):
             return view.time - self.time <= _EXPIRY
+        if self.time > outlook.until:
+            return False
         puck, along = outlook.at(self.time), unit(self.normal)
         place = self.place(view, puck)
         able = effort(view, self.time, place, self.velocity) < _STRAINED
