@@ -51,3 +51,22 @@ def test_returns_last_from_the_centre_line_to_the_goal():
     assert rival.returns == pytest.approx([0.3 + 1.1 / 4.0], abs=0.02)
     # One return counts against the assumption of slow ones.
     assert rival.is_quicker(np.array([0.5, 0.7])).tolist() == pytest.approx([0.0, 1 / 3])
+
+
+def test_bank_shots_that_never_score_are_expected_to_score_less():
+    watcher, time, shares = RivalWatcher(1.1), 0.0, []
+    for scores in (False,) * 6 + (True,) * 6:
+        watcher.shot(time, np.zeros(4), banked=0.2 * watcher.rival.banks)
+        # A goal is a puck that vanishes at the line; otherwise it comes back, and vanishes later.
+        for x in (0.5, 1.05) if scores else (0.5, 1.05, 0.4, -0.5):
+            time += 0.01
+            watcher.puck(time, x, 1.0)
+        time += 1.0
+        watcher.puck(time, -0.3, 0.0)
+        # A direct shot does not count.
+        watcher.shot(time, np.zeros(4))
+        shares.append(watcher.rival.banks)
+    assert shares[:6] == sorted(shares[:6], reverse=True)
+    assert shares[5] == pytest.approx(0.4 / 1.6)
+    assert shares[6:] == sorted(shares[6:])
+    assert shares[-1] > 1

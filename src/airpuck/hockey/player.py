@@ -247,7 +247,9 @@ class Player(Pilot):
             self._watcher.puck(stamp, float(pose[0]), float(belief.mean[3]))
         hit = any(event.kind == "hit" for event in self.filter.events[hits:])
         if hit and pose[0] < 0 and self._opponent is not None:
-            self._watcher.shot(self.filter.events[-1].time, self._opponent[1])
+            shot = self.intention
+            banked = shot.chance or 0.0 if shot is not None and shot.kind == "bank" else 0.0
+            self._watcher.shot(self.filter.events[-1].time, self._opponent[1], banked)
 
     def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
         """Update the opponent's position, and its velocity, smoothed over a few frames."""

@@ -25,6 +25,10 @@ _FASTEST = 8.0
 _SOONEST, _LATEST = 0.08, 0.5
 #: Longest time between two sights that counts as waiting, and as one motion of the puck [s].
 _GAP = 0.05
+#: Weight of the assumption that bank shots score as expected [goals]. A guess.
+_BANKS = 0.4
+#: A puck that vanishes this near to the opponent's goal line is in the goal [m].
+_IN_GOAL = 0.15
 #: Number of last returns that are remembered; weight of the assumption that none is quick, in
 #: returns; a puck that comes more slowly than this counts as this fast [m/s]. Guesses.
 _RETURNS, _NO_RETURNS, _SLOWEST = 12, 2, 0.2
@@ -45,6 +49,8 @@ class Rival:
     #: Times from when the puck left for its half until the puck could be in the player's goal,
     #: sorted [s].
     returns: tuple[float, ...] = ()
+    #: Goals of bank shots, as a share of those expected.
+    banks: float = 1.0
 
     def is_quicker(self, time: Any) -> Any:
         """Return the probability that a shot comes back to the goal sooner than after a time."""
@@ -78,7 +84,9 @@ class RivalWatcher:
         self._last = -math.inf
         #: Last returns; whether the puck is in the other half, and when it got there and was seen.
         self._returns: deque[float] = deque(maxlen=_RETURNS)
-        self._away, self._left, self._puck = False, -math.inf, -math.inf
+        self._away, self._left, self._puck, self._x = False, -math.inf, -math.inf, 0.0
+        #: Whether the last shot was a bank shot; goals of bank shots, and those expected.
+        self._banked, self._goals, self._expected = False, _BANKS, _BANKS
         #: When the puck was shot, and the opponent's velocity then.
         self._shot: tuple[float, Float[np.ndarray, " 2"]] | None = None
 
@@ -91,20 +99,28 @@ class RivalWatcher:
             self._waited / self._time,
             self._products / self._squares,
             tuple(sorted(self._returns)),
+            self._goals / self._expected,
         )
 
     def puck(self, time: float, x: float, vx: float) -> None:
         """Receive a sight of the puck: its x, and its velocity along x."""
         if time - self._puck > _GAP:
             self._left = -math.inf
+            self._goals += self._banked and self._x > self._goal_line - _IN_GOAL
+            self._banked = False
         elif x > 0 and not self._away:
             self._left = time
         elif x <= 0 and self._away:
             self._returns.append(time - self._left + self._goal_line / max(-vx, _SLOWEST))
-        self._away, self._puck = x > 0, time
+        self._away, self._puck, self._x = x > 0, time, x
 
-    def shot(self, time: float, opponent: Float[np.ndarray, " 4"]) -> None:
-        """Begin to wait for the reaction to a shot, if the opponent stands still."""
+    def shot(self, time: float, opponent: Float[np.ndarray, " 4"], banked: float = 0.0) -> None:
+        """Begin to wait for the reaction to a shot, if the opponent stands still.
+
+        A bank shot has a chance of scoring, which includes the present share of goals.
+        """
+        self._banked = banked > 0
+        self._expected += banked * self._expected / self._goals
         if math.hypot(*opponent[2:]) < STILL:
             self._shot = time, opponent[2:]
 

@@ -184,6 +184,8 @@ def flown(
             strike(body, Disc(0.0, 0.0), np.zeros_like(vy), -np.sign(vy), rail, np)
             vx, vy, spin = body.vx, body.vy, body.spin
             going &= vx > 0
+    if opponent is not None:
+        passes = np.where(bounces > 0, np.minimum(passes * opponent[2].banks, 1.0), passes)
     return Flights(scores, bounces, passes)
 
 
