@@ -67,6 +67,6 @@ def test_bank_shots_that_never_score_are_expected_to_score_less():
         watcher.shot(time, np.zeros(4))
         shares.append(watcher.rival.banks)
     assert shares[:6] == sorted(shares[:6], reverse=True)
-    assert shares[5] == pytest.approx(0.4 / 1.6)
+    assert shares[5] == pytest.approx(0.2 / 1.4)
     assert shares[6:] == sorted(shares[6:])
-    assert shares[-1] > 1
+    assert shares[-1] == 1.5

@@ -32,13 +32,13 @@ _DIRECTION_ERROR = 0.02
 _BANKED = 0.5
 #: Discount rate of the probability of scoring with waiting time [1/s]; a guess.
 _PATIENCE = 0.12
-#: Value of a shot per speed of the puck [s/m]: a saved fast shot comes back, a slow one is the
-#: opponent's to strike. A guess.
-_PRESSURE = 0.01
+#: Value of a shot per speed of the puck along the table [s/m]: a saved fast shot comes back soon,
+#: a slow one is the opponent's to strike, or dies in its half. A guess.
+_PRESSURE = 0.03
 #: Probability that the opponent scores if the puck comes back before the craft; a guess.
 _CONCEDED = 0.4
-#: Gain in probability for which the planned shot is replaced; a guess.
-_BETTER = 0.08
+#: Gain in value for which the planned shot is replaced; a guess.
+_BETTER = 0.04
 #: Decisions between searches for shots, and for the fallback that only clears the puck.
 _EVERY, _EVERY_CLEAR = 4, 5
 #: Largest share of the craft's acceleration that the path to a new contact may need. Chosen by
@@ -62,8 +62,8 @@ class Shoot(Searcher):
 
     Parameters
     ----------
-    least : float, default 0.05
-        Smallest probability of scoring for a shot.
+    least : float, default 0.12
+        Smallest value of a shot: its probability of scoring, and its speed and risk.
     error : ArrivalError, optional
         The craft's errors at a rendezvous.
     speeds : array, shape (L,), optional
@@ -74,7 +74,7 @@ class Shoot(Searcher):
 
     def __init__(
         self,
-        least: float = 0.05,
+        least: float = 0.12,
         error: ArrivalError | None = None,
         speeds: Float[np.ndarray, " L"] = SPEEDS,
         clears: bool = False,
@@ -113,8 +113,7 @@ class Shoot(Searcher):
             return
         shots = self._likely(view, outlook, found)
         if self._plan is not None:
-            least = (self._plan.chance or 0.0) + _BETTER
-            shots = [shot for shot in shots if (shot.chance or 0.0) > least]
+            shots = [shot for shot in shots if shot.value > self._plan.value + _BETTER]
         self.adopt(view, outlook, shots)
         if self._plan in shots:
             self._plan = replace(self._plan, path=after_contact(view, outlook, self._plan))
@@ -229,13 +228,12 @@ class Shoot(Searcher):
         value = _worth(view, time, chance, after, place, contacts.craft - lost)
         shots = []
         for k in np.argsort(value)[::-1].tolist():
-            # A later contact of lower value may have a higher chance.
-            if chance[k] < self.least or (value[k] < self.least and not self.clears):
-                continue
+            if value[k] < self.least and not self.clears:
+                break
             kind: Kind = "bank" if bounces[k] > _BANKED else "strike"
             when = float(time[k]), float(normal[k]), float(speed[k])
             kind = "clear" if self.clears else kind
-            shots.append(PlannedContact(*when, kind, float(chance[k])))
+            shots.append(PlannedContact(*when, kind, float(chance[k]), value=float(value[k])))
         return shots
 
 
@@ -251,7 +249,7 @@ def _worth(
 
     A shot that comes back before the craft is at home again may be a goal against it.
     """
-    value = chance + _PRESSURE * np.hypot(puck[:, 0], puck[:, 1])
+    value = chance + _PRESSURE * puck[:, 0]
     if view.rival.returns:
         home = np.moveaxis(np.array(view.pitch.home) - place, -1, 0)
         back = view.times(home, np.moveaxis(craft, -1, 0), "rest") + view.pitch.delay

@@ -174,6 +174,8 @@ class PlannedContact:
     kind: Kind = "prepare"
     chance: float | None = None
     path: Float[np.ndarray, "N 2"] | None = None
+    #: What a shot was worth when it was planned, on the scale of its probability.
+    value: float = 0.0
 
     @property
     def velocity(self) -> Float[np.ndarray, " 2"]:

@@ -158,7 +158,8 @@ class Free(Searcher):
         for j in np.flatnonzero(able).tolist():
             belief = PuckBelief(time, np.concatenate([puck[:3], after[j]]), np.zeros((6, 6)))
             end = predict_path(view.pitch.equipment, belief, time + _AFTER)
-            if end[:, 0].min() < -view.pitch.goal_line:
+            # Not into the own goal, and not to the opponent.
+            if end[:, 0].min() < -view.pitch.goal_line or end[:, 0].max() > 0:
                 continue
             places = good_place(view, end[:, :2])
             value = float(places.max() + _MEAN * places.mean()) - _PUSH_WAITING * wait

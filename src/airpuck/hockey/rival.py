@@ -25,8 +25,9 @@ _FASTEST = 8.0
 _SOONEST, _LATEST = 0.08, 0.5
 #: Longest time between two sights that counts as waiting, and as one motion of the puck [s].
 _GAP = 0.05
-#: Weight of the assumption that bank shots score as expected [goals]. A guess.
-_BANKS = 0.4
+#: Weight of the assumption that bank shots score as expected [goals], and the most that they may
+#: score beyond that, as a share. Guesses.
+_BANKS, _MOST_BANKS = 0.2, 1.5
 #: A puck that vanishes this near to the opponent's goal line is in the goal [m].
 _IN_GOAL = 0.15
 #: Number of last returns that are remembered; weight of the assumption that none is quick, in
@@ -99,7 +100,7 @@ class RivalWatcher:
             self._waited / self._time,
             self._products / self._squares,
             tuple(sorted(self._returns)),
-            self._goals / self._expected,
+            min(self._goals / self._expected, _MOST_BANKS),
         )
 
     def puck(self, time: float, x: float, vx: float) -> None:
@@ -120,7 +121,7 @@ class RivalWatcher:
         A bank shot has a chance of scoring, which includes the present share of goals.
         """
         self._banked = banked > 0
-        self._expected += banked * self._expected / self._goals
+        self._expected += banked / self.rival.banks
         if math.hypot(*opponent[2:]) < STILL:
             self._shot = time, opponent[2:]
 
