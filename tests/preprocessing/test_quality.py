@@ -31,7 +31,7 @@ def test_a_unit_of_time_that_is_not_the_second_is_named(rate, unit, size):
     with pytest.raises(InputError, match="implausible for motion capture") as caught:
         check(np.zeros(100), rate / size)
     assert f'units = ["{unit}"]' in caught.value.problem
-    assert f"every {1 / rate:.3g} s: name" in caught.value.problem
+    assert f"gives {1 / rate:.3g} s: in the mapping" in caught.value.problem
     assert caught.value.field == "time"
 
 

@@ -248,6 +248,8 @@ def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
 
     x, _, yaw = TOLERANCE
     yield f"settled: stays within {1e3 * x:g} mm and {yaw:g} rad; rests: mean at the end"
+    if any(r.settling_time is None for flight in flights for r in flight.results):
+        yield "a point that is not settled may need more time: --dwell"
     for flight in flights:
         for result in flight.results:
             time, end = result.settling_time, "no poses at the end"

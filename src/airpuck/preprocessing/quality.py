@@ -92,9 +92,8 @@ def _other_unit(period: float, stream: str) -> str:
     if power in (-3, -6, -9):
         unit = {-3: "ms", -6: "us", -9: "ns"}[power]
         return (
-            f"; in units of 1e{power} s they would come every {period * 10.0**power:.3g} s: name "
-            f'them in a mapping, {stream} = {{units = ["{unit}"]}}, or one that is 1e{power} times '
-            "the mapping's"
+            f"; a unit of time 1e{power} times as long gives {period * 10.0**power:.3g} s: "
+            f'in the mapping, {stream} = {{units = ["{unit}"]}} instead of seconds'
         )
     if power > 0:
         return f"; the mapping's unit of time is too small by a factor of about 1e{power}"

@@ -130,7 +130,8 @@ def _require_columns(single: Path, mapping: RecordingMapping, needs: Sequence[st
         found = listing(plain_table(read_rows(single)).columns)
         raise InputError(
             "is a single CSV file; give the folder with one file per stream, or name its columns "
-            f"in a file for --mapping: {written} out of {found}",
+            f"in a file for --mapping: {written} out of {found}. If units are not m, rad and s, "
+            'or commands not 0 to 1, add units = ["mm", "deg", "ms"] to pose and scale to command',
             file=single,
         )
 
