@@ -1,41 +1,19 @@
 """Workers die; their items survive."""
 
 import logging
-import os
 import signal
-import time
-from pathlib import Path
-from typing import Literal
 
 import pytest
 
 from airpuck import InputError
 from airpuck.campaigns import workers as module
-from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import DEADLY, dispatch
 from airpuck.compute.process import Stopped, stop
 
+from ..apparatus.mortal_items import Mortal
+
 pytestmark = pytest.mark.slow
-
-
-class Mortal(Item):
-    """Records that it ran; some kill their worker, the first time or every time."""
-
-    folder: str
-    kills: Literal["never", "once", "always"] = "never"
-    raises: bool = False
-
-    def run(self):
-        marks = Path(self.folder)
-        before = len(list(marks.glob(f"{self.seed}-*")))
-        (marks / f"{self.seed}-{before}").touch()
-        time.sleep(0.05)
-        if self.kills == "always" or (self.kills == "once" and before == 0):
-            os.kill(os.getpid(), signal.SIGKILL)
-        if self.raises:
-            raise InputError("is not to be had", field="figure")
-        return [{"seed": float(self.seed)}]
 
 
 @pytest.fixture(scope="module")

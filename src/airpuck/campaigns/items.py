@@ -1,4 +1,7 @@
-"""Items of campaigns, each fully described by its fields."""
+"""Items of campaigns, each fully described by its fields.
+
+A worker imports this module; what only one kind needs is imported when it runs.
+"""
 
 from __future__ import annotations
 
@@ -10,39 +13,32 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
 from jaxtyping import Float
 
+import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.campaigns.fingerprint import of_file, of_recording, program
 from airpuck.control.laws import check_law
-from airpuck.control.settings import ControllerKind, Duration, Dwell, Hold
+from airpuck.control.settings import DWELL, ControllerKind, Duration, Dwell, Hold
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
-from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.evaluate import evaluate
-from airpuck.hockey.contestant import PLAYERS
-from airpuck.hockey.minimal_time import Arrival, shortest_time
-from airpuck.identification.bootstrap import resampled_estimates
-from airpuck.identification.fit import identify
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.problem import mean_delay
 from airpuck.identification.settings import Degree, Loss, Stride
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.pipeline import load_trajectory, preprocess
-from airpuck.twin.experiments import excite
-from airpuck.twin.fleet import fly_fleet
-from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck.twin.tracking_study import DWELL, Tracked, tracking_study
+
+if TYPE_CHECKING:
+    from airpuck.data.trajectory import Trajectory
+    from airpuck.identification.fit_result import Fit
+    from airpuck.twin.tracking_study import Tracked
 
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
@@ -125,6 +121,8 @@ class Item(Section):
 
 def is_file(name: str | None) -> bool:
     """Return whether a name is a file, not a packaged model or player."""
+    from airpuck.hockey.contestant import PLAYERS
+
     return name is not None and name.partition(":")[0] not in ("paper", *PLAYERS)
 
 
@@ -195,7 +193,7 @@ class Tracking(TwinItem):
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""
         truth = self.craft()
-        (flown,) = tracking_study(
+        (flown,) = airpuck.tracking_study(
             [read_model(self.model)],
             truth,
             dwell=self.dwell_s,
@@ -218,9 +216,11 @@ class Recovery(TwinItem, Identification):
 
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
+        from airpuck.twin.radio import as_received
+
         # As in the fitted model, the offset of the centre of mass is fixed in the body.
         truth = replace(self.craft(), frame="body", indexing="start")
-        recording = excite(
+        recording = airpuck.excite(
             truth,
             self.duration_s,
             self.seed,
@@ -228,8 +228,8 @@ class Recovery(TwinItem, Identification):
             hold=self.hold_s,
             settings=self.twin,
         )
-        data, craft = preprocess(recording, truth.vehicle), truth.vehicle
-        fit = identify(data, self.model, vehicle=craft, loss=self.loss(data))
+        data, craft = airpuck.preprocess(recording, truth.vehicle), truth.vehicle
+        fit = airpuck.identify(data, self.model, vehicle=craft, loss=self.loss(data))
         delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
@@ -271,7 +271,7 @@ class Fleet(Item):
         drawn = rng.uniform(lowest, max(lowest, self.amplitude), (-(-steps // hold), n))
         # Random seeds, so items of one campaign share none.
         seeds = rng.integers(2**62, size=self.craft).tolist()
-        flight = fly_fleet(
+        flight = airpuck.fly_fleet(
             [model, *(varied(model, self.spread, seed) for seed in seeds)],
             np.repeat(drawn, hold, axis=0)[:steps],
             seeds=[self.seed, *seeds],
@@ -324,7 +324,7 @@ class Fitting(Identification):
         row = {**_progress(fit), "windows": float(fit.windows)}
         row |= _labelled(fit.model, fit.model.parameters)
         if self.validation is not None:
-            row |= named("rmse", evaluate(fit.model, self._load(self.validation)).rmse)
+            row |= named("rmse", airpuck.evaluate(fit.model, self._load(self.validation)).rmse)
         return [row]
 
     def _load(self, name: str) -> Trajectory:
@@ -333,6 +333,8 @@ class Fitting(Identification):
 
     def fit(self) -> Fit:
         """Identify a model; `start_spread` and the seed set the start."""
+        from airpuck.identification.problem import mean_delay
+
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = [self._load(name) for name in self.recordings]
         if self.span is not None:
@@ -346,10 +348,12 @@ class Fitting(Identification):
             learned = rung.mask(nominal, craft)
             start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
         loss = self.loss(trajectories[0])
-        return identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)
+        return airpuck.identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)
 
     def _resampled(self) -> list[Row]:
         """Fit to resampled data, each time starting from the fit to all data."""
+        from airpuck.identification.bootstrap import resampled_estimates
+
         # A frozen pydantic model has a hash, which the type checker does not see.
         whole: Any = self.model_copy(update={"seed": 0, "resamplings": 0})
         fit = _fit_to_all(whole, whole.key())
@@ -371,10 +375,12 @@ class ShortestTime(Item):
     #: Angle between the velocity and the direction to the place.
     direction_rad: Annotated[float, pydantic.Field(ge=0, le=math.pi)] = 0.0
     #: ``rest``; ``any``: pass with any velocity.
-    arrival: Arrival = "rest"
+    arrival: Literal["rest", "any"] = "rest"
 
     def run(self) -> list[Row]:
         """Plan; see `Item.run`."""
+        from airpuck.hockey.minimal_time import shortest_time
+
         yaw = np.random.default_rng(self.seed).uniform(-np.pi, np.pi)
         velocity = self.speed_m_s * np.array(
             [np.cos(self.direction_rad), np.sin(self.direction_rad)]
@@ -391,7 +397,7 @@ class ShortestTime(Item):
 
 @lru_cache(maxsize=8)
 def _trajectory(name: str, vehicle: str | None, *_hashes: str | None) -> Trajectory:
-    return load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
+    return airpuck.load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
 
 
 @lru_cache(maxsize=8)

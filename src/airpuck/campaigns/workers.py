@@ -10,15 +10,17 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pydantic
 
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.fingerprint import program
 from airpuck.campaigns.items import Item, Row
-from airpuck.campaigns.spec import Entry
 from airpuck.compute.process import Stopped, stop
+
+if TYPE_CHECKING:
+    from airpuck.campaigns.spec import Entry
 
 #: Number of dead workers after which an item counts as failed.
 DEADLY = 3

@@ -15,7 +15,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import origin, report, show, warn
-from airpuck.control.settings import ControllerKind, Dwell
+from airpuck.control.settings import DWELL, ControllerKind, Dwell
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -138,7 +138,6 @@ def track(
     """
     from airpuck.control.reference import read_setpoints
     from airpuck.flight.pilot import pilot_named
-    from airpuck.twin.tracking_study import DWELL
 
     plant = airpuck.read_model(truth)
     controls = inputs.read_controls(tuning, None, plant)

@@ -29,8 +29,9 @@ Margin = Annotated[
         "--margin",
     ),
 ]
-#: Time at one of several set points.
+#: Time at one of several set points, and its default, the paper's [s].
 Dwell = Annotated[float, Setting("Time at each set point.", numbers.DWELL, "S", "--dwell")]
+DWELL = 2.0
 #: "full": compensates the delay and rejects disturbances; the paper's did neither.
 ControllerKind = Annotated[
     Literal["paper", "full"] | None,

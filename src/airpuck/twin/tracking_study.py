@@ -15,7 +15,7 @@ from airpuck.boundary.results import Result, plain
 from airpuck.control.laws import law_label
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
-from airpuck.control.settings import ControllerKind, Dwell
+from airpuck.control.settings import DWELL, ControllerKind, Dwell
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
@@ -31,8 +31,8 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from the centre and back.
 SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))
-#: Time before the first set point [s], and between set points in the paper [s].
-_LEAD, DWELL = 0.9, 2.0
+#: Time before the first set point [s].
+_LEAD = 0.9
 
 
 @dataclass(frozen=True, eq=False)
