@@ -30,6 +30,7 @@ html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_theme_options = {"source_directory": "docs/"}
 html_show_sphinx = False
+smartquotes_action = "qe"  # Quotes and ellipses. Two hyphens begin an option, not a dash.
 
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 4
