@@ -173,6 +173,25 @@ def test_a_tilted_table_is_no_actuators_fault(scale):
     assert found == ({} if scale == 1 else {craft(6).propeller_names[0]: "weak"})
 
 
+@pytest.mark.parametrize(
+    ("name", "true", "near", "says", "rung"),
+    [
+        ("dish", (1.0, -0.8, 0.6), 0.1, "not flat", "M3+dish"),
+        ("friction", (0.5, 0.0), 0.05, "rough", "M3+drag+friction"),
+    ],
+)
+def test_other_floors_are_recognised(name, true, near, says, rung):
+    model = truth(craft(6))
+    parameters = replace(model.parameters, **{name: np.array(true)})
+    flight = fly(replace(model, parameters=parameters), 15.0, seed=2)
+    check = check_layout(flight, craft(6))
+    assert check.agrees
+    assert list(check.floor) == [name]
+    np.testing.assert_allclose(check.floor[name], true, atol=near)
+    assert says in check.remarks[0]
+    assert usual_rung(flight, craft(6)) == rung
+
+
 def test_faults_are_searched_on_the_tilted_table():
     flight = flight_on_a_slope()
     model = on_table_of(fitted(nominal_model(craft(6)), 0.02), flight)

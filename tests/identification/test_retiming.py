@@ -14,6 +14,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.retiming import (
     delay_jitter,
+    error_growth,
     retimed,
     smoothed_along,
     variance_of_mean,
@@ -203,6 +204,16 @@ def test_the_weighted_sum_of_squares_is_its_expectation():
     jitter = delay_jitter([some(deviation, error)])
     expected = np.sqrt(brentq(excess, 1e-9, 1e-3, xtol=1e-18))
     assert jitter.standard_deviation_s == pytest.approx(expected, rel=1e-6)
+
+
+def test_errors_grow_without_limit_only_where_preparation_decides():
+    basis, hessian = np.eye(3), np.eye(3)
+    mixed = -np.diag([0.5, 3.0, 0.0])  # K has the eigenvalues 0.5, 3 and 0
+    growth = np.diag(error_growth(mixed, hessian, basis, rounds=1000))
+    assert np.isfinite(growth).all()
+    assert 1.9 < growth[0] <= 2.0
+    assert growth[1] > 1e3
+    assert growth[2] == 1.0
 
 
 def test_few_packets_say_nothing():

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +28,6 @@ from airpuck.faults.effect_match import (
     unit_columns,
 )
 from airpuck.model.model_file import nominal_model
-from airpuck.physics.effects import GRAVITY
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.time_scale import smoothed_as_measured
@@ -45,10 +45,10 @@ _TURNED = 0.3
 _UNKNOWN = 1e9
 #: If a verdict would need this multiple of the flight's length, the motors were barely used.
 _TOO_LONG = 100.0
-#: Least slope that affects the verdicts on propellers: its pull relative to one propeller's push,
-#: and in standard errors. On real flights over a level table, errors of the stated thrusts look
-#: like a slope of 1.2 % and 4.6.
-_TILT_MATTERS, _CERTAIN_TILT = 0.05, 5.0
+#: Least effects of the floor that are reported: the pull relative to one propeller's push, and in
+#: standard errors. On real flights over a level and smooth table, errors of the stated thrusts look
+#: like a slope of 1.2 % and 4.6, a dish of 6.1 % and 6.6, and friction of 2.4 % and 2.0.
+_FLOOR_REPORTED = {"tilt": (0.05, 5.0), "dish": (0.1, 5.0), "friction": (0.03, 3.0)}
 #: Parts of a sample in each of which faster commands are held.
 _PARTS = 8
 #: Shortest usable recording from which anything is concluded [s].
@@ -96,7 +96,8 @@ class LayoutCheck(Result):
 
     JSON = (
         "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
-        "mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error propellers"
+        "mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
+        "dish_rad_m=dish friction_m_s2=friction propellers"
     )
 
     #: One for each propeller.
@@ -125,6 +126,11 @@ class LayoutCheck(Result):
     #: standard error [rad].
     tilt: tuple[float, float] | None = None
     tilt_error: tuple[float, float] | None = None
+    #: Likewise, change of the slope along x with x, along y with y, and of each with the other
+    #: [rad/m].
+    dish: tuple[float, float, float] | None = None
+    #: Likewise, dry friction of the floor [m/s²].
+    friction: float | None = None
 
     def __repr__(self) -> str:
         return "\n".join(self.lines)
@@ -158,6 +164,14 @@ class LayoutCheck(Result):
         """Number of propellers that agree, less the number of axes with the wrong sign."""
         fine = sum(one.verdict in ("agrees", _TURNS) for one in self.propellers)
         return fine - len(self.signs.flipped)
+
+    @property
+    def floor(self) -> dict[str, Float[np.ndarray, " k"]]:
+        """Coefficients of the floor's effects, by the names of a model's parameters."""
+        found = {"tilt": self.tilt, "dish": self.dish}
+        if self.friction is not None:
+            found["friction"] = (self.friction, 0.0)
+        return {name: np.array(value) for name, value in found.items() if value is not None}
 
     @property
     def wrong(self) -> tuple[str, ...]:
@@ -196,6 +210,17 @@ class LayoutCheck(Result):
             remarks.append(
                 f"the table is tilted: it falls by {x} along x and {y} along y; level it, or "
                 "identify a model with +tilt"
+            )
+        if self.dish is not None:
+            changes = ", ".join(f"{1e3 * change:.1f}" for change in self.dish)
+            remarks.append(
+                f"the table is not flat: its slope changes by {changes} mrad/m (along x, along y, "
+                "across); identify a model with +tilt+dish"
+            )
+        if self.friction is not None:
+            remarks.append(
+                f"the floor is rough: dry friction of {self.friction:.2g} m/s²; clean it, or "
+                "identify a model with +drag+friction"
             )
         if self.length_ratio != 1:
             remarks.append(
@@ -295,25 +320,29 @@ def _with_signs(
         longer=found.longer,
         window=found.length,
     )
-    check = replace(check, **_tilt(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
+    check = replace(check, **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
     return replace(check, propellers=_propeller_checks(measured, error, stated, names, check))
 
 
-def _tilt(
+def _floor(
     found: WindowRegression, full: Float[np.ndarray, "3 n"], signs: AxisSigns
-) -> dict[str, tuple[float, ...]]:
-    """Return a slope of the table, if it is certain and large enough to change the results."""
+) -> dict[str, Any]:
+    """Return the effects of the floor that are certain and large enough to change the results."""
     pushes = np.linalg.norm(full[:2], axis=0)
-    matters = _TILT_MATTERS * np.median(pushes[pushes > 0]) if (pushes > 0).any() else np.inf
-    size = np.linalg.norm(found.pull)
-    if found.p_value >= LEVEL or size < max(matters, _CERTAIN_TILT * found.pull_error.max()):
-        return {}
-    # In the axes of the log.
-    slope = found.pull * [signs.x, signs.y] / GRAVITY
-    return {
-        "tilt": tuple(slope.tolist()),
-        "tilt_error": tuple((found.pull_error / GRAVITY).tolist()),
-    }
+    push = np.median(pushes[pushes > 0]) if (pushes > 0).any() else np.inf
+    # To the axes of the log.
+    flipped = {"tilt": (signs.x, signs.y), "dish": (1, 1, signs.x * signs.y), "friction": (1,)}
+    values: dict[str, Any] = {}
+    for name, (value, error) in found.floor.items():
+        share, errors = _FLOOR_REPORTED[name]
+        certain = found.p_value < LEVEL and np.linalg.norm(value) >= errors * error.max()
+        if certain and found.pulls[name] >= share * push:
+            values[name] = tuple((value * flipped[name]).tolist())
+    if "tilt" in values:
+        values["tilt_error"] = tuple(found.floor["tilt"][1].tolist())
+    # Friction cannot push.
+    (friction,) = values.pop("friction", (0.0,))
+    return values | ({"friction": friction} if friction > 0 else {})
 
 
 def _length_ratio(

@@ -110,7 +110,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
     effects in any direction, too (`check_layout`). If that shows reversed or swapped actuators, the
     fit is useless, and all strengths come from the check. The same applies if the table is
-    tilted and the model has no tilt.
+    tilted, or rough, and the model does not say so.
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
         # Strengths that a constraint holds have no error of their own.
         held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
-        if check.tilt is not None and model.parameters.tilt is None:
-            held = np.full(len(value), True)  # the fit attributed the slope to thrusts
+        if any(getattr(model.parameters, name) is None for name in check.floor):
+            held = np.full(len(value), True)  # the fit attributed the floor to thrusts
         if check.conclusive:
             seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
             value, error = (
@@ -161,18 +161,21 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
 
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
-    """Name the model to fit if none is named: M3, with the tilt if the table is clearly tilted."""
-    return "M3" if check_layout(trajectory, vehicle).tilt is None else "M3+tilt"
+    """Name the model to fit if none is named: M3, with what the floor clearly does."""
+    floor = check_layout(trajectory, vehicle).floor
+    # A rough floor also brakes in proportion to the speed.
+    terms = {"tilt": "+tilt", "dish": "+dish", "friction": "+drag+friction"}
+    return "M3" + "".join(term for name, term in terms.items() if name in floor)
 
 
 def on_table_of(model: Model, trajectory: Trajectory) -> Model:
-    """Return the model with the slope of a recording's table, unless it has a tilt already."""
-    parameters = model.parameters
-    tilt = None if parameters.tilt is not None else check_layout(trajectory, model.vehicle).tilt
-    if tilt is None:
+    """Return the model with what the floor of a recording does, unless it models that already."""
+    parameters, floor = model.parameters, check_layout(trajectory, model.vehicle).floor
+    added = {name: v for name, v in floor.items() if getattr(parameters, name) is None}
+    if not added:
         return model
     free = {q.name: model.free[parameters.mask(frozenset({q.name}))] for q in parameters.quantities}
-    parameters = replace(parameters, tilt=np.array(tilt))
+    parameters = replace(parameters, **added)
     free = parameters.laid_out(free, False)
     return replace(model, parameters=parameters, free=free, uncertainty=None)
 

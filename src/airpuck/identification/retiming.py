@@ -40,6 +40,8 @@ _DENSITY = 1
 #: Eigenvalue of the information, relative to the largest, below which a direction has no
 #: information.
 _UNINFORMED = 1e-8
+#: Growth of an error, in typical errors, from which it counts as unlimited.
+_UNLIMITED = 1e3
 #: Step of the difference quotients, in standard errors: small enough that packets move by a small
 #: part of a sample.
 _STEP = 0.1
@@ -179,13 +181,18 @@ def error_growth(
     """Return 1 + K + K² + …, by which repeated preparation multiplies errors in the data.
 
     If the preparation of the data has an error e, the estimate has an additional error K e, K =
-    -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary.
+    -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary. Where the sum
+    diverges, the preparation decides about the estimate, and the data hold no information.
     """
     inverse = np.linalg.pinv(basis.T @ hessian @ basis, rcond=_UNINFORMED, hermitian=True)
     once = -basis @ inverse @ basis.T @ mixed
     total = np.eye(len(once))
+    size = np.linalg.norm(basis, axis=1)
+    unit = np.divide(size, size[:, None], where=size[:, None] > 0, out=np.zeros_like(once))
     for _ in range(rounds):
         total = np.eye(len(once)) + once @ total
+        if np.abs(total * unit).max() > _UNLIMITED:
+            break
     return total
 
 

@@ -17,6 +17,7 @@ from airpuck.physics.effects import (
     Dish,
     Drag,
     Effect,
+    Friction,
     IdleLag,
     Inflow,
     PairInteraction,
@@ -129,6 +130,9 @@ QUANTITIES = (
     Quantity("dish", "dish_rad_m", "rad/m", "kₓ, k_y, kₓ_y", "change of the slope across the table",
              Triple, bounds=(-0.5, 0.5), labels=("x", "y", "xy"),
              default=None, effect=Dish, term="dish", start=(0.0, 0.0, 0.0)),
+    Quantity("friction", "friction_SI", "m/s², rad/s²", "f, f_ω", "dry friction of the floor", Pair,
+             bounds=(0.0, np.inf), labels=("linear", "spin"), default=None, effect=Friction,
+             term="friction", start=(0.0, 0.0), settings=("friction_m_s2", "spin_friction_rad_s2")),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     # Not part of the equations of motion.

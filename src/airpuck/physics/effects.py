@@ -149,6 +149,29 @@ class Drag(Effect):
         return float(linear), float(spin_rate * within.spin)
 
 
+#: Speeds below which dry friction counts as smooth [m/s, rad/s].
+CREEP, SPIN_CREEP = 0.005, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Friction(Effect):
+    """Dry friction of the floor: a = -f v/√(v² + s²), likewise for ω; s makes it smooth at rest."""
+
+    #: f [m/s²] and its counterpart for the spin [rad/s²].
+    linear: Any = 0.0
+    spin: Any = 0.0
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Decelerate the craft; see `Effect.acceleration`."""
+        rate = self.linear / xp.sqrt(motion.forward**2 + motion.left**2 + CREEP**2)
+        spin_rate = self.spin / xp.sqrt(motion.spin**2 + SPIN_CREEP**2)
+        return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
+
+    def acceleration_bound(self, within: Envelope) -> tuple[float, float]:
+        """Return the full friction; see `Effect.acceleration_bound`."""
+        return float(self.linear), float(self.spin)
+
+
 @dataclass(frozen=True, eq=False)
 class Inflow(Effect):
     """Thrust falls as the propeller moves into its own inflow: F (1 - c v), v along the thrust.

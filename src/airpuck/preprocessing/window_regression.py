@@ -7,8 +7,9 @@ tells whether the commands explain anything, however small their fraction of the
 disturbances correlate neighbouring windows; fewer windows then count, as for an autoregression.
 
 The curvature of a motion is its acceleration, averaged with the weight (1 - u²)², where u runs from
--1 to 1 over the window. A constant acceleration of the table frame, which a slope causes, is found
-beside the effects.
+-1 to 1 over the window. What the floor does is found beside the effects: a constant acceleration of
+the table frame, which a slope causes; one that is linear in the position, if the table is not flat;
+and dry friction.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
+from airpuck.physics.effects import CREEP, GRAVITY
 
 #: Shortest and longest window [s]; the length that explains most clearly is used.
 _SHORTEST, _LONGEST = 0.05, 3.2
@@ -127,9 +129,10 @@ class WindowRegression:
     length: float
     #: Logarithm of the probability that chance explains forces and moments as well.
     evidence: float
-    #: Constant acceleration in the table frame, which a slope causes [m/s²], and standard errors.
-    pull: Float[np.ndarray, " 2"]
-    pull_error: Float[np.ndarray, " 2"]
+    #: Coefficients of `tilt`, `dish` and `friction` in SI units, and standard errors.
+    floor: dict[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]
+    #: Size of the accelerations that each of them causes [m/s²].
+    pulls: dict[str, float]
     #: The regression, of forces or moments, that would show the stated effects more clearly.
     clearer: _FTest
     #: Factor by which the recording must be longer if the motors have the stated effects.
@@ -195,15 +198,24 @@ def _of_length(
     weight /= weight.sum()
     yaw = trajectory.state[index, 2]
     cos, sin, constant = weight * np.cos(yaw), weight * np.sin(yaw), np.ones((count, 1))
+    table = np.kron(np.eye(2), constant)
+    # Drag and the propellers' inflow grow with the speed, unlike dry friction.
+    moving = np.einsum("mwi,w->im", trajectory.state[index, 3:5], weight).reshape(-1, 1)
+    under = {"tilt": GRAVITY * table} | _floor_columns(trajectory.state[index], weight)
     for shift in shifts:
         force = forces[:, index - shift]
         along, across = (np.einsum("nmw,mw->mn", force, by) for by in (cos, sin))
         linear = np.block([[along, -across], [across, along]])
         turning = np.einsum("nmw,w->mn", force, weight)
-        table, both = np.kron(np.eye(2), constant), measured[:, :2].T.reshape(-1)
+        both = measured[:, :2].T.reshape(-1)
         forward = _FTest.of(linear, both, table, stated[:2].reshape(-1), count)
-        slope = _FTest.of(table, both, linear, np.zeros(2), count)
         spin = _FTest.of(turning, measured[:, 2], constant, stated[2], count)
+        causes = {"tilt": linear, "dish": np.hstack([linear, table])}
+        causes["friction"] = np.hstack([linear, table, moving])
+        tested = {
+            name: _FTest.of(under[name], both, nuisance, np.zeros(under[name].shape[1]), count)
+            for name, nuisance in causes.items()
+        }
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
             error=np.vstack([forward.error.reshape(2, n), spin.error]),
@@ -212,10 +224,29 @@ def _of_length(
             delay=shift * period,
             length=samples * period,
             evidence=forward.log_p + spin.log_p,
-            pull=slope.slope,
-            pull_error=slope.error,
+            floor={name: (one.slope, one.error) for name, one in tested.items()},
+            pulls={name: _size(under[name] @ one.slope, count) for name, one in tested.items()},
             clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
         )
+
+
+def _floor_columns(
+    state: Float[np.ndarray, "M W 6"], weight: Float[np.ndarray, " W"]
+) -> dict[str, Float[np.ndarray, "M2 k"]]:
+    """Return the mean accelerations in x, then y, per coefficient of the dish and of friction."""
+    x, y = np.einsum("mwi,w->im", state[..., :2], weight)
+    velocity = state[..., 3:5]
+    direction = velocity / np.sqrt(np.sum(velocity**2, axis=-1) + CREEP**2)[..., None]
+    none = np.zeros_like(x)
+    return {
+        "dish": GRAVITY * np.hstack([[x, none, y], [none, y, x]]).T,
+        "friction": -np.einsum("mwi,w->im", direction, weight).reshape(-1, 1),
+    }
+
+
+def _size(pulls: Float[np.ndarray, " M2"], count: int) -> float:
+    """Return the root mean square of accelerations in the plane."""
+    return float(np.sqrt(np.sum(pulls**2) / count))
 
 
 def _curvatures(
