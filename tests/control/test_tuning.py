@@ -19,7 +19,9 @@ from airpuck.control.tuning import (
     Weights,
     default_tuning,
     read_tuning,
+    tuning_for,
 )
+from airpuck.craft.vehicle import default_vehicle
 
 positive = st.floats(1e-9, 1e4)
 non_negative = st.just(0.0) | positive
@@ -214,6 +216,23 @@ def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, probl
     assert error.value.file == str(path)
     assert error.value.field == field
     assert str(error.value).startswith(f"{path}: {field}: ")
+
+
+def test_a_slowed_regulator_does_the_same_more_slowly():
+    tuning = default_tuning()
+    gain, slow = (
+        regulator(one.weights, period)
+        for one, period in ((tuning, 0.001), (tuning.slowed(4.0), 0.004))
+    )
+    np.testing.assert_allclose(slow[:, :3], gain[:, :3] / 16, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(slow[:, 3:], gain[:, 3:] / 4, rtol=1e-6, atol=1e-12)
+
+
+def test_only_a_much_slower_craft_gets_another_tuning():
+    vehicle = default_vehicle()
+    assert tuning_for(vehicle) == default_tuning()
+    heavy = vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg})
+    assert tuning_for(heavy).weights.speed > default_tuning().weights.speed
 
 
 def test_a_law_is_chosen_by_name_and_nothing_else_changes():

@@ -65,6 +65,7 @@ EVERYTHING = TwinSettings(
         voltage_sag_1_N=0.7,
         tilt_rad=(0.01, -0.02),
         dish_rad_m=(0.003, -0.004, 0.001),
+        friction_SI=(0.04, 0.2),
         idle_lag=0.8,
         battery_sag_1_s=0.001,
     ),
