@@ -4,7 +4,7 @@ import pytest
 
 from ..apparatus.processes import Process, Watch
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 def test_a_twin_is_ready(domain):

@@ -18,7 +18,7 @@ from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 VEHICLE = default_vehicle()
 PLAY = AirHockey()

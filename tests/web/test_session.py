@@ -25,7 +25,7 @@ from airpuck.web.page import ArenaSettings, Pages
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck.web.session import Session, play_in_browser
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
 
 @dataclass
