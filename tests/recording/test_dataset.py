@@ -49,12 +49,18 @@ def published(monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
 class Server:
     def __init__(self, root: Path) -> None:
         self.asked: list[str] = []
-        self.cut = False
+        self.cut = self.moved = False
         outer = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
             def do_GET(self) -> None:
                 outer.asked.append(self.path)
+                if outer.moved and not self.path.startswith("/moved"):
+                    self.send_response(302)
+                    self.send_header("Location", f"/moved{self.path}")
+                    self.end_headers()
+                    return
+                self.path = self.path.removeprefix("/moved")
                 file = root / self.path.lstrip("/")
                 if not file.is_file():
                     self.send_error(404)
@@ -138,6 +144,24 @@ def test_another_content_is_refused_and_not_kept(tmp_path: Path, server: Server)
 def test_a_broken_connection_keeps_nothing(tmp_path: Path, server: Server):
     server.cut = True
     with pytest.raises(InputError) as caught:
+        fetch(folder=tmp_path / "copy", base_url=server.url)
+    assert "\n" not in str(caught.value)
+    assert files_in(tmp_path / "copy") == {}
+
+
+def test_a_redirect_is_followed(tmp_path: Path, server: Server):
+    server.moved = True
+    fetch(folder=tmp_path / "copy", base_url=server.url)
+    assert verify(tmp_path / "copy") == {}
+    assert sum(path.startswith("/moved") for path in server.asked) == 2
+
+
+def test_a_download_that_is_too_large_is_stopped(
+    tmp_path: Path, server: Server, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("airpuck.boundary.limits.DOWNLOAD_BYTES", 1000)
+    (tmp_path / "served" / "models/paper/M0/params.json").write_bytes(bytes(2000))
+    with pytest.raises(InputError, match="is too large") as caught:
         fetch(folder=tmp_path / "copy", base_url=server.url)
     assert "\n" not in str(caught.value)
     assert files_in(tmp_path / "copy") == {}

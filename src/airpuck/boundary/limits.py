@@ -77,6 +77,8 @@ FIELDS = 10_000
 COLUMNS = 10_000
 #: Characters of a row of a CSV file.
 ROW_LENGTH = MIB
+#: A file of a public data set [bytes]; a hash is known only at the end of a download.
+DOWNLOAD_BYTES = 2**30
 #: Cells of a CSV file: two hours of poses in the authors' 13 columns.
 CELLS = 24_000_000
 #: A CSV file [bytes]; an hour of poses takes 0.2 GB.

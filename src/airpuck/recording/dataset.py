@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Annotated
 
 import pydantic
 
+from airpuck.boundary import limits
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Positive, Section, read_toml
 from airpuck.boundary.outputs import replacing, unwritable
@@ -187,12 +189,16 @@ def _download(
         base_url=base_url,
         registry={name: f"sha256:{digest}" for name, digest in files.items()},
     )
-    downloader = pooch.HTTPDownloader(timeout=_TIMEOUT_S)
     for done, name in enumerate(files):
         tell(done, len(files), name)
+        counted = _Counted(base_url + name)
+        # pooch accepts any object with a progress bar's methods.
+        downloader = pooch.HTTPDownloader(progressbar=counted, timeout=_TIMEOUT_S)  # pyright: ignore[reportArgumentType]
         try:
             # pooch's annotation of a downloader does not fit pooch's own downloaders.
             store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
+        except InputError:
+            raise
         except requests.RequestException as error:
             raise InputError(
                 f"cannot be downloaded ({_reason(error)}); if this machine is offline, {remedy}",
@@ -207,6 +213,32 @@ def _download(
             ) from error
     tell(len(files), len(files), "")
     return target
+
+
+@dataclass
+class _Counted:
+    """Stops a download that is too large; pooch tells a progress bar how much has arrived."""
+
+    url: str
+    #: Bytes so far.
+    arrived: int = 0
+    #: Set by pooch: size according to the server.
+    total: int = 0
+
+    def update(self, size: int) -> None:
+        """Count; raise InputError above the limit."""
+        self.arrived += size
+        if max(self.arrived, self.total) > limits.DOWNLOAD_BYTES:
+            raise limits.refused(
+                "is too large", limits.DOWNLOAD_BYTES, "it is not the published file", file=self.url
+            )
+
+    def reset(self) -> None:
+        """Begin again, as pooch does at the end."""
+        self.arrived = 0
+
+    def close(self) -> None:
+        """Do nothing: there is no bar."""
 
 
 def _reason(error: Exception) -> str:
