@@ -191,7 +191,7 @@ def test_games_are_recorded_with_their_players(tmp_path):
     table.order("sit")
     table.order("go")
     table.wish(1, 0.3, 0.35)
-    table.run(0.3)  # ends a game
+    table.run(0.5)  # ends a game
     names = {"left": "airpuck:easy", "right": "you", "written_by": "airpuck"}
     recording = airpuck.read_recording(tmp_path / "game-1", needs=("mallet", "puck", "pose"))
     assert recording.about == names
