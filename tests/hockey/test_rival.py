@@ -46,7 +46,8 @@ def test_returns_last_from_the_centre_line_to_the_goal():
         watcher.puck(time, x, 2.0 if time < 0.4 else -4.0)
     watcher.puck(2.0, -0.3, 0.0)
     watcher.puck(2.01, 0.3, 0.0)
-    watcher.puck(4.0, -0.3, 0.0)
+    watcher.puck(4.0, 0.3, 0.0)  # a serve of the opponent is no return
+    watcher.puck(4.01, -0.01, -4.0)
     rival = watcher.rival
     assert rival.returns == pytest.approx([0.3 + 1.1 / 4.0], abs=0.02)
     # One return counts against the assumption of slow ones.

@@ -111,7 +111,7 @@ class RivalWatcher:
             self._banked = False
         elif x > 0 and not self._away:
             self._left = time
-        elif x <= 0 and self._away:
+        elif x <= 0 and self._away and self._left > -math.inf:
             self._returns.append(time - self._left + self._goal_line / max(-vx, _SLOWEST))
         self._away, self._puck, self._x = x > 0, time, x
 
