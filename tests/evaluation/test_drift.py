@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind_from_stats
 
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.drift import Change, drift
@@ -46,6 +47,21 @@ def test_the_arithmetic_by_hand():
     joint = np.hypot(1, 1) * 0.02 * 1e3 * TRUTH.parameters.inertia
     assert change.standard_error == pytest.approx(joint, rel=1e-6)
     assert change.z == pytest.approx((after - before) / joint, rel=1e-6)
+
+
+def test_probabilities_are_those_of_welchs_test():
+    """A fit's standard error is that of a mean of as many values as it has blocks."""
+    rng = np.random.default_rng(2)
+    found = drift(estimated(rng, clusters=12), estimated(rng, clusters=8)).changes
+    most = max(found, key=lambda change: abs(change.z))
+    error = most.standard_error / np.sqrt(2)  # both fits have the same
+    spread = {"std1": error * np.sqrt(12), "std2": error * np.sqrt(8)}
+    welch = ttest_ind_from_stats(
+        most.before, nobs1=12, mean2=most.after, nobs2=8, equal_var=False, **spread
+    )
+    # The smallest of many p-values is adjusted for their number.
+    assert most.p_value == pytest.approx(min(1.0, len(found) * welch.pvalue), rel=1e-6)
+    assert most.p_value < 1
 
 
 @pytest.mark.parametrize(
