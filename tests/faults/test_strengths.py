@@ -173,6 +173,14 @@ def test_a_tilted_table_is_no_actuators_fault(scale):
     assert found == ({} if scale == 1 else {craft(6).propeller_names[0]: "weak"})
 
 
+@pytest.mark.parametrize("count", [3, 8])
+def test_a_slope_is_found_with_other_layouts(count):
+    model = truth(craft(count))
+    parameters = replace(model.parameters, tilt=np.array(TILT))
+    flight = fly(replace(model, parameters=parameters), 15.0, seed=2)
+    np.testing.assert_allclose(check_layout(flight, craft(count)).tilt, TILT, atol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("name", "true", "near", "says", "rung"),
     [
