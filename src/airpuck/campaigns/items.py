@@ -369,7 +369,7 @@ class ShortestTime(Item):
 
     #: Model of the craft.
     model: str = "paper:M3"
-    #: Distance of the place, and speed at the start.
+    #: Distance to the goal, and speed at the start.
     distance_m: Annotated[float, pydantic.Field(ge=0, le=10)]
     speed_m_s: Annotated[float, pydantic.Field(ge=0, le=3)] = 0.0
     #: Angle between the velocity and the direction to the place.

@@ -133,7 +133,7 @@ QUANTITIES = (
     Quantity("friction", "friction_SI", "m/s², rad/s²", "f, f_ω", "dry friction of the floor", Pair,
              bounds=(0.0, np.inf), labels=("linear", "spin"), default=None, effect=Friction,
              term="friction", start=(0.0, 0.0)),
-    Quantity("idle_lag", "idle_lag", "1", "cₗ", "growth of the motors' lag at standstill",
+    Quantity("idle_lag", "idle_lag", "1", "cₗ", "relative increase of the lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     # Not part of the equations of motion.
     Quantity("transport_delay", "transport_delay_s", "s", "d",
