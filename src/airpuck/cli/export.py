@@ -40,7 +40,7 @@ def export(
     """Write a model, or its whole controller, for other tools."""
     check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
-    # The controller is that of the other commands, which depends on the craft.
+    # The controller is the same as in the other commands; it depends on the craft.
     controls = "tuning" in KINDS[kind].uses
     written = airpuck.export.write(
         exported,
