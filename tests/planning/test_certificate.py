@@ -9,7 +9,7 @@ from studies.bounds import affected, case, sharp
 
 import airpuck
 from airpuck.craft.table import Table
-from airpuck.physics.effects import Effect
+from airpuck.physics.effects import Effect, Tilt
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
 from airpuck.planning.certificate import (
@@ -119,6 +119,15 @@ def test_a_craft_that_must_turn_to_brake_is_certain_to_hit_the_rail_ahead(direct
         state[3 + axis] = direction * speed
         asked = checked_request(M3, state, (0.0, 0.0, 0.0), (), Table(), (), Limits())
         assert unavoidable_rail(asked) == certain
+
+
+def test_what_may_help_to_brake_makes_a_crash_less_certain():
+    """The slope of the table, and a centre of mass that moves as the craft turns."""
+    state = np.array([Table().reach(M3.vehicle.radius_m)[0] - 0.1, 0, np.pi, 1.05, 0, 0])
+    aside = replace(M3, parameters=replace(M3.parameters, center_of_mass=np.array([0.01, 0.0])))
+    for model in (affected(M3, Tilt(0.05)), aside):
+        asked = checked_request(model, state, (0.0, 0.0, 0.0), (), Table(), (), Limits())
+        assert unavoidable_rail(asked) is None  # for M3 itself, see above
 
 
 class Boost(Effect):
