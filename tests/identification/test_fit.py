@@ -37,6 +37,21 @@ def test_exact_data_give_exact_parameters():
 
 
 @pytest.mark.slow
+def test_motors_slower_than_the_vehicle_file_says_are_watched_for_longer():
+    truth = published_model("M3")
+    slow = replace(
+        truth, frame="body", parameters=replace(truth.parameters, motor_time_constant=0.06)
+    )
+    flight = fly(slow, duration=10.0)
+    found, short = identify(flight), identify(flight, loss=Loss(encoder_time=40 / 240))
+    assert found.model.parameters.motor_time_constant == pytest.approx(0.06, rel=0.005)
+    strength = found.model.parameters.thrust.sum(axis=1) / truth.parameters.thrust.sum(axis=1)
+    np.testing.assert_allclose(strength, 1.0, atol=0.01)
+    # Who gives a length keeps it, and its bias.
+    assert short.model.parameters.motor_time_constant < 0.97 * 0.06
+
+
+@pytest.mark.slow
 def test_two_recordings_at_once():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]

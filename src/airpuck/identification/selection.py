@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, as_trajectories, vehicle_of
+from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.data.windows import Windows, make_windows
 from airpuck.evaluation.evaluate import hold_for, prediction_errors
 from airpuck.evaluation.statistical_tests import log_mean_square_errors, rmse_ratio
@@ -214,10 +214,13 @@ def select_model(
     if loss.whole:
         raise InputError("needs windows shorter than the recording", field="whole")
     trajectories = as_trajectories(trajectories)
-    loss = loss.suited(trajectories, vehicle or vehicle_of(trajectories))
     rungs = [named_rung(rung) if isinstance(rung, str) else rung for rung in ladder]
     settings: Any = {"vehicle": vehicle, "loss": loss}
     richest = identify(trajectories, rungs[-1], preparation=preparation, **settings)
+    suited = loss.suited(trajectories, richest.model.vehicle)
+    if loss.encoder_time is None:
+        suited = suited.remembering(float(np.max(richest.model.dynamics.lag)))
+    settings["loss"] = loss = suited
     healthy = richest.exclusion.trajectories if richest.exclusion else tuple(trajectories)
     settings["preparation"] = replace(preparation, faults="keep")
     held_out = _HeldOut.of(healthy, loss, richest.model.vehicle, folds)

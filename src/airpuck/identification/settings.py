@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
 #: Shortest default times of encoder and prediction [s]: 40 and 50 samples at 240 Hz.
 _ENCODER, _PREDICTION = 40 / 240, 50 / 240
+#: An encoder more than this many times too short is lengthened, by this margin, up to a limit [s].
+_SHORT, _LONGEST_ENCODER = 1.2, 1.0
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
 
@@ -75,8 +77,9 @@ class Loss(Settings):
         force from its own sample on.
     encoder_time : float, optional
         Length of the past that the encoder uses [s]; by default E = 40 samples at 240 Hz, or more
-        (`suited`). (The paper's 20 samples are three time constants of the motors: 5 % of the
-        earlier motor speeds remain, and bias the thrust by about 1 %.)
+        (`suited`; `remembering` if motors turn out slower than the vehicle file says). (The paper's
+        20 samples are three time constants of the motors: 5 % of the earlier motor speeds remain,
+        and bias the thrust by about 1 %.)
     weights : tuple of float
         Weights of the x, y [1/m] and γ [1/rad] errors; by default (1, 1, 0.1), as in the
         published fits. The paper's text has (1, 1, 1).
@@ -157,6 +160,17 @@ class Loss(Settings):
             encoder_time=self.encoder_time or max(_ENCODER, slow),
             prediction_time=self.prediction_time or max(_PREDICTION, slow),
         )
+
+    def remembering(self, lag: float) -> Loss:
+        """Return the loss with an encoder that forgets the initial speed of motors with a lag [s].
+
+        The same loss if its encoder is long enough.
+        """
+        from airpuck.preprocessing.time_scale import FORGOTTEN
+
+        longer = min(_SHORT * FORGOTTEN * lag, _LONGEST_ENCODER)
+        enough = longer <= _SHORT**2 * (self.encoder_time or _ENCODER)
+        return self if enough else replace(self, encoder_time=longer)
 
     def on(
         self,

@@ -42,7 +42,7 @@ _SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
 #: Time constants of the slowest motors after which a guess of their initial speed is forgotten to
 #: 0.4 %.
-_FORGOTTEN = 5.5
+FORGOTTEN = 5.5
 #: Longest pause between poses that are compared, in sample periods.
 _NO_GAP = 1.5
 
@@ -59,7 +59,7 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
 
 def forgetting_time(vehicle: Vehicle) -> float:
     """Return the time after which the slowest motors have forgotten an initial speed [s]."""
-    return _FORGOTTEN * float(np.max(nominal_model(vehicle).dynamics.lag))
+    return FORGOTTEN * float(np.max(nominal_model(vehicle).dynamics.lag))
 
 
 def smoothing_time(
