@@ -162,9 +162,17 @@ class Loss(Settings):
         )
 
     def remembering(self, lag: float) -> Loss:
-        """Return the loss with an encoder that forgets the initial speed of motors with a lag [s].
+        """Return the loss with an encoder that forgets the initial speeds of motors.
 
-        The same loss if its encoder is long enough.
+        Parameters
+        ----------
+        lag : float
+            Time constant of the slowest motor [s].
+
+        Returns
+        -------
+        Loss
+            The same loss if its encoder is long enough.
         """
         from airpuck.preprocessing.time_scale import FORGOTTEN
 
