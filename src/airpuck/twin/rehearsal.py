@@ -100,11 +100,9 @@ def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSet
 def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:
     """Describe why the controller does not settle, and the remedy; empty if it settles."""
     settings, seen = like(trajectory, effects, model), as_seen(model, effects)
-    missing = "; ".join(
-        control_authority(model).sentences or ("its motors are too weak or unequal",)
-    )
     if weakest_effort(model) < _HELD * weakest_effort(nominal_model(model.vehicle)):
-        return [f"No controller can hold the modelled craft: {missing}. Check the motors."]
+        why = _weakness(model)
+        return [f"No controller can hold the modelled craft: {why}. Check the motors."]
     flown = "In simulation, the packaged controller"
     try:
         if settles(model, seen, settings):
@@ -127,7 +125,12 @@ def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> lis
     except InputError as error:
         return [f"No controller can be designed from the model: {error.problem}."]
     return [
-        f"{flown} does not settle on the modelled craft: {missing}. "
+        f"{flown} does not settle on the modelled craft: {_weakness(model)}. "
         "Check the motors, or tune a controller for this craft and fly it in simulation first "
         "(`airpuck twin`)."
     ]
+
+
+def _weakness(model: Model) -> str:
+    """Describe what the craft's motors cannot do."""
+    return "; ".join(control_authority(model).sentences or ("its motors are too weak or unequal",))
