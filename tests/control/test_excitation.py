@@ -1,7 +1,5 @@
 """The excitation experiment's pilot: signals, mixing, and keeping to the table."""
 
-from time import perf_counter
-
 import numpy as np
 import pytest
 from scipy.stats import kstest
@@ -290,14 +288,13 @@ def test_a_time_that_is_not_a_number_idles_the_motors_once(bad):
     np.testing.assert_allclose(found, whole[:30], atol=1e-6)
 
 
+@pytest.mark.timeout(60)
 def test_a_jump_of_the_clock_costs_no_time_and_signals_go_on():
     # A year has 10⁸ changes: drawn one by one they would take minutes.
     excitation = pilot(seed=3)
     at_rest(excitation, 5)
     year = 3e7
-    began = perf_counter()
     after = at_rest(excitation, 40, start=year)
-    assert perf_counter() - began < 5
     assert np.abs(np.diff(after, axis=0)).max() > 0.1
     # And back: the signals restart.
     back = at_rest(excitation, 60, start=-5.0)
@@ -314,7 +311,7 @@ def test_an_amplitude_out_of_range_is_refused(amplitude):
 
 def test_each_pair_can_have_an_amplitude_of_its_own():
     commands = at_rest(pilot(amplitude=(1.0, 0.0, 0.4), seed=5), 200)
-    # One number of the generator for each signal, also for the one that is silent.
+    # The generator draws a number for each signal, even for a silent signal.
     signals = np.repeat(
         np.random.default_rng(5).uniform(-1, 1, (10, 3)) * (1.0, 0, 0.4), 20, axis=0
     )

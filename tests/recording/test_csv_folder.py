@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -279,13 +278,7 @@ def test_only_an_empty_folder_is_written_to(tmp_path: Path):
 
 def test_the_authors_files(experiments: Path):
     path = experiments / "2024_03_05-16_12_50_sysid_h1_blue"
-    spent = []
-    # Processor time and the best of three, because other tests may run beside this one.
-    for _ in range(3):
-        start = time.process_time()
-        recording = read_recording(path)
-        spent.append(time.process_time() - start)
-    assert min(spent) < 0.4
+    recording = read_recording(path)
     pose, command = recording["pose"], recording["command"]
     assert recording.source == str(path / path.name)
     assert len(pose) == 14623

@@ -90,7 +90,7 @@ def test_propellers_by_name_choose_their_columns(tmp_path: Path):
     found = read_recording(folder(tmp_path, command=command), mapping=mapping(tmp_path, text))
     assert found["command"].columns == ("rear", "left")
     np.testing.assert_allclose(found["command"].values, COMMANDS[:, [3, 0]], atol=1e-12)
-    # Other names than those of the columns rename them, in order.
+    # Names that differ from the column names rename the columns, in order.
     text = MAPPING.replace("scale", 'propellers = ["a", "b", "c", "d"]\nscale')
     found = read_recording(folder(tmp_path), mapping=mapping(tmp_path, text))
     assert found["command"].columns == ("a", "b", "c", "d")
@@ -139,7 +139,7 @@ def edited(text: str, line: int, column: int, value: str) -> str:
         (mocap().split("\n", 1)[1], r"mocap.csv: has no header: its first line must name"),
         (
             mocap(between=";").replace(".", ","),
-            r"mocap.csv: t: line 2: '0,0' is not a number; decimals have a point",
+            r"mocap.csv: t: line 2: '0,0' is not a number; decimals need a point",
         ),
         ("\x00\x01\x02", "there is no such column"),
         (mocap()[: len(mocap()) // 2].replace(",", ";", 3), "has"),

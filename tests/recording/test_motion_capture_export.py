@@ -155,10 +155,10 @@ def test_several_rigid_bodies_are_named(tmp_path: Path, name: str, write):
     with pytest.raises(InputError) as caught:
         read(tmp_path, name, text)
     message = str(caught.value)
-    assert "holds the rigid bodies puck, mallet, corner; choose one" in message
+    assert "contains the rigid bodies puck, mallet, corner; choose one" in message
     assert 'pose = {body = "puck"}' in message
     assert_is_the_motion(read(tmp_path, name, text, body="mallet"), shift=1.0, off=2e-5)
-    with pytest.raises(InputError, match=r"pose\.body: holds the rigid bodies puck, mallet"):
+    with pytest.raises(InputError, match=r"pose\.body: contains the rigid bodies puck, mallet"):
         read(tmp_path, name, text, body="rink")
 
 
@@ -196,13 +196,13 @@ def cut(text: str, line: int) -> str:
         (cut(motive(), 1), "has no row Frame, Time"),
         (cut(motive(), 5), "has no row Frame, Time"),
         (cut(qualisys(), 8), "has no row Frame, Time"),
-        (motive(types=("Bone", "Marker")), "holds no rigid body"),
+        (motive(types=("Bone", "Marker")), "contains no rigid body"),
         (motive().replace("Length Units,Millimeters", "Length Units,Feet"), "is Feet, not one of"),
         (motive().replace("Length Units,Millimeters,", ""), "Length Units: is missing"),
         (motive(rotation="XYZ").replace("Type,XYZ", "Type,ABC"), "has no rotation type"),
         (motive().replace("Position", "Place"), "has no column Position X, Position Y"),
         (qualisys().replace("Rot[8]", "Rot[9]"), r"has no column Rot\[8\]"),
-        (qualisys().replace("puck X", "puck"), "holds no rigid body"),
+        (qualisys().replace("puck X", "puck"), "contains no rigid body"),
         (motive().replace("0.100000,", "soon,"), "line 18: 'soon' is not a number"),
         (motive() + "40,0.4,1,2\n", "line 48 has 4 fields"),
     ],

@@ -17,7 +17,7 @@ RNG = np.random.default_rng(5)
 POSES = RNG.uniform(-2, 2, (200, 3))
 DUTIES = RNG.uniform(0, 1, (80, 8))
 EXAMPLES = Path(__file__).parents[2] / "examples"
-#: Our axes (forward, left, up) in those of PX4 (forward, right, down).
+#: Our axes (forward, left, up) expressed in PX4's axes (forward, right, down).
 DOWN = np.diag([1.0, -1.0, -1.0])
 
 MOTORS = """uint64 timestamp

@@ -31,7 +31,7 @@ def test_a_folder_stands_for_the_only_recording_inside(tmp_path: Path, bag: Path
 
 def test_several_recordings_are_not_guessed_at(tmp_path: Path, bag: Path):
     write_csv(flight(), tmp_path / "csv")
-    with pytest.raises(InputError, match="contains several recordings; give one of bag, csv"):
+    with pytest.raises(InputError, match="contains several recordings; choose one of bag, csv"):
         read_recording(tmp_path)
 
 

@@ -75,7 +75,7 @@ def test_big_endian_storages(tmp_path: Path):
 
 def test_several_experiments_are_chosen_by_name(tmp_path: Path):
     path = archive(tmp_path / "data.pt", names=("first", "second"))
-    with pytest.raises(InputError, match=r"holds 2 experiments.*\(first, second\)"):
+    with pytest.raises(InputError, match=r"contains 2 experiments.*\(first, second\)"):
         read_authors_experiment(path)
     assert len(read_authors_experiment(path, name="second")) == 50
     with pytest.raises(InputError, match="no experiment 'third'"):
@@ -130,7 +130,7 @@ def with_value(value: float):
         ({"tensors": {"X": tensor("1", 300, (1, 1), (2**66, 1))}}, "wrong offset, shape or stride"),
         ({"tensors": {"X": tensor("1", 300, (1, 1), (2**62, 1))}}, "is it damaged"),
         ({"tensors": {"X": text("no tensor")}}, "something other than a tensor"),
-        ({"names": ()}, "holds 0 experiments"),
+        ({"names": ()}, "contains 0 experiments"),
         ({"members": {"data/byteorder": b"middle"}}, "byte order is unknown"),
         ({"members": {"other/data.pkl": b"}."}}, "one data.pkl"),
         ({"data_pickle": b"}."}, "has no 'exps'"),
