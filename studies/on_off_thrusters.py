@@ -3,9 +3,11 @@
     OPENBLAS_NUM_THREADS=1 python studies/on_off_thrusters.py identify atmos --flights 2
     OPENBLAS_NUM_THREADS=1 python studies/on_off_thrusters.py steer atmos
 
-identify: each twin has forces up to 10 % off nominal, 5 % more inertia, 7 ms more delay and
-an offset centre of mass. steer: from rest, 1.17 m and 1.5 rad to a set point, with LQR and
-with predictive control. On-time is the propellant: the sum over all thrusters of the time open.
+identify: each twin has forces up to 10 % off nominal, 5 % more inertia, 7 ms more delay, a lag of
+1 to 9 ms instead of 5 ms, and an offset centre of mass. Flights that --out lists already are not
+flown again; a summary of the file follows. steer: from rest, 1.17 m and 1.5 rad to a set point,
+with LQR and with predictive control. On-time is the propellant: the sum over all thrusters of the
+time open.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ FOLDER = Path(__file__).parents[1] / "examples" / "free_flyers"
 #: Length of a prediction, and time between the starts of predictions [s]; by craft. Starts must see
 #: pulses at all phases, so the time between them is no multiple of the PWM's period.
 TIMES = {"atmos": (0.5, 0.19), "freeflyer2": (2.0, 0.23)}
+#: Range of true lags, relative to the vehicle file's guess.
+LAGS = (0.2, 1.8)
 #: Time between changes of the signals [s].
 HOLD = 0.5
 GOAL, START = (0.5, 0.3, 1.5), (-0.5, -0.3, 0.0)
@@ -46,51 +50,77 @@ def prepared(craft: str) -> tuple[Model, TwinSettings, Tuning]:
     return model, read_twin_settings(FOLDER / "twin.toml"), tuning
 
 
-def identified(craft: str, flights: int, duration: float, first: int) -> None:
-    """Identify twins, and print errors of parameters and how often intervals hold."""
+def identified(craft: str, seeds: range, duration: float, out: Path | None) -> None:
+    """Identify twins; print errors of parameters and how often intervals hold."""
+    rows = {} if out is None or not out.exists() else _rows(out)
+    for seed in (seed for seed in seeds if seed not in rows):
+        rows[seed] = one_flight(craft, seed, duration)
+        if out is not None:
+            with out.open("a") as file:
+                file.write(",".join(f"{value:.6g}" for value in (seed, *rows[seed])) + "\n")
+    worst, rms, force, late, together, inertia, inside, told, held = np.array(list(rows.values())).T
+    print(
+        f"{craft}, {len(rows)} flights: forces {_rms(rms):.2f} % rms, {worst.max():.2f} % at most; "
+        f"delay {_rms(late):.1f} ms rms, {np.abs(late).max():.1f} ms at most; delay and lag "
+        f"together {_rms(together):.2f} and {np.abs(together).max():.2f} ms; inertia "
+        f"{_rms(inertia):.2f} %; forces in their intervals {int(force.sum())}; intervals hold "
+        f"{int(inside.sum())} of {int(told.sum())}; lag held in {int(held.sum())} flights"
+    )
+
+
+def _rows(out: Path) -> dict[int, tuple[float, ...]]:
+    """Read the flights of earlier runs, by seed."""
+    read = [[float(cell) for cell in line.split(",")] for line in out.read_text().splitlines()]
+    return {int(seed): tuple(row) for seed, *row in read}
+
+
+def one_flight(craft: str, seed: int, duration: float) -> tuple[float, ...]:
+    """Fly and identify a twin; return errors, and how many intervals hold."""
     model, settings, tuning = prepared(craft)
     ahead, spacing = TIMES[craft]
-    covered: list[bool] = []
-    for seed in range(first, first + flights):
-        begun, rng = time.perf_counter(), np.random.default_rng(seed)
-        nominal = model.parameters
-        truth = replace(
-            nominal,
-            thrust=nominal.thrust * rng.uniform(0.9, 1.1, nominal.thrust.shape),
-            inertia=1.05 * nominal.inertia,
-            center_of_mass=rng.uniform(-5e-3, 5e-3, 2),
-            transport_delay=nominal.transport_delay + 0.007,
-        )
-        flown = excite(
-            replace(model, parameters=truth), duration, seed, hold=HOLD, margin=0.3,
-            settings=settings, tuning=tuning,
-        )  # fmt: skip
-        fit = identify(
-            preprocess(flown, model.vehicle),
-            loss=Loss(prediction_time=ahead, encoder_time=0.1, spacing=spacing),
-            preparation=Preparation(faults="keep"),
-        )
-        found, known = fit.model.parameters, fit.model.uncertainty
-        assert known is not None
-        error = found.to_vector() - truth.to_vector()
-        labels = np.array(found.labels(model.vehicle.propeller_names))
-        inside = np.abs(error) <= known.quantile * known.standard_errors
-        told = fit.model.free & np.isfinite(known.standard_errors)
-        covered += inside[told].tolist()
-        force = 100 * (found.thrust / truth.thrust - 1).ravel()
-        late = found.transport_delay - truth.transport_delay
-        slow = found.motor_time_constant - truth.motor_time_constant
-        deviation = 1e3 * known.standard_errors[truth.mask(frozenset({"transport_delay"}))]
-        print(
-            f"{craft} {seed}: forces {np.sqrt(np.mean(force**2)):.2f} % rms, "
-            f"{np.abs(force).max():.2f} % at most; delay "
-            f"{1e3 * late:+.1f} ± {deviation[0]:.1f} ms, lag {1e3 * slow:+.1f} ms, "
-            f"both {1e3 * (late + slow):+.2f} ms; inertia "
-            f"{100 * (found.inertia / truth.inertia - 1):+.2f} %; outside their intervals: "
-            f"{', '.join(labels[~inside & told]) or 'none'}; {np.sum(covered)} of "
-            f"{len(covered)} intervals hold ({time.perf_counter() - begun:.0f} s)",
-            flush=True,
-        )
+    begun, rng = time.perf_counter(), np.random.default_rng(seed)
+    nominal = model.parameters
+    truth = replace(
+        nominal,
+        thrust=nominal.thrust * rng.uniform(0.9, 1.1, nominal.thrust.shape),
+        inertia=1.05 * nominal.inertia,
+        center_of_mass=rng.uniform(-5e-3, 5e-3, 2),
+        transport_delay=nominal.transport_delay + 0.007,
+        motor_time_constant=nominal.motor_time_constant * rng.uniform(*LAGS),
+    )
+    flown = excite(
+        replace(model, parameters=truth), duration, seed, hold=HOLD, margin=0.3,
+        settings=settings, tuning=tuning,
+    )  # fmt: skip
+    fit = identify(
+        preprocess(flown, model.vehicle),
+        loss=Loss(prediction_time=ahead, encoder_time=0.1, spacing=spacing),
+        preparation=Preparation(faults="keep"),
+    )
+    found, known = fit.model.parameters, fit.model.uncertainty
+    assert known is not None
+    error = found.to_vector() - truth.to_vector()
+    labels = np.array(found.labels(model.vehicle.propeller_names))
+    inside = np.abs(error) <= known.quantile * known.standard_errors
+    told = fit.model.free & np.isfinite(known.standard_errors)
+    force = 100 * (found.thrust / truth.thrust - 1).ravel()
+    late = 1e3 * (found.transport_delay - truth.transport_delay)
+    slow = 1e3 * (found.motor_time_constant - truth.motor_time_constant)
+    inertia = 100 * (found.inertia / truth.inertia - 1)
+    held = not fit.model.free[truth.mask(frozenset({"motor_time_constant"}))].any()
+    deviation = 1e3 * known.standard_errors[truth.mask(frozenset({"transport_delay"}))]
+    print(
+        f"{craft} {seed}: forces {_rms(force):.2f} % rms, {np.abs(force).max():.2f} % at most; "
+        f"delay {late:+.1f} ± {deviation[0]:.1f} ms, lag {slow:+.1f} ms{' (held)' * held}, both "
+        f"{late + slow:+.2f} ms; inertia {inertia:+.2f} %; outside their intervals: "
+        f"{', '.join(labels[~inside & told]) or 'none'} ({time.perf_counter() - begun:.0f} s)",
+        flush=True,
+    )
+    thrusts = inside[: force.size].sum()
+    return (
+        np.abs(force).max(), _rms(force), thrusts, late, late + slow, inertia,
+        (inside & told).sum(), told.sum(), held,
+    )  # fmt: skip
 
 
 def steered(craft: str, duration: float) -> None:
@@ -136,9 +166,11 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("--out", type=Path, help="file of the flights so far; it is continued")
     given = parser.parse_args()
     if given.what == "identify":
-        identified(given.craft, given.flights, given.duration, given.first)
+        seeds = range(given.first, given.first + given.flights)
+        identified(given.craft, seeds, given.duration, given.out)
     else:
         steered(given.craft, given.duration)
 

@@ -55,7 +55,7 @@ def test_no_rung_has_a_curved_force() -> None:
     vehicle: Vehicle = read_vehicle(FREE_FLYERS / "atmos.toml")
     assert named_rung("M3").initial(vehicle).thrust.shape == (8, 1)
     for rung in (named_rung("M3", degree=3), named_rung("quadratic")):
-        with pytest.raises(InputError, match="give degree 1"):
+        with pytest.raises(InputError, match="use degree 1"):
             rung.initial(vehicle)
 
 

@@ -79,7 +79,7 @@ def test_a_fit_learns_one_number_for_each_way_of_a_wheel(tmp_path: Path) -> None
     free = dict(zip(start.labels(vehicle.propeller_names), rung.mask(start, vehicle), strict=True))
     assert free["thrust wheel φ^1"]
     assert not free["thrust wheel φ^2"]
-    # No propeller has a lever arm: the torque of the wheel cannot be told from the inertia.
+    # No propeller has a lever arm: the wheel's torque and the inertia cannot be separated.
     assert not free["inertia"]
 
 

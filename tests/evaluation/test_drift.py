@@ -50,7 +50,7 @@ def test_the_arithmetic_by_hand():
 
 
 def test_probabilities_are_those_of_welchs_test():
-    """A fit's standard error is that of a mean of as many values as it has blocks."""
+    """A fit's standard error equals the error of a mean over its blocks."""
     rng = np.random.default_rng(2)
     found = drift(estimated(rng, clusters=12), estimated(rng, clusters=8)).changes
     most = max(found, key=lambda change: abs(change.z))

@@ -96,7 +96,7 @@ def test_too_few_seconds_give_no_interval():
 
 def test_redrawn_means_spread_like_means_of_blocks():
     rng = np.random.default_rng(0)
-    # Blocks of 3 s of one value each: the standard error is that of 30 independent values.
+    # Blocks of 3 s of one value each: the standard error matches 30 independent values.
     values = np.repeat(rng.normal(size=(1, 30)), 10, axis=1)
     drawn = redrawn_means(values, 0.3 * np.arange(values.shape[1]))
     assert drawn is not None

@@ -33,8 +33,8 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
         update={"effects": effects, "radio": Radio(delay_s=5 / 240)}
     )
     plant = build_plant(TRUTH, settings)
-    flight = preprocess(excite(TRUTH, 20.0, 3, settings=settings, plant=plant))
-    keep = Preparation(faults="keep")  # there are none
+    flight = preprocess(excite(TRUTH, 14.0, 3, settings=settings, plant=plant))
+    keep = Preparation(faults="keep")  # this flight has no faults
     fit = identify(flight, "M3+drag+inflow+pair+sag+tilt+idle", preparation=keep)
     found, known = fit.model.parameters, fit.uncertainty
     labels = found.labels(TRUTH.vehicle.propeller_names)
@@ -63,6 +63,6 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
     np.testing.assert_array_equal(read.free, fit.model.free)
     np.testing.assert_array_equal(read.uncertainty.standard_errors, known.standard_errors)
     assert read.parameters.effects == found.effects
-    # The lag of idling motors is told from lag and delay.
+    # The lag of idling motors is distinguished from lag and delay.
     assert abs(found.idle_lag - 2.0) < 0.3
     assert abs(found.transport_delay - 5 / 240) < 0.5e-3

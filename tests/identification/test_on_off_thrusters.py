@@ -14,8 +14,9 @@ FREE_FLYERS = Path(__file__).parents[2] / "examples" / "free_flyers"
 PERIOD = 0.1
 
 
-@pytest.mark.slow
-def test_forces_and_delay_of_a_twin_come_back() -> None:
+@pytest.fixture(scope="module")
+def flown():
+    """Return the true parameters of a twin, and a recording of 8 s."""
     model = nominal_model(read_vehicle(FREE_FLYERS / "atmos.toml"))
     rng = np.random.default_rng(0)
     truth = replace(
@@ -34,13 +35,42 @@ def test_forces_and_delay_of_a_twin_come_back() -> None:
         twin.send(rng.random(8) * (rng.random(8) < 0.5))
     twin.wait_until(8.0)
     assert not twin.contacts
-    fit = identify(
-        preprocess(twin.recording(), model.vehicle),
-        loss=Loss(prediction_time=0.4, encoder_time=0.1, spacing=0.2),
-        preparation=Preparation(faults="keep", retimings=0),
+    return truth, twin.recording()
+
+
+def fitted(recording, vehicle, retimings):
+    """Identify a model."""
+    return identify(
+        preprocess(recording, vehicle),
+        loss=Loss(prediction_time=0.4, encoder_time=0.1, spacing=0.23),
+        preparation=Preparation(faults="keep", retimings=retimings),
     )
-    found = fit.model.parameters
+
+
+@pytest.mark.slow
+def test_forces_and_delay_of_a_twin_come_back(flown) -> None:
+    truth, recording = flown
+    found = fitted(recording, read_vehicle(FREE_FLYERS / "atmos.toml"), 0).model.parameters
     assert found.thrust.shape == (8, 1)
     np.testing.assert_allclose(found.thrust, truth.thrust, rtol=0.02)
     assert found.transport_delay == pytest.approx(0.041, abs=0.01)
     assert found.transport_delay + found.motor_time_constant == pytest.approx(0.046, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_error(
+    flown, tmp_path
+) -> None:
+    truth, recording = flown
+    text = (FREE_FLYERS / "atmos.toml").read_text()
+    text = text.replace("fall_s = 0.005", "fall_s = 0.005\nlag_error_s = 3e-4")
+    (tmp_path / "craft.toml").write_text(text)
+    fit = fitted(recording, read_vehicle(tmp_path / "craft.toml"), 1)
+    lag = truth.mask(frozenset({"motor_time_constant"}))
+    known = fit.uncertainty
+    assert known is not None
+    assert not fit.model.free[lag].any()
+    assert fit.model.parameters.motor_time_constant == 0.005
+    assert known.standard_errors[lag] == pytest.approx(3e-4)
+    assert "vehicle file's" in " ".join(known.notes)
+    assert fit.model.parameters.transport_delay == pytest.approx(0.041, abs=2e-3)

@@ -153,7 +153,7 @@ def test_mallet_and_craft_are_found_where_they_were_recorded():
         assert fit.bounces[name] >= 3, fit.bounces
         law, error = getattr(fit.play.puck, name), fit.play.puck.standard_error
         assert law.restitution == pytest.approx(0.8, abs=0.02 + 3 * error[f"{name}.restitution"])
-    # The settings stay those of the twin.
+    # The settings remain the twin's.
     assert type(fit.play) is type(twin.settings)
 
 

@@ -109,7 +109,7 @@ def test_velocities_are_not_smoothed_across_switches():
 
 
 def test_smoothing_along_a_model_is_smoothing_where_motors_stand():
-    """Without a model, velocities equal those of preprocessing, with or without a gap."""
+    """Without a model, velocities equal preprocessed velocities, with or without a gap."""
     rng = np.random.default_rng(0)
     time = np.concatenate([np.arange(60), np.arange(80, 140)]) / 240
     poses = np.cumsum(rng.normal(0, 1e-4, (120, 3)), axis=0)

@@ -108,7 +108,7 @@ class Decay:
     a, b, time = 1.0, 0.7, np.linspace(0, 4, 960).reshape(120, 8)
 
     def sampled(self, rng):
-        """Errors of windows have heavy tails, those of samples do not."""
+        """Errors of windows have heavy tails; errors of samples do not."""
         off = 0.05 * rng.standard_t(2.0, size=(len(self.time), 1))
         white = 0.01 * rng.normal(size=self.time.shape)
         return self.a * np.exp(-self.b * self.time) + off + white

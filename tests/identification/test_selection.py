@@ -28,7 +28,7 @@ RICH = Effects(
     inflow_s_m=0.2,
     pair_interaction_1_N=20.0,
 )
-#: There are none.
+#: These flights have no faults.
 KEEP_FAULTS = Preparation(faults="keep")
 #: Two programs to compile instead of four.
 SHORT_LADDER = ("M2", "M3", "M5+drag")

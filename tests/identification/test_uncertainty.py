@@ -461,7 +461,7 @@ def test_what_blocks_share_is_what_a_moving_average_loses():
     assert shared_at_borders(loss) == pytest.approx(missed, rel=0.1)
     one = replace(loss, clusters=np.zeros(len(windows), dtype=int))
     assert shared_at_borders(one) == 0
-    # The ends of recordings are no borders.
+    # The ends of recordings do not count as borders.
     two = Loss().on([noisy(1, 7.0), noisy(2, 7.0)], VEHICLE)
     by_trajectory = np.searchsorted(two.windows.origins, two.windows.starts, side="right")
     assert shared_at_borders(replace(two, clusters=by_trajectory - by_trajectory.min())) == 0

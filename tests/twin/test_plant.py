@@ -38,7 +38,7 @@ EFFECTS = Effects(
     tilt_rad=(0.004, -0.002),
 )
 ALL_EFFECTS = default_twin_settings().model_copy(update={"effects": EFFECTS})
-#: A disc whose inertia is not that of a homogeneous one.
+#: A disc that is not homogeneous: its inertia differs.
 DISC = CraftBody(mass=0.14, inertia=0.26e-3, radius=0.07)
 IDLE = np.zeros(6)
 TILTED = default_twin_settings().model_copy(
@@ -128,7 +128,8 @@ def test_elastic_rails_without_friction_conserve_energy():
 
 def test_off_center_hits_turn_the_craft_about_its_center_of_mass():
     # The impulse J at the contact points along -x and passes below the centre of mass, by r_y:
-    # it turns the craft clockwise, I ω = -J r_y. The contact's normal speed is that of the middle.
+    # it turns the craft clockwise, I ω = -J r_y. The contact's normal speed equals the normal speed
+    # of the middle.
     r, table = (0.0, 4e-3), Table(restitution=1.0, friction=0.0)
     after = hit(craft(x=1.03, vx=1.0), table, r)
     effective = 1 / (1 / DISC.mass + 4e-3**2 / DISC.inertia)

@@ -167,6 +167,7 @@ def test_a_hand_keeps_to_its_limits_and_arrives(target):
         ({"mallet": (0.5, 0.0)}, "mallet"),
         ({"puck": PuckState(math.nan, 0.0)}, "puck"),
         ({"puck": PuckState(0.0, 0.0), "mallet": (math.inf, 0.0)}, "mallet"),
+        ({"puck": PuckState(0.0, 0.0), "mallet": (0.5,)}, "mallet"),
     ],
 )
 def test_what_is_no_place_is_refused(plant, given, field):

@@ -309,5 +309,5 @@ def test_a_table_or_a_world_that_cannot_be_is_refused(plant):
     with pytest.raises(InputError, match="world: needs a puck"):
         Twin(MODEL, QUIET, plant=plant, world=World(QUIET))
     alone = Twin(MODEL, QUIET, plant=plant, world=World(QUIET, PuckState(0.5, 0.0)))
-    with pytest.raises(InputError, match="give it a second one"):
+    with pytest.raises(InputError, match="add a second one"):
         alone.wait_until(0.1)

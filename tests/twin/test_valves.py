@@ -52,7 +52,7 @@ def flown(model: Model, *sent: tuple[float, float], until: float) -> tuple[float
     for time, level in sent:
         twin.wait_until(time)
         twin.send(np.array([level]))
-    # The state is that of the last event: a frame of the motion capture.
+    # The state belongs to the last event: a frame of the motion capture.
     twin.wait_until(until)
     return float(twin.state[0]), float(twin.state[3])
 

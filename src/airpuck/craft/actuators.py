@@ -2,8 +2,9 @@
 
 The force of every kind is a thrust curve of a state that follows its drive in [0, 1] with a
 first-order lag, a transport delay after the command. An actuator that pushes both ways has two
-drives, one for each way (`Channel`). So the physics is the same for all kinds, each way has its own
-thrust curve, and every thrust is positive. A reaction wheel gives a moment instead of a force.
+drives, one for each direction (`Channel`). So the physics is the same for all kinds, each direction
+has its own thrust curve, and every thrust is positive. A reaction wheel gives a moment instead of a
+force.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ class Propellers(Section):
     least_on_s: ClassVar[float] = 0.0
     #: Whether the force is either full or zero, so that only its mean can be commanded.
     pulsed: ClassVar[bool] = False
+    #: Standard error of the vehicle file's lag [s]; None: a fit learns the lag.
+    lag_error: ClassVar[float | None] = None
 
     def nominal(self) -> dict[str, float]:
         """Return nominal values of a vehicle that follow from this kind."""
@@ -76,6 +79,9 @@ class OnOff(Section):
     #: First-order lag of the force when the valve opens, and when it closes.
     rise_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0
     fall_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] = 0.0
+    #: Standard error of their mean; by default as large as the mean. A fit keeps the mean unless
+    #: poses determine it more accurately.
+    lag_error_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] | None = None
     #: Shortest pulse; an open valve is held open this long.
     least_on_s: NonNegative = 0.0
     #: Commands are duty cycles over this period, which the craft turns into pulses. Without it they
@@ -90,21 +96,30 @@ class OnOff(Section):
             raise ValueError("least_on_s must not exceed pwm_period_s")
         return self
 
+    @property
+    def lag_error(self) -> float | None:
+        """Standard error of the mean lag [s]; None: nothing is stated about the lag."""
+        return self.lag_error_s if self.lag_error_s is not None else self._mean_lag or None
+
+    @property
+    def _mean_lag(self) -> float:
+        """Mean of the lags of opening and closing [s]."""
+        return (self.rise_s + self.fall_s) / 2
+
     def nominal(self) -> dict[str, float]:
         """Return mean lag and dead time."""
-        lag = (self.rise_s + self.fall_s) / 2
-        return {"motor_time_constant_s": lag, "transport_delay_s": self.dead_time_s}
+        return {"motor_time_constant_s": self._mean_lag, "transport_delay_s": self.dead_time_s}
 
     def check_thrust(self, degree: int) -> None:
         """Raise ValueError unless the curve is linear: F(u) = F u, also for means over pulses."""
         if degree != 1:
             raise ValueError(
                 f"the force of on/off thrusters is proportional to their on-time; a thrust curve "
-                f"of degree {degree} cannot be identified, give degree 1"
+                f"of degree {degree} cannot be identified; use degree 1"
             )
 
     def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Return open or shut for switches, otherwise duty cycles without too short pulses."""
+        """Return 0 or 1 for switches, otherwise duty cycles without pulses that are too short."""
         if self.pwm_period_s is None:
             return np.where(command >= 0.5, 1.0, 0.0)
         least = self.least_on_s / self.pwm_period_s
@@ -138,10 +153,13 @@ class OnOff(Section):
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
         """Return a lag for each valve, (n, 1), which opens and closes at different rates."""
-        mean = (self.rise_s + self.fall_s) / 2
-        if mean == 0:
+        if self._mean_lag == 0:
             return time_constant
-        return time_constant / mean * xp.where(drive > 0.5, self.rise_s, self.fall_s)[:, None]
+        return (
+            time_constant
+            / self._mean_lag
+            * xp.where(drive > 0.5, self.rise_s, self.fall_s)[:, None]
+        )
 
 
 Actuators = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]
@@ -163,6 +181,15 @@ class Wheel(Section):
     turns_craft: Literal["left", "right"] = "right"
     #: First-order lag of its torque; by default the propellers' lag.
     time_constant_s: Annotated[float, pydantic.Field(ge=_LEAST_LAG, le=_LONGEST_LAG)] | None = None
+    #: Standard error of that lag; by default as large as the lag.
+    lag_error_s: Annotated[float, pydantic.Field(ge=0, le=_LONGEST_LAG)] | None = None
+
+    @property
+    def lag_error(self) -> float:
+        """Standard error of its own lag [s]; 0 if it has none."""
+        if self.time_constant_s is None:
+            return 0.0
+        return self.time_constant_s if self.lag_error_s is None else self.lag_error_s
 
     @property
     def spin_up_s(self) -> float:
@@ -226,8 +253,8 @@ class Channel:
     #: Column of the command, and the sign of commands that push this way.
     column: int
     sign: int
-    #: Where it pushes, the direction of its force, counter-clockwise from the body's x axis, and
-    #: a moment per thrust in addition to the moment of this force.
+    #: Position, direction of the force (counter-clockwise from the body's x axis), and a moment per
+    #: thrust in addition to the moment of this force.
     position_m: tuple[float, float]
     direction_deg: float
     couple: float = 0.0
@@ -259,7 +286,7 @@ class ActuatorSet:
 
     @cached_property
     def own_lag(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Which channels share one lag, (n, 1), and the lags of the others [s]; None: all do."""
+        """Mask of channels that share one lag, (n, 1), and the lags of others [s]; or None."""
         own = np.array([[channel.time_constant_s or 0.0] for channel in self.channels])
         return (np.where(own > 0, 0.0, 1.0), own) if own.any() else None
 
@@ -289,7 +316,7 @@ class ActuatorSet:
         return np.maximum(command[..., columns] * signs, 0.0)
 
     def joined(self, drive: Float[np.ndarray, "*n n"]) -> Float[np.ndarray, "*n c"]:
-        """Return one drive for each column: the difference of its two ways."""
+        """Return one drive for each column: the difference of its two directions."""
         if len(self.channels) == self.n_columns:
             return drive
         joined = np.zeros((*drive.shape[:-1], self.n_columns))

@@ -185,7 +185,7 @@ class Vehicle(Section):
 
     @cached_property
     def actuation(self) -> ActuatorSet:
-        """How commands drive the actuators, with a channel for each way in which one pushes."""
+        """How commands drive the actuators, with a channel for each direction of each actuator."""
         forwards = [
             Channel(one.name, k, 1, one.position_m, one.direction_deg)
             for k, one in enumerate(self.propellers)
@@ -267,7 +267,7 @@ class Vehicle(Section):
 
     @cached_property
     def is_wheel(self) -> Bool[np.ndarray, " n"]:
-        """Which propellers are a way of a wheel."""
+        """Marks the propellers that stand for a direction of a wheel."""
         return self.couples != 0
 
     @cached_property
@@ -278,7 +278,7 @@ class Vehicle(Section):
 
     @cached_property
     def opposed(self) -> tuple[tuple[int, int], ...]:
-        """`pair_indices`, and both ways of each actuator that has two."""
+        """`pair_indices`, and the two directions of each actuator that has two."""
         channels, first = self.actuation.channels, len(self.columns)
         ways = ((channel.column, k) for k, channel in enumerate(channels) if k >= first)
         return (*self.pair_indices, *ways)
@@ -395,7 +395,7 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
         wheels = f" and {len(vehicle.wheels)} wheels" if vehicle.wheels else ""
         raise InputError(
             f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle {vehicle.name!r} "
-            f"has {len(vehicle.propellers)} propellers{wheels}; give the right file or model",
+            f"has {len(vehicle.propellers)} propellers{wheels}; use the right file or model",
             file=source,
         )
     if columns == unnamed_columns(len(columns)) and set(columns) != set(names):

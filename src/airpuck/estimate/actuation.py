@@ -62,7 +62,7 @@ _FIRST_SPEED = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Actuation:
-    """Estimates at the present of a batch of windows."""
+    """Estimates for a batch of windows, at the present of each."""
 
     #: x, y, γ, vx, vy, ω and motor speeds at the present.
     state: Float[np.ndarray, "z B"]
@@ -144,8 +144,8 @@ class ActuationEncoder:
             p_k = p + v (t_k - t) + ∬ a + Σ_i e_i ∬ a_i + noise,
 
         where a are the modelled accelerations along the measured yaw and a_i the contribution of
-        motor i, both integrated backwards from the present. The noise is that of the poses plus
-        twice integrated white accelerations. p and v have no prior.
+        motor i, both integrated backwards from the present. The noise is the poses' noise plus
+        white accelerations integrated twice. p and v have no prior.
         """
         speed = _motor_speeds(dynamics, past)
         by_motor, rest = accelerations_by_motor(dynamics, _motion(past, self.causal), speed)
@@ -248,8 +248,8 @@ def _whitening(
 ) -> Float[np.ndarray, "E E"]:
     """Return the matrix that makes the residuals of an axis white, with unit variance.
 
-    `noise` holds the poses' noise, the density of the accelerations, and the initial uncertainty of
-    the accelerations.
+    `noise` contains the poses' noise, the density of the accelerations, and the initial uncertainty
+    of the accelerations.
     """
     pose, density, first = noise
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))

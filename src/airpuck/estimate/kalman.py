@@ -217,7 +217,7 @@ class KalmanFilter:
         *belief, speed, innovation = self._use_pose(*belief, speed, *pieces, pose)
         if gate is not None:
             x, y, yaw = innovation.tolist()
-            # Not a number is too far, too: the estimate is lost, and a restart recovers it.
+            # NaN counts as too far, too: the estimate is lost, and a restart recovers it.
             if not (abs(x) <= gate[0] and abs(y) <= gate[1] and abs(yaw) <= gate[2]):
                 return False
         if self._remembers:

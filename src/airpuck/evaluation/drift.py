@@ -28,7 +28,7 @@ class Change(Result):
 
     JSON = "label unit before after standard_error z p_value held moved"
 
-    #: Which quantity.
+    #: The quantity.
     label: str
     words: str
     unit: str
@@ -94,7 +94,7 @@ class Drift(Result):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on what moved, the most significant first; empty without changes."""
+        """Sentences on the quantities that moved, most significant first; empty without any."""
         if not self.changes:
             return []
         moved = sorted((c for c in self.changes if c.moved), key=lambda c: -abs(c.z))

@@ -37,7 +37,7 @@ _EFFECT_UNIT, _TIME_UNIT, _BEND_UNIT, _OTHER_UNIT = 0.05, 2e-3, 0.2, 0.1
 #: Minimum length [s] and number of the blocks of time behind the standard errors.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
 #: A motor whose modelled full thrust is below this fraction of the median gets the median curve: a
-#: motor that the model takes for dead may run.
+#: motor that the model considers dead may still run.
 _WEAK = 0.3
 #: Columns per motor: forward, left, yaw; and the bend of its curve.
 _PER_MOTOR = 3
@@ -78,7 +78,8 @@ def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
     """Estimate the systematic errors of a model; None if the recording is too short."""
     remembered = forgetting_time(model.vehicle)
     before = trajectory.steps(max(_PAST_S, remembered), least=2)
-    # The thrust of a slow craft stands out from the noise later, and that of slow motors builds up.
+    # On a slow craft, thrust takes longer to emerge from the noise; slow motors take time to build
+    # it up.
     lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle), remembered)
     ahead = trajectory.steps(lasting)
     count = len(trajectory.window_starts(before + ahead, ahead))

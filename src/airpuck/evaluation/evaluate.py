@@ -29,8 +29,8 @@ from airpuck.preprocessing.time_scale import forgetting_time, showing_time
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")
 #: Number of starts per prediction horizon if every start counts: twelve in 0.2 s, every fourth
-#: sample at 240 Hz. Neighbours nearly repeat each other: root mean squares differ by less than 1 %
-#: from a count of all starts, and intervals by less than their own error.
+#: sample at 240 Hz. Neighbours nearly repeat each other: compared with using all starts, root mean
+#: squares change by less than 1 %, and intervals by less than their own error.
 _STARTS_PER_HORIZON = 12
 #: Past that is long enough for the motors of the paper's craft [s].
 _LONG = 40 / 240
@@ -45,7 +45,7 @@ def by_channel(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Which predictions are made and when they are evaluated."""
+    """The choice of predictions, and the time at which they are evaluated."""
 
     #: Every reported number names its protocol.
     name: str = "paper"
@@ -332,7 +332,7 @@ def _predicted(
         windows = hold_for(model, windows)
         past = windows.parts * (past - 1) + 1
     elif model.delay_learned:
-        # Such an encoder compares its model with each pose, of which there are no more.
+        # Such an encoder compares its model with each pose, and finer steps would add no poses.
         windows = windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
     return windows, prediction_errors(model.dynamics, windows, encoder, past)
 

@@ -49,8 +49,8 @@ class LatePackets:
 
     #: In standard deviations: x, y, γ; zero where they are not used.
     values: Float[np.ndarray, "N 3"]
-    #: The same for a filter without a wandering disturbance, which would follow slow model errors
-    #: and hide them.
+    #: The same for a filter without a wandering disturbance: the disturbance would follow slow
+    #: model errors and hide them.
     steady: Float[np.ndarray, "N 3"]
     #: First-order effects of errors on the latter: a delay longer by one second; a lag longer and a
     #: delay shorter by one second; each motor twice as strong.

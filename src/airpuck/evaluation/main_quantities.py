@@ -4,7 +4,7 @@ If the configuration matrix Π is learned directly, s times a propeller's thrust
 its column of Π give the same motion. Only their products are comparable: the linear and angular
 acceleration that a propeller causes. `physical_thrust` chooses the scale at which the force part of
 a column has length 1/m, as Newton's law demands. Our own fits are at that scale already
-(`airpuck.model.parameters`); published parameters are as published.
+(`airpuck.model.parameters`); published parameters are left unchanged.
 """
 
 from __future__ import annotations

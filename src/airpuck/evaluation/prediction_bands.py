@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.compute.arrays import register_pytree, scan
@@ -39,7 +40,8 @@ HORIZONS = (0.2, RESTART)
 #: Number of samples before a start over which motor speeds are tracked for their dependence on the
 #: lag.
 _LEAD = 40
-#: Smallest number of windows in a program; a few more cost nothing, another program seconds.
+#: Smallest number of windows in a program; a few more cost nothing, but another program takes
+#: seconds.
 _FEWEST = 64
 
 
@@ -162,6 +164,7 @@ def prediction_bands(
     >>> len(bands.coverage)  # x, y, yaw: percent of the poses within the bands
     3
     """
+    numbers.HORIZON.check(horizon, "horizon")
     if known is None:
         known = innovations(model, trajectory)
     steps = max(1, round(horizon / trajectory.sample_period))
@@ -224,7 +227,7 @@ def predict_with_errors(
     acts = trajectory.command_time + delay_for(model, trajectory)
     durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
     later, count, starts = _growth(commands), len(starts), lengthened(starts, _FEWEST)
-    # The first sample has pieces of no length, so it may stand for those before.
+    # The first sample has pieces of zero length, so it can replace the samples before it.
     lead = np.maximum(starts[:, None] + np.arange(1 - _LEAD, 1), 0)
     ahead = starts[:, None] + np.arange(1, steps + 1)
     mean = filtered.mean[starts]
@@ -278,7 +281,7 @@ def _one_prediction(
 ) -> Any:
     """Return the function that predicts one window.
 
-    `vector` holds the estimate; `chosen` are the entries of θ to differentiate by.
+    `vector` contains the estimate; `chosen` are the entries of θ to differentiate by.
     """
     import jax
     import jax.numpy as jnp

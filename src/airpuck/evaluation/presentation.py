@@ -13,10 +13,11 @@ from airpuck.boundary.notebook import html_table
 from airpuck.boundary.results import Result
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
+from airpuck.model.parameters import LAG
 from airpuck.model.rungs import RUNGS
 from airpuck.physics.thrust import thrust
 
-#: Stands for a value that the data leave open.
+#: Placeholder for a value that the data do not determine.
 NOT_IDENTIFIED = "not identified by these flights"
 #: Directions of acceleration: row of Π, sign.
 WAYS = (
@@ -208,7 +209,7 @@ def _derived(model: Model) -> list[Value]:
         def bandwidth(m: Model) -> float:
             return 1 / (2 * np.pi * m.parameters.motor_time_constant)
 
-        lag = model.parameters.mask(frozenset({"motor_time_constant"}))
+        lag = model.parameters.mask(LAG)
         label, learned = "bandwidth of the motors 1/(2πτ)", bool(model.free[lag].any())
         values.append(_value(model, label, "Hz", bandwidth, learned=learned))
     return values

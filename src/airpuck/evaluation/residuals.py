@@ -60,7 +60,7 @@ class CrossCorrelation(Result):
         "motor tested early correlation"
     )
 
-    #: Which.
+    #: Channel and motor.
     channel: str
     motor: str
     #: Correlation of the innovation at t with the command in force at t − k, for lags k = −M … M.

@@ -40,7 +40,7 @@ class Whiteness(Result):
 
     JSON = "channel passed statistic p_value share band degrees_of_freedom=degrees autocorrelation"
 
-    #: Which.
+    #: Name of the channel.
     channel: str
     #: r(1) … r(M).
     autocorrelation: Float[np.ndarray, " M"]
@@ -133,7 +133,7 @@ def block_regression(
         ]
     )
     spread = moved.T @ moved * (blocks - 1) / blocks
-    # Never less than independent innovations would give.
+    # At least as large as for independent innovations.
     variance = np.diag(spread)
     grown = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(variance, 1e-300), 1.0))
     return coefficients, spread * np.outer(grown, grown), blocks
@@ -157,7 +157,7 @@ def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Adjust p-values so that the chance of any false alarm among them stays below the level.
 
     The step-down procedure of Holm (1979): the smallest is multiplied by K, the next by K - 1, ….
-    It needs no independence.
+    The tests need not be independent.
     """
     order = np.argsort(p_values, kind="stable")
     stepped = p_values[order] * np.arange(len(p_values), 0, -1)
@@ -175,7 +175,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def blocks(start: Float[np.ndarray, " W"]) -> float:
-    """Return how many blocks of time the starts of predictions fill."""
+    """Return the number of blocks of time that the starts of predictions span."""
     return len(start) / _block_length(start)
 
 
@@ -273,7 +273,7 @@ def rmse_ratio(
 
 
 def _log(mean_squares: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Take logarithms; an exact prediction counts as an immeasurably small error."""
+    """Take logarithms; the error of an exact prediction is replaced by a tiny one."""
     return np.log(np.maximum(mean_squares, 1e-30))
 
 

@@ -101,7 +101,7 @@ class Structure(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
-        Also ``size``, ``mean`` and ``half_band`` of the bins, with the suffix of their unit.
+        Also ``size``, ``mean`` and ``half_band`` of the bins, with their unit as suffix.
         """
         unit = "rad_s2" if self.channel == "yaw" else "m_s2"
         sizes = {name: getattr(self, name) for name in ("size", "mean", "half_band")}
@@ -125,7 +125,8 @@ def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
     """Divide the range of each regressor into bins with equally many used samples.
 
     Regressors are the values one sample earlier, as estimated by the innovations' filter. Otherwise
-    noise of the pose under test would be in both, and look like structure in a slow flight.
+    both would contain the noise of the pose under test, which looks like structure in a slow
+    flight.
     """
     before = np.concatenate([found.mean[:1], found.mean[:-1]])
     (x, y, yaw), (vx, vy, spin) = before[:, :, 0].T, before[:, :, 1].T
@@ -169,7 +170,7 @@ def find_structure(
     bins: Sequence[Bins],
     late_by: float,
 ) -> list[Structure]:
-    """Test every regressor and channel; `late.others` answers to `missing_accelerations`.
+    """Test every regressor and channel; `late.others` holds the effects of `missing_accelerations`.
 
     A delay longer by `late_by` [s] than the model's is compensated first.
     """

@@ -14,9 +14,11 @@ from airpuck.preprocessing.time_scale import patience
 #: the vehicle file's delay [s]: as large as the error of the response time that control
 #: tolerates; for a slow craft, each is multiplied by its `patience`.
 _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
-#: Moment of inertia over mass times radius squared: a ring has 1, and no craft as little as 0.1.
+#: Moment of inertia over mass times radius squared: a ring has 1, and every craft has more than
+#: 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
-#: Cosine between a motor's modelled and estimated effect below which it is another motor's.
+#: Cosine between a motor's modelled and estimated effect below which the effect belongs to another
+#: motor.
 _SAME_MOTOR = 0.5
 #: Standard error of a motor's effect, relative to its size, above which its direction is unknown.
 _DIRECTION_LIMIT = 0.2

@@ -62,8 +62,14 @@ class Adam:
     seed: int = 42
 
     def __post_init__(self) -> None:
-        """Check the number of epochs."""
+        """Check the numbers."""
         numbers.EPOCHS.check(self.epochs, "epochs")
+        numbers.SHARE.check(self.test_share, "test_share")
+        numbers.check_finite(
+            learning_rate=self.learning_rate or 0.0,
+            inertia_factor=self.inertia_factor,
+            regularizer_weight=self.regularizer_weight,
+        )
 
     def minimize(
         self,

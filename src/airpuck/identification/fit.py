@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from airpuck import __version__
 from airpuck.boundary.arguments import chosen
@@ -27,7 +28,7 @@ from airpuck.identification.method import (
     reweighted,
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.packet_delays import UNKNOWN, PacketDelays
 from airpuck.identification.problem import Exclusion, Problem, exclude_faults
 from airpuck.identification.retiming import (
     delay_jitter,
@@ -47,19 +48,22 @@ from airpuck.identification.uncertainty import (
     shared_at_borders,
     varying,
     widened,
+    with_held,
     with_lag_squared,
     without_meaningless,
 )
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import Parameters, fix_gauge
+from airpuck.model.parameters import LAG, Parameters, fix_gauge
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.time_scale import is_slow
 
-#: Preparations that count for errors if the first was along the nominal model: nearly all, since
-#: what poses do not determine keeps its nominal value.
+#: Number of preparations assumed in the errors if the first used the nominal model: nearly all,
+#: since what poses do not determine keeps its nominal value.
 _ALONG_NOMINAL = 50
+#: Step of a difference quotient by a wheel's lag, in its standard errors.
+_LAG_STEP = 0.1
 
 
 def identify(
@@ -261,11 +265,29 @@ def retime(solution: Solution) -> Solution:
         along = tuple(smoothed_along(one, nominal) for one in solution.trajectories)
         solution = replace(solution, retimed=along)
     for _ in range(problem.retimings):
-        solution = solution.prefit()
+        solution = hold_lag(solution.prefit())
         _, _, model = solution.result
         retimed, packets = retime_packets(solution.trajectories, model)
         solution = replace(solution, retimed=retimed, packets=packets)
     return solution
+
+
+def hold_lag(solution: Solution) -> Solution:
+    """Fit again with the vehicle file's lag if a fit knows the lag less accurately than the file.
+
+    Poses hardly distinguish a longer lag of a few milliseconds from a longer delay, and an error
+    of the lag would become the opposite error of the delay.
+    """
+    problem, (_, outcome, model) = solution.problem, solution.result
+    error, lag = problem.vehicle.actuators.lag_error, problem.start.mask(LAG)
+    if error is None or not problem.free[lag].any():
+        return solution
+    loss, packets = solution.loss, solution.packets or (UNKNOWN,) * len(solution.trajectories)
+    on_all = replace(solution, fitted=(loss, outcome), packets=packets)
+    known = _uncertainty(on_all, loss.quadratic(outcome.parameters), model)
+    if float(known.standard_errors[lag][0]) < error:
+        return solution
+    return replace(solution, problem=replace(problem, lag_held=True), fitted=None).prefit()
 
 
 def minimize(solution: Solution) -> Solution:
@@ -312,8 +334,7 @@ def judge(solution: Solution, began: float) -> Fit:
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
         delay_jitter=delay_jitter(solution.packets),
     )
-    known = with_lag_squared(_uncertainty(solution, quadratic, model), parameters)
-    known = without_meaningless(known, parameters)
+    known = without_meaningless(_uncertainty(solution, quadratic, model), parameters)
     model = replace(model, uncertainty=known)
     return Fit(
         model=model,
@@ -342,6 +363,7 @@ def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Unce
     if solution.problem.loss.robust:
         added = information_of_weights(*loss.window_gradients(parameters))
         known = grown(known, information_growth(quadratic.hessian, added, space.basis))
+    known = _with_held_lags(solution, known, quadratic, space.basis)
     rounds = solution.problem.retimings
     along = rounds > 0 and any(map(is_slow, solution.trajectories))
     if (any(map(len, packets)) or along) and np.isfinite(known.standard_errors).any():
@@ -350,11 +372,45 @@ def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Unce
         )
         rounds = _ALONG_NOMINAL if along else rounds
         known = grown(known, error_growth(mixed, hessian, space.basis, rounds))
-    if model.delay_jitter is None:
+    if model.delay_jitter is not None:
+        delay = parameters.mask(frozenset({"transport_delay"}))
+        spread = model.delay_jitter.standard_deviation_s
+        known = widened(known, delay, variance_of_mean(packets, spread))
+    return known if solution.problem.lag_held else with_lag_squared(known, parameters)
+
+
+def _with_held_lags(
+    solution: Solution,
+    known: Uncertainty,
+    quadratic: Quadratic,
+    basis: Float[np.ndarray, "P R"],
+) -> Uncertainty:
+    """Add the errors of the vehicle file's lags: of the motors if held, and of wheels."""
+    problem, (loss, _, model) = solution.problem, solution.result
+    vehicle, held = problem.vehicle, np.zeros(len(basis), dtype=bool)
+    changes, slopes = [], []
+    if problem.lag_held:
+        held = model.parameters.mask(LAG)
+        error = vehicle.actuators.lag_error or 0.0
+        changes.append(error * held)
+        slopes.append(error * quadratic.hessian @ held)
+        note = f"the lag, {1e3 * float(model.parameters.motor_time_constant):.3g} ± "
+        note += f"{1e3 * error:.3g} ms, is the vehicle file's: the poses determine it less well"
+        known = replace(known, notes=(*known.notes, note))
+    for k, wheel in enumerate(vehicle.wheels):
+        lag, error = wheel.time_constant_s, wheel.lag_error
+        if lag is None or not error > 0:
+            continue
+        slower = wheel.model_copy(update={"time_constant_s": lag + _LAG_STEP * error})
+        wheels = (*vehicle.wheels[:k], slower, *vehicle.wheels[k + 1 :])
+        moved = replace(loss, vehicle=vehicle.model_copy(update={"wheels": wheels}))
+        gradient = moved.quadratic(model.parameters).gradient
+        changes.append(np.zeros(len(basis)))
+        slopes.append((gradient - quadratic.gradient) / _LAG_STEP)
+    if not changes:
         return known
-    delay = parameters.mask(frozenset({"transport_delay"}))
-    spread = model.delay_jitter.standard_deviation_s
-    return widened(known, delay, variance_of_mean(packets, spread))
+    adapted = np.array(changes) - np.array(slopes) @ basis @ basis.T
+    return with_held(known, adapted, held)
 
 
 def _conditions(solution: Solution) -> dict[str, Any]:

@@ -24,8 +24,8 @@ from airpuck.physics.thrust import lowest_slope
 
 #: A motor whose command stays within this range reveals nothing about its thrust.
 _IDLE_RANGE = 0.02
-#: A recording whose own delay differs this much from the fitted one, and by more than a sample, has
-#: other clocks or another radio: three samples at 240 Hz [s].
+#: Difference between a recording's own delay and the fitted one above which its clocks or its radio
+#: differ: three samples at 240 Hz [s], and at least one sample of the recording.
 _FAR = 3 / 240
 
 

@@ -10,6 +10,7 @@ import piqp
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import check_finite
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.uncertainty import scaling
@@ -54,6 +55,10 @@ class LevenbergMarquardt:
     monotone: bool = True
     damping: float = 1e-4
 
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        check_finite(tolerance=self.tolerance, damping=self.damping)
+
     def minimize(
         self,
         loss: PredictionLoss,
@@ -86,7 +91,7 @@ class LevenbergMarquardt:
             promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
             standstill = np.all(np.abs(step) <= 1e-14 + 1e-12 * np.abs(point))
             if promised <= self.tolerance * here.loss or standstill:
-                # A step that is short only because of damping tells nothing about the optimum.
+                # A step that is short only because of damping says nothing about the optimum.
                 reason = "converged" if damping < _OVERDAMPED else "no step lowers the loss"
                 break
             there = loss.quadratic(parameters.with_vector(point + step))

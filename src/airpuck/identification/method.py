@@ -18,7 +18,8 @@ _DEGREES = 1.0
 #: Weights between 0 and 2 have converged when none moves by more than this.
 _SETTLED = 0.02
 _MOST_PASSES = 12
-#: Windows whose errors lie between these quantiles determine how the median of all follows θ.
+#: Windows whose errors lie between these quantiles determine the derivative of the overall median
+#: with respect to θ.
 _AROUND = (0.4, 0.6)
 
 
@@ -99,7 +100,7 @@ def reweighted(
     With s the mean squared weighted error of a window and σ² the median over all windows, a window
     gets the weight (ν + 1)/(ν + s/σ²), from Student's distribution with ν degrees of freedom
     (Holland and Welsch, Communications in Statistics A 6, 1977). If a window's error is ten times
-    the median, its weight is a hundredth of that of a window without error.
+    the median, its weight is a hundredth of the weight of a window without error.
     """
     weight, settled = np.ones(len(loss.windows)), False
     weighted, counted = loss, loss.multiplicity

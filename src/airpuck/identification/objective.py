@@ -200,7 +200,7 @@ def normal_equations(
     encoded, push = jax.linearize(encode, lag_values, past.command)
     d_encoded = jax.vmap(push)(by_lag, with_delay(past_slope))
     size = edges[-1]
-    # Only lag and delay move the encoder's estimate.
+    # Of the local coordinates, only lag and delay affect the encoder's estimate.
     d_begun = jnp.moveaxis(d_encoded[:, :6], 0, 1)
     d_state = jnp.zeros((6, size, batch)).at[:, -(lags + 1) :].set(d_begun)
     carry = (
@@ -412,7 +412,7 @@ class PredictionLoss:
 
     @property
     def _counted(self) -> Float[np.ndarray, " W"]:
-        """How often each window counts."""
+        """Number of times each window counts."""
         return np.ones(len(self.windows)) if self.multiplicity is None else self.multiplicity
 
     def _batches(self) -> tuple[list[_Batch], list[int]]:
@@ -446,7 +446,7 @@ def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G 
 def _linear_basis(
     parameters: Parameters, vehicle: Vehicle
 ) -> tuple[tuple[Any, Any], tuple[Any, Any], Int[np.ndarray, " K"]]:
-    """Return Π and the effects, d/dθ of both by the entries of θ that move them, and these.
+    """Return Π and the effects, their derivatives, and the entries of θ they depend on.
 
     With complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
     SIAM Review 40, 1998).

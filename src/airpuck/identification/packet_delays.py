@@ -31,7 +31,7 @@ _SWITCH = 0.1
 _KNOWN = 4e-3
 #: Packets later or earlier than this were lost, or their motors did not respond [s].
 _LOST = 0.06
-#: Fewest samples around an arrival: a line takes two, the size of the noise more.
+#: Fewest samples around an arrival: a line needs two, and estimating the noise needs more.
 _FEWEST = 6
 #: Assumed error of other packets nearby, as a standard deviation [s]; how long before the window
 #: they still matter [s]; and the largest number on either side.
@@ -39,7 +39,7 @@ _USUAL, _BEFORE, _MOST = 0.01, 0.03, 16
 #: Assumed relative errors of each motor's thrust and of the inertia in a window, as standard
 #: deviations.
 _SHARE = 0.03
-#: Multiple of the typical misfit above which something else happened besides a late packet.
+#: Multiple of the typical misfit above which a late packet alone cannot be the cause.
 _MISFIT = 9.0
 #: Step of the difference quotients of speed, and number of Gauss-Newton iterations.
 _STEP, _PASSES = 1e-6, 3
@@ -62,7 +62,8 @@ class PacketDelays:
         return len(self.packet)
 
 
-_NONE = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
+#: No packet's arrival is known.
+UNKNOWN = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
 
 
 def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
@@ -73,13 +74,13 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
         y = p + v t + ∬ a + Σⱼ δⱼ ∬ ∂a/∂δⱼ + noise,
 
     where a are the modelled accelerations along the measured yaw; p, v and the δ of all packets
-    nearby are unknown. The δ get a prior of 10 ms, which is removed from the results. The noise is
-    that of the poses and of white accelerations that the model does not explain; both sizes are
-    fitted to the residuals of the recording (maximum likelihood).
+    nearby are unknown. The δ get a prior of 10 ms, which is removed from the results. The noise
+    consists of the poses' noise and of white accelerations that the model does not explain; both
+    sizes are fitted to the residuals of the recording (maximum likelihood).
     """
     near = _surroundings(trajectory, model)
     if near is None:
-        return _NONE
+        return UNKNOWN
     late = np.zeros(len(trajectory.command_time))
     found = _regressed(near, late)
     for _ in range(_PASSES - 1):
@@ -259,7 +260,7 @@ class _Regression:
         #: Remaining residuals, (k, 3, B).
         self.rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
         misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
-        #: Whether nothing else happened, (B,).
+        #: Whether packet delays alone explain the poses, (B,).
         self.where_usual = misfit < _MISFIT * np.median(misfit)
         # Each packet, from the window that determines it best.
         spread = np.diagonal(self._covariance, axis1=1, axis2=2).T[: self._m]

@@ -21,7 +21,7 @@ from airpuck.identification.method import Iteration, Method
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import Parameters
+from airpuck.model.parameters import LAG, Parameters
 from airpuck.model.rungs import Rung, named_rung
 
 _ENCODER = PaperEncoder()
@@ -45,13 +45,15 @@ class Problem:
     loss: Loss = field(default_factory=Loss)
     method: Method = field(default_factory=LevenbergMarquardt)
     preparation: Preparation = field(default_factory=Preparation)
+    #: Whether the motor lag keeps the vehicle file's value.
+    lag_held: bool = False
     progress: Callable[[Iteration], None] = field(default_factory=lambda: lambda _: None)
 
     @classmethod
     def of(
         cls, trajectories: Trajectory | Sequence[Trajectory], model: str | Rung, **options: Any
     ) -> Problem:
-        """Pose a problem; other fields that are None take their defaults."""
+        """Set up a problem; other fields that are None take their defaults."""
         trajectories = as_trajectories(trajectories)
         rung = named_rung(model) if isinstance(model, str) else model
         given = {name: value for name, value in options.items() if value is not None}
@@ -74,7 +76,9 @@ class Problem:
         digests = [" ".join(sorted(t.hashes.values())) for t in self.trajectories]
         for number, (trajectory, digest) in enumerate(zip(self.trajectories, digests, strict=True)):
             if digest and digest in digests[:number]:
-                raise InputError("is given twice; give each recording once", file=trajectory.source)
+                raise InputError(
+                    "is given twice; name each recording only once", file=trajectory.source
+                )
 
     @property
     def _delays_known(self) -> bool:
@@ -98,22 +102,25 @@ class Problem:
 
     @property
     def retimings(self) -> int:
-        """How often packets are retimed."""
+        """Number of times that packets are retimed."""
         return self.preparation.retimings if self.learns_delay and self.rung.lag else 0
 
     @cached_property
     def start(self) -> Parameters:
-        """Where the fit starts."""
+        """Initial parameters of the fit."""
         start = self.initial or self.rung.initial(self.vehicle)
+        if self.lag_held:
+            start = replace(start, motor_time_constant=self.vehicle.nominal.motor_time_constant_s)
         if self.initial is not None and self.learns_delay:
             return start
         return replace(start, transport_delay=mean_delay(self.trajectories, self.vehicle))
 
     @cached_property
     def free(self) -> Bool[np.ndarray, " P"]:
-        """Which parameters are learned."""
-        delay = self.start.mask(frozenset({"transport_delay"}))
-        return self.rung.mask(self.start, self.vehicle) | (delay & self.learns_delay)
+        """Marks the parameters that are learned."""
+        delay, lag = self.start.mask(frozenset({"transport_delay"})), self.start.mask(LAG)
+        free = self.rung.mask(self.start, self.vehicle) | (delay & self.learns_delay)
+        return free & ~(lag & self.lag_held)
 
     def loss_on(self, trajectories: Sequence[Trajectory]) -> PredictionLoss:
         """Return the loss on prepared trajectories."""

@@ -44,7 +44,7 @@ _LEAST_SCATTER = 0.02
 #: Errors of a rail's position below this are not mentioned [m].
 _RAIL_OFF = 3e-3
 _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
-#: Which bounces determine which number.
+#: Kind of bounces that determines each number.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
 #: Largest standard errors with which a number counts as identified.
 _WORST = {"grip": 0.2, "friction": 0.15, "drag": 0.2}
@@ -58,7 +58,7 @@ class Bounce:
     after: Float[np.ndarray, " 3"]
     #: Standard deviation of the velocities after it [m/s].
     deviation: float
-    #: How far outside the expected rail position it happened [m].
+    #: Distance of the bounce beyond the expected rail position [m].
     beyond: float
 
 
@@ -329,7 +329,7 @@ def _where(flights: list[Flight], play: AirHockey) -> str:
     return (
         f"no bounce is near a rail: the puck moved within x = {left:.2f} to {right:.2f}, y = "
         f"{low:.2f} to {high:.2f} m, and rails stop it at ±{x:.2f}, ±{y:.2f} m. If this table is "
-        f"about {length:.2f} by {width:.2f} m, give its size (--table), and its centre in a file "
+        f"about {length:.2f} by {width:.2f} m, state its size (--table), and its centre in a file "
         f"for --mapping: puck = {{origin_m = {centre}}}"
     )
 
@@ -415,7 +415,7 @@ def _clustered_errors(
 ) -> Float[np.ndarray, " 3"]:
     """Return standard errors; each bounce is a cluster, since its scatter is arbitrary."""
     normal = jacobian.T @ jacobian
-    # A number that no bounce depends on has no error.
+    # A number that affects no bounce has no error.
     known = np.diag(normal) > 1e-9
     error = np.full(3, np.inf)
     if not known.any():
@@ -453,7 +453,7 @@ def _closing(
     if when is None:
         return None
     time, pose = seen_poses(recording, stream)
-    # No puck changes a hand's velocity, but the hand itself may change it after the contact.
+    # The puck does not change the velocity of a hand, but the hand may change it after the contact.
     sides = (-1, -1) if stream == "mallet" else (-1, 1)
     old, new = (_local(time, pose, when, side) for side in sides)
     if old is None or new is None:

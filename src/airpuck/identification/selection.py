@@ -252,7 +252,7 @@ SELECTION_HEADINGS = (
 
 
 def selection_rows(selection: Selection) -> list[list[str]]:
-    """Write how well every rung predicted the held-out data, and the change from rung to rung."""
+    """Return table rows: each rung's errors on held-out data, and the change from rung to rung."""
     rows = []
     for candidate in selection.candidates:
         x, y, yaw = candidate.rmse
@@ -279,7 +279,7 @@ def selection_words(selection: Selection) -> str:
     if name == best.name:
         return f"{name} predicts best, and nothing simpler is within one standard error of it"
     [chosen] = [candidate for candidate in selection.candidates if candidate.name == name]
-    # The logarithm of a root mean square is half that of the mean square.
+    # The logarithm of a root mean square is half the logarithm of the mean square.
     excess, error = 50 * chosen.excess, 50 * chosen.standard_error
     return (
         f"{name} is the simplest model within the tolerance: its errors are {excess:.1f} ± "

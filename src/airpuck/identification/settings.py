@@ -30,7 +30,7 @@ _SAME_RATE = 0.05
 Stride = Annotated[
     int | None,
     Setting(
-        "Samples from one window to the next; by default 29 ms, for adam 1",
+        "Samples from one window to the next; by default 29 ms, or 1 sample with --adam",
         numbers.STRIDE,
         "N",
         heading="Prediction errors to minimise",
@@ -65,10 +65,10 @@ def _paper_encoder() -> PaperEncoder:
 
 @dataclass(frozen=True)
 class Loss(Settings):
-    """Which prediction errors a fit minimises, and their weights (eq. combined_loss).
+    """The prediction errors that a fit minimises, and their weights (eq. combined_loss).
 
-    The default times suit the paper's craft; those of encoder and prediction are longer for a
-    slower craft (`suited`).
+    The default times suit the paper's craft; a slower craft gets longer times of encoder and
+    prediction (`suited`).
 
     Attributes
     ----------
@@ -133,6 +133,8 @@ class Loss(Settings):
         """Check the numbers."""
         super().__post_init__()
         numbers.SPACING.check(self.spacing, "spacing")
+        if len(self.weights) != 3:
+            raise InputError("must be three numbers: of x, y and yaw", field="weights")
         for weight in self.weights:
             numbers.WEIGHT.check(weight, "weights")
 

@@ -1,4 +1,4 @@
-"""Which parameters the data determine, and a covariance that respects overlapping windows.
+"""The parameters that the data determine, and a covariance that respects overlapping windows.
 
 Windows that begin within one prediction length of each other share samples, and unmodelled effects
 (a tilted table, air, flow between propellers) last even longer. Residuals are therefore far from
@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.results import Result
 from airpuck.data.windows import Windows
 from airpuck.identification.objective import BATCH, PredictionLoss, Quadratic
-from airpuck.model.parameters import Parameters, gauge_constraints, gauge_directions
+from airpuck.model.parameters import LAG, Parameters, gauge_constraints, gauge_directions
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import FLAT, slope_rows, thrust_slope
 
@@ -45,8 +45,9 @@ _NAMED = 4
 #: Error, relative to the largest value of its kind, above which a parameter without bounds is
 #: undetermined.
 _HOPELESS = 100.0
-#: The motor lag, and how much wider than its linear interval another one must be to replace it.
-_LAG, _BENT = frozenset({"motor_time_constant"}), 1.1
+#: Factor by which a nonlinear interval of the motor lag must be wider than the linear one to
+#: replace it.
+_BENT = 1.1
 #: Condition number of the scaled information above which a fit counts as poorly determined: a
 #: factor of 1000 between the standard errors of its best and its worst direction.
 _POOR = 1e6
@@ -103,8 +104,8 @@ class Subspace:
     basis: Float[np.ndarray, "P R"]
     #: Orthonormal directions without information.
     undetermined: Float[np.ndarray, "K P"]
-    #: Entries without an error of their own: not free, fixed by constraints, or part of a direction
-    #: without information.
+    #: Entries without an error of their own: they are not free, fixed by constraints, or part of a
+    #: direction without information.
     unknown: Bool[np.ndarray, " P"]
     #: Number of active bounds and thrust-curve constraints.
     binding: int = 0
@@ -192,7 +193,8 @@ def sandwich(
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 
-    `space` holds the directions in which they can vary, `shared` the result of `shared_at_borders`.
+    `space` contains the directions in which they can vary; `shared` is the result of
+    `shared_at_borders`.
     """
     from scipy.special import stdtrit
 
@@ -242,6 +244,15 @@ def widened(
     return _with_covariance(uncertainty, uncertainty.covariance + np.diag(added))
 
 
+def with_held(
+    uncertainty: Uncertainty, changes: Float[np.ndarray, "K P"], held: Bool[np.ndarray, " P"]
+) -> Uncertainty:
+    """Add the errors of values that a fit holds; `changes` are what one standard error causes."""
+    errors = np.where(held, 0.0, uncertainty.standard_errors)
+    wider = replace(uncertainty, standard_errors=errors)
+    return _with_covariance(wider, uncertainty.covariance + changes.T @ changes)
+
+
 def grown(uncertainty: Uncertainty, factor: Float[np.ndarray, "P P"]) -> Uncertainty:
     """Multiply errors by a matrix."""
     return _with_covariance(uncertainty, factor @ uncertainty.covariance @ factor.T)
@@ -253,9 +264,9 @@ def with_lag_squared(uncertainty: Uncertainty, parameters: Parameters) -> Uncert
     A step response of delay d and lag τ has the mean d + τ and the variance τ². Poses determine the
     mean well, and the lag by the variance alone: not τ but τ² has a symmetric interval. The errors
     of all parameters grow in proportion to how they change with the lag, so the error of d + τ
-    hardly changes.
+    barely changes.
     """
-    tau, lag = float(parameters.motor_time_constant), parameters.mask(_LAG)
+    tau, lag = float(parameters.motor_time_constant), parameters.mask(LAG)
     error = float(uncertainty.standard_errors[lag][0])
     reach = uncertainty.quantile * error
     if not (np.isfinite(reach) and reach > 0 and tau > 0):
@@ -282,7 +293,7 @@ def information_growth(
 def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Uncertainty:
     """Count parameters as undetermined whose errors exceed the range of values they may take.
 
-    What depends on them then has no standard error either, instead of an absurd one.
+    Quantities that depend on them then have no standard error either, instead of an absurd one.
     """
     lower, upper = parameters.bounds()
     sizes = {q.name: np.max(np.abs(getattr(parameters, q.name))) for q in parameters.quantities}

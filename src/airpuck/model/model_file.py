@@ -130,7 +130,7 @@ class Model:
 
     @property
     def radius_of_gyration(self) -> float:
-        """√(I/m) [m]: at this lever arm a force turns the craft as hard as it pushes it."""
+        """√(I/m) [m]: the lever arm at which a force turns the craft as strongly as it pushes."""
         return math.sqrt(float(self.parameters.inertia) / self.vehicle.mass_kg)
 
     @property

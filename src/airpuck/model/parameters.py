@@ -19,6 +19,9 @@ from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity
 from airpuck.physics.effects import Effect, Layout
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
 
+#: The motor lag, for `Parameters.mask`.
+LAG = frozenset({"motor_time_constant"})
+
 #: A field for each quantity.
 _Values: Any = make_dataclass(
     "_Values",

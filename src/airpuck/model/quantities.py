@@ -116,9 +116,9 @@ QUANTITIES = (
     Quantity("inflow", "inflow_s_m", "s/m", "cᵢ",
              "loss of thrust per air speed along the propeller's axis", bounds=(-10.0, 10.0),
              default=None, effect=Inflow, term="inflow"),
-    # Twins that oppose each other lose alike, so a small interaction does not change the difference
-    # of their thrusts: zero is a stationary point. A fit starts away from it, and stays above a
-    # negligible bound where the derivative does not vanish.
+    # Opposing twins lose equally, so a small interaction does not change the difference of their
+    # thrusts: zero is a stationary point. A fit starts away from it, and stays above a negligible
+    # bound where the derivative does not vanish.
     Quantity("pair_interaction", "pair_interaction_1_N", "1/N", "cₚ",
              "loss of thrust per thrust of the twin", bounds=(1e-2, 1e3),
              default=None, effect=PairInteraction, term="pair", start=1.0),

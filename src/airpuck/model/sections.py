@@ -26,7 +26,7 @@ class NanSection(Section):
 
 
 def _one_field_each(section: type[Section], *, bounded: bool) -> type[Section]:
-    """Give a section a field for each quantity; fields are required only if values are bounded."""
+    """Add a field for each quantity to a section; it is required only if values are bounded."""
     entries: dict[str, Any] = {}
     for q in QUANTITIES:
         kind = q.toml if bounded or get_origin(q.toml) is not Annotated else float

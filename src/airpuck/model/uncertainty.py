@@ -70,7 +70,8 @@ class Uncertainty:
     notes : tuple of str
         Caveats to know before using it.
     warnings : tuple of str
-        The caveats that invalidate all standard errors; files do not record which these are.
+        The caveats that invalidate all standard errors; files do not distinguish them from the
+        other notes.
     bootstrap : Bootstrap or None
         Intervals by resampling, if computed (`airpuck.bootstrap`).
     """

@@ -1,8 +1,8 @@
 """A batch of twins of one craft, stepped together by control periods, with feedback.
 
-`fly_fleet` integrates flights whose commands are known; a batch receives the next commands of
-all craft, and returns the poses measured by then. The events of the craft are handled in
-rounds: in each, every craft advances to its own next event.
+`fly_fleet` integrates flights whose commands are known; a batch receives the next commands of all
+craft, and returns the latest measured poses. The events of the craft are handled in rounds: in
+each, every craft advances to its own next event.
 """
 
 from __future__ import annotations
@@ -91,7 +91,8 @@ class TwinBatch:
         self._times = np.full((2 * packets + 2, size), np.inf)
         self._heard = np.full(self._times.shape, packets)
         self._changes = np.zeros(size, dtype=int)
-        #: Number of frames, and of frames not missed; arrival, number and pose of the latest.
+        #: Number of frames, and of frames that were not missed; arrival, number and pose of the
+        #: latest.
         self._frames, self._seen = np.zeros(size, dtype=int), np.zeros(size, dtype=int)
         self._arrival, self._number = np.full((kept, size), np.inf), np.zeros((kept, size), int)
         self._poses, self._last_arrival = np.zeros((kept, size, 3)), np.zeros(size)

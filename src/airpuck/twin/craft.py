@@ -41,7 +41,7 @@ class MotorUnit:
         self._edges = sorted(
             {settings.unarmed_s, *(t for f in faults for t in (f.start_s, f.stop_s))}
         )
-        #: When each motor may follow its command; infinite while it idles.
+        #: Time from which each motor follows its command; infinite while it idles.
         self._released = np.full(len(names), np.inf)
         self._full = np.ones(len(names))
 
@@ -143,7 +143,7 @@ class Craft:
         return max(1 - self._sag * time, 0.0) * self.motors.share(time)[self._column]
 
     def pose(self) -> Float[np.ndarray, " 3"]:
-        """Return its true pose."""
+        """Return the true pose."""
         return self.state[:3]
 
     def longest_step(self, puck: PuckOnTable) -> float:
@@ -162,7 +162,7 @@ class Craft:
         return self._disc(self._after, duration)
 
     def arrive(self, way: Moving, lasted: float, hit: bool = False) -> None:
-        """End the step after a duration: at the end of its path, or at a puck that it `hit`."""
+        """End the step after a duration: at the end of the path, or where it `hit` a puck."""
         now, duration, *_ = self._step
         before = self.state
         if hit or lasted < duration:
@@ -182,7 +182,7 @@ class Craft:
             self.contacts.append((now + lasted, self._towards_rail(before, self.state)))
 
     def disc(self) -> Moving:
-        """Return it as a disc that others meet now."""
+        """Return it as a disc that others can hit now."""
         return self._disc(self.state, 1.0)
 
     @property
@@ -197,7 +197,7 @@ class Craft:
         self.state = np.concatenate([moved, self.state[6:]])
 
     def _flown(self, duration: float) -> tuple[Any, bool]:
-        """Return where the craft gets to without a puck, and whether it meets a rail."""
+        """Return where the craft ends up without a puck, and whether it meets a rail."""
         _, _, drive, left = self._step
         state, met = self.plant.advance(self.state, drive, np.float64(duration), left)
         return state, bool(met)

@@ -31,9 +31,9 @@ class Excited:
 
     #: The recording, as made by a recorder on the network.
     recording: Recording
-    #: How long the signals paused because the craft was near a rail [s].
+    #: Total pause of the signals while the craft was near a rail [s].
     paused: float
-    #: When it met a rail nevertheless, from the start of the flight [s].
+    #: Times at which it met a rail nevertheless, from the start of the flight [s].
     contacts: tuple[float, ...]
 
 

@@ -50,7 +50,7 @@ class FleetFlight:
     models: tuple[Model, ...]
     #: Seed of the radio and the sensors of each craft.
     seeds: tuple[int, ...]
-    #: When commands were sent [s].
+    #: Times at which commands were sent [s].
     command_time: Float[np.ndarray, " K"]
     #: The sent commands.
     command: Float[np.ndarray, "K n B"]
@@ -283,7 +283,7 @@ class _Fleet(NamedTuple):
     inertia: Any
     #: Sent commands, and zeros.
     commands: Any
-    #: When the command that the motors follow changes, infinite at the end [s].
+    #: Times at which the command that the motors follow changes; infinite at the end [s].
     times: Any
     #: Index of the command that they follow from then on.
     heard: Any
@@ -390,7 +390,7 @@ def _fly_batch(
     state[0] = fleet.state.T[:wanted]
     counts = np.zeros(fleet.times.shape[1], dtype=np.int32)
     carry = (fleet.state, np.zeros(len(counts)), counts, counts, counts + len(fleet.commands) - 1)
-    # The flight's end is repeated: later events take no time.
+    # The time of the flight's end is repeated: later events take no time.
     frames = np.append(frames, frames[-1])
     for _ in range(0, steps, SEGMENT):
         carry, (states, reached) = program(fleet, frames, carry)

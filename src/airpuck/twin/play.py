@@ -84,7 +84,7 @@ class HandMallet:
         return self.x, self.y
 
     def disc(self) -> Moving:
-        """Return it as a disc that others meet now."""
+        """Return it as a disc that others can hit now."""
         return Moving(self.x, self.y, self.vx, self.vy, radius=self.radius)
 
     def moving(self, duration: float, now: float = 0.0) -> Moving:
@@ -93,7 +93,7 @@ class HandMallet:
         x, y = self.allowed(*self.target)
         dx, dy = x - self.x, y - self.y
         distance = math.hypot(dx, dy)
-        # It ends a step at rest at the target, or so that it can stop there.
+        # At the end of a step it rests at the target, or is still able to stop there.
         reserve = hardest * duration
         speed = min(fastest, math.sqrt(reserve**2 / 4 + 2 * hardest * distance) - reserve / 2)
         speed = min(speed, distance / duration) / distance if distance else 0.0
@@ -170,7 +170,7 @@ class World:
         """Return the disc on the other side."""
         found = next((each for each in self.bodies if each is not body), None)
         if found is None:
-            raise InputError("has one disc only; give it a second one", field="world")
+            raise InputError("has only one disc; add a second one", field="world")
         return found
 
     @property
@@ -224,7 +224,7 @@ class World:
             body.arrive(way, duration, way is hit)
 
     def _part(self) -> None:
-        """Separate discs that overlap; a craft bounces off the other as off a rail."""
+        """Separate discs that overlap; a craft bounces off the other disc as off a rail."""
         for first, second in itertools.combinations(self.bodies, 2):
             if math.dist(first.place, second.place) > first.radius + second.radius:
                 continue

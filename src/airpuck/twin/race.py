@@ -188,7 +188,7 @@ def _flown(
 
 
 def _reached(twin: Twin, planned: Plan) -> float | None:
-    """Return when the craft reached the goal, past all points; None if it did not arrive."""
+    """Return when the craft reached the goal after passing all points, or None."""
     time, states = twin.truth
     time, passed = time - _LEAD, 0
     for point in planned.via:

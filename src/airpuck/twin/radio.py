@@ -124,7 +124,7 @@ def heard_commands(
         delay = np.array(delays[craft])[:, None]
         arrival = passage(settings.radio, delay, sent, np.array(chance))
         changes.append(_changes(arrival, settings.radio.timeout_s, settings.motors.unarmed_s))
-    # There is always one more to wait for.
+    # There is always a next packet to wait for.
     times = np.full((max(when.shape[1] for when, _ in changes) + 1, len(seeds)), np.inf)
     heard = np.full(times.shape, len(sent), dtype=np.int32)
     for craft, (when, what) in zip(batches, changes, strict=True):

@@ -68,7 +68,7 @@ def _time_there(model: Model) -> float:
 
 
 def as_seen(model: Model, effects: EffectErrors) -> Model:
-    """Return the craft that a recording shows: a model with its systematic errors corrected."""
+    """Return the craft as recorded: the model with its systematic errors corrected."""
     matrix = np.array(model.dynamics.configuration)
     runs = np.linalg.norm(effects.modelled, axis=0) > 0
     thrusts = np.linalg.norm(effects.modelled, axis=0) / np.linalg.norm(matrix, axis=0)

@@ -73,7 +73,7 @@ class Sensor:
         self._logged.append((stamp, arrival, values))
 
     def arrived(self, now: float) -> list[tuple[float, Measurement]]:
-        """Return what has arrived since the last call."""
+        """Return the measurements that have arrived since the last call."""
         found = []
         while self._delivered < len(self._logged) and self._logged[self._delivered][1] <= now:
             stamp, arrival, values = self._logged[self._delivered]
@@ -108,7 +108,7 @@ class SensorSet:
 
     @property
     def next_event(self) -> float:
-        """When a sensor next measures or a measurement arrives [s]."""
+        """Time at which a sensor next measures, or a measurement arrives [s]."""
         return min(min(sensor.due, sensor.next_arrival) for sensor in self.sensors)
 
     def observe(self, time: float) -> None:
@@ -174,12 +174,12 @@ def build_sensors(
 def command_stream(
     sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
 ) -> Stream:
-    """Lay out commands like a recorder."""
+    """Return commands as a recorder stores them."""
     return log_stream(sent, names, latency=1e-4)
 
 
 def log_stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
-    """Lay out messages with the controller's time."""
+    """Return messages with the controller's time."""
     times, values = zip(*logged, strict=True)
     stamp = _nanoseconds(times)
     return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)

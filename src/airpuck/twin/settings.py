@@ -111,7 +111,7 @@ class Stall(Section):
 
     #: Name of its propeller.
     motor: str
-    #: When.
+    #: Begin and end.
     start_s: NonNegative
     stop_s: NonNegative
 

@@ -66,7 +66,7 @@ class Tracked(Result):
 
     @property
     def file_name(self) -> str:
-        """The part of file names that distinguishes flights."""
+        """The suffix of file names that distinguishes flights."""
         law = self.regulator
         return self.model if law in (None, "lqr") else f"{self.model}_{law_label(law)}"
 
@@ -98,7 +98,7 @@ class Tracked(Result):
 
     @property
     def origin(self) -> float:
-        """Where the figure's axis begins [s]; see `Track.origin`."""
+        """Start of the figure's time axis [s]; see `Track.origin`."""
         return (self.real or self.twin).origin
 
     @property
@@ -313,7 +313,8 @@ class _Course:
     def flown(cls, real: Track, border: tuple[float, float]) -> _Course:
         """Return a real flight's set points at its times, from the same start."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
-        # Noise, or another radius, may put a craft that touches a rail beyond it.
+        # Because of noise, or of another radius, a craft that touches a rail may seem to be beyond
+        # it.
         reach = np.array([*border, np.inf])
         x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
         return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)

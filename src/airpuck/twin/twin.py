@@ -99,12 +99,12 @@ class Twin:
         elif puck is not None or mallet is not None:
             raise InputError("come with the world; leave them out", field="puck and mallet")
         elif world.puck is None:
-            raise InputError("needs a puck if it is shared; give it one", field="world")
+            raise InputError("needs a puck if it is shared; add a puck", field="world")
         else:
             played = ("puck", "mallet")
         self.now = 0.0
         self.world = world
-        # In a game another object records contacts, and then drops them.
+        # In a game, another object records contacts and drops them afterwards.
         self.craft = Craft(model, settings, self.plant, seed, pose, logs or shared)
         world.bodies.append(self.craft)
         if mallet is not None:
@@ -134,7 +134,7 @@ class Twin:
 
     @property
     def contacts(self) -> list[float]:
-        """When the craft met a rail [s]."""
+        """Times at which the craft met a rail [s]."""
         return [time for time, _ in self.craft.contacts]
 
     def wait_until(self, time: float) -> list[Measurement]:
@@ -184,7 +184,7 @@ class Twin:
 
     @property
     def next_event(self) -> float:
-        """When a sensor next measures or a measurement arrives [s]."""
+        """Time at which a sensor next measures, or a measurement arrives [s]."""
         return self._sensors.next_event
 
     @property
@@ -248,11 +248,13 @@ def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple
     """Return the other bodies beside the craft; raise InputError for invalid positions."""
     if puck is None:
         if mallet is not None:
-            raise InputError("needs a puck; give one, too", field="mallet")
+            raise InputError("needs a puck; add a puck, too", field="mallet")
         return ()
     for field, numbers_given in (("puck", puck), ("mallet", mallet or ())):
         if not all(map(math.isfinite, numbers_given)):
-            raise InputError("needs finite numbers", field=field)
+            raise InputError("must be finite numbers", field=field)
+    if mallet is not None and len(mallet) != 2:
+        raise InputError(f"must be x and y, not {mallet}", field="mallet")
     return ("puck",) if mallet is None else ("puck", "mallet")
 
 

@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float
 from airpuck.craft.actuators import ActuatorSet, OnOff, Propellers
 
 Command = Float[np.ndarray, " n"]
-#: A packet that comes with the end of a PWM period counts as in time; stamps are rounded [s].
+#: A packet that is late by less than this at the end of a PWM period counts as in time, since time
+#: stamps are rounded [s].
 _IN_TIME = 1e-9
 #: Fraction of a PWM period after which a new packet begins the next one. Earlier ones wait.
 _RESTARTS = 0.5
@@ -48,7 +49,7 @@ class Valves:
         self._pending: deque[tuple[float, Command]] = deque()
         #: Duty cycles of the present PWM period, and its start.
         self._duty, self._begun = np.zeros(n), -math.inf
-        #: Whether a packet began the period; otherwise it repeats the one before.
+        #: Whether a packet began the period; otherwise the previous period is repeated.
         self._fresh = False
 
     def next_change(self, now: float, command: Callable[[float], Command]) -> float:

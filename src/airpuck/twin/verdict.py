@@ -23,6 +23,7 @@ from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect
 from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.parameters import LAG
 from airpuck.preprocessing.time_scale import patience
 from airpuck.twin.rehearsal import failures
 
@@ -31,15 +32,15 @@ from airpuck.twin.rehearsal import failures
 #: craft; for a slow craft they are multiplied by its `patience`.
 ACCELERATION_LIMIT = 0.3
 RESPONSE_LIMIT = 0.015
-#: Largest error of the accelerations with motors at `LOW_SPEED`, of the model's: between 30 % (M2
-#: with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
+#: Largest error of the accelerations with motors at `LOW_SPEED`, relative to the model's: between
+#: 30 % (M2 with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
 LOW_LIMIT = 0.35
 #: Standard error of a recording's timing above which it is not informative enough [s].
 _JUDGED_RESPONSE = 0.006
 #: Lowest acceptable maximum of each motor's commands, relative to the largest: thrusts beyond are
 #: an extrapolation of the curve.
 _REACHED = 0.6
-#: Directions count only if the nominal acceleration exceeds this fraction of that in the best one.
+#: Directions count only if the nominal acceleration exceeds this fraction of the largest one.
 _ABLE = 0.05
 #: Relative standard error above which a quantity is called unknown.
 UNKNOWN_LIMIT = 0.3
@@ -231,7 +232,7 @@ def _decided(evidence: _Evidence) -> tuple[Outcome, list[str]]:
         return "not_enough_excitation", uncertain
     if wrong := _wrong(model, *evidence.total, evidence.effects):
         return "not_trusted", wrong
-    # Last, since flights take longer than all the rest.
+    # Flights come last, since they take longer than everything else.
     unsettled = failures(model, evidence.trajectory, evidence.effects)
     return ("not_trusted", unsettled) if unsettled else ("trusted", [])
 
@@ -248,7 +249,7 @@ def _structural(model: Model) -> list[str]:
 
 def _learned_lag(model: Model) -> bool:
     """Return whether a model's motor lag is learned."""
-    return bool(model.free[model.parameters.mask(frozenset({"motor_time_constant"}))].any())
+    return bool(model.free[model.parameters.mask(LAG)].any())
 
 
 def _quiet(evidence: _Evidence) -> list[str]:
@@ -364,7 +365,7 @@ def _compared(evidence: _Evidence) -> list[str]:
 
 
 def _known(evidence: _Evidence) -> list[str]:
-    """Describe the basis of the trust."""
+    """Describe why the model is trusted."""
     relative, error = evidence.total
     response = _with_error(1e3 * _response_time(evidence.model), 1e3 * error)
     return [
