@@ -1,11 +1,11 @@
-"""Share of shots that the craft saves by their speed, and a proven bound.
+"""Share of shots that the craft saves, by the speed of the shots, and a proven bound.
 
     python studies/save_rate.py -o out --shots 60
 
-Shots start in the other half, at random places towards random places of the goal, directly. The
-craft stands at home without prior knowledge of the shot. The bound counts shots that a craft with
-full knowledge could touch somewhere on the puck's path, by a proven bound on its acceleration; its
-command takes the transport delay. Touching does not imply saving, so the bound is generous.
+Shots start at random places in the other half and go directly towards random points of the goal.
+The craft stands at home without prior knowledge of the shot. The bound counts shots that a craft
+with full knowledge could touch somewhere on the puck's path, by a proven bound on its acceleration;
+its command takes the transport delay. Touching does not imply saving, so the bound is generous.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ def shot(stage: Stage, speed: float, rng: np.random.Generator) -> PuckState:
 def could_be_saved(stage: Stage, start: PuckState) -> bool:
     """Return whether any control of these motors could touch the puck before it is in.
 
-    The bound on the acceleration holds for all yaws; motors begin idle. Both the craft and the puck
-    get the benefit of the steps of time.
+    The bound on the acceleration holds for all yaws; motors begin idle. Time steps are rounded in
+    favour of the craft, for its own motion and for the puck's.
     """
     pitch, model = stage.pitch, stage.model
     times = STEP * np.arange(round(3.0 / STEP) + 1)

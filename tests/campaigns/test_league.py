@@ -1,4 +1,4 @@
-"""A league: everyone plays everyone, on tables that nobody knows exactly."""
+"""A league: every player meets every other, on tables that none of them knows exactly."""
 
 import json
 
@@ -35,7 +35,7 @@ def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, m
         ("wild", "keeper", 8),
         ("wild", "striker:hard", 8),
     ]
-    # The table is drawn by the seed, whoever plays.
+    # The seed alone determines the table, not the players.
     assert played[0][3] == played[1][3] != played[3][3]
     again = league(PLAYERS, 2, seed=7, rules=SHORT, workers=1, output=tmp_path)
     assert len(played) == 6
@@ -99,3 +99,11 @@ def test_goals_of_a_result_add_up():
     assert found.total("goals").sum() == sum(g["left_goals"] + g["right_goals"] for *_, g in games)
     points = found.total("points")
     np.testing.assert_allclose(points + points.T, found.total("games"))
+
+
+def test_only_the_pairs_of_one_player_play(tmp_path):
+    rules = Rules(limit_s=0.2)
+    found = league(PLAYERS, 1, rules=rules, workers=1, output=tmp_path, only="wild")
+    assert sorted(game[:2] for game in found.games) == [(0, 2), (1, 2)]
+    with pytest.raises(InputError, match="bob is not among the players"):
+        league(PLAYERS, 1, rules=rules, only="bob")

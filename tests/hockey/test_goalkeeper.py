@@ -43,6 +43,23 @@ def shots(count, speeds=(0.8, 4.0), seed=0):
     return found
 
 
+@pytest.mark.parametrize(("aside", "brakes"), [(0.0, True), (0.04, True), (0.2, False)])
+def test_a_craft_on_its_way_home_brakes_if_a_shot_will_hit_it_squarely_anyway(aside, brakes):
+    craft = np.array([-0.45, 0.0, 0.0, -1.3, 0.0, 0.0])
+    for sign in (-1, 1):
+        puck = PuckState(0.35, sign * aside, 0.0, -7.5, -sign * aside)
+        view = view_of(puck, craft)
+        intention = Defend().propose(view, Outlook(view))
+        assert intention.kind == "defend"
+        assert isinstance(intention.reference, SetPoint) == brakes
+        if brakes:
+            # Where full thrust stops it, once a command acts.
+            stop = -0.45 - 1.3 * PITCH.delay - 1.3**2 / (2 * PITCH.acceleration)
+            assert intention.reference.x == pytest.approx(stop)
+            # The discs touch before that, while it slows down.
+            assert stop + PITCH.contact_distance - 0.1 < intention.meet[1] < 0.0
+
+
 def test_a_block_stands_on_the_way_of_the_puck_and_moves_against_it():
     for view in shots(20):
         intention = block(view, Outlook(view))

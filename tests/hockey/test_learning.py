@@ -1,4 +1,4 @@
-"""Learning the puck: against pucks and rails that are not those of the table file."""
+"""Learning the puck: against pucks and rails that differ from the table file."""
 
 import numpy as np
 import pytest

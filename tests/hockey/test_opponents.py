@@ -28,7 +28,7 @@ def test_every_family_plays_at_every_level(name, level):
     kind, levels = HANDS[name]
     assert contestant(f"{name}:{level}").hand is not None
     skill = levels[level]
-    # Nobody reacts to what is seen in less than 0.15 s, or is faster than the mallet.
+    # No opponent reacts within 0.15 s of seeing something, or moves faster than the mallet allows.
     assert skill.reaction_s >= 0.15
     assert skill.speed_m_s <= PLAY.mallet.speed_m_s
     x, y = kind(PLAY, skill, 1).target(0.0, (-0.9, 0.0), PuckState(-0.4, 0.1), (0.9, 0.0))
@@ -102,6 +102,14 @@ def test_the_error_of_prediction_grows_with_every_bounce():
         if abs(passes(PuckState(0.0, 0.2, 0.0, -3.0, vy))) < 0.01
     )
     assert spread(skill, shot) > 0.01
+
+
+def test_everybody_but_the_wall_misjudges_motion_and_bounces():
+    for name, (_, levels) in HANDS.items():
+        for skill in levels.values():
+            errors = (skill.velocity_error, skill.heading_rad, skill.bounce_rad)
+            assert (min(errors) > 0) == (name != "wall")
+            assert skill.noise_m > 0
 
 
 def passes(puck):

@@ -170,7 +170,7 @@ def test_an_opponent_counts_where_it_can_be_in_the_way():
 
 
 class Person:
-    """A scripted human who plays on a world's right side."""
+    """A scripted human on the right side of a world."""
 
     def __init__(self, seed: int) -> None:
         self.hand = ScriptedHand(PLAY, HUMANS["medium"], seed)

@@ -132,6 +132,7 @@ def league(
     output: str | os.PathLike[str] | None = None,
     workers: Workers = None,
     bags: Sequence[str | os.PathLike[str]] = (),
+    only: str | None = None,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
 ) -> LeagueResult:
     """Let every player play every other, and rate them.
@@ -155,11 +156,14 @@ def league(
         By default first to seven.
     output : path-like, optional
         Folder for the results. Games already in the folder are not played again.
-    workers : int, optional
-        Number of processes; by default as many as there are processors. One needs no Dask.
+    workers : int or str, optional
+        Number of processes; by default as many as there are processors. A single process does not
+        need Dask. Or the address of a running Dask scheduler, ``"tcp://HOST:PORT"``.
     bags : sequence of path-like, optional
         Folders of recorded games, one for each person. People are rated in the same league, by
         goals, and their limits are measured.
+    only : str, optional
+        One of the players: only pairs that include it play.
     progress : callable, optional
         Called with the number of games played, including fractions of those in progress, the
         number of all games, and the number of failed ones.
@@ -172,8 +176,8 @@ def league(
     Raises
     ------
     InputError
-        If a player is unknown, occurs twice or fails, if there are fewer than two, if Dask is
-        missing, or if a folder does not hold recorded games.
+        If a player is unknown, occurs twice or fails, if there are fewer than two, if the only
+        player is not among them, if Dask is missing, or if a folder does not hold recorded games.
 
     Examples
     --------
@@ -184,7 +188,9 @@ def league(
     """
     recorded = recorded_games(bags, settings or default_twin_settings())
     if (len(players) < 2 and not bags) or len(set(players)) < len(players):
-        raise InputError("give at least two players, each of them once", field="players")
+        raise InputError("name at least two players, each only once", field="players")
+    if only is not None and only not in players:
+        raise InputError(f"{only} is not among the players", field="only")
     game = checked_game(
         players, games, seed, output, model=model, settings=settings, rules=rules, drawn=True
     )
@@ -192,6 +198,8 @@ def league(
     # All pairs play a game before the next, so that an interrupted league is balanced.
     for number in range(games):
         for one, other in itertools.combinations(range(len(players)), 2):
+            if only not in (None, players[one], players[other]):
+                continue
             sides = (one, other) if number % 2 == 0 else (other, one)
             names = dict(zip(("left", "right"), (players[side] for side in sides), strict=True))
             pairs.append(sides)

@@ -26,7 +26,7 @@ _PICKED = 200
 _PROMISING = 1 / 3
 #: Least difference of the speeds of craft and puck along the normal [m/s].
 _FASTER = 0.2
-#: Further error of a shot's direction, in the first evaluation [rad].
+#: Additional error of a shot's direction in the first evaluation [rad].
 _DIRECTION_ERROR = 0.02
 #: A shot whose mean number of banks is higher is a bank shot.
 _BANKED = 0.5

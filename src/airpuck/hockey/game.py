@@ -79,7 +79,7 @@ KINDS: tuple[EventKind, ...] = get_args(EventKind)
 class GameEvent(NamedTuple):
     """An event in a game."""
 
-    #: When [s].
+    #: Time [s].
     time: float
     kind: EventKind
     #: Sign of the side: -1 left, 1 right, 0 neither.
@@ -228,7 +228,7 @@ class Game:
             ]
             self._cameras = SensorSet(sensors, self._pose)
             self.world.observers.append(self._cameras)
-        #: The side that last touched the puck, and whether it would have been a goal against it
+        #: The side that last touched the puck, and whether the puck was going into that side's goal
         #: anyway.
         self._touched: tuple[int, bool] = (0, False)
         #: The kind of own goal that the last touch leads to, and when it was [s].

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.interception import AVOIDED, NOTICED, Outlook, around, slack, standing
+from airpuck.hockey.interception import AVOIDED, NOTICED, STEP, Outlook, around, slack, standing
 from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
@@ -17,6 +17,8 @@ _BLOCK = (0.003, 0.003, math.inf, 0.3, 0.3, math.inf)
 # this, more time to spare is worth nothing [s]; cost per metre of distance; cost per metre off the
 # puck's path; cost of a block behind the puck.
 _SPARE, _AWAY, _OFF_PATH, _PASSED = 0.1, 0.2, 2.0, 5.0
+#: Largest offset of a puck that the craft surely stops, as a share of the contact distance.
+_SQUARE = 0.5
 #: Overlap of craft and puck at a block that the fence allows [m].
 _OVERLAP = 0.004
 #: Distance to a resting puck at which the craft waits [m], beyond the disc to avoid.
@@ -49,10 +51,10 @@ class Defend(Catch):
         return outlook.threat is not None and super().applies(view, outlook)
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
-        """Return how to stop the puck; None: there is no danger."""
+        """Return how to stop the puck; None if it is no threat."""
         caught = super().propose(view, outlook)
         if caught is None and outlook.threat is not None:
-            return block(view, outlook)
+            return braked(view, outlook) or block(view, outlook)
         return caught
 
 
@@ -86,6 +88,35 @@ def block(view: View, outlook: Outlook) -> Intention:
     state = (*place, view.craft[2], *forwards, 0.0)
     reference = Rendezvous(time, state, precision=_BLOCK, then=standing(place))
     return Intention("defend", reference, (time, *pucks[best].tolist()))
+
+
+def braked(view: View, outlook: Outlook) -> Intention | None:
+    """Brake if the puck will then meet the craft squarely; None: it will not.
+
+    A craft that goes on towards its own goal would be thrown against the rail.
+    """
+    pitch, motion = view.pitch, view.craft[3:5]
+    speed = float(np.hypot(*motion))
+    if motion[0] > -_SLOW or outlook.threat is None:
+        return None
+    before = outlook.times < outlook.threat
+    left = np.maximum(outlook.times[before] - view.time - pitch.delay, 0.0)
+    lasts = np.minimum(left, speed / pitch.acceleration)
+    gone = pitch.delay + lasts - pitch.acceleration / (2 * speed) * lasts**2
+    apart = outlook.places[before] - view.craft[:2] - gone[:, None] * motion
+    closing = outlook.motions[before, :2] - motion
+    # Distance at which a puck that goes straight on passes the craft.
+    aside = np.abs(apart[:, 0] * closing[:, 1] - apart[:, 1] * closing[:, 0])
+    aside /= np.maximum(np.hypot(*closing.T), _RESTS)
+    touches = np.hypot(*apart.T) < pitch.contact_distance + STEP * np.hypot(*closing.T)
+    if not touches.any():
+        return None
+    first = int(np.argmax(touches))
+    if aside[first] > _SQUARE * pitch.contact_distance:
+        return None
+    stop = view.craft[:2] + motion * (pitch.delay + speed / (2 * pitch.acceleration))
+    meet = (float(outlook.times[first]), *outlook.places[first].tolist())
+    return Intention("defend", standing(pitch.clipped(stop)), meet)
 
 
 class Wait:

@@ -26,7 +26,7 @@ _COMES = 0.3
 _BACK, _THROUGH = 0.10, 0.15
 #: Distance from its start at which a stroke begins [m], and its duration [s].
 _READY, _STROKE = 0.002, 0.3
-#: Average speed on the path to the start of a stroke, as a share of the full speed.
+#: Average speed on the path to the start of a stroke, as a fraction of the full speed.
 _GETS_THERE = 0.6
 #: Time between decisions, and time for which the error of sight is held [s].
 LOOK, _ERRS = 0.03, 1.0
@@ -38,7 +38,7 @@ _ROOM = 0.03
 _ROUND, _LEG = 0.01, 0.15
 #: Shorter distances have no direction [m].
 _NO_DISTANCE = 1e-9
-#: Directions of a stroke if rails forbid all that lead to the goal [rad].
+#: Directions of a stroke if rails block all directions towards the goal [rad].
 _AWAY = (0.6, -0.6, 1.2, -1.2, 1.5, -1.5)
 #: x, y [m].
 Place = tuple[float, float]
@@ -103,14 +103,16 @@ class Dexterity:
 
 
 #: Limits by level. Reaction times to a visual stimulus are 0.18 to 0.25 s in adults (Kosinski, "A
-#: literature review on reaction time", 2008); ``hard`` anticipates. All other numbers are guesses.
+#: literature review on reaction time", 2008); ``hard`` anticipates. The best observers discriminate
+#: speeds that differ by 7 % and directions that differ by 1.8° (De Bruyn and Orban, Vision Research
+#: 28, 1988): the errors of ``hard``, except at a bounce. All other numbers are guesses.
 HUMANS = {
-    "easy": Dexterity(0.30, 0.025, 0.30, 1.5),
-    "medium": Dexterity(0.22, 0.012, 0.15, 2.5),
-    "hard": Dexterity(0.16, 0.006, 0.08, 4.0),
+    "easy": Dexterity(0.30, 0.025, 0.30, 1.5, 0.15, 0.06, 0.15),
+    "medium": Dexterity(0.22, 0.012, 0.15, 2.5, 0.10, 0.04, 0.10),
+    "hard": Dexterity(0.16, 0.006, 0.08, 4.0, 0.07, 0.03, 0.07),
 }
-#: The same for keeper and striker, who do not anticipate.
-KEEPERS = {**HUMANS, "hard": Dexterity(0.20, 0.005, 0.15, 4.0)}
+#: The same for keepers and strikers, who do not anticipate.
+KEEPERS = {**HUMANS, "hard": Dexterity(0.20, 0.005, 0.15, 4.0, 0.07, 0.03, 0.07)}
 
 
 class GuidedHand:
@@ -214,7 +216,7 @@ class HumanHand(ABC):
 
     @abstractmethod
     def decided(self, time: float, own: Place) -> Place:
-        """Return where the mallet should go for the puck that it foresees."""
+        """Return where the mallet should go, given the predicted puck."""
 
     def aims(self) -> tuple[float, ...]:
         """Return the y of the targets of a stroke on the opponent's line, best first [m]."""
@@ -316,7 +318,7 @@ class ScriptedHand(HumanHand):
 
 
 class Keeper(HumanHand):
-    """A keeper: stands in its goal where the puck will come."""
+    """A keeper: stands in its goal where the puck will arrive."""
 
     waits_m = _IN_GOAL
 

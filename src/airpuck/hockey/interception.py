@@ -1,4 +1,4 @@
-"""Where and when the craft can touch the puck."""
+"""Places and times at which the craft can touch the puck."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ _COMMITMENT = 0.15
 #: A contact that is overdue by this time did not happen [s]. The time exceeds the one for which the
 #: craft aims beyond a contact.
 _EXPIRY = 0.03
-#: Largest share of the craft's acceleration that the path to a planned contact may need: more than
-#: all, because thrust does not limit a short peak at the start.
+#: Largest share of the craft's acceleration that the path to a planned contact may need: above 1,
+#: because thrust does not limit a short peak at the start.
 _STRAINED = 1.4
 #: Time that the predictive law needs: this factor times the shortest time, plus a constant [s].
 _SLOWER, _LATER = 1.1, 0.03
@@ -76,13 +76,13 @@ class Outlook:
 
     @cached_property
     def until(self) -> float:
-        """Time of a threat, or until when the opponent cannot touch the puck in its half [s]."""
+        """Time of a threat, or of the opponent's first chance to touch the puck in its half [s]."""
         end = float(self.times[-1]) if self.threat is None else self.threat
         if self.view.opponent is None:
             return end
         here, motion = self.view.opponent[:2], self.view.opponent[2:]
         rival, pitch = self.view.rival, self.view.pitch
-        # An opponent that moves already has reacted.
+        # An opponent that is already moving has reacted.
         ahead = self.times - self.view.time + rival.reaction * (np.hypot(*motion) > STILL)
         radii = pitch.opponent_radius + pitch.equipment.puck.radius_m
         apart = np.linalg.norm(self.places - here, axis=1) - radii
@@ -164,17 +164,17 @@ def _braking(view: View, velocity: Float[np.ndarray, "*n 2"]) -> Float[np.ndarra
 class PlannedContact:
     """A contact that the craft plans: when, from which side, and how fast it moves then."""
 
-    #: When [s].
+    #: Time [s].
     time: float
     #: Direction from the craft's centre to the puck's [rad].
     normal: float
     #: Speed of the craft along the normal; negative: it recedes [m/s].
     speed: float
-    #: What it is for, the probability of scoring, and where the puck goes; see `Intention`.
+    #: Purpose, probability of scoring, and path of the puck afterwards; see `Intention`.
     kind: Kind = "prepare"
     chance: float | None = None
     path: Float[np.ndarray, "N 2"] | None = None
-    #: What a shot was worth when it was planned, on the scale of its probability.
+    #: Value of a shot when it was planned, on the scale of its probability.
     value: float = 0.0
 
     @property
@@ -262,7 +262,7 @@ def cubic(
 def effort(
     view: View, time: Any, place: Float[np.ndarray, "*n 2"], velocity: Float[np.ndarray, "*n 2"]
 ) -> Any:
-    """Return the greatest acceleration on the path of least effort, as a share of the craft's."""
+    """Return the greatest acceleration on the path of least effort, relative to the craft's."""
     delay = view.pitch.delay
     left = np.maximum(np.asarray(time) - view.time - delay, _SHORTEST)[..., None]
     start = view.craft[3:5]

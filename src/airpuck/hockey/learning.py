@@ -62,7 +62,7 @@ class PuckLearner:
         rail, spread = model.equipment.puck.rail, model.spread["rail.restitution"]
         self._rail = Scattered(rail.restitution, spread**2 / 2)
         self._drag = model.equipment.puck.drag_1_s, model.drag_error
-        #: The last contact [s], and the bounce that it was.
+        #: Time of the last contact [s], and the bounce, if it was one.
         self._since, self._bounce = -math.inf, None
         self._start: PuckBelief | None = None
 
@@ -111,7 +111,7 @@ class PuckLearner:
             self._changed()
 
     def _changed(self) -> None:
-        """Renew the model."""
+        """Rebuild the model."""
         equipment: AirHockey = self.model.equipment
         puck, (drag, drag_error) = equipment.puck, self._drag
         learned = {"drag_1_s": drag_error, "rail.restitution": self._rail.deviation}

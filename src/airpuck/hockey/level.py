@@ -14,7 +14,7 @@ from airpuck.physics.thrust import thrust
 #: Number of commands at which the thrust is computed.
 _COMMANDS = 500
 _SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
-_REACTION = numbers.Range(0.0, 1.0, "after that nothing is seen in time", "s")
+_REACTION = numbers.Range(0.0, 1.0, "with a longer one nothing is seen in time", "s")
 _NOISE = numbers.Range(0.0, 1.0, "no shot would go forward", "rad")
 
 

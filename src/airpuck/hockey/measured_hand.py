@@ -22,10 +22,10 @@ from airpuck.recording.stream import Recording
 #: A hand has reacted when it is this far from where it would have been; the onset is extrapolated
 #: from the time at which it is four times as far, as for a constant acceleration [m].
 _MOVED = 0.002
-#: Earlier movements are no reaction to the hit (100 ms is usual in studies of reaction times, as
-#: in athletics); later ones neither, and slow ones are drift [s].
+#: A reaction to a hit starts between these times; 100 ms is the usual lower limit in athletics and
+#: in studies of reaction times. Slower movements are drift [s].
 _TOO_EARLY, _TOO_LATE, _DRIFTS = 0.1, 0.6, 0.1
-#: The hand would go on as it did in this time before the hit [s].
+#: Time before the hit from which the hand's undisturbed motion is extrapolated [s].
 _BEFORE = 0.05
 #: Hits closer together belong to one contact [s].
 _APART = 0.3
@@ -43,8 +43,8 @@ _GAP = 0.03
 _STEP = 0.0025
 #: Quantiles of the strokes' largest speeds and accelerations. The rails stop some strokes at once.
 _FAST, _HARD = 0.95, 0.75
-#: Standard deviation of aim to begin with [rad]; steps of its estimation, and resamplings for its
-#: interval.
+#: Initial standard deviation of the aim [rad], and numbers of estimation steps and of resamplings
+#: for its interval.
 _AIM, _STEPS, _RESAMPLED = 0.2, 60, 200
 #: Relative error of speeds and accelerations due to the noise of poses and the averaging: up to
 #: 0.5 % for scripted hands whose numbers are known (`python studies/measured_hands.py`).
@@ -241,10 +241,10 @@ def _first_above(values: Float[np.ndarray, " n"], limit: float) -> float:
 
 
 def _spread(errors: Float[np.ndarray, "n t"]) -> float:
-    """Return the standard deviation of shots at unknown ones of several targets.
+    """Return the standard deviation of shots, each at an unknown one of several targets.
 
     Expectation maximisation for a mixture: normal about each target, with one standard deviation,
-    and touches that aim at none, uniform over all forward directions.
+    plus touches without a target, uniform over all forward directions.
     """
     spread, weights = _AIM, np.full(errors.shape[1] + 1, 1 / (errors.shape[1] + 1))
     anywhere = np.full((len(errors), 1), 1 / math.pi)

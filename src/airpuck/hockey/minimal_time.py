@@ -23,7 +23,7 @@ from airpuck.planning.search import TIDY, ranked, search
 from airpuck.planning.settings import Limits
 from airpuck.planning.transcription import program_for
 
-#: Plans that fit the times of another craft, and further plans that measure the error.
+#: Number of plans to fit the times of another craft, and of further plans to measure the error.
 _FITTED, _CHECKED = 8, 6
 #: Fewest plans that suffice for the error if others fail.
 _FEWEST_CHECKED = 3

@@ -108,37 +108,24 @@ class Wild(HumanHand):
         return self._struck(time, own)
 
 
-def _people(levels: Mapping[str, Dexterity]) -> dict[str, Dexterity]:
-    """Add the errors of a person's prediction.
-
-    The best observers discriminate speeds that differ by 7 % and directions that differ by 1.8° (De
-    Bruyn and Orban, Vision Research 28, 1988). The errors at a bounce are guesses.
-    """
-    errors = {"easy": (0.15, 0.06, 0.15), "medium": (0.10, 0.04, 0.10), "hard": (0.07, 0.03, 0.07)}
-    return {
-        level: replace(
-            skill,
-            velocity_error=errors[level][0],
-            heading_rad=errors[level][1],
-            bounce_rad=errors[level][2],
-        )
-        for level, skill in levels.items()
-    }
-
-
-_PEOPLE = _people(KEEPERS)
 #: A wild hitter moves as fast as the mallet allows, and aims twice as badly.
 _WILD = {
     level: replace(skill, speed_m_s=KEEPERS["hard"].speed_m_s, aim_rad=2 * skill.aim_rad)
-    for level, skill in _PEOPLE.items()
+    for level, skill in KEEPERS.items()
 }
-#: Scripted hands and their levels, by name.
+#: A machine: it sees late and inexactly like a person, but judges motion and bounces exactly.
+_EXACT = {
+    level: replace(skill, velocity_error=0.0, heading_rad=0.0, bounce_rad=0.0)
+    for level, skill in KEEPERS.items()
+}
+#: Scripted hands and their levels, by name. All but ``wall`` have human limits.
 HANDS: Mapping[str, tuple[type[HumanHand], Mapping[str, Dexterity]]] = {
     "human": (ScriptedHand, HUMANS),
     "keeper": (Keeper, KEEPERS),
     "striker": (Striker, KEEPERS),
-    "counter": (Counter, _PEOPLE),
-    "banker": (Banker, _PEOPLE),
-    "wrongfoot": (WrongFoot, _PEOPLE),
+    "counter": (Counter, KEEPERS),
+    "banker": (Banker, KEEPERS),
+    "wrongfoot": (WrongFoot, KEEPERS),
     "wild": (Wild, _WILD),
+    "wall": (Keeper, _EXACT),
 }

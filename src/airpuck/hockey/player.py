@@ -30,8 +30,8 @@ from airpuck.hockey.rival import Rival, RivalWatcher
 from airpuck.hockey.tactic import Intention, Pitch, Tactic, View
 from airpuck.model.model_file import Model
 
-#: How the puck is seen. ``frozen``: the same pose repeated for a puck that was moving; ``lost``: no
-#: pose for a while.
+#: Visibility of the puck. ``frozen``: the same pose repeated for a puck that was moving; ``lost``:
+#: no pose for a while.
 Sight = Literal["seen", "hidden", "frozen", "lost"]
 
 #: Age of the last pose above which the puck counts as hidden, and as lost [s].

@@ -32,8 +32,8 @@ _SLOW, _PUSHED = 0.06, 0.2
 _GOOD = 0.25
 #: Room around a puck that makes a position fully good [m].
 _ENOUGH = 0.12
-#: Value of a catch in seconds to spare: from here on more time to spare is worth nothing [s]; lost
-#: per second of waiting, lost per radian beside the puck's motion, won by a fully good place.
+#: Value of a catch, in seconds to spare: time beyond which more is worth nothing [s]; costs per
+#: second of waiting and per radian off the puck's motion; gain of a fully good place.
 _SPARE, _WAITING, _ASLANT, _AT_GOOD_PLACE = 0.15, 0.1, 0.1, 0.3
 #: Number of best catches of which the first with a clear path is planned.
 _BEST = 6
@@ -47,7 +47,7 @@ _EVERY_CATCH, _EVERY_PUSH = 2, 3
 
 
 class Catch(Searcher):
-    """Slows a puck down: the craft recedes at the contact, so that the puck hardly rebounds.
+    """Slows a puck down: the craft recedes at the contact, so that the puck barely rebounds.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Catch(Searcher):
         return outlook.known and outlook.speed >= self.slowest
 
     def updated(self, view: View, outlook: Outlook, plan: PlannedContact) -> PlannedContact | None:
-        """Return the catch with the speed that suits the puck as it moves now."""
+        """Return the catch with its speed adapted to the puck's present motion."""
         vx, vy = outlook.at(plan.time)[3:5].tolist()
         turned = math.remainder(plan.normal - math.atan2(-vy, -vx), 2 * math.pi)
         if abs(turned) > _TURNED or math.hypot(vx, vy) < self.slowest:
@@ -142,7 +142,7 @@ class Free(Searcher):
         return outlook.known and outlook.speed <= _PUSHED and outlook.is_reachable and not good
 
     def search(self, view: View, outlook: Outlook) -> None:
-        """Plan the push after which the puck is at the best places."""
+        """Plan the push that moves the puck to the best places."""
         self._turn = (self._turn + 1) % len(_WAITS)
         wait = _WAITS[self._turn]
         time = view.time + wait

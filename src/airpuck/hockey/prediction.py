@@ -33,7 +33,7 @@ _DRAWN = np.arange(0.0, 1.2, 0.02)
 class PuckBelief:
     """Belief about a puck: mean and covariance."""
 
-    #: When [s].
+    #: Time [s].
     time: float
     #: x, y [m], yaw [rad] and their rates.
     mean: Float[np.ndarray, " 6"]

@@ -84,7 +84,7 @@ class PuckFilter:
     outliers : int
         Number of unused poses.
     model : PuckModel
-        Table and puck as they are known by now.
+        Current estimate of table and puck.
 
     Examples
     --------

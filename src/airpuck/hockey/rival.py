@@ -23,21 +23,21 @@ STILL, _REACTS = 0.2, 0.4
 _FASTEST = 8.0
 #: Reactions outside these times are coincidences [s].
 _SOONEST, _LATEST = 0.08, 0.5
-#: Longest time between two sights that counts as waiting, and as one motion of the puck [s].
+#: Longest time between two sightings that counts as waiting, and as one motion of the puck [s].
 _GAP = 0.05
-#: Weight of the assumption that bank shots score as expected [goals], and the most that they may
-#: score beyond that, as a share. Guesses.
+#: Weight of the assumption that bank shots score as expected [goals], and the largest factor by
+#: which they may score more. Guesses.
 _BANKS, _MOST_BANKS = 0.2, 1.5
 #: A puck that vanishes this near to the opponent's goal line is in the goal [m].
 _IN_GOAL = 0.15
-#: Number of last returns that are remembered; weight of the assumption that none is quick, in
+#: Number of recent returns that are remembered; weight of the assumption that none is quick, in
 #: returns; a puck that comes more slowly than this counts as this fast [m/s]. Guesses.
 _RETURNS, _NO_RETURNS, _SLOWEST = 12, 2, 0.2
 
 
 @dataclass(frozen=True)
 class Rival:
-    """An opponent as it is known by now."""
+    """Current estimate of an opponent."""
 
     #: Delay until it moves towards a shot [s].
     reaction: float = _REACTION
@@ -45,12 +45,12 @@ class Rival:
     speed: float = _SPEED
     #: Distance from its goal line at which it waits [m].
     waits: float = _WAITS
-    #: Its y while it waits, as a share of the puck's.
+    #: Its y while it waits, as a fraction of the puck's y.
     follows: float = _FOLLOWS
     #: Times from when the puck left for its half until the puck could be in the player's goal,
     #: sorted [s].
     returns: tuple[float, ...] = ()
-    #: Goals of bank shots, as a share of those expected.
+    #: Goals of bank shots, as a fraction of the expected ones.
     banks: float = 1.0
 
     def is_quicker(self, time: Any) -> Any:
@@ -88,12 +88,12 @@ class RivalWatcher:
         self._away, self._left, self._puck, self._x = False, -math.inf, -math.inf, 0.0
         #: Whether the last shot was a bank shot; goals of bank shots, and those expected.
         self._banked, self._goals, self._expected = False, _BANKS, _BANKS
-        #: When the puck was shot, and the opponent's velocity then.
+        #: Time at which the puck was shot, and the opponent's velocity then.
         self._shot: tuple[float, Float[np.ndarray, " 2"]] | None = None
 
     @property
     def rival(self) -> Rival:
-        """The opponent as it is known by now."""
+        """Current estimate of the opponent."""
         return Rival(
             self._reactions / self._count,
             self._speed,
@@ -104,7 +104,7 @@ class RivalWatcher:
         )
 
     def puck(self, time: float, x: float, vx: float) -> None:
-        """Receive a sight of the puck: its x, and its velocity along x."""
+        """Receive a sighting of the puck: its x, and its velocity along x."""
         if time - self._puck > _GAP:
             self._left = -math.inf
             self._goals += self._banked and self._x > self._goal_line - _IN_GOAL
@@ -128,7 +128,7 @@ class RivalWatcher:
     def seen(
         self, time: float, opponent: Float[np.ndarray, " 4"], puck: tuple[float, float]
     ) -> None:
-        """Receive a sight of the opponent: x, y, vx, vy, and the place of the puck."""
+        """Receive a sighting of the opponent: x, y, vx, vy, and the position of the puck."""
         speed = math.hypot(*opponent[2:])
         if speed < _FASTEST:
             self._speed = max(self._speed, speed)

@@ -43,7 +43,7 @@ class _Leaving(NamedTuple):
 
     #: The goal, by the sign of x.
     goal: int
-    #: When and where it was last seen, and its velocity [s, m, m/s].
+    #: Time and position of the last sighting, and the velocity [s, m, m/s].
     time: float
     x: float
     y: float
@@ -55,7 +55,7 @@ class Scorekeeper:
 
     A goal is scored if a puck was about to enter with nothing to stop it, and one of two things
     follows. Either it is not seen for 0.2 s by cameras that see other objects, or it reappears
-    where it could not have moved by itself: someone put it back into play. After a goal nothing
+    where it could not have got to unaided: someone put it back into play. After a goal nothing
     counts until the puck is seen in play. Poses that freeze, jump, are not finite or off the table
     are ignored; blind cameras prove nothing.
 
@@ -75,7 +75,7 @@ class Scorekeeper:
     """
 
     def __init__(self, equipment: AirHockey, rules: Rules | None = None) -> None:
-        # Whoever puts the puck back decides when.
+        # The person who puts the puck back decides when.
         self._equipment = equipment
         self._rules = replace(rules or Rules(), pause_s=PAUSE.high, limit_s=None)
         self._filter = PuckFilter(equipment)

@@ -1,4 +1,4 @@
-"""Strategies that search for a contact and keep the best one; and the order of their searches."""
+"""Strategies that search for contacts and keep the best one, and the order of their searches."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Searcher(ABC):
 
     def __init__(self) -> None:
         self._plan: PlannedContact | None = None
-        #: The path to the start of a contact that is blocked from here.
+        #: The path to the start of a contact that cannot be reached directly.
         self._approach: Intention | None = None
         self._last_proposal = -math.inf
 
@@ -35,11 +35,11 @@ class Searcher(ABC):
         """Search for a contact, and plan it if it is better than the present plan."""
 
     def wants_search(self, view: View, outlook: Outlook) -> bool:
-        """Return whether another contact would be taken."""
+        """Return whether this strategy would accept another contact."""
         return self._plan is None and self.applies(view, outlook)
 
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
-        """Return the planned contact, or the path to where one is possible; None: there is none."""
+        """Return the planned contact, or the path to where one is possible; None without either."""
         interrupted = view.time > self._last_proposal + _INTERRUPTED
         self._last_proposal = view.time
         if interrupted or not self.applies(view, outlook):
@@ -53,7 +53,7 @@ class Searcher(ABC):
         self._plan = self._approach = None
 
     def updated(self, view: View, outlook: Outlook, plan: PlannedContact) -> PlannedContact | None:
-        """Return the plan for the puck as it moves now; None: it can no longer be kept."""
+        """Return the plan for the puck's present motion; None if it is no longer feasible."""
         return plan if plan.holds(view, outlook) else None
 
     def adopt(self, view: View, outlook: Outlook, contacts: Sequence[PlannedContact]) -> None:

@@ -24,19 +24,20 @@ from airpuck.physics.puck import Disc, strike
 Opposed = tuple[Float[np.ndarray, "*m 2"], float, Rival]
 #: Largest number of banks of a shot.
 MOST_BOUNCES = 2
-#: How an opponent moves to cover a straight path of the puck after a bank, once the puck is on it:
-#: its acceleration and largest speed [m/s², m/s].
+#: Acceleration and largest speed of an opponent who moves to cover a straight path of the puck
+#: after a bank, once the puck is on that path [m/s², m/s].
 _PUSH, _FASTEST = 15.0, 0.9
 #: Standard deviation of an opponent's reach [m]: for direct shots, which depend on its reaction and
-#: speed (from 400 shots of 3 to 6.5 m/s at scripted hands in their place), and after banks.
+#: speed (from 400 shots of 3 to 6.5 m/s at scripted hands in position), and after banks.
 _DIRECT_ERROR, _BANK_ERROR = 0.04, 0.1
 #: Probability that the opponent reads a shot after 0, 1, 2 banks.
 _READS = (1.0, 1.0, 0.5)
-#: A puck loses its speed in proportion to its path; beyond this share it is too slow to count.
+#: A puck's speed falls linearly with the distance travelled; beyond this share of the range it is
+#: too slow to count.
 _ROLLS_OUT = 0.98
 #: A slower puck rests [m/s].
 _RESTS = 1e-6
-#: Largest offset of a contact, as a share of the sum of the radii.
+#: Largest offset of a contact, as a fraction of the sum of the radii.
 _GRAZING = 0.95
 #: Uncertain numbers of a shot: the puck's state (6), the craft's place and velocity (2, 2),
 #: restitution and grip of the contact and of the rails (2, 2).
@@ -102,7 +103,7 @@ def struck(
     restitution: Float[np.ndarray, "*n"] | None = None,
     grip: Float[np.ndarray, "*n"] | None = None,
 ) -> Float[np.ndarray, "*n 3"]:
-    """Return velocity and yaw rate of the puck after contacts, by the table's law or another."""
+    """Return velocity and yaw rate of the puck after contacts, by default with the table's law."""
     puck, law = pitch.equipment.puck, pitch.equipment.puck.craft
     if restitution is not None or grip is not None:
         law = law.model_copy(update={"restitution": restitution, "grip": grip})

@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.craft.table import AirHockey
@@ -35,11 +36,11 @@ from airpuck.twin.twin import Twin
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].
 _LENGTH, _WIDTH = 1.948, 1.038
 # Starts and zones of the Challenge, in metres of its table.
-#: Where shots at the goal start: lowest and highest x, highest |y|.
+#: Starts of shots at the goal: lowest and highest x, highest |y|.
 _SHOT_FROM, _SHOT_TO, _SHOT_ASIDE = 0.29, 0.65, 0.4
 #: Their lowest and highest speed [m/s], largest angle [rad] and spin [rad/s].
 _SHOT_SPEEDS, _SHOT_ANGLE, _SHOT_SPIN = (1.0, 3.0), 0.5, 10.0
-#: Where pucks to hit start: lowest and highest x; their highest speed [m/s] and spin [rad/s], and
+#: Starts of pucks to hit: lowest and highest x; their highest speed [m/s] and spin [rad/s], and
 #: by how much their direction may point away from the craft [rad].
 _HIT_FROM, _HIT_TO, _HIT_SPEED, _HIT_SPIN, _HIT_AWAY = -0.7, -0.2, 0.5, 2.0, 0.1
 #: Lowest and highest x of the zone that a puck can be shot from, and lowest x beside the goal.
@@ -133,6 +134,7 @@ def skills(
     >>> found["defend"].episodes
     1
     """
+    numbers.EPISODES.check(episodes, "episodes")
     stage = make_stage(model, settings, None if tactic is None else tactic_maker(tactic))
     found = {}
     for name in names:
@@ -154,7 +156,7 @@ class Stage:
     settings: TwinSettings
     plant: Plant
     pitch: Pitch
-    #: Makes the user's tactic; None: the package's own strategies play.
+    #: Makes the user's tactic; None if the package's own strategies play.
     tactic: Callable[[], Tactic] | None = None
 
     def twin(self, puck: PuckState, seed: int) -> Twin:
@@ -236,7 +238,7 @@ def _scores(equipment: AirHockey, body: PuckOnTable) -> bool:
 
 
 def _scaled(stage: Stage) -> tuple[float, float]:
-    """Return how much longer and wider this table is than the Challenge's."""
+    """Return the ratios of this table's length and width to the Challenge's."""
     table = stage.settings.table
     return table.length_m / _LENGTH, table.width_m / _WIDTH
 

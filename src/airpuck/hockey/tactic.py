@@ -92,7 +92,7 @@ class View:
     craft : array, shape (6,)
         Estimate of the craft's x, y, yaw and their rates.
     puck : PuckBelief or None
-        State of the puck at its last pose; None: not seen (in a goal, hidden, lost).
+        State of the puck at its last pose; None if it is not seen (in a goal, hidden, lost).
     puck_model : PuckModel
         For `predict_puck` and `predict_crossing`.
     opponent : array, shape (4,), or None
@@ -102,7 +102,7 @@ class View:
     times : MinimalTimes
         The craft's shortest times from one state to another.
     rival : Rival
-        What is known of the opponent by now.
+        Current estimate of the opponent.
 
     Examples
     --------
