@@ -145,7 +145,7 @@ def test_a_folder_is_no_model_and_the_root_no_place_for_games(tmp_path):
     with pytest.raises(InputError, match="/: output: is the root folder"):
         match("human", "human", rules=SHORT, output="/")
     (tmp_path / "spec.toml").write_text('kind = "fit"\nbase.recordings = ["/"]\n')
-    with pytest.raises(InputError, match="/: holds too many files"):
+    with pytest.raises(InputError, match="/: contains too many files"):
         read_spec(tmp_path / "spec.toml")
 
 

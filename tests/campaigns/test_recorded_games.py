@@ -66,7 +66,7 @@ def test_a_person_is_rated_by_goals_against_the_level_that_played(anna, tmp_path
         "seconds": pytest.approx(120.0),
     }
     assert set(figures["people"]) == {"anna", "ben"}
-    assert figures["people"]["ben"]["reaction_s"]["value"] is None  # nobody hit the puck
+    assert figures["people"]["ben"]["reaction_s"]["value"] is None  # no one hit the puck
 
 
 def test_people_join_the_players_of_a_league(tmp_path):
@@ -126,7 +126,7 @@ def with_score(value):
         (replaced(streams=without_game), "game"),
         (replaced(streams=with_score(-1.0)), "no score"),
         (replaced(streams=with_score(1e9)), "no score"),
-        (shutil.rmtree, "holds no bags"),
+        (shutil.rmtree, "contains no bags"),
     ],
 )
 def test_foreign_and_damaged_bags_are_rejected(tmp_path, damage, word):

@@ -2,13 +2,15 @@
 
 import logging
 import signal
+from functools import partial
 
 import pytest
 
+import airpuck
 from airpuck import InputError
 from airpuck.campaigns import workers as module
 from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import DEADLY, dispatch
+from airpuck.campaigns.workers import DEADLY, checked_workers, dispatch
 from airpuck.compute.process import Stopped, stop
 
 from ..apparatus.mortal_items import Mortal
@@ -77,7 +79,7 @@ def cluster():
 def test_a_scheduler_without_workers_is_refused(cluster, monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.5)
     with pytest.raises(InputError, match="has no workers"):
-        list(dispatch([], scheduler=cluster.scheduler_address))
+        list(dispatch([], workers=cluster.scheduler_address))
 
 
 class Interrupted:
@@ -101,7 +103,7 @@ def test_a_signal_in_a_destructor_is_not_lost(cluster, tmp_path, number, handler
     items = [Mortal(seed=s, folder=str(tmp_path)) for s in range(20)]
     entries, count = [Entry(f"interrupted {i.seed}", {}, i) for i in items], 0
     with pytest.raises(Stopped, match="run it again") as stopped:
-        for count, _ in enumerate(dispatch(entries, scheduler=cluster.scheduler_address), start=1):
+        for count, _ in enumerate(dispatch(entries, workers=cluster.scheduler_address), start=1):
             if count == 2:
                 Interrupted(number)
     assert 2 <= count <= 3
@@ -112,6 +114,22 @@ def test_a_signal_in_a_destructor_is_not_lost(cluster, tmp_path, number, handler
 def test_a_missing_scheduler_is_refused(monkeypatch):
     monkeypatch.setattr(module, "PATIENCE", 0.3)
     with pytest.raises(InputError, match="no Dask scheduler answers there"):
-        list(dispatch([], scheduler="tcp://127.0.0.1:9"))
+        list(dispatch([], workers="tcp://127.0.0.1:9"))
     with pytest.raises(InputError, match="no Dask scheduler answers there"):
-        list(dispatch([], scheduler="nonsense://"))
+        list(dispatch([], workers="nonsense://"))
+
+
+@pytest.mark.parametrize("workers", ["two", "localhost:8786", "0", 0, 1e9, ""])
+def test_workers_are_a_number_or_an_address(workers):
+    with pytest.raises(InputError, match="workers: must be") as refused:
+        airpuck.match("human", "keeper", workers=workers, rules=airpuck.Rules(limit_s=0.1))
+    assert "\n" not in str(refused.value)
+    assert checked_workers("4") == 4
+
+
+@pytest.mark.slow
+def test_games_are_played_by_the_workers_of_a_scheduler(cluster):
+    cluster.scale(1)
+    play = partial(airpuck.match, "human", "keeper", 2, rules=airpuck.Rules(limit_s=0.2))
+    there, here = (play(workers=w).to_json() for w in (cluster.scheduler_address, "1"))
+    assert there | {"wall_s": 0} == here | {"wall_s": 0}

@@ -45,7 +45,7 @@ def with_nan(values):
 @pytest.mark.parametrize(
     ("name", "change", "word"),
     [
-        ("state", with_nan, "not finite"),
+        ("state", with_nan, "must be finite"),
         ("t", lambda t: t[::-1], "must increase"),
         ("command", lambda u: 100 * u, "[0, 1]"),
         ("command_time", lambda t: t[::-1], "must not decrease"),

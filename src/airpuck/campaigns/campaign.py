@@ -21,7 +21,7 @@ from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing
 from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry, read_spec
-from airpuck.campaigns.workers import ItemResult, dispatch
+from airpuck.campaigns.workers import ItemResult, checked_workers, dispatch
 from airpuck.control.settings import Workers
 
 _STATISTICS = ("count", "mean", "sd", "min", "q05", "q50", "q95", "max")
@@ -87,7 +87,6 @@ def campaign(
     spec: str | os.PathLike[str],
     output: str | os.PathLike[str],
     *,
-    scheduler: str | None = None,
     workers: Workers = None,
     retry: bool = False,
     progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
@@ -100,10 +99,9 @@ def campaign(
         The spec file.
     output : path-like
         Folder of the results: ``items/KEY.json`` for each item, ``results.csv`` of all rows.
-    scheduler : str, optional
-        Address of a running Dask scheduler; by default processes are started here.
-    workers : int, optional
-        Number of these processes; by default as many as there are processors.
+    workers : int or str, optional
+        Number of processes; by default as many as there are processors. Or the address of a running
+        Dask scheduler, ``"tcp://HOST:PORT"``, whose workers compute instead.
     retry : bool, default False
         Whether to run failed items again.
     progress : callable, optional
@@ -130,7 +128,7 @@ def campaign(
     """
     entries, folder = read_spec(spec), Path(output)
     check_output(folder, "folder", field="output")
-    compute = partial(dispatch, scheduler=scheduler, workers=workers)
+    compute = partial(dispatch, workers=checked_workers(workers))
     done = completed(entries, folder, compute, retry=retry, progress=progress)
     done.write_table(folder / "results.csv")
     return done

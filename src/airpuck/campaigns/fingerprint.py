@@ -102,7 +102,7 @@ def _files(folder: Path) -> Iterator[Path]:
         seen += len(names) + len(folders)
         if seen > FOLDER_FILES:
             remedy = "is it the right folder?"
-            raise refused("holds too many files", FOLDER_FILES, remedy, file=folder)
+            raise refused("contains too many files", FOLDER_FILES, remedy, file=folder)
         folders[:] = [name for name in folders if name != _CACHE]
         yield from (Path(place, name) for name in names)
 

@@ -148,7 +148,7 @@ class TwinItem(Item):
     #: Random spread of the truth: e^(spread · N), with N normal, multiplies each thrust curve, the
     #: inertia and the motor lag.
     truth_spread: Spread = 0.0
-    #: Settings of the twin, laid over the packaged ones.
+    #: Settings of the twin, which override the packaged settings.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     def craft(self) -> Model:
@@ -185,7 +185,7 @@ class Tracking(TwinItem):
     #: ``paper``, or ``full``, which also compensates the delay and rejects disturbances: the
     #: default of ``mpc``.
     controller: ControllerKind = None
-    #: Tuning, laid over the packaged one.
+    #: Tuning, which overrides the packaged tuning.
     tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
     #: By default the law of the tuning file.
     regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
@@ -252,14 +252,14 @@ class Fleet(Item):
     amplitude: Amplitude = 1.0
     #: Precision of the arithmetic.
     precision: Literal["double", "single"] = "double"
-    #: Settings of the twin, laid over the packaged ones.
+    #: Settings of the twin, which override the packaged settings.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
     @pydantic.model_validator(mode="after")
     def _fits_in_memory(self) -> Fleet:
         if self.craft * self.duration_s > _MOST_FLOWN:
             flown = f"{self.craft} craft for {self.duration_s:g} s"
-            raise ValueError(f"{flown} take gigabytes; give fewer craft and more seeds")
+            raise ValueError(f"{flown} take gigabytes; use fewer craft and more seeds")
         return self
 
     def run(self) -> list[Row]:

@@ -18,7 +18,7 @@ from airpuck.campaigns.campaign import completed
 from airpuck.campaigns.items import Row
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import ItemResult, compute, dispatch
+from airpuck.campaigns.workers import ItemResult, checked_workers, compute, dispatch
 from airpuck.compute.process import usable_cores
 from airpuck.control.settings import Workers
 from airpuck.evaluation.statistical_tests import wilson_interval
@@ -139,8 +139,9 @@ def match(
     output : path-like, optional
         Folder for the games, as bags ``games/SEED-KEY``, where KEY is a hash of everything that
         determines a game. Games already in the folder are not played again.
-    workers : int, optional
-        Number of processes; by default as many as there are processors. One needs no Dask.
+    workers : int or str, optional
+        Number of processes; by default as many as there are processors. A single process does not
+        need Dask. Or the address of a running Dask scheduler, ``"tcp://HOST:PORT"``.
     progress : callable, optional
         Called with the number of games played, including fractions of those in progress, the
         number of all games, and the number of failed ones.
@@ -199,7 +200,7 @@ def checked_game(
 def played(
     games: Sequence[Match],
     output: str | os.PathLike[str] | None,
-    workers: int | None,
+    workers: Workers,
     progress: Callable[[float, int, int], None],
     *,
     bags: bool = True,
@@ -211,8 +212,10 @@ def played(
     with ExitStack() as stack:
         folder = Path(output or stack.enter_context(tempfile.TemporaryDirectory()))
         entries = list(_entries(games, folder if output and bags else None))
-        several = min(workers or usable_cores(), len(games))
-        work = _here if several == 1 else partial(dispatch, workers=several)
+        where = checked_workers(workers)
+        if not isinstance(where, str):
+            where = min(where or usable_cores(), len(games))
+        work = _here if where == 1 else partial(dispatch, workers=where)
         done = completed(entries, folder, work, retry=True, progress=progress)
     if done.failures:
         raise InputError(done.failures[0][1])

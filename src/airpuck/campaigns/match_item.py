@@ -37,7 +37,7 @@ class Match(Item):
     model: str = "paper:M3"
     #: Rules of the game.
     rules: Rules = pydantic.Field(default_factory=Rules)
-    #: Settings of the twin, laid over the packaged ones.
+    #: Settings of the twin, which override the packaged settings.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
     #: Whether drag and bounces of the puck are drawn for each game, within their uncertainty. No
     #: player gets the true numbers.

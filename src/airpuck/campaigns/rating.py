@@ -22,8 +22,8 @@ def ratings(
     """Rate players by their points against each other.
 
     The probability that i beats j is 1 / (1 + 10^((R_j - R_i) / 400)); a draw is half a win. The
-    ratings are the mode of the posterior for independent normal ratings, the covariance is that of
-    its normal approximation.
+    ratings are the mode of the posterior for independent normal ratings, with the covariance of its
+    normal approximation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Games of people as bags: their results, and what they tell about each person."""
+"""Games of people as bags: their results, and what they reveal about each person."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from airpuck.recording.bag import METADATA
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS, Recording
 
-#: Larger scores are no scores of a game, and longer texts are no names.
+#: Limits of plausible scores, and of the length of names.
 _MOST_GOALS, _LONGEST = 1000, 200
 
 
@@ -32,7 +32,7 @@ class RecordedGames:
 def recorded_games(
     folders: Sequence[str | os.PathLike[str]], equipment: AirHockey
 ) -> RecordedGames:
-    """Read the games of people; each folder holds the bags of one person, and is named so."""
+    """Read the games of people, one folder of bags each; the folder has the person's name."""
     people, games = {}, []
     for folder in map(Path, folders):
         name = folder.resolve().name
@@ -40,7 +40,9 @@ def recorded_games(
             raise InputError("is the name of two people; rename a folder", field=name)
         bags = sorted(path.parent for path in folder.rglob(METADATA))
         if not bags:
-            raise InputError("holds no bags; record some with `airpuck play --record`", file=folder)
+            raise InputError(
+                "contains no bags; record some with `airpuck play --record`", file=folder
+            )
         recordings = [read_recording(bag, needs=("mallet", "puck", "game")) for bag in bags]
         games += [_result(recording, name) for recording in recordings]
         people[name] = measured_hand(recordings, equipment)
@@ -51,14 +53,14 @@ def _result(recording: Recording, person: str) -> tuple[str, str, Row]:
     """Return names of left and right, and goals and duration of a game."""
     source, names = recording.source, [recording.about.get(side, "") for side in ("left", "right")]
     if not all(name.isprintable() and 0 < len(name) <= _LONGEST for name in names):
-        raise InputError("does not name its players; record it by play --record", file=source)
+        raise InputError("does not name its players; record it with play --record", file=source)
     if recording.warnings:  # a truncated game has another score
         raise InputError(recording.warnings[0], file=source)
     game, time = recording["game"].values, recording["mallet"].stamp_ns
     score = game[-1, :2] if len(game) else np.zeros(2)
     known = recording["game"].columns == COLUMNS["game"]
     if not known or not ((score >= 0) & (score <= _MOST_GOALS)).all():
-        raise InputError("holds no score of a game", file=source, field="game")
+        raise InputError("contains no score of a game", file=source, field="game")
     names[side_of(recording) > 0] = person
     if names[0] == names[1]:
         raise InputError("is also the name of the opponent; rename the folder", field=person)

@@ -44,7 +44,7 @@ _MOST = 100_000
 class Spec(Section):
     """Content of a spec file."""
 
-    #: What an item is.
+    #: Kind of the items.
     kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time", "match"]
     #: Number of seeds from 0, or a list of seeds.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import pydantic
 
+from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.fingerprint import program
 from airpuck.campaigns.items import Item, Row
@@ -51,21 +52,37 @@ class ItemResult(pydantic.BaseModel):
     wall_s: float | None = None
 
 
+def checked_workers(workers: int | str | None) -> int | str | None:
+    """Return a number of processes, or the address of a Dask scheduler as it is."""
+    if isinstance(workers, str):
+        if "://" in workers:
+            return workers
+        try:
+            workers = int(workers)
+        except ValueError:
+            known = f"must be a number, or an address like tcp://HOST:8786, not {workers!r}"
+            raise InputError(known, field="workers") from None
+    if workers is not None:
+        numbers.WORKERS.check(workers, "workers")
+    return workers
+
+
 def dispatch(
     entries: Iterable[Entry],
     *,
-    scheduler: str | None = None,
-    workers: int | None = None,
+    workers: int | str | None = None,
     tell: Callable[[str, float], None] = lambda key, share: None,
 ) -> Iterator[tuple[Entry, ItemResult]]:
     """Compute items on workers, and yield each with its result, in any order.
+
+    `workers` is what `checked_workers` returns.
 
     Workers report the progress of an item through `tell(key, share)`. There are never more items in
     progress than worker threads, so a worker that dies takes no waiting items with it.
     """
     finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
     waiting, under_way = iter(entries), {}
-    with _noting_interrupts(finished), _client(scheduler, workers) as client:
+    with _noting_interrupts(finished), _client(workers) as client:
         client.subscribe_topic(_TOPIC, lambda event: tell(*event[1]))
         while True:
             threads = max(1, sum(client.nthreads().values()))
@@ -96,7 +113,7 @@ def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
-    # Keeps handlers that other code has installed.
+    # Handlers installed by other code stay in place.
     taken = [n for n, h in before.items() if h in (signal.default_int_handler, stop)]
 
     def note(number: int, _frame: Any) -> None:
@@ -146,7 +163,7 @@ def _result(future: Any) -> ItemResult:
     if future.status == "finished":
         return future.result()
     if future.status != "error":
-        raise InputError("the scheduler went away; run again for the rest", field="--scheduler")
+        raise InputError("the scheduler went away; run again for the rest", field="workers")
     error = future.exception()
     why = _described(error)
     if isinstance(error, KilledWorker):
@@ -155,28 +172,28 @@ def _result(future: Any) -> ItemResult:
 
 
 @contextlib.contextmanager
-def _client(scheduler: str | None, workers: int | None) -> Iterator[Any]:
+def _client(workers: int | str | None) -> Iterator[Any]:
     """Connect to a cluster, or start one."""
     try:
         from dask import config
         from distributed import Client
     except ImportError:
         needs = "campaigns need Dask: pip install distributed"
-        raise InputError(f"{needs} (match and league: or give --workers 1)") from None
+        raise InputError(f"{needs} (match and league: or use --workers 1)") from None
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     local |= {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):
-        if scheduler is None:
+        if not isinstance(workers, str):
             with Client(**local) as client:
                 client.register_worker_callbacks(setup=_ignore_interrupts)
                 yield client
             return
         try:
-            client = Client(scheduler, timeout=PATIENCE)
+            client = Client(workers, timeout=PATIENCE)
         except (OSError, ValueError) as error:
-            raise _unusable(scheduler, f"no Dask scheduler answers there ({error})") from error
+            raise _unusable(workers, f"no Dask scheduler answers there ({error})") from error
         with client:
-            _check_workers(client, scheduler)
+            _check_workers(client, workers)
             yield client
 
 
@@ -191,14 +208,16 @@ def _check_workers(client: Any, scheduler: str) -> None:
         client.wait_for_workers(1, timeout=PATIENCE)
         programs = set(client.run(program).values())
     except TimeoutError as error:
-        why = "has no workers; start some, dask worker ADDRESS"
+        why = "has no workers; start some with `dask worker ADDRESS`"
         raise _unusable(scheduler, why) from error
     except ImportError as error:
         raise _unusable(scheduler, f"its workers lack a package ({error})") from error
     if programs != {program()}:
-        raise _unusable(scheduler, "its workers run another airpuck; install the same there")
+        raise _unusable(
+            scheduler, "its workers run another version of airpuck; install this one there"
+        )
 
 
 def _unusable(scheduler: str, why: str) -> InputError:
     """Return an error that names the scheduler."""
-    return InputError(why, file=scheduler, field="--scheduler")
+    return InputError(why, file=scheduler, field="workers")

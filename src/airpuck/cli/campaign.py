@@ -12,7 +12,6 @@ from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, show_time_left, table, write_json
@@ -28,22 +27,16 @@ _SHOWN = 10
 
 @app.command(rich_help_panel="Many at once")
 def campaign(
-    spec: Annotated[Path, Argument(metavar="SPEC", help="A spec.toml.")],
+    spec: Annotated[Path, Argument(metavar="SPEC", help="The spec file, such as spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
-    scheduler: Annotated[
-        str | None,
-        Setting("Dask scheduler, whose workers compute instead: tcp://HOST:PORT.", metavar="TCP"),
-    ] = None,
     workers: options.Workers = None,
     retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Run many independent flights or fits, skipping those already done."""
+    """Run many independent flights or fits; skip whatever is already done."""
     with show_time_left("items", quiet) as progress:
-        found = airpuck.campaign(
-            spec, output, scheduler=scheduler, workers=workers, retry=retry, progress=progress
-        )
+        found = airpuck.campaign(spec, output, workers=workers, retry=retry, progress=progress)
     figures = found.to_json()
     write_json(output / "summary.json", figures)
     report(figures, json_file, *_summary(found), output / "results.csv")

@@ -28,7 +28,7 @@ _FORMATS = (".svg", ".png", ".pdf")
 def vehicle(
     file: Annotated[Path, Argument(metavar="FILE", help="Vehicle file.")],
     output: Annotated[
-        Path | None, options.output("FILE", "Draw it: craft.svg, .png or .pdf.")
+        Path | None, options.output("FILE", "Drawing to write: craft.svg, .png or .pdf.")
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -59,7 +59,7 @@ def vehicle(
 
 
 def _propeller_table(model: Model) -> Table:
-    """Lay out position and effect of each propeller at full command."""
+    """Tabulate position and effect of each propeller at full command."""
     craft, effects = model.vehicle, model.propeller_effects
     rows = []
     for number, (channel, effect, curve) in enumerate(
@@ -79,7 +79,7 @@ def _propeller_table(model: Model) -> Table:
 
 
 def _motion_table(found: Authority) -> Table:
-    """Lay out the strength of each motion."""
+    """Tabulate the strength of each motion."""
     units = {name: "rad/s²" if name.startswith("turn") else "m/s²" for name in found.alone}
     rows = [
         [name, *(f"{value:.2f}" if value else "none" for value in (found.alone[name], most)), unit]

@@ -33,20 +33,24 @@ def design(
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
     after: Annotated[
         list[Path] | None,
-        Setting("Fit to this first; repeat for several.", metavar="RECORDING"),
+        Setting("Recording to fit first; repeat for several.", metavar="RECORDING"),
     ] = None,
     duration: ProposedDuration = 60.0,
     criterion: Criterion = "worst",
     margin: ProposedMargin = 0.08,
     output: Annotated[
-        Path | None, options.output("FILE", "Plan to write, for excite --plan.")
+        Path | None, options.output("FILE", "Plan file to write, for excite --plan.")
     ] = None,
     check: Annotated[
         int | None,
-        Setting("Fly it N times on the twin, identify, and compare.", numbers.CHECK_FLIGHTS, "N"),
+        Setting(
+            "Fly the proposal N times on the twin, identify, and compare.",
+            numbers.CHECK_FLIGHTS,
+            "N",
+        ),
     ] = None,
     figure: Annotated[
-        Path | None, options.output("FILE", "Draw the errors; a PNG.", "--figure")
+        Path | None, options.output("FILE", "Figure of the errors to write, a PNG.", "--figure")
     ] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
@@ -128,12 +132,12 @@ def summary(found: Design) -> list[str]:
         text.append(f"stays undetermined: {', '.join(missing)}")
     level = found.residual_level
     if level == 1.0:
-        return [*text, "assumes the twin's residuals; those of a real flight are larger (--after)"]
+        return [*text, "assumes the twin's residuals; a real flight has larger ones (--after)"]
     return [*text, f"variance of the residuals: {level:.2g} times the twin's, as in the fit"]
 
 
 def _candidate_table(found: Design) -> Table:
-    """Lay out the best candidates, and the usual one."""
+    """Tabulate the best candidates, and the usual one."""
     shown = list(found.candidates[:_SHOWN])
     if all(one.plan != found.usual.plan for one in shown):
         shown.append(found.usual)
@@ -164,7 +168,7 @@ def _row(one: CandidateFlight) -> tuple[str, ...]:
 
 
 def error_table(found: Design, checked: CheckedFlights | None) -> Table:
-    """Lay out the standard errors of every quantity."""
+    """Tabulate the standard errors of every quantity."""
     headings = ("", "100 % are", "now", "usual", "proposal")
     errors = [found.relative_before, found.usual.relative, found.proposal.relative]
     if checked is not None:

@@ -67,7 +67,9 @@ def excite(
     vehicle: options.ReadVehicle = None,
     model: Annotated[
         str | None,
-        Setting("Truth of the twin; by default paper:M3, or nominal.", metavar="MODEL"),
+        Setting(
+            "True model, which the twin flies; by default paper:M3, or nominal.", metavar="MODEL"
+        ),
     ] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
@@ -104,7 +106,9 @@ def track(
     ] = None,
     flights: Annotated[
         list[Path] | None,
-        Setting("Real flight of each model, to reproduce.", metavar="FLIGHT", option="--flight"),
+        Setting(
+            "Real flight to reproduce, one for each model.", metavar="FLIGHT", option="--flight"
+        ),
     ] = None,
     truth: options.Truth = "paper:M4",
     setpoints: Annotated[
@@ -123,7 +127,8 @@ def track(
     estimator: Annotated[
         Literal["kalman", "actuation"] | None,
         Setting(
-            "kalman, or actuation, which also estimates motors; by default the tuning's.",
+            "kalman, or actuation, which also estimates what each motor does; by default the "
+            "tuning's.",
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -155,7 +160,7 @@ def track(
     if not paths and dwell is None and as_flown and setpoints is None:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
-        raise InputError("give one for each --model, in the same order", field="flights")
+        raise InputError("must be given once for each --model, in the same order", field="flights")
     beliefs = [inputs.read_belief(name) for name in names]
     computed = [law for law in laws if pilot_named(law) is None]
     for law in computed:
@@ -191,13 +196,15 @@ def track(
 @app.command(rich_help_panel=PANEL)
 def animate(
     recording: Annotated[
-        Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSVs.")
+        Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSV files.")
     ],
-    output: Annotated[Path, options.output("FILE", "flight.gif or flight.html")],
+    output: Annotated[Path, options.output("FILE", "File to write: flight.gif or flight.html.")],
     span: options.Span = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    speed: Annotated[float, Setting("Seconds of flight per second.", numbers.SPEED, "X")] = 1.0,
+    speed: Annotated[
+        float, Setting("Seconds of flight shown per second.", numbers.SPEED, "X")
+    ] = 1.0,
     fps: Annotated[float, Setting("Frames of a GIF per second.", numbers.FRAME_RATE, "N")] = 25.0,
     twin: options.ReadTwin = None,
 ) -> None:
@@ -217,7 +224,7 @@ def animate(
 
 
 def _replay_lines(replay: Replay) -> Iterator[str]:
-    """Yield how well recorded and computed commands agree."""
+    """Yield lines on the agreement of recorded and computed commands."""
     figures = replay.to_json()
     for motor in figures["motors"]:
         yield (
@@ -242,7 +249,7 @@ def _excitation_line(excited: Excited) -> str:
 
 
 def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
-    """Yield how each set point was reached."""
+    """Yield lines on how the craft reached each set point."""
     from airpuck.flight.track import TOLERANCE
 
     x, _, yaw = TOLERANCE

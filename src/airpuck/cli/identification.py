@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 PANEL = "From a recording to a validated model"
 
 Recordings = Annotated[
-    list[Path], Argument(metavar="RECORDING...", help="One or more, of one craft.")
+    list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one craft.")
 ]
 ComFrame = Annotated[
     Literal["body", "world"],
@@ -62,7 +62,7 @@ ComFrame = Annotated[
 @app.command(rich_help_panel=PANEL)
 def preprocess(
     recording: options.RecordingPath,
-    output: Annotated[Path, options.output("FILE", "The trajectory, such as traj.npz.")],
+    output: Annotated[Path, options.output("FILE", "Trajectory file to write, such as traj.npz.")],
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     delay: Annotated[
@@ -131,13 +131,13 @@ def identify(
         Setting(
             "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
             "model that predicts held-out parts of the recordings as well as the best. By default "
-            "M3, on a clearly tilted table M3+tilt.",
+            "M3, or M3+tilt on a clearly tilted table.",
             complete=_rung_names,
         ),
     ] = None,
     output: Annotated[Path, options.output("FILE", "Model file to write.")] = Path("model.toml"),
     report_folder: Annotated[
-        Path | None, options.output("DIR", "Write a page with figures, too.", "--report")
+        Path | None, options.output("DIR", "Also write a page with figures.", "--report")
     ] = None,
     validation: Annotated[
         Path | None,
@@ -156,7 +156,7 @@ def identify(
     adam: Annotated[
         int | None,
         Setting(
-            "Fit by Adam, as in the paper, for N epochs; by default by Levenberg-Marquardt.",
+            "Fit by Adam, as in the paper, for N epochs; the default is Levenberg-Marquardt.",
             numbers.EPOCHS,
             "N",
             heading="Optimiser",
@@ -223,7 +223,7 @@ def _judged(
     other: Trajectory | None,
     found: Evaluation | None,
 ) -> tuple[list[str], list[Table], dict[str, Any]]:
-    """Judge a fit: lines, tables, and figures for JSON."""
+    """Assess a fit: return lines, tables, and figures for JSON."""
     from airpuck.twin.verdict import verdict
 
     judged = verdict(fit.model, other or training[0], found)
@@ -286,7 +286,7 @@ def _fitted(
     settings: dict[str, Any],
     quiet: bool,
 ) -> tuple[Fit, Selection | None]:
-    """Identify one rung; of several, the rung that predicts held-out data best."""
+    """Identify a rung; from several, keep the rung that predicts held-out data best."""
     if len(rungs) > 1:
         found = airpuck.select_model(trajectories, rungs, progress=say(quiet), **settings)
         return found.fit, found
@@ -297,7 +297,7 @@ def _fitted(
 
 
 def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
-    """Yield how well every rung predicted held-out data, and which was chosen."""
+    """Yield lines on how well each rung predicted held-out data, and on the choice."""
     from airpuck.identification.selection import (
         SELECTION_HEADINGS,
         selection_rows,
@@ -330,7 +330,7 @@ def _write_report(
 
 
 def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
-    """Yield how a fit ended, the main quantities with errors, and what is undetermined."""
+    """Yield lines on how a fit ended, its main quantities with errors, and what is undetermined."""
     from airpuck.identification.fit_result import knowledge_words, outcome_words
 
     yield from outcome_words(fit)

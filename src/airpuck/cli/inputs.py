@@ -100,7 +100,9 @@ def read_given(
     if model is None:
         return None
     if vehicle is not None:
-        raise InputError("a model includes its vehicle; give one of the two", field="--vehicle")
+        raise InputError(
+            "a model includes its vehicle; pass only one of the two", field="--vehicle"
+        )
     return read(model)
 
 

@@ -39,6 +39,9 @@ def league(
         list[Path] | None,
         Setting("Games of a person, by airpuck play --record; may be repeated.", metavar="DIR"),
     ] = None,
+    only: Annotated[
+        str | None, Setting("Play only pairs that include this player.", metavar="PLAYER")
+    ] = None,
     output: Annotated[
         Path | None,
         options.output("DIR", "Folder for results and a figure; games in it are not played again."),
@@ -70,6 +73,7 @@ def league(
             output=output,
             workers=workers,
             bags=folders,
+            only=only,
             progress=progress,
         )
     figure = None
@@ -84,7 +88,7 @@ def league(
 
 
 def _ratings(found: LeagueResult) -> Table:
-    """Lay out the players, strongest first."""
+    """Tabulate the players, strongest first."""
     sums = {name: found.total(name) for name in ("games", "wins", "goals", "duration_s")}
     rows = []
     for number in (-found.intervals[:, 0]).argsort():
@@ -106,7 +110,7 @@ def _ratings(found: LeagueResult) -> Table:
 
 
 def _people(found: LeagueResult) -> Table:
-    """Lay out what the recorded games tell about each person."""
+    """Tabulate what the recorded games reveal about each person."""
     rows = [
         [
             name,

@@ -124,7 +124,9 @@ class Steered(Guarded):
 @app.command(rich_help_panel=_PANEL)
 def twin(
     live: LiveSettings,
-    model: Annotated[str, Setting("Truth of the simulated craft.", metavar="MODEL")] = "paper:M3",
+    model: Annotated[
+        str, Setting("True model of the simulated craft.", metavar="MODEL")
+    ] = "paper:M3",
     settings: options.ReadTwin = None,
     pose: Annotated[
         tuple[float, float, float],
@@ -133,14 +135,14 @@ def twin(
     puck: Annotated[
         tuple[float, float, float, float] | None,
         Setting(
-            r"A puck: where it starts, and how fast \[m, m/s].", numbers.COORDINATE, "X Y VX VY"
+            r"Start of a puck: position and velocity \[m, m/s].", numbers.COORDINATE, "X Y VX VY"
         ),
     ] = None,
     human: Annotated[
         Literal["easy", "medium", "hard", "page"] | None,
         Setting(
             "A human with a mallet on the right: a script, or the person at the page of "
-            "`airpuck play-live`. With a puck at the centre, unless --puck says where."
+            "`airpuck play-live`. The puck starts at the centre, or where --puck says."
         ),
     ] = None,
     seed: options.Seed = 0,
@@ -196,7 +198,7 @@ def fly_setpoints(
     live: LiveSettings,
     json_file: options.Json = None,
 ) -> None:
-    """Fly a craft on the graph to the set points of a file, at its times."""
+    """Fly a craft on the graph to the set points of a file, at the given times."""
     from airpuck.control.reference import read_setpoints
 
     steered.fly_to(partial(_planned, read_setpoints(file)), live, json_file)
@@ -213,7 +215,7 @@ def _planned(points: SetPoints, fence: tuple[float, float]) -> PlannedSetPoints:
 
 @app.command("fly-topic", rich_help_panel=_PANEL)
 def fly_topic(steered: Steered, live: LiveSettings, json_file: options.Json = None) -> None:
-    """Fly a craft on the graph to where the graph's reference topic says."""
+    """Fly a craft on the graph along the reference that another node publishes."""
     from airpuck.live.fly import FollowedSetPoint
 
     steered.fly_to(FollowedSetPoint, live, json_file)
@@ -296,7 +298,9 @@ def preflight(
     level: Annotated[
         float, Setting("Command of the motor under test.", numbers.AMPLITUDE, "U")
     ] = 0.25,
-    rounds: Annotated[int, Setting("Pulses of each motor.", numbers.PULSE_ROUNDS, "N")] = 2,
+    rounds: Annotated[
+        int, Setting("Number of pulses for each motor.", numbers.PULSE_ROUNDS, "N")
+    ] = 2,
     json_file: options.Json = None,
 ) -> None:
     """Give each motor short pulses; report errors of order, signs, frame, units and delay."""
@@ -315,7 +319,7 @@ def preflight_recording(
     mapping: options.ReadMapping = None,
     json_file: options.Json = None,
 ) -> None:
-    """Judge a recorded test of `airpuck preflight`."""
+    """Evaluate a recorded test of `airpuck preflight`."""
     from airpuck.flight.preflight import judge_recording
 
     craft = inputs.model_or_nominal(model, vehicle)

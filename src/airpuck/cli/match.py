@@ -37,12 +37,14 @@ GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
 
 @dataclass(frozen=True)
 class Pairing(Settings):
-    """Who plays whom, with which craft and on which table."""
+    """The two players, the craft and the table."""
 
     HEADING: ClassVar = ""
 
     left: Annotated[str, Setting(PLAYER, metavar="PLAYER")] = "airpuck"
-    right: Annotated[str, Setting("The same.", metavar="PLAYER")] = "human"
+    right: Annotated[str, Setting("The other player; the same choices.", metavar="PLAYER")] = (
+        "human"
+    )
     seed: options.Seed = 0
     model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3"
     twin: options.ReadTwin = None
@@ -87,7 +89,9 @@ def watch_match(
     rules: GameRules,
     port: Annotated[
         int | None,
-        Setting("Show it in the browser, on a page at this port.", numbers.PORT, "N", "--page"),
+        Setting(
+            "Show the game in the browser, on a page at this port.", numbers.PORT, "N", "--page"
+        ),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,

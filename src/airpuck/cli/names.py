@@ -43,7 +43,9 @@ def check_inputs(context: Any) -> None:
                 continue
             for output, option in outputs.items():
                 if output.exists() and os.path.samestat(output.stat(), found):
-                    raise InputError("is also an input; give another name", file=name, field=option)
+                    raise InputError(
+                        "is also an input; choose another name", file=name, field=option
+                    )
 
 
 def refuse_empty(arguments: list[str]) -> None:
@@ -52,9 +54,9 @@ def refuse_empty(arguments: list[str]) -> None:
         option, _, value = argument.partition("=")
         if not argument:
             field = before if before.startswith("-") else None
-            raise InputError("an argument is empty; give a name", field=field)
+            raise InputError("an argument is empty; type a name", field=field)
         if option.startswith("--") and argument.endswith("=") and not value:
-            raise InputError("is empty; give a name", field=option)
+            raise InputError("is empty; type a name", field=option)
 
 
 def _texts(value: Any) -> Iterator[str | Path]:

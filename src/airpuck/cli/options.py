@@ -53,9 +53,9 @@ def _read_table(path: Path) -> AirHockey:
 
 
 Json = Annotated[
-    Path | None, output("FILE", "Write the figures as JSON; - for standard output.", "--json")
+    Path | None, output("FILE", "Write the results as JSON; - for standard output.", "--json")
 ]
-Quiet = Annotated[bool, Option("--quiet", "-q", help="Print results only.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print only the results.")]
 Verbose = Annotated[
     bool, Option("--verbose", "-v", help="Print more: conditioning, correlations, constraints.")
 ]
@@ -75,7 +75,7 @@ ReadMapping = Annotated[
         lambda path: airpuck.read_mapping(path),
     ),
 ]
-_TWIN = "Table, sensors, radio, faults; by default the packaged ones."
+_TWIN = "Settings of the twin: table, sensors, radio, faults; by default the packaged ones."
 ReadTwin = Annotated[
     "TwinSettings | None",
     _file("--twin", _TWIN, lambda path: airpuck.read_twin_settings(path)),
@@ -89,14 +89,14 @@ ReadTable = Annotated[
 ]
 Span = Annotated[
     tuple[float, float] | None,
-    Setting("Part to use, as fractions of the length.", numbers.SHARE, "A B"),
+    Setting("Part of the recording to use, as fractions of its length.", numbers.SHARE, "A B"),
 ]
 TuningFile = Annotated[
     Path | None,
     Setting("Controller tuning; by default the packaged one.", metavar="FILE", option="--tuning"),
 ]
-PageFolder = Annotated[Path | None, output("DIR", "Write a page of figures, too.")]
-NewBag = Annotated[Path, output("BAG", "Folder to record to; new.")]
+PageFolder = Annotated[Path | None, output("DIR", "Also write a page with figures.")]
+NewBag = Annotated[Path, output("BAG", "New folder to record to.")]
 RecordingPath = Annotated[
     Path,
     Argument(
@@ -107,7 +107,7 @@ RecordingPath = Annotated[
 ControllersModel = Annotated[str, Setting("Model for the controller.", metavar="MODEL")]
 BELIEVED = Setting("Model of the craft.", metavar="MODEL")
 BelievedModel = Annotated[str, BELIEVED]
-Truth = Annotated[str, Setting("Truth of the twin.", metavar="MODEL")]
+Truth = Annotated[str, Setting("True model, which the twin flies.", metavar="MODEL")]
 ModelName = Annotated[
     str,
     Argument(
@@ -117,7 +117,7 @@ ModelName = Annotated[
 Experiment = Annotated[
     ExcitationPlan,
     FromFile(
-        "--plan", "An excitation by `airpuck design`; options change it.", read_excitation_plan
+        "--plan", "Excitation plan by `airpuck design`; options override it.", read_excitation_plan
     ),
 ]
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME of your own law"
@@ -132,11 +132,11 @@ RegulatorName = Annotated[
 ]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
-    Setting("paper; paper-long: encoders may look further back; causal: no later measurements."),
+    Setting("paper; paper-long (encoders may look further back); causal (no later measurements)."),
 ]
 Horizon = Annotated[
     float, Setting("Prediction horizon at which errors are reported.", numbers.HORIZON, "S")
 ]
 EncoderName = Annotated[
-    str, Setting("paper; actuation: estimates the effectiveness of each motor, too.")
+    str, Setting("paper, or actuation, which also estimates the effectiveness of each motor.")
 ]

@@ -184,7 +184,7 @@ def _line(iteration: Iteration) -> str:
 def error_table(
     names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
 ) -> Table:
-    """Lay out the errors of several models, and of a craft that coasts."""
+    """Tabulate the errors of several models, and of a craft that coasts."""
     from airpuck.evaluation.coasting import coasting
 
     first = evaluations[0]
@@ -203,7 +203,7 @@ def error_table(
 
 
 def every_start_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
-    """Lay out the errors of several models from every start, with their intervals."""
+    """Tabulate the errors of several models from every start, with their intervals."""
     rows = []
     for name, evaluation in zip(names, evaluations, strict=True):
         found = evaluation.every_start

@@ -65,7 +65,8 @@ def plan(
         Setting("Final quantities that are free; by default none."),
     ] = None,
     turn: Annotated[
-        Literal["shorter", "exact"], Setting("Count whole turns of the yaw.")
+        Literal["shorter", "exact"],
+        Setting("Turn the shorter way to the yaw, or keep its whole turns."),
     ] = "shorter",
     via: Annotated[
         list[tuple[float, float]] | None,
@@ -83,9 +84,10 @@ def plan(
         int,
         Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N"),
     ] = 40,
-    output: Annotated[Path | None, options.output("FILE", "Plan to write; TOML.")] = None,
+    output: Annotated[Path | None, options.output("FILE", "Plan file to write (TOML).")] = None,
     figure: Annotated[
-        Path | None, options.output("FILE", "Draw path and thrusts; a PNG.", "--figure")
+        Path | None,
+        options.output("FILE", "Figure of path and thrusts to write, a PNG.", "--figure"),
     ] = None,
     json_file: options.Json = None,
 ) -> None:
@@ -119,23 +121,28 @@ def race(
         str,
         Argument(
             metavar="COURSE",
-            help="straight, slalom or eight, which are planned first, or a plan by `airpuck plan`.",
+            help="A course to plan (straight, slalom, eight), or a plan by `airpuck plan`.",
         ),
     ] = "straight",
     model: options.ControllersModel = "paper:M3",
     truth: options.Truth = "paper:M3",
     regulator: options.RegulatorName = None,
     seeds: Annotated[
-        int, Setting("Flights, each with its noise and radio.", numbers.CHECK_FLIGHTS, "N")
+        int,
+        Setting(
+            "Number of flights, each with its own noise and radio.", numbers.CHECK_FLIGHTS, "N"
+        ),
     ] = 10,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     figure: Annotated[
-        Path | None, options.output("FILE", "Draw all flights; a PNG.", "--figure")
+        Path | None, options.output("FILE", "Figure of all flights to write, a PNG.", "--figure")
     ] = None,
     animation: Annotated[
         Path | None,
-        options.output("FILE", "The first flight, as GIF or HTML.", "--animation"),
+        options.output(
+            "FILE", "Animation of the first flight to write, as GIF or HTML.", "--animation"
+        ),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -173,7 +180,7 @@ def race(
 
 
 def _race_table(found: Race) -> Table:
-    """Lay out planned and flown times."""
+    """Tabulate planned and flown times."""
     rows = [
         ("no control takes less than", _known(found.plan.lower_bound), ""),
         ("planned", f"{found.plan.duration:.3f}", ""),
@@ -226,7 +233,7 @@ def _sentence(found: Plan) -> str:
 
 
 def _starts_table(found: Plan) -> Table:
-    """Lay out the starts of the search."""
+    """Tabulate the starts of the search."""
     rows = [
         (start.name, "–" if start.time_s is None else f"{start.time_s:.4f}", start.status)
         for start in found.starts

@@ -45,12 +45,12 @@ def play(
     arena: ArenaSettings,
     record: Annotated[
         Path | None,
-        options.output("DIR", "Record every game as a bag; the page says so.", "--record"),
+        options.output("DIR", "Record every game as a bag, and say so on the page.", "--record"),
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Play air hockey against the craft, in the browser; Ctrl-C ends."""
+    """Play air hockey against the craft, in the browser; Ctrl-C ends the game."""
     from airpuck.compute.process import low_latency
     from airpuck.web.session import play_in_browser
 
@@ -116,7 +116,7 @@ def play_live(
             # The flight loop never waits for a page.
             hello = live_hello(model, table)
             pages = stack.enter_context(
-                served(page.host, port, hello, waits=False, without=", or give --port 0")
+                served(page.host, port, hello, waits=False, without=", or use --port 0")
             )
             spectators.append(LivePage(pages, score, craft.level))
             invite(pages, page, say(live.quiet))

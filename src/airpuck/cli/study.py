@@ -24,7 +24,7 @@ Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--outp
 
 @app.command(rich_help_panel=PANEL)
 def fetch(
-    name: Annotated[str, Argument(metavar="[NAME]", help="The dataset.")] = PAPER,
+    name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = PAPER,
     everything: Annotated[
         bool, Option("--all", help="All recordings, not only the study's.")
     ] = False,

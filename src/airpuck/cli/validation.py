@@ -178,7 +178,7 @@ def compare(
         list[str],
         Argument(
             metavar="MODEL... RECORDING",
-            help="Models, then the recording; two models alone: their differences.",
+            help="Models, then the recording; for two models alone, report their differences.",
         ),
     ],
     output: options.PageFolder = None,
@@ -190,7 +190,7 @@ def compare(
     json_file: options.Json = None,
     quiet: options.Quiet = False,
 ) -> None:
-    """Compare models on one recording; of two learned models, report what drifted."""
+    """Compare models on one recording; report the drift between two learned models."""
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
@@ -200,7 +200,9 @@ def compare(
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
     names = models if alone else models[:-1]
     if not names or (alone and (len(names) != 2 or output is not None)):
-        raise InputError("give at least one MODEL and a RECORDING; without -o, two MODELs will do")
+        raise InputError(
+            "at least one MODEL and a RECORDING are needed; without -o, two MODELs suffice"
+        )
     read, called = [airpuck.read_model(name) for name in names], _short_names(names)
     figures, shown = dict[str, Any](), list[Any]()
     if (drift := _drift_of(read, alone)) is not None:
@@ -316,7 +318,7 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
 
 
 def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
-    """Lay out fit percentages and information criteria."""
+    """Tabulate fit percentages and information criteria."""
     from airpuck.evaluation.fit_measures import fit_text
 
     headings = (

@@ -1,4 +1,4 @@
-"""Commands as views of settings objects: each declared field of one becomes an option."""
+"""Commands as views of settings objects: each declared field becomes an option."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from airpuck.boundary.settings import Declared, Setting, Settings, declared, set
 
 @dataclass(frozen=True)
 class FromFile:
-    """Marks a settings object that a file may give; options override single fields of it."""
+    """Marks a settings object that a file may define; options override single fields of it."""
 
     #: The option that names the file.
     option: str
@@ -102,12 +102,12 @@ _SETTINGS_FILE = Annotated[
         metavar="FILE",
         is_eager=True,
         callback=_read_settings,
-        help="TOML file of options; its keys are their long names, with _ for -.",
+        help="TOML file of options; its keys are the long names of options, with _ for -.",
     ),
 ]
 _HELP_ALL = Annotated[
     bool,
-    Option("--help-all", is_eager=True, callback=_show_all, help="Show the rarer options, too."),
+    Option("--help-all", is_eager=True, callback=_show_all, help="Also show the rarer options."),
 ]
 
 
@@ -118,7 +118,7 @@ class OptionView:
     #: Type of its value, without the `Setting`.
     kind: Any
     setting: Setting
-    #: As typed, with its short form behind a slash.
+    #: As typed, with its short form after a slash.
     spelling: str
     #: Whether the help shows it on request only.
     rare: bool = False
@@ -227,7 +227,7 @@ def _read(given: dict[str, Any], name: str, setting: Setting | None) -> Any:
 
 
 def _field(one: Declared, heading: str, *, given: bool) -> Parameter:
-    """Return the option of a field; with its default, or with none where a file may give it."""
+    """Return the option of a field, without a default if a file may set it."""
     setting, kind = one.setting, OptionView.of(one.setting, one.name, one.kind).typed
     if not given:
         setting = replace(setting, help=f"{setting.help}; by default {one.default:g}")
@@ -257,7 +257,7 @@ def _entry(kind: Any) -> Any:
 
 
 def _spelling(setting: Setting, name: str) -> str:
-    """Return an option's spelling, with another one behind a slash."""
+    """Return an option's spelling, with another one after a slash."""
     return setting.option or f"--{name.replace('_', '-')}"
 
 
