@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -47,6 +48,11 @@ def test_what_is_no_argument_is_named(name):
         (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
         (partial(airpuck.match, "human", "human", True), "games: must be a whole number, not True"),
+        (partial(airpuck.excite, M3, margin=np.nan), "margin: must be "),
+        (partial(airpuck.Span, np.nan, 1.0, "gap"), "start: must be a finite number, not nan"),
+        (partial(airpuck.skills, M3, episodes=-1), "episodes: must be from 1 to 100000"),
+        (partial(airpuck.LevenbergMarquardt, tolerance=np.inf), "tolerance: must be a finite"),
+        (partial(airpuck.Adam, inertia_factor=np.nan), "inertia_factor: must be a finite"),
         (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
         (
             partial(M3.simulate, np.zeros(12), np.full((3, 6), 1500.0)),
@@ -73,3 +79,31 @@ def test_what_is_wrong_is_said(call, words):
         call()
     # In tests, the checked signature of a constructor may reject the value first.
     assert isinstance(error.value, InputError)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_numbers_are_finite(wrong, short):
+    bands = partial(airpuck.prediction_bands, M3, short)
+    gain = np.zeros((3, 6))
+    gain[1, 2] = wrong
+    track = partial(airpuck.track, M3, airpuck.SetPoint(0.1, 0, 0), 0.1)
+    for call, field in (
+        (partial(bands, horizon=wrong), "horizon"),
+        (partial(track, gain=gain), "gain"),
+    ):
+        with pytest.raises(InputError, match=f"{field}: must be finite numbers"):
+            call()
+    for name in ("time", "state", "acceleration", "command_time", "command"):
+        damaged = np.array(getattr(short, name), dtype=float)
+        damaged.flat[-1] = wrong
+        with pytest.raises(InputError, match=f"{name}: must be finite numbers"):
+            replace(short, **{name: damaged})
+
+
+@pytest.fixture(scope="module")
+def short():
+    time = np.arange(50) / 200
+    names = M3.vehicle.propeller_names
+    return airpuck.Trajectory(
+        time, np.zeros((50, 6)), np.zeros((50, 3)), time, np.zeros((50, 6)), names
+    )

@@ -18,7 +18,7 @@ MISDEEDS = {
     "exits": "sys.exit(0)",
     "exits in words": "sys.exit('bye')",
     "raises": "raise ValueError('no')",
-    "raises what nobody catches": "raise BaseException('no')",
+    "raises an exception that is never caught": "raise BaseException('no')",
     "raises what cannot be shown": "raise Unspeakable",
     "raises an error of ours": "airpuck.SetPoint('here', 0, 0)",
     "never returns from itself": "forever()",

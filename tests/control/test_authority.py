@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from airpuck.control.authority import MOTIONS, control_authority
+from airpuck.control.authority import MOTIONS, control_authority, weakest_effort
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model
 
@@ -42,6 +42,27 @@ def test_a_square_craft_by_hand():
     assert found.together == pytest.approx(expected)
     assert not found.missing
     assert not found.sentences
+
+
+def test_left_and_right_are_told_apart():
+    found = control_authority(nominal_model(craft((0, 0.05, 270), (0, -0.05, 270))))
+    assert found.alone["right"] == pytest.approx(2 / 0.2)
+    assert found.together["left"] == 0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_weakest_effort_is_the_smallest_of_many_directions(seed):
+    rng = np.random.default_rng(seed)
+    # Most pushes point one way, so that opposite directions differ.
+    angles = rng.normal(60 * seed, 90, 6)
+    places = rng.uniform(-0.06, 0.06, (6, 2))
+    model = nominal_model(craft(*np.column_stack([places, angles]).tolist()))
+    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
+    directions = rng.standard_normal((100_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    least = np.maximum(directions @ each, 0).sum(axis=1).min()
+    strongest = np.linalg.norm(each, axis=0).max()
+    assert -1e-9 <= least - weakest_effort(model) < 0.03 * strongest
 
 
 def test_propellers_that_all_turn_one_way_are_named():

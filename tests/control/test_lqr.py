@@ -1,5 +1,6 @@
 """The regulator, against python-control and the cost that it should minimise."""
 
+from dataclasses import replace
 from typing import Any
 
 import control
@@ -12,8 +13,16 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import cont2discrete
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.lqr import lqr, motor_lag, point_mass, regulator, rotation_error
+from airpuck.control.lqr import (
+    look_ahead,
+    lqr,
+    motor_lag,
+    point_mass,
+    regulator,
+    rotation_error,
+)
 from airpuck.control.tuning import Weights, default_tuning
+from airpuck.model.model_file import published_model
 
 weight = st.floats(0.01, 100)
 
@@ -163,3 +172,16 @@ def test_rotation_error_is_the_neglected_part_of_the_impulse(spin, h):
 def test_rotation_error_begins_as_half_the_angle():
     spin, h = np.array([1e-3, -1e-3]), np.array([0.01, 0.01])
     np.testing.assert_allclose(rotation_error(spin, h), [5e-6, 5e-6], rtol=1e-6)
+
+
+def test_a_weak_motor_counts_as_one_with_less_thrust():
+    rng = np.random.default_rng(0)
+    dynamics = published_model("M3").dynamics
+    weak = rng.uniform(0.3, 1.0, 6)
+    weaker = replace(dynamics, thrust=dynamics.thrust * weak[:, None])
+    given_state = rng.uniform(-1, 1, 6), rng.uniform(0.2, 1.0, 6), np.zeros(3)
+    following, matrix, offset = look_ahead(np, dynamics, 0.01, *given_state, weak)
+    same, full, unchanged = look_ahead(np, weaker, 0.01, *given_state, np.ones(6))
+    np.testing.assert_allclose(following, same, rtol=1e-12)
+    np.testing.assert_allclose(matrix, full * weak, rtol=1e-12)
+    np.testing.assert_allclose(offset, unchanged, rtol=1e-12)

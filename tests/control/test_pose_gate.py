@@ -113,7 +113,7 @@ def test_the_longest_pause_follows_camera_and_craft():
     assert pauses[0] == pytest.approx(3 / 8)
     # A slow craft needs no more patience with a fast camera.
     assert longest_pause(slow, tuning.with_camera(240.0)) == 0.05
-    # Without a stated rate, that of the model's recordings counts.
+    # Without a stated rate, the rate of the model's recordings applies.
     assert longest_pause(replace(slow, fit={"sample_period_s": 0.125}), tuning) == pauses[1]
     assert longest_pause(slow, tuning.with_camera(8.0).with_camera(240.0)) == pauses[1]
 

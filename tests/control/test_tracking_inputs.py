@@ -140,11 +140,11 @@ def test_a_pose_may_be_any_three_numbers(kind):
 @pytest.mark.parametrize("pose", [(0.0, 0.0), np.zeros(6), np.zeros((1, 3))])
 def test_a_pose_of_another_shape_is_refused_and_leaves_no_trace(pose):
     ours = controller()
-    with pytest.raises(InputError, match="give 3 numbers"):
+    with pytest.raises(InputError, match="must be 3 numbers"):
         ours.pose(0.0, pose)
     idles(ours.step(0.0), "no pose")
     last = hold_still(ours)
-    with pytest.raises(InputError, match="give 3 numbers"):
+    with pytest.raises(InputError, match="must be 3 numbers"):
         ours.pose(last + FRAME, pose)
     assert ours.step(last).flies
 
@@ -249,7 +249,7 @@ def test_a_command_stamped_a_little_late_does_not_hold_up_the_next():
 def test_a_sent_command_of_another_shape_is_refused_and_leaves_no_trace(command):
     ours = controller()
     last = hold_still(ours)
-    with pytest.raises(InputError, match="give 6 numbers"):
+    with pytest.raises(InputError, match="must be 6 numbers"):
         ours.sent(last, command)
     ours.pose(last + FRAME, NOTHING)
     assert ours.step(last + FRAME).flies

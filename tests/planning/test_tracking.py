@@ -10,7 +10,7 @@ from airpuck.craft.table import Table
 from airpuck.flight.loop import fly
 from airpuck.flight.pilot import check_pilot
 from airpuck.planning.settings import Limits
-from airpuck.planning.tracking import Departing, least_correction, plan_tracker
+from airpuck.planning.tracking import Departing, least_correction, plan_tracker, rests
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -52,11 +52,27 @@ def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(plan
     assert not twin.contacts
 
 
+def test_a_craft_that_waits_turned_aside_does_not_depart(planned):
+    pilot = Departing(plan_tracker(planned, default_tuning()), planned)
+    for k in range(130):
+        pilot.pose(0.01 * k, planned.states[0, :3] + (0.0, 0.0, 0.2))
+        pilot.sent(0.01 * k, pilot.step(0.01 * k).command)
+    assert pilot.reference.begin == np.inf
+
+
+@pytest.mark.parametrize(("axis", "rate"), [(3, 0.2), (4, -0.2), (5, 1.5), (5, 0.5)])
+def test_a_plan_that_ends_in_motion_does_not_end_at_rest(axis, rate):
+    states = np.zeros((2, 12))
+    states[-1, axis] = rate
+    plan = airpuck.Plan(M3, np.array([0.0, 0.5]), states, np.zeros((1, 6)), lower_bound=None)
+    assert rests(plan) == (rate == 0.5)
+
+
 @pytest.mark.slow
 def test_a_craft_that_does_not_rest_does_not_depart(planned):
     pilot = Departing(plan_tracker(planned, default_tuning()), planned)
     rng, start = np.random.default_rng(0), planned.states[0, :3]
-    # At rest as before a live flight, but for less than a second; then somewhere else.
+    # At rest as before a live flight, though for under a second; then somewhere else.
     for k in range(300):
         away = np.array([0.0 if k < 90 else 0.05, 0.0, 0.0])
         pilot.pose(0.01 * k, start + away + rng.normal(0, 5e-5, 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 import os
 import types
 import typing
@@ -42,7 +43,7 @@ def chosen(name: object, options: Mapping[str, Chosen], field: str) -> Chosen:
 
 
 def checked(function: Function) -> Function:
-    """Decorate a function to reject arguments unlike their annotations, or out of range."""
+    """Make a function reject arguments that contradict their annotations or are out of range."""
     signature = inspect.signature(function)
     hints = _hints(function, signature)
 
@@ -54,6 +55,8 @@ def checked(function: Function) -> Function:
                 raise InputError(_problem(given[name], hint), field=name)
             if name in given and (setting := setting_of(hint)):
                 setting.check(given[name], name)
+            if name in given and not _finite(given[name]):
+                raise InputError("must be finite numbers", field=name)
         return function(*args, **kwargs)
 
     return typing.cast(Function, boundary)
@@ -99,8 +102,17 @@ def _fits(value: Any, hint: Any) -> bool:
     return isinstance(value, origin)
 
 
+def _finite(value: Any) -> bool:
+    """Return whether a number, or all numbers of an array or sequence, are finite."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.kind != "f" or bool(np.isfinite(value).all())
+    if type(value) in (tuple, list):
+        return all(map(_finite, value))
+    return not isinstance(value, float | np.floating) or math.isfinite(value)
+
+
 def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
-    """Return whether the elements of a sequence are of a kind; a string is not a sequence."""
+    """Return whether all elements of a sequence are of a kind; text does not count."""
     if isinstance(value, str | bytes):
         return False
     if isinstance(value, np.ndarray) or not inner:

@@ -22,7 +22,7 @@ from airpuck.boundary.parsing import load_toml
 #: A `Section`, or a settings class.
 Schema = TypeVar("Schema")
 
-#: Nothing measured is smaller, and squares and inverses of smaller numbers underflow or overflow.
+#: Measured quantities are larger. Squares and inverses of smaller numbers underflow or overflow.
 Positive = Annotated[float, pydantic.Field(ge=1e-9)]
 NonNegative = Annotated[float, pydantic.Field(ge=0)]
 #: Between 0 and 1.
@@ -37,7 +37,7 @@ _OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool|propel
 #: Pydantic's phrase for the kind of a value that is too short or too long, and its actual size.
 _OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, not .*")
 
-#: Kinds of files, each by a table or key that no other kind has.
+#: Kinds of files, each recognised by a table or key that no other kind has.
 _KINDS = {
     "times_s": "a time-optimal plan",
     "hold_s": "a plan of an excitation",
@@ -106,7 +106,7 @@ def _adapter(schema: type) -> Any:
 
 @cache
 def _keys(schema: type) -> list[set[str]]:
-    """Return the keys of a schema, then those of its tables."""
+    """Return the keys of a schema, then the keys of its tables."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about defaults that JSON cannot represent
         found = _adapter(schema).json_schema()
@@ -114,7 +114,7 @@ def _keys(schema: type) -> list[set[str]]:
 
 
 def laid_over(base: Mapping[str, Any], content: Mapping[str, Any]) -> dict[str, Any]:
-    """Replace values of `base` by the content's, table by table; arrays are replaced whole."""
+    """Override values of `base` with the content's, table by table; arrays are replaced whole."""
     merged = dict(base)
     for key, value in content.items():
         below = base.get(key)

@@ -21,33 +21,36 @@ from airpuck.boundary.errors import InputError
 
 MIB = 2**20
 
-#: A TOML or JSON file [bytes]. A model of 20 propellers with its covariance takes 0.4 MB.
+#: Maximum size of a TOML or JSON file [bytes]. A model of 20 propellers with its covariance takes
+#: 0.4 MB.
 TEXT_BYTES = 2 * MIB
-#: A recorder's metadata.yaml [bytes]; its parser reads 30 kB/s at worst. 100 topics take 70 kB.
+#: Maximum size of a recorder's metadata.yaml [bytes]; its parser reads 30 kB/s at worst. 100 topics
+#: take 70 kB.
 YAML_BYTES = 128 * 1024
-#: Keys of a text file. A model file has 100, a craft of 100 propellers 500.
+#: Maximum number of keys in a text file. A model file has 100; with 100 propellers it has 500.
 KEYS = 10_000
-#: Values of a text file. A covariance of 300 parameters has 90 000.
+#: Maximum number of values in a text file. A covariance of 300 parameters has 90 000.
 VALUES = 200_000
 #: Largest nesting depth of tables and arrays, and of dotted names. Ours are four deep.
 DEPTH = 32
 #: Size of whole numbers that NumPy and other readers of TOML and JSON can hold [bits].
 INTEGER_BITS = 64
 
-#: Files and folders in a folder that is hashed: a recording has a few, a user's package hundreds.
+#: Maximum number of files and folders in a hashed folder: a recording has a few, a user's package
+#: hundreds.
 FOLDER_FILES = 5_000
 
-#: Propellers of a craft: model matrices grow with the square of their number.
+#: Maximum number of propellers: model matrices grow with its square.
 PROPELLERS = 256
 
-#: All members of a .npz or .pt archive, unpacked [bytes]: a few hours of flight.
+#: Maximum unpacked size of a .npz or .pt archive [bytes]: a few hours of flight.
 ARCHIVE_BYTES = 2**30
-#: The directory of an archive, and the amount read from it at once [bytes]. Ours have seven
+#: Maximum size of an archive's directory, and of the part read at once [bytes]. Ours have seven
 #: members.
 ARCHIVE_READ = MIB
-#: Text inside an archive [bytes].
+#: Maximum size of text inside an archive [bytes].
 ABOUT_BYTES = 4 * MIB
-#: Spans that a trajectory excludes; with one fault a second, a flight has 3600 an hour.
+#: Maximum number of excluded spans of a trajectory; one fault a second makes 3600 an hour.
 SPANS = 100_000
 
 #: Largest unpacked size of a chunk in a bag [bytes]. Recorders close chunks at 0.8 to 8 MB, but a
@@ -57,31 +60,32 @@ CHUNK_BYTES = 256 * MIB
 #: size. Zstandard compresses poses and commands by a factor of 3 to 10.
 UNPACKED_BYTES = 256 * MIB
 UNPACKED_RATIO = 100
-#: Minimum size that a record counts for [bytes], since handling it takes time and memory.
+#: Every record counts for at least this size [bytes], since handling it takes time and memory.
 RECORD_BYTES = 256
-#: One message of a topic that is read [bytes]; an odometry message has 720.
+#: Maximum size of a message [bytes]; an odometry message has 720.
 MESSAGE_BYTES = MIB
-#: The index of a bag [bytes]; 100 GB in chunks of 0.8 MB have an index of 11 MB.
+#: Maximum size of a bag's index [bytes]; 100 GB in chunks of 0.8 MB have an index of 11 MB.
 INDEX_BYTES = 16 * MIB
-#: Topics of a bag. The largest robots have a few hundred.
+#: Maximum number of topics in a bag. The largest robots have a few hundred.
 TOPICS = 10_000
 
-#: The definition of one message type with all nested types [bytes]. Odometry takes 3 kB.
+#: Maximum size of a message definition with all nested types [bytes]. Odometry takes 3 kB.
 DEFINITION_BYTES = 32 * 1024
-#: Fields of a definition that become code; rosbags takes 2 ms for each.
+#: Maximum number of fields in a definition: rosbags generates code for each, in 2 ms.
 DEFINITION_SIZE = 2_000
-#: Fields of a message including nested types, counted each time they occur.
+#: Maximum number of fields in a message, including nested types; repeated fields count each time.
 FIELDS = 10_000
 
-#: Columns of a CSV file. Motion capture with all markers has up to a few thousand.
+#: Maximum number of columns in a CSV file. Motion capture with all markers has up to a few
+#: thousand.
 COLUMNS = 10_000
-#: Characters of a row of a CSV file.
+#: Maximum number of characters in a row of a CSV file.
 ROW_LENGTH = MIB
-#: A file of a public data set [bytes]; a hash is known only at the end of a download.
+#: Maximum size of a file in a public data set [bytes]; a download cannot be hashed before its end.
 DOWNLOAD_BYTES = 2**30
-#: Cells of a CSV file: two hours of poses in the authors' 13 columns.
+#: Maximum number of cells in a CSV file: two hours of poses in the authors' 13 columns.
 CELLS = 24_000_000
-#: A CSV file [bytes]; an hour of poses takes 0.2 GB.
+#: Maximum size of a CSV file [bytes]; an hour of poses takes 0.2 GB.
 CSV_BYTES = 2**30
 
 
@@ -140,7 +144,7 @@ def read_text(
 
 
 def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
-    """Raise InputError for too many or too deep tables and arrays, and for too long integers."""
+    """Raise InputError if tables and arrays are too many or too deep, or an integer is too long."""
     values = keys = 0
     level = [content]
     # Breadth first: no recursion, and repeated aliases are counted each time.
@@ -154,13 +158,15 @@ def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
                 below += value
             elif isinstance(value, int) and value.bit_length() > INTEGER_BITS:
                 raise InputError(
-                    f"holds a whole number of more than {INTEGER_BITS} bits; is it damaged?",
+                    f"contains a whole number of more than {INTEGER_BITS} bits; is it damaged?",
                     file=file,
                 )
             if len(below) + values > VALUES:
-                raise refused("holds too many values", VALUES, "is it the right file?", file=file)
+                raise refused(
+                    "contains too many values", VALUES, "is it the right file?", file=file
+                )
         if keys > KEYS:
-            raise refused("holds too many keys", KEYS, "is it the right file?", file=file)
+            raise refused("contains too many keys", KEYS, "is it the right file?", file=file)
         values += len(below)
         level = below
         if not level:
@@ -238,7 +244,7 @@ class Unpacking:
 
     @property
     def records_left(self) -> int:
-        """How many more records may be handled."""
+        """Number of records that may still be handled."""
         return (self._most - self._spent) // RECORD_BYTES
 
     def spend(self, n_bytes: int, n_records: int = 0) -> None:

@@ -34,6 +34,13 @@ class Range:
             raise InputError(f"must be {words}: {self.why}", field=field)
 
 
+def check_finite(**given: float) -> None:
+    """Raise InputError that names the first number that is nan or infinite."""
+    for name, value in given.items():
+        if not math.isfinite(value):
+            raise InputError(f"must be a finite number, not {value!r}", field=name)
+
+
 def percent(share: float, otherwise: str = "not determined") -> str:
     """Write a fraction, or a relative error, in percent: to two digits if it is small."""
     if not math.isfinite(share):

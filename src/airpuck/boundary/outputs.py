@@ -86,18 +86,18 @@ def _problem(target: Path, kind: Output) -> str | None:
     if max(len(os.fsencode(part)) for part in target.parts) > longest:
         return f"has a name of more than {longest} bytes, the longest that the system allows"
     if target.resolve() == Path(target.anchor):
-        return "is the root folder; give a folder in it"
+        return "is the root folder; name a folder in it"
     if there == target:
         mode = target.lstat().st_mode if kind == "new folder" else target.stat().st_mode
         if kind == "new folder" and not (stat.S_ISDIR(mode) and not any(target.iterdir())):
             return "exists already; choose a new folder"
         if kind == "file" and stat.S_ISDIR(mode):
-            return "is a folder; give the name of a file"
+            return "is a folder; choose a file name"
         if kind == "file" and not stat.S_ISREG(mode):
             return "is not an ordinary file; choose another place"
         if kind == "file" and not os.access(target, os.W_OK):
             return "is write-protected; choose another place"
         if kind == "folder" and not stat.S_ISDIR(mode):
-            return "is a file; give the name of a folder"
+            return "is a file; choose a folder"
     with tempfile.TemporaryFile(dir=there.parent if there == target and kind == "file" else there):
         return None

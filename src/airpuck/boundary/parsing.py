@@ -29,7 +29,7 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
     text = read_text(path)
     # Checked before parsing, because parsing is what takes the time.
     if text.count("=") + text.count("\n[") > KEYS:
-        raise refused("holds too many keys", KEYS, "is it the right file?", file=path)
+        raise refused("contains too many keys", KEYS, "is it the right file?", file=path)
     if _DOTTED.search(text):
         raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=path)
     with within_means(path):
@@ -43,7 +43,7 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def load_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a JSON file that holds an object."""
+    """Read a JSON file that contains an object."""
     return parse_json(read_text(path), file=path)
 
 
@@ -55,7 +55,7 @@ def parse_json(text: str, *, file: str | os.PathLike[str]) -> dict[str, Any]:
         except ValueError as error:
             raise InputError(f"is not valid JSON: {error}", file=file) from error
     if not isinstance(content, dict):
-        raise InputError("must hold a JSON object", file=file)
+        raise InputError("must contain a JSON object", file=file)
     check_tree(content, file=file)
     return content
 

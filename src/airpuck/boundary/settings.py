@@ -37,7 +37,7 @@ class Setting:
     option: str | None = None
     #: Heading of its option in the help, if it differs from the settings object's.
     heading: str | None = None
-    #: Values that the shell offers, where the type does not list them.
+    #: Values for shell completion, if the type does not list them.
     complete: Callable[[], list[str]] | None = None
     #: Reads the value from the file that its option names.
     read: Callable[[Path], Any] | None = None

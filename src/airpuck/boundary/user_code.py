@@ -28,7 +28,7 @@ class UserCode:
         #: FILE.py:NAME.
         self.name = name
         if self._path.suffix != ".py" or not self._attribute:
-            raise InputError("give FILE.py:NAME, such as my_pilot.py:Spring", field=option)
+            raise InputError("must be FILE.py:NAME, such as my_pilot.py:Spring", field=option)
         if not self._path.is_file():
             raise InputError("there is no such file", file=path, field=option)
         #: The class.

@@ -150,7 +150,7 @@ def problem(
     lower: Any,
     upper: Any,
 ) -> tuple[Any, Any, Any, Any]:
-    """Write eq. force_qp for a solver; x holds the thrusts and the scaled slacks √μ(1 - s).
+    """Write eq. force_qp for a solver; x contains the thrusts and the scaled slacks √μ(1 - s).
 
     This makes the Hessian the identity, so the tolerance means the same for all variables.
     """

@@ -86,7 +86,7 @@ class Blocks:
         return _shift(self, elapsed) @ plan
 
 
-# Consecutive times of control differ by a handful of numbers, all within rounding of a period.
+# Consecutive control times differ by one of a few values, all equal to a period up to rounding.
 @lru_cache(maxsize=256)
 def _shift(blocks: Blocks, elapsed: float) -> Float[np.ndarray, "B B"]:
     """Return the matrix that shifts a plan in time; see `Blocks.shifted`."""

@@ -52,7 +52,7 @@ class Prediction:
 
     @property
     def bound_by(self) -> Bound:
-        """What limits the plan most: a limit of the craft's motion, the motors, or nothing."""
+        """The strongest limit of the plan: a limit of the craft's motion, the motors, or none."""
         if set(self.active) - {"motor"}:
             return "motion"
         return "motor" if self.active else "nothing"
@@ -101,7 +101,7 @@ class Moment(NamedTuple):
     """The inputs of one control step, as a law sees them."""
 
     reference: Reference
-    #: When the command is sent, and the delay until it acts [s].
+    #: Time at which the command is sent, and the delay until it acts [s].
     now: float
     delay: float
     #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command

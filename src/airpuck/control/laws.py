@@ -9,8 +9,8 @@ from typing import Any
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 
-#: Subclasses of `airpuck.control.law.Law`, or the location of one that is slow to import. Wherever
-#: a law is named, FILE.py:NAME names a user's law.
+#: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.
+#: FILE.py:NAME names a user's law wherever a law is named.
 LAWS: dict[str, Callable[..., Any] | str] = {
     "lqr": "airpuck.control.lqr.LQR",
     "mpc": "airpuck.control.mpc.MPC",

@@ -90,7 +90,7 @@ def cost_to_go(
         return solve_discrete_are(a, b, q, r)
     except (LinAlgError, ValueError) as error:
         raise InputError(
-            "these weights give no stabilising regulator; give position and yaw a positive weight, "
+            "no regulator with these weights is stable; use positive weights for position and yaw, "
             "and weights that differ less",
             field="weights",
         ) from error

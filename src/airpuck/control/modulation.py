@@ -45,7 +45,7 @@ class PulseWidth(Modulator):
             if abs(self._tick - self._period) > _SAME * self._period:
                 raise InputError(
                     f"must be the craft's PWM period, {self._period:g} s, not {self._tick:g} s; "
-                    "give a tuning file",
+                    "use a tuning file with this period",
                     field="period_s",
                 )
         else:
@@ -62,7 +62,7 @@ class PulseWidth(Modulator):
         if not self._begun <= now < self._begun + self._period - half:
             wanted = duty * self._period + self._rest
             on = np.round(wanted / self._tick) * self._tick if self._switches else wanted
-            # Rounded times may lie a rounding error below the least.
+            # A rounded time may fall short of the least on-time by a rounding error.
             on = np.minimum(np.where(on < self._least * (1 - 1e-9), 0.0, on), self._period)
             self._begun, self._on, self._rest = now, on, wanted - on
         if self._switches:

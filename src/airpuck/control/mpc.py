@@ -42,7 +42,7 @@ class Ongoing(NamedTuple):
     #: Commands of the latest plan, block by block, and the time from which they hold [s].
     plan: Float[np.ndarray, "blocks n"]
     since: float
-    #: When the solver last succeeded [s].
+    #: Time at which the solver last succeeded [s].
     answered: float
     #: Yaw still to turn, in the chosen direction of rotation [rad].
     way: Float[np.ndarray, ""]
@@ -82,8 +82,8 @@ class MPC(Law):
         if decided > _MOST_COMMANDS:
             raise InputError(
                 f"{vehicle.n_propellers} propellers and {len(blocks.lengths)} blocks are {decided} "
-                f"commands; at most {_MOST_COMMANDS} can be decided in time: give a greater block, "
-                "a longer step or a shorter horizon",
+                f"commands; at most {_MOST_COMMANDS} can be decided in time: use a larger block, a "
+                "longer step or a shorter horizon",
                 field="regulator.block",
             )
         count = len(self._times)
@@ -109,14 +109,14 @@ class MPC(Law):
 
     @property
     def fence(self) -> Float[np.ndarray, "2 2"]:
-        """Where the craft's centre may be: lowest x and y, highest x and y [m]."""
+        """Area in which the craft's centre may be: lowest x and y, highest x and y [m]."""
         return self._fence.copy()
 
     @fence.setter
     def fence(self, corners: Any) -> None:
         found = _numbers(corners, 4)
         if found is None or not (found[:2] < found[2:]).all():
-            raise InputError("give lowest x and y, then highest x and y [m]", field="fence")
+            raise InputError("must be lowest x and y, then highest x and y [m]", field="fence")
         self._fence = found.reshape(2, 2)
 
     @property
@@ -133,8 +133,8 @@ class MPC(Law):
         found = _numbers(discs, 3 * count)
         if found is None:
             raise InputError(
-                f"give x, y and distance [m] of {count} disc{'s' * (count != 1)}, as many as the "
-                "tuning has in regulator.limits.keep_out_m",
+                f"must be x, y and distance [m] of {count} disc{'s' * (count != 1)}, as many as "
+                "the tuning has in regulator.limits.keep_out_m",
                 field="keep_out",
             )
         self._keep_out = found.reshape(count, 3)
@@ -251,8 +251,9 @@ def _way_left(
     """Return the weight of an error at a time before an arrival: its lowest possible cost.
 
     The cost is the effort r ∫a² plus the remaining error at the arrival, weighted by S =
-    diag(sharp). With the reach of a in a time T, W = [T³/3, T²/2; T²/2, T], a double integrator
-    that would arrive with an error e pays eᵀ √S (1 + √S W √S / r)⁻¹ √S e.
+    diag(sharp). In the time T, accelerations move a double integrator by amounts with the Gramian W
+    = [T³/3, T²/2; T²/2, T]. If it would arrive with an error e, the lowest cost is eᵀ √S (1 + √S W
+    √S / r)⁻¹ √S e.
     """
     root = np.sqrt(sharp.reshape(2, 3).T)
     moved = np.array([[left**3 / 3, left**2 / 2], [left**2 / 2, left]]) / efforts[:, None, None]

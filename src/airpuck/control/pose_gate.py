@@ -1,4 +1,4 @@
-"""Which poses a controller believes, and for how long it flies without a new one."""
+"""The poses that a controller accepts, and the time for which it flies without a new one."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def longest_pause(model: Model, tuning: Tuning) -> float:
 
 
 def remembered(pause: float) -> float:
-    """Return after how long commands affect only the motor speeds, given the longest pause [s]."""
+    """Return the age at which a command affects only motor speeds, given the longest pause [s]."""
     return max(_REMEMBERED, 2 * pause)
 
 
@@ -83,12 +83,14 @@ class PoseGate:
         if last is None or abs(time - last) > self.pause:
             # The last pose is too old to predict from, or its stamp lies in the future: restart.
             self._restart(estimator, time, pose)
-        # After a pause of doubtful poses, the prediction deserves no more trust than the poses.
+        # If poses stay doubtful for the longest pause, the prediction is no more credible than they
+        # are.
         elif time - self._used <= self.pause and estimator.pose(time, pose, gate=JUMP):
             self._used = time
             self._doubtful = False
         else:
-            # An estimate that spins too fast agrees with every few poses: the others count, too.
+            # If the estimate spins too fast, every few poses agree with it by chance: this one does
+            # not.
             self._doubtful = True
             if time - self._agreeing_since >= self.pause - ROUNDING:
                 self._restart(estimator, time, pose)
@@ -107,7 +109,7 @@ class PoseGate:
         return "jumping pose" if self._doubtful else None
 
     def is_recent(self, time: float) -> bool:
-        """Return whether a time is close to that of the last pose."""
+        """Return whether a time is close to the time of the last pose."""
         return self.received is not None and abs(time - self.received) <= self.pause
 
     def _restart(self, estimator: KalmanFilter, time: float, pose: Float[np.ndarray, " 3"]) -> None:

@@ -247,9 +247,11 @@ class Rendezvous:
         self.time, self.state = float(time), np.array(state, dtype=float)
         self.precision = np.array(precision, dtype=float)
         if self.state.shape != (6,) or not np.isfinite([*self.state, self.time]).all():
-            raise InputError("give a finite time and six finite numbers", field="state")
+            raise InputError("must be a finite time and six finite numbers", field="state")
         if self.precision.shape != (6,) or not (self.precision > 0).all():
-            raise InputError("give six positive numbers; inf: component is free", field="precision")
+            raise InputError(
+                "must be six positive numbers; inf frees a component", field="precision"
+            )
         self.then = then or SetPoint(*self.state[:3].tolist())
 
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:
@@ -370,7 +372,7 @@ def _checked(
         raise InputError("each pose must be three numbers: x, y, yaw", field=field)
     time, pose = np.array(times, dtype=float), pose.reshape(-1, 3)
     if time.shape != (len(pose),) or len(time) < least:
-        raise InputError(f"give as many times as poses, and at least {least}", field=field)
+        raise InputError(f"needs as many times as poses, and at least {least}", field=field)
     if not (np.isfinite(time).all() and np.isfinite(pose).all()):
         raise InputError("times and poses must be finite numbers", field=field)
     if (np.diff(time) <= 0).any():

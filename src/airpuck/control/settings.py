@@ -13,7 +13,7 @@ from airpuck.boundary.settings import Setting, Settings
 Amplitude = Annotated[
     float | tuple[float, ...],
     Setting(
-        "Largest random signal, as a share of the commands", numbers.SIGNAL, "A", "--amplitude"
+        "Largest random signal, as a fraction of the commands", numbers.SIGNAL, "A", "--amplitude"
     ),
 ]
 Hold = Annotated[float, Setting("Time between changes of the signals", numbers.HOLD, "S", "--hold")]
@@ -23,7 +23,7 @@ Duration = Annotated[
 Margin = Annotated[
     float,
     Setting(
-        "Distance to the rails at which the craft must be able to stop; else the signals pause",
+        "Distance to the rails at which the craft must be able to stop; otherwise signals pause",
         numbers.CLEARANCE,
         "M",
         "--margin",
@@ -40,7 +40,8 @@ ControllerKind = Annotated[
         "or full for laws other than lqr.",
     ),
 ]
-#: By what proposed flights are compared: the largest relative error, or the geometric mean of all.
+#: Criterion for comparing proposed flights: the largest relative error, or the geometric mean of
+#: all.
 Criterion = Annotated[
     Literal["worst", "mean"],
     Setting("worst: the largest relative error; mean: their geometric mean."),
@@ -50,9 +51,13 @@ ProposedDuration = Annotated[
 ]
 ProposedMargin = Annotated[float, Setting("Smallest distance to the rails.", numbers.MARGIN, "M")]
 Seed = Annotated[int, Setting("Seed of all random numbers.", numbers.SEED, "N")]
-#: Number of processes to start.
+#: Number of processes to start, or a Dask scheduler, whose workers compute instead.
 Workers = Annotated[
-    int | None, Setting("Processes to start; by default one per processor.", numbers.WORKERS, "N")
+    str | int | None,
+    Setting(
+        "Processes to start, by default one per processor; or a Dask scheduler, tcp://HOST:PORT.",
+        metavar="N",
+    ),
 ]
 
 

@@ -301,7 +301,9 @@ def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
     """Copy an array that a caller may change later, and check its shape."""
     copied = np.array(values, dtype=float)
     if copied.shape != (count,):
-        raise InputError(f"give {count} numbers, not an array of shape {copied.shape}", field=name)
+        raise InputError(
+            f"must be {count} numbers, not an array of shape {copied.shape}", field=name
+        )
     return copied
 
 

@@ -25,8 +25,8 @@ from airpuck.preprocessing.time_scale import patience
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
-#: How much longer a craft must take for the same motion to need a slower controller: it has less
-#: than 0.9 m/s² by one actuator.
+#: A craft that takes this many times as long for the same motion needs a slower controller: one
+#: actuator accelerates it by less than 0.9 m/s².
 _SLOW = 2.0
 #: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
 MOST_STEPS, _MOST_DISCS = 80, 8
@@ -82,8 +82,8 @@ class PredictiveWeights(Weights):
 class SoftLimits(Section):
     """Limits of the predictive law besides the motors'; exceeded only if unavoidable."""
 
-    #: Where the craft's centre may be: lowest x and y, highest x and y. By default the table minus
-    #: the craft's radius and a margin.
+    #: Area in which the craft's centre may be: lowest x and y, highest x and y. By default the
+    #: table minus the craft's radius and a margin.
     fence_m: tuple[float, float, float, float] | None = None
     #: Smallest distance of the craft's edge from the rails.
     margin_m: NonNegative = 0.004
@@ -119,7 +119,7 @@ class Regulator(Section):
 
     #: ``lqr``, ``mpc`` or a law of your own; what follows is for ``mpc``.
     kind: Annotated[str, pydantic.AfterValidator(check_law)] = "lqr"
-    #: How far it predicts, in steps of step_s; at most 80 steps.
+    #: Length of the prediction, in steps of step_s; at most 80 steps.
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
     step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
     #: Number of steps per command, block after block; the last number repeats. A single number
@@ -138,14 +138,14 @@ class Regulator(Section):
     def _in_time(self) -> Regulator:
         if self.step_s > self.horizon_s:
             raise ValueError(
-                f"step_s = {self.step_s:g} is longer than horizon_s = {self.horizon_s:g}; give a "
+                f"step_s = {self.step_s:g} is longer than horizon_s = {self.horizon_s:g}; use a "
                 "shorter step or a longer horizon"
             )
         steps = round(self.horizon_s / self.step_s)
         if steps > MOST_STEPS:
             raise ValueError(
                 f"horizon_s / step_s is {steps} steps; at most {MOST_STEPS} can be predicted in "
-                "time: give a longer step or a shorter horizon"
+                "time: use a longer step or a shorter horizon"
             )
         return self
 
@@ -188,7 +188,7 @@ class Estimation(Section):
 
 
 class Modulation(Section):
-    """How the duty cycles of on/off thrusters become pulses."""
+    """Conversion of the duty cycles of on/off thrusters to pulses."""
 
     #: Form of the pulses.
     kind: Literal["pulse_width", "sigma_delta"] = "pulse_width"
@@ -364,7 +364,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
 
 
 def default_tuning() -> Tuning:
-    """Return the packaged tuning, close to the one that flew the paper's experiment."""
+    """Return the packaged tuning, which is close to the tuning of the paper's experiment."""
     return read_packaged("tuning.toml", Tuning)
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.notebook import html_table
+from airpuck.boundary.numbers import check_finite
 from airpuck.boundary.outputs import replacing
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 
@@ -54,6 +55,9 @@ class Span:
     stop: float
     cause: str
     confidence: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_finite(start=self.start, stop=self.stop, confidence=self.confidence)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -128,8 +132,11 @@ class Trajectory:
             array = np.asarray(getattr(self, name))
             if array.dtype.kind not in "fiu":
                 raise InputError("must hold numbers", file=self.source, field=name)
+            if not np.isfinite(array).all():
+                raise InputError("must be finite numbers", file=self.source, field=name)
             if array.shape != shape:
                 raise InputError(f"must have the shape {shape}", file=self.source, field=name)
+        check_finite(delay=self.delay)
         if (np.diff(self.time) <= 0).any():
             raise InputError("must increase", file=self.source, field="time")
         if (np.diff(self.command_time) < 0).any():
@@ -284,7 +291,7 @@ class Trajectory:
         """
         if not 0 <= start < stop <= 1:
             raise InputError(
-                f"{start:g} {stop:g} is not part of a recording; give two fractions of its length, "
+                f"{start:g} {stop:g} is not part of a recording; use two fractions of its length, "
                 "0 <= A < B <= 1",
                 field="span",
             )
@@ -351,8 +358,8 @@ class Trajectory:
 def usual_period(time: Float[np.ndarray, " N"]) -> float:
     """Return the usual time between samples [s]: the median, or the mean if steps alternate.
 
-    A stream that was thinned to a rate that does not divide its own has steps of two lengths; the
-    median would be one of them.
+    If a stream is thinned to a rate that does not divide its own, its steps have two lengths, and
+    the median is one of them.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -393,7 +400,7 @@ def vehicle_of(trajectories: Sequence[Trajectory]) -> Vehicle:
         if vehicle is not None and found is not None and vehicle != found:
             raise InputError(
                 f"was preprocessed for the vehicle {vehicle.name!r}, {source} for {found.name!r} "
-                "with other values; give the vehicle that applies to all",
+                "with other values; pass the vehicle that applies to all",
                 file=trajectory.source,
                 field="vehicle",
             )
@@ -408,7 +415,7 @@ def check_propellers(vehicle: Vehicle, trajectory: Trajectory) -> None:
     if mine != theirs:
         raise InputError(
             f"has {len(theirs)} motors ({', '.join(theirs)}), but the vehicle {vehicle.name!r} has "
-            f"{len(mine)} ({', '.join(mine)}); give the right vehicle file or model",
+            f"{len(mine)} ({', '.join(mine)}); use the right vehicle file or model",
             file=trajectory.source,
         )
 

@@ -26,8 +26,8 @@ _COARSE, _FINE = Fineness(40, 8, 100, 256), Fineness(60, 20, 240, 480)
 _BEYOND = 1.06
 #: Largest numbers of coarse and of fine programs.
 _SEARCHES, _REFINEMENTS = 14, 4
-#: Fractions of the duration at which the control of least energy refutes what is far too short. A
-#: weight made for a long flight refutes few short ones of a craft that moves at both ends.
+#: Fractions of the duration at which the control of least energy refutes durations that are far too
+#: short. If the craft moves at both ends, a weight made for a long flight refutes few of them.
 _LEADS = (0.4, 0.6, 0.8)
 #: The search ends when the bound improves by less than this fraction.
 _IMPROVED = 5e-4
@@ -39,8 +39,8 @@ _GUESSED = 4.0
 _SAME = 1e-12
 #: Fractions of a step for which a craft that is moving at the goal may have coasted.
 _COASTS = np.linspace(0.0, 1.0, 9)
-#: Number of time intervals that are refuted separately, and their length, in durations of the
-#: weight.
+#: Number of time intervals that are refuted separately, and their length relative to the weight's
+#: duration.
 _BINS, _LONGEST = 4000, 2.0
 #: Durations tried for a leg between way points, as fractions of the plan's, which includes turns.
 _SHARES_OF_LEG = np.linspace(1.0, 0.4, 11)
@@ -143,7 +143,7 @@ class _Durations:
         return float(self._edges[:-1][~self._refuted][0])
 
     def gap_below(self, top: float) -> float | None:
-        """Return the longest duration below a given one that is not refuted."""
+        """Return the longest duration below a given limit that is not refuted."""
         below = self._edges[1:][~self._refuted & (self._edges[1:] <= top)]
         return None if self.waits or not len(below) else float(below[-1])
 
@@ -301,7 +301,7 @@ def _least_energy(request: Request, duration: float) -> Weight:
 def _needed(
     request: Request, program: YawProgram, coasts: Float[np.ndarray, " T"]
 ) -> Float[np.ndarray, "K T"]:
-    """Return the least ∫ w·a over thrusts that craft which coast from the goal require.
+    """Return the least ∫ w·a that the thrusts of craft that coast from the goal must produce.
 
     ∫ w·a = [w·v] - ∫ w'·v. With a piecewise constant w', the second term depends only on positions
     at the ends and at the kinks; the rails bound the positions at the kinks.

@@ -297,7 +297,7 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
     content = read_toml(path, _PlanFile)
     if content.motors != model.vehicle.propeller_names:
         raise InputError(
-            f"is for the motors {', '.join(content.motors)}; give the model it was made with",
+            f"is for the motors {', '.join(content.motors)}; use the model it was made with",
             file=path,
             field="motors",
         )

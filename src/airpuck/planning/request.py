@@ -177,7 +177,7 @@ def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.
     """Return finite numbers, or raise InputError."""
     array = np.array(values, dtype=float)
     if array.ndim != 1 or len(array) not in lengths:
-        raise InputError(f"give {' or '.join(map(str, lengths))} numbers", field=field)
+        raise InputError(f"must be {' or '.join(map(str, lengths))} numbers", field=field)
     if not np.isfinite(array).all():
         raise InputError("must be finite numbers", field=field)
     return array
@@ -186,7 +186,7 @@ def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.
 def _rows(values: Sequence[Numbers], field: str, width: int) -> Float[np.ndarray, "k width"]:
     """Return rows of finite numbers, or raise InputError."""
     if len(values) > _MOST_POINTS:
-        raise InputError(f"give at most {_MOST_POINTS}", field=field)
+        raise InputError(f"must be at most {_MOST_POINTS} entries", field=field)
     rows = [_numbers(row, field, (width,)) for row in values]
     return np.array(rows).reshape(-1, width)
 
@@ -197,8 +197,8 @@ def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str)
     limits = request.limits
     if abs(yaw) > _MOST_YAW:
         raise InputError(
-            f"a yaw of {yaw:g} rad is {abs(yaw) / (2 * np.pi):.0f} turns; "
-            f"give radians, at most {_MOST_YAW:g}",
+            f"a yaw of {yaw:g} rad is {abs(yaw) / (2 * np.pi):.0f} turns; use radians, at most "
+            f"{_MOST_YAW:g}",
             field=field,
         )
     fastest = np.nanmax(np.abs([vx, vy, 0.0]))

@@ -14,7 +14,7 @@ from airpuck.planning.certificate import unavoidable_rail
 from airpuck.planning.request import Request
 from airpuck.planning.transcription import Path, Solved, Transcription, program_for
 
-#: Names of the starts, and how far the craft turns aside half way [rad].
+#: Names of the starts, and the angle by which the craft turns aside half way [rad].
 _ASIDE = {"straight": 0.0, "turned left": 0.5, "turned right": -0.5}
 #: The last two are for craft that push one way only: they turn round to brake, then back again.
 _FURTHER = {
@@ -242,7 +242,7 @@ def ranked(request: Request) -> tuple[list[_Candidate], list[Start]]:
         if one.converged:
             found.append(_Candidate(one.time, yaw, one.path))
         guesses.append(_Candidate(np.inf, yaw, guess))
-    # A path that the coarse grid allows past a rail may be a bad start for the fine one; a guess
+    # The coarse grid may allow a path past a rail, which is a bad start for the fine grid; a guess
     # may work.
     found.sort(key=lambda one: one.time)
     return [*found[: _REFINED - 1], *guesses], tried

@@ -25,8 +25,8 @@ class Limits(Settings):
         Distance that the craft keeps from the rails and from discs [m].
     smoothing : float, default 0
         Weight κ of ∫ u'² dt, the squared rates of the commands until the motors idle. This term
-        is added to the minimised time [s²]. A late packet does less harm to a gradual change. For
-        flights use 2e-4.
+        is added to the minimised time [s²]. A late packet does less harm if commands change
+        gradually. For flights use 2e-4.
 
     Raises
     ------

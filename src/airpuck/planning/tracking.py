@@ -23,8 +23,8 @@ from airpuck.planning.plan import Plan
 
 # The exported controller has the same numbers (`airpuck.export.c`).
 
-#: Times [s]: how far ahead on the plan the craft aims; how much later than planned it may come to
-#: rest; the shortest time in which motors and thrusts can have an effect.
+#: Times [s]: how far ahead on the plan the craft aims; largest delay with which it may come to
+#: rest; shortest time in which motors and thrusts can have an effect.
 HORIZON, LATER, LEAST = 0.6, 0.03, 0.08
 #: Time after its end for which a plan to rest is still flown; then its goal is a set point [s].
 _AFTERWARDS = 0.1
@@ -32,7 +32,7 @@ _AFTERWARDS = 0.1
 #: planned thrusts over a period [N].
 PRECISION = np.array([2e-3, 2e-3, 0.02, 0.01, 0.01, 0.3])
 CORRECTION = 0.05
-#: How long an estimated disturbance is assumed to last: at full thrust it mostly indicates a late
+#: Assumed duration of an estimated disturbance: at full thrust it mostly indicates a late
 #: packet [s].
 LASTING = 0.1
 #: Step of the finite differences that linearise accelerations.
@@ -41,7 +41,7 @@ DIFFERENCE = 1e-5
 SAMPLES = 4
 #: Newton's method: largest remaining slope, and number of iterations.
 TOLERANCE, ITERATIONS = 1e-6, 40
-#: Its line search: least decrease as a share of the linear one (Armijo), and the shortest step.
+#: Its line search: least decrease as a fraction of the linear one (Armijo), and the shortest step.
 DECREASE, SHORTEST = 1e-4, 1e-4
 #: Rounding of a number of periods.
 ROUNDING = 1e-9
@@ -82,7 +82,7 @@ class PlanTracker(Law):
         ahead = self.period * np.arange(self._periods(plan, acting) + 1)
         states = _flown_on(plan, acting, ahead)
         planned = thrust(curves, states[:, 6:].T).T
-        # How far the present thrusts are from the plan's.
+        # Difference between the present thrusts and the plan's.
         aside = thrust(curves, estimate.motor_speed) - planned[0]
         correction = self._correction(plan, acting, ahead, states, estimate, aside)
         coasting = lag * estimate.motor_speed
@@ -109,7 +109,7 @@ class PlanTracker(Law):
         estimate: Estimate,
         aside: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, " n"]:
-        """Return the corrections to request of the motors now, on top of the planned thrusts [N].
+        """Return corrections to request from the motors now, besides the planned thrusts [N].
 
         The errors at the end are linear in the present errors and in all thrust corrections until
         then.

@@ -60,7 +60,7 @@ class Weight:
     beta: complex
     kink_times: Float[np.ndarray, " J"]
     kinks: Complex[np.ndarray, " J"]
-    #: Value of one more radian at the start: the slope of the penalty on other yaws there.
+    #: Value of another radian of yaw at the start: the slope of the penalty on other initial yaws.
     yaw_price: float = 0.0
 
     @classmethod
@@ -288,7 +288,7 @@ class YawProgram:
             best = half * self._gains(k, yaws, moments).max(axis=1)
             return np.full(len(coasts), (ending.max(axis=1) + best).max())
         moments = (goal[5] - self._spins) * 2 / self.step
-        # Columns run upwards, these moments downwards.
+        # Columns are in ascending order, these moments in descending order.
         ended = ending + half * self._gains(k, yaws, moments[::-1])[:, ::-1]
         if np.isnan(goal[2]):
             return np.full(len(coasts), ended.max())
@@ -354,7 +354,7 @@ def frontier(
     The dual has one unknown μ: min over μ of max over F of (push + μ turn)·F - μ moment. Its
     minimum lies where one term changes sign. `added` bounds accelerations other than thrust. The
     chords between evenly spaced moments lie above the values in between; moments beyond the first
-    one that no thrusts can produce are unreachable.
+    infeasible moment are unreachable.
     """
     forward, left, turn = np.asarray(model.dynamics.configuration)
     push = np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
