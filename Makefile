@@ -5,8 +5,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
 
-# A comma would end the argument of a call.
-LIVE := .[ros2,play]
+# Planning belongs to the first commands of README.md. A comma would end the argument of a call.
+PLAY := .[plan,play]
+LIVE := .[plan,ros2,play]
 
 # What `make dist` runs against the wheel, and the tools for it.
 EXTRAS := control ros2 play campaign plan px4 gym
@@ -39,9 +40,9 @@ endef
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-install: $(VENV)/.installed  ## set up .venv with the package
+install: $(VENV)/.installed  ## set up .venv with the package and planning
 $(VENV)/.installed: pyproject.toml
-	$(call install,.)
+	$(call install,'.[plan]')
 
 dev: $(VENV)/.installed-dev  ## the same with the tools for development
 $(VENV)/.installed-dev: pyproject.toml
@@ -56,7 +57,7 @@ $(VENV)/.installed-live: pyproject.toml
 play: $(VENV)/.installed-play  ## play air hockey against the craft, in the browser; ARGS="--level hard" passes options
 	$(BIN)/airpuck play $(ARGS)
 $(VENV)/.installed-play: pyproject.toml
-	$(call install,'.[play]')
+	$(call install,'$(PLAY)')
 	@touch $(VENV)/.installed
 
 demo: install  ## the whole workflow on simulated recordings, no download; ARGS as for play

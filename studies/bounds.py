@@ -4,12 +4,12 @@
     python studies/bounds.py --sharp --cases 100 -o sharp.json
 
 Every flight is simulated within the limits, so its end can be reached in its time. There are two
-kinds. `case` draws anything: its motors switch by a weight and a price of the moment, which leaves
-the bound well below the flight. `sharp` flies as fast as any craft can: an arc at the limit of the
-yaw rate, around the yaw of the strongest push, with the motors of the strongest push at each yaw.
-These flights reveal a bound that is 2 % too high (`--mutate 0.98` reduces the thrusts). In every
-case the program tries to refute the flight's own time; for sharp flights and every tenth other
-one `lower_bound` searches for the longest time that it refutes.
+kinds. `case` draws flights at random: the motors switch by a weight and a price of the moment,
+which leaves the bound well below the flight. `sharp` flies as fast as any craft can: an arc at the
+limit of the yaw rate, around the yaw of the strongest push, with the motors of the strongest push
+at each yaw. These flights reveal a bound that is 2 % too high (`--mutate 0.98` reduces the
+thrusts). In every case the program tries to refute the flight's own time; for sharp flights and
+every tenth other one `lower_bound` searches for the longest time that it refutes.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def craft(random, kind: int) -> Model:
 
 
 def with_effect(model: Model, number: int) -> tuple[str, Model]:
-    """Add the effect of a number, or none."""
+    """Add the effect with this number, or none."""
     names = ("none", *COEFFICIENTS, "boost")
     name = names[number % len(names)]
     if name == "none":
@@ -156,7 +156,7 @@ def flown(random, model: Model, limits: Limits) -> tuple[np.ndarray, Weight]:
         state = states[-1]
         seen = np.conj(weight(np.array([k * STEP]))[0]) * np.exp(1j * state[2])
         push = np.real(seen * (forward + 1j * left))
-        # A price that keeps the spin, softly.
+        # A price that limits the spin softly.
         price = -0.02 * (state[5] - held) * abs(seen) * np.abs(forward).max() / np.abs(turn).max()
         price *= 15.0 / limits.spin
         on = push + price * 10 * turn > 0
@@ -215,7 +215,7 @@ def strongest(model: Model, angle: float, moment: float) -> tuple[np.ndarray, fl
     curves, ones = np.asarray(model.dynamics.thrust), np.ones(vehicle.n_propellers)
     ends = [thrust(curves, ones * one) for one in (vehicle.command_min, vehicle.command_max)]
     found = linprog(-push, A_eq=turn[None], b_eq=[moment], bounds=np.transpose(ends))
-    if found.x is None:  # This moment is beyond the motors.
+    if found.x is None:  # The motors cannot produce this moment.
         return strongest(model, angle, moment / 2)
     speeds = inverse_thrust(np, curves, np.clip(found.x, *ends))
     return np.clip(speeds, vehicle.command_min, vehicle.command_max), -found.fun
@@ -265,7 +265,9 @@ def sharp(seed: int) -> tuple[dict, Request, Weight, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sharp", action="store_true", help="Sharp flights instead of any.")
+    parser.add_argument(
+        "--sharp", action="store_true", help="Draw sharp flights instead of arbitrary ones."
+    )
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--mutate", type=float, default=1.0, help="Factor on the thrusts.")

@@ -52,7 +52,7 @@ def flown(settings: TwinSettings, seed: int) -> tuple[Trajectory, np.ndarray]:
     fly(pilot, twin, DURATION, pilot.controller.tuning.period_s)
     trajectory = preprocess(twin.recording(), delay=twin.settings.radio.delay_s)
     states = twin.truth[1]
-    # Both are frames of the same camera: the first ones belong together where poses agree best.
+    # Both are frames of the same camera: align them where the poses agree best.
     poses, count = states[:, :2], len(trajectory)
     apart = [
         np.abs(poses[k : k + count : 97] - trajectory.state[::97, :2][: len(poses[k::97])]).max()

@@ -4,7 +4,7 @@
 
 Prints for every parameter, and for thrust at half and full speed, the coverage of its interval and
 the bias in standard errors. At the end it lists values outside their limits. The true transport
-delay is the mean of the radio's delays, whose packets never overtake.
+delay is the mean of the radio's delays, whose packets never overtake each other.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 
 Targets are random, many out of reach; poses are lost, not finite, stale, or jump; commands are lost
 or reported late. Both controllers get the same poses and commands. The predictive law's plan is
-copied before each step, because every plan depends on the one before.
+copied before each step, because every plan depends on the previous plan.
 """
 
 from __future__ import annotations

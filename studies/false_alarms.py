@@ -47,7 +47,7 @@ def craft(propellers: int) -> Model:
     """Return a craft: the paper's with six propellers, made-up ones with four and eight."""
     if propellers == 6:
         return replace(published_model("M3"), frame="body", indexing="start")
-    # On a circle, pushing along it, every other one the other way round.
+    # On a circle, pushing along it, alternately in both directions.
     angles = np.radians(np.arange(propellers) * 360 / propellers + 180 / propellers)
     turned = [
         {

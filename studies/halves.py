@@ -9,7 +9,7 @@ but not the blocks. Standard errors that are too small make both differ.
 Prints for each way of fitting the differences in standard errors (root mean square over the
 quantities of `drift`, which is 1 if intervals are right) and the share within 95 %, with 95 %
 intervals over the flights. It also counts flights in which `drift` reports a change. Then it prints
-the same with each thrust as a share of all, and the change of all thrusts together. With
+the same with each thrust as a fraction of all, and the change of all thrusts together. With
 --bootstrap, it prints how many resampled intervals of the differences contain zero. Flights with a
 motor lag at its bound in one part, which other parameters compensate, are only named.
 """
@@ -69,7 +69,7 @@ def total_thrust(model: Model) -> float:
 
 
 def in_errors(models: list[Model]) -> np.ndarray:
-    """Return differences in standard errors, each thrust as a share of all."""
+    """Return differences in standard errors, each thrust as a fraction of all."""
     found = []
     for quantity in quantities(models):
 

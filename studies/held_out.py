@@ -2,11 +2,11 @@
 
     AIRPUCK_DATA=... python studies/held_out.py [--flights h1_blue,h2_red] [--json FILE]
 
-Every rung is learned from the first 60 % of each available public recording and judged on the last
-40 %, from every start in overlapping windows. The delay is the authors' or learned. Prints root
-mean square errors after 0.2 s with 95 % intervals by block bootstrap, and for each rung the ratio
-to the previous one, over all flights. Faults are kept out of the fits; errors are given with and
-without them.
+Every rung is learned from the first 60 % of each available public recording and evaluated on the
+last 40 %, from every start in overlapping windows. The delay is the authors' or learned. Prints
+root mean square errors after 0.2 s with 95 % intervals by block bootstrap, and for each rung the
+ratio to the previous one, over all flights. Faults are kept out of the fits; errors are given with
+and without them.
 
 The pooled ratio is the geometric mean over the flights. Its interval is Student's, from the
 differences between flights: the expected range for another flight of another craft.

@@ -2,8 +2,8 @@
 
     AIRPUCK_DATA=... python studies/likeness.py --out out/
 
-M0 … M4 are learned from one excitation flight on the twin and judged on others, without faults and
-with the faults of `faults.toml`. Prints mean errors after 0.2 s over the validation flights.
+M0 … M4 are learned from one excitation flight on the twin and evaluated on others, without faults
+and with the faults of `faults.toml`. Prints mean errors after 0.2 s over the validation flights.
 """
 
 from __future__ import annotations

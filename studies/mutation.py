@@ -13,7 +13,8 @@ stopped and resumed. A survivor is tried again when the tests have changed.
 
 One process that has collected the tests forks for each mistake and gives the changed function its
 new code. Where a module's constants or a class change, the fork reimports what depends on them.
-So a mistake costs what its tests cost, where a new interpreter takes half a minute to begin.
+So a mistake costs only the time of its tests, whereas a new interpreter takes half a minute to
+start.
 """
 
 from __future__ import annotations
@@ -305,7 +306,7 @@ class Mistakes(ast.NodeVisitor):
 def mutants(package: str, count: int, seed: int) -> list[Mutant]:
     """Draw mistakes in the modules of a package, no two at one place.
 
-    A hash of the place decides: code that is added elsewhere leaves most of the others drawn.
+    A hash of the place decides, so code added elsewhere leaves most of the choice unchanged.
     """
     drawn = []
     for path in sorted((SOURCES / package).rglob("*.py")):
@@ -636,8 +637,8 @@ def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], in
     """Return the tests that may notice a change of a function, quick ones first.
 
     A fixture of a module, or a compiled program, calls a function for one test only, so that the
-    other quick tests of its file come, too. What runs when a module is imported concerns all who
-    use it.
+    other quick tests of its file come, too. Code that runs when a module is imported affects all
+    users of the module.
     """
     path = str(SOURCES / mutant.path)
     around = [

@@ -5,7 +5,7 @@
 Prints for each rate the samples of a healthy flight that preprocessing and the fault search leave
 out, errors of the identified parameters, and errors after 0.2 s on another flight. The real
 recording is thinned by taking the nearest samples. For it the study prints the distance of the
-parameters from those of all poses, in the latter's standard errors, and errors on the last 40 %.
+parameters from those of all poses, in units of their standard errors, and errors on the last 40 %.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
     AIRPUCK_DATA=... python studies/rungs.py [--robust] [--models M3,M3+drag,M5]
 
-Rungs are learned from one recording or span and judged on another, which shares no window with it:
-the paper's training and validation experiments, and the first 60 % and the last 40 % of h1_blue.
-Every rung is judged with the same encoders. Prints errors after 0.2 s, the change of the position
-error against the first rung, and the coefficients of the terms.
+Rungs are learned from one recording or span and evaluated on another, which shares no window with
+it: the paper's training and validation experiments, and the first 60 % and the last 40 % of
+h1_blue. Every rung is judged with the same encoders. Prints errors after 0.2 s, the change of the
+position error against the first rung, and the coefficients of the terms.
 """
 
 from __future__ import annotations

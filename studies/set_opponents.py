@@ -3,8 +3,8 @@
     python studies/set_opponents.py --shots 250
 
 The puck rests in the other half for 0.6 s, so that the opponent stands where it waits, and is then
-shot so that it would score on an empty half. Drag and bounces are those of the table file, which
-the opponent knows. No craft takes part: these are properties of the opponents.
+shot so that it would score on an empty half. Drag and bounces come from the table file, which the
+opponent knows. No craft takes part: these are properties of the opponents.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
-OPPONENTS = ("human", "keeper", "banker", "wild")
+OPPONENTS = ("human", "keeper", "banker", "wild", "wall")
 SPEEDS = (1.5, 2.5, 3.5, 4.5, 5.5)
 #: Time before the shot, longest time after it, and time between targets of the hand [s].
 BEFORE, AFTER, PERIOD = 0.6, 2.5, 0.01

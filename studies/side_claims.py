@@ -2,9 +2,9 @@
 
     AIRPUCK_DATA=... python studies/side_claims.py --out out/
 
-Every fit uses the training recording only and is judged on the validation recording by the paper's
-protocol. Writes a page (`index.html`), its figures, and the numbers (`side_claims.json`). Takes
-minutes.
+Every fit uses the training recording only and is evaluated on the validation recording by the
+paper's protocol. Writes a page (`index.html`), its figures, and the numbers (`side_claims.json`).
+Takes minutes.
 """
 
 from __future__ import annotations

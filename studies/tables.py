@@ -61,7 +61,7 @@ def intervals(found: Mapping[str, Any]) -> str:
         numbers = (found["rmse"][name], *found["interval_95"][name])
         value, low, high = (f"{scale * number:.{digits}f}" for number in numbers)
         cells.append(f"{value} ({low} to {high})")
-    return " ".join(cells)
+    return "<br>".join(cells)
 
 
 def lines(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

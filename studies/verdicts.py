@@ -7,7 +7,7 @@ fly: in each situation the twin records excitation flights, a model is identifie
 controller designed from that model flies the true craft: with both laws and both estimators, from
 rest to a set point half a metre and 1.5 rad away. A flight settles if the craft touches no rail
 and stays within 2 cm and 0.1 rad of the set point for the last of 3 s; a model settles if all
-four flights do. A model is learned from the first 60 % of a recording and judged on the rest.
+four flights do. A model is learned from the first 60 % of a recording and evaluated on the rest.
 Recordings too short for that are learned from and judged as a whole, as `identify` does.
 Recordings, models and flights are kept in the folder, so an interrupted study resumes, and several
 processes can share the work (`--first`).
@@ -57,10 +57,10 @@ RECORDED, FLOWN, RATE = 24.0, 3.0, 120.0
 GOAL, NEAR, STAYS = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1), 1.0
 #: Clearance below which a craft counts as touching a rail [m].
 AT_RAIL = 1e-3
-#: Controllers, the ones most sensitive to wrong models first.
+#: Controllers, in order of decreasing sensitivity to wrong models.
 CONTROLLERS = [(law, estimator) for law in ("mpc", "lqr") for estimator in ("kalman", "actuation")]
-#: Share of a recording that a model is learned from; it is judged on the rest. Shorter recordings
-#: [s] are not divided: a verdict takes 4 s.
+#: Share of a recording that a model is learned from; it is evaluated on the rest. Shorter
+#: recordings [s] are not divided: a verdict takes 4 s.
 LEARNED, DIVIDED = 0.6, 10.0
 #: Longer than any flight [s].
 ALWAYS = 1e4
@@ -265,7 +265,7 @@ def prepared(situation: Situation, seed: int, folder: Path) -> tuple[Trajectory,
 
 
 def identified(situation: Situation, seed: int, folder: Path) -> Model | str:
-    """Identify, or read what was identified; the message where that was refused."""
+    """Identify, or read the stored model; if identification failed, return the message."""
     file = folder / f"model-{_name(situation)}-{seed}.toml"
     refused = file.with_suffix(".txt")
     if refused.is_file():
@@ -279,7 +279,7 @@ def identified(situation: Situation, seed: int, folder: Path) -> Model | str:
         fit.model.save(file)
     try:
         return read_model(file)
-    except InputError as error:  # A diverged fit has numbers that no model file may hold.
+    except InputError as error:  # A diverged fit has numbers that a model file rejects.
         return str(error)
 
 
@@ -302,7 +302,7 @@ def settles(situation: Situation, model: Model, law: str, estimator: str, seed: 
             tuning=tuning,
             plant=plant(situation),
         )
-    except InputError as error:  # A model that no controller can be designed from.
+    except InputError as error:  # A model from which no controller can be designed.
         print("    ", error, flush=True)
         return False
     pose = recording["pose"].values

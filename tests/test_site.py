@@ -85,3 +85,15 @@ def test_each_command_on_a_page_exists_with_its_options():
                 wrong[f"{page.name}: airpuck {name}{words}"] = unknown
     assert count > 100
     assert not wrong
+
+
+def test_no_line_begins_with_a_percent_sign():
+    # MyST reads it as a comment, and the rest of the line disappears from the page.
+    pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("examples/*.md")]
+    text = {
+        page: re.sub(r"^(```+|:::+).*?^\1", "", page.read_text("utf-8"), flags=re.S | re.M)
+        for page in pages
+        if not {"_build", "reference"} & set(page.parts)
+    }
+    assert len(text) > 30
+    assert not [str(page) for page in text if re.search(r"^ {0,3}%", text[page], re.MULTILINE)]

@@ -24,7 +24,7 @@ ALL_DATA = Preparation(faults="keep")
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A fit, judged on the validation recording."""
+    """A fit, evaluated on the validation recording."""
 
     #: Description of the varied setting.
     label: str
