@@ -49,7 +49,7 @@ def main() -> None:
             thrust(dynamics.thrust, lag * speed + drive * u) for u in (vehicle.command_min, 1.0)
         )
         first, second = (one.allocate(request, matrix, offset, low, high) for one in (daqp, piqp))
-        # A controller's compiled program writes the problem: what counts is how it is solved.
+        # A controller's compiled program writes the problem; only the time to solve it counts here.
         posed = problem(np, arm, daqp.slack_weight, request, matrix, offset, low, high)
         begun = time.perf_counter()
         daqp.solve(*posed)

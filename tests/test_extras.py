@@ -63,7 +63,7 @@ def needed(requirement: Requirement, known: set[tuple[str, str]]) -> None:
 
 
 def environment(folder: Path, *extras: str) -> Path:
-    """Make an environment like that of `pip install airpuck[extras]`, from links."""
+    """Make an environment like the result of `pip install airpuck[extras]`, from links."""
     venv.create(folder)
     known = {("airpuck", "")}
     for line in sum((EXTRAS[extra] for extra in extras), PROJECT["dependencies"]):

@@ -12,7 +12,12 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 @pytest.mark.parametrize(
     ("target", "installed"),
-    [("install", "-e .\n"), ("dev", "-e '.[dev]'\n"), ("live", "-e '.[ros2,play]'\n")],
+    [
+        ("install", "-e '.[plan]'\n"),
+        ("play", "-e '.[plan,play]'\n"),
+        ("dev", "-e '.[dev]'\n"),
+        ("live", "-e '.[plan,ros2,play]'\n"),
+    ],
 )
 def test_a_target_installs_what_it_uses_with_uv_and_with_pip(target, installed):
     # As in a fresh checkout.

@@ -12,8 +12,8 @@ THRUST, WEAK, MASS = 0.5, 1e-4, 0.25
 def one_axis(lag: float = 0.0):
     """Two propellers push along x, through the centre; four weak ones push along y and turn.
 
-    Thrust is proportional to speed. The weak ones barely affect a flight along x: it equals that of
-    the first two to six digits.
+    Thrust is proportional to speed. The weak propellers barely affect a flight along x: to six
+    digits, it is the flight of the first two.
     """
     places = [
         ("forward", -0.03, 0.0),

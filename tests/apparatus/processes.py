@@ -25,7 +25,7 @@ CODECS = {
 EVENT = MessageCodec(EVENT_TYPE)
 IDLE = 0.03
 _MAIN = "from airpuck.cli import main; main()"
-#: Makes the terminal on standard input that of the session.
+#: Makes the terminal on standard input the session's controlling terminal.
 _TAKE_TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
 
 
@@ -100,7 +100,7 @@ class Watch:
         return found
 
     def forget(self) -> None:
-        """Discard everything received so far."""
+        """Discard everything received until now."""
         self.run(0.02)
         self.heard.clear()
         self._told.clear()

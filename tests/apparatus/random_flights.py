@@ -85,8 +85,8 @@ class RandomFlight:
 def random_flight(model: Model, duration: float, seed: int) -> RandomFlight:
     """Integrate a model from rest under random signals.
 
-    One motor of each pair at a time gets a random signal. Of six random signals the one that brings
-    the craft nearest to rest in the middle is flown: a poor controller, but one that keeps speeds
+    One motor of each pair at a time gets a random signal. Of six random signals, fly the best: the
+    craft ends nearest to rest in the middle. This is a poor controller, but it keeps speeds
     realistic.
 
     Parameters

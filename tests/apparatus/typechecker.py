@@ -48,7 +48,7 @@ def jaxtyped(fn: Any = None, *, typechecker: Callable[..., Any]) -> Any:
         return fn
     # Kept with the function for the same reason.
     fn.calls = _calls.setdefault((fn.__module__, fn.__qualname__), [0])
-    # The check of a nested function is built anew for each outer call.
+    # The check of a nested function is rebuilt for each outer call.
     checked = 1 if "<locals>" in fn.__qualname__ else CHECKED
     fn.typechecker = typechecker
 

@@ -71,7 +71,7 @@ def test_trajectories_agree_on_their_vehicle(flight):
     )
     assert vehicle_of([unknown]) == default_vehicle()
     assert vehicle_of([unknown, one]) == heavy
-    with pytest.raises(InputError, match="'heavy' with other values; give the vehicle"):
+    with pytest.raises(InputError, match="'heavy' with other values; pass the vehicle"):
         vehicle_of([one, unknown, other])
 
 

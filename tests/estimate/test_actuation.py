@@ -144,7 +144,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
 
 
 def test_priors_compete_by_their_evidence(flight):
-    """With normal noise and no tempering, weights are those of Bayes' rule."""
+    """With normal noise and no tempering, the weights follow Bayes' rule."""
     priors = (EffectivenessPrior(0.7, 0.05, 0.05), EffectivenessPrior(0.3, 0.3, 0.2))
     whole = past_of(flight, 12, 300)
     past = Past(whole.state[..., :1], whole.command[..., :1], whole.duration[..., :1])

@@ -96,7 +96,7 @@ def test_the_flight_of_the_export_repeats(regulator, exported, tmp_path):
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
-    """A second of random commands, as if planned: nobody checks that they are the fastest."""
+    """A second of random commands, as if planned: nothing checks that they are the fastest."""
     random, times = np.random.default_rng(2), np.linspace(0.0, 1.0, 21)
     commands = random.uniform(0.1, 0.8, (20, 6))
     start = np.concatenate([[-0.2, 0.1, 0.4, 0.0, 0.0, 0.0], np.full(6, 0.03)])

@@ -29,7 +29,7 @@ from ..apparatus.export_crafts import FOUR, ON_OFF
 ABUSE = Path(__file__).parent / "abuse_fmu.c"
 MODEL = replace(published_model("M3"), frame="body")
 PERIOD = 0.01
-#: Every so many periods a frame of the camera falls on a communication point.
+#: At regular intervals a camera frame coincides with a communication point.
 COMMON = 5
 
 
@@ -200,7 +200,7 @@ def test_parameters_do_what_the_twin_s_settings_do(unit: Path) -> None:
 
 @pytest.mark.slow
 def test_same_flight_with_four_propellers_and_effects(tmp_path: Path) -> None:
-    """And with a centre of mass so far off that Newton's law of restitution adds energy."""
+    """The centre of mass is far enough off that Newton's law of restitution adds energy."""
     model = replace(
         FOUR, parameters=replace(FOUR.parameters, center_of_mass=np.array([0.02, -0.03]))
     )

@@ -365,7 +365,7 @@ def test_a_game_needs_both_actions():
     env.reset(seed=0)
     with pytest.raises(InputError, match="right: has no action"):
         env.step({"left": np.zeros(6)})
-    # The game goes on.
+    # The game continues.
     observations, *_ = env.step(dict.fromkeys(env.agents, np.zeros(6)))
     assert observations["left"]["time"] == PERIOD
 

@@ -78,7 +78,7 @@ def test_a_published_params_json_survives(name, data, tmp_path):
     assert again.vehicle == model.vehicle
 
 
-#: A file in the layout of the published ones: other numbers, in single precision, as they are.
+#: A file in the layout of the published ones: other numbers, in single precision, unchanged.
 FILE = """
 mass: 146.3e-3
 CoM: [-1e-3, 2.5e-4, 0.0]

@@ -124,7 +124,7 @@ def test_a_wrong_command_is_refused(step, problem):
     ("text", "name", "problem"),
     [
         (SPRING, "{}:Springs", "has no class 'Springs'"),
-        (SPRING, "{}", "give FILE.py:NAME"),
+        (SPRING, "{}", "must be FILE.py:NAME"),
         ("import nowhere_to_be_found", "{}:Spring", "cannot be imported: ModuleNotFoundError"),
         ("def (", "{}:Spring", "cannot be imported: SyntaxError"),
         (

@@ -93,7 +93,7 @@ def test_a_flight_of_this_controller_comes_back(plant, options):
     np.testing.assert_array_equal(found.compared, [s != "no pose" for s in log.status])
     # Stamps of today are good to 0.24 µs in double precision, ...
     np.testing.assert_allclose(found.computed, log.command, atol=2e-4)
-    # ... those of 1970 to rounding errors.
+    # ... and commands stamped in 1970 agree to rounding errors.
     then = replay(without_epoch(recording), M4, tuning=tuning, **options)
     np.testing.assert_allclose(then.computed, log.command, atol=2e-8)
     assert np.median(np.abs(then.computed - log.command)) < 1e-14
@@ -260,7 +260,7 @@ def test_figures_are_plain_statistics_of_what_is_compared():
 
 def test_a_law_without_gains_has_none_to_fit(recording):
     predictive = default_tuning().with_regulator("mpc")
-    with pytest.raises(InputError, match="only the LQR has gains; give --regulator lqr"):
+    with pytest.raises(InputError, match="only the LQR has gains; use --regulator lqr"):
         replay(recording, M4, tuning=predictive, fit_gains=True)
 
 

@@ -158,7 +158,7 @@ def test_a_craft_that_pushes_takes_the_puck_along():
             way.to_x = x + v * left + a * left**2 / 2
             puck.run(end, [way])
             x, v = way.x, way.vx
-    # Impulses are those of m + M.
+    # Impulses correspond to the mass m + M.
     assert v == pytest.approx(8.0 * 0.5 * 0.14 / 0.15, rel=0.01)
     assert puck.state.vx == pytest.approx(v, abs=2 * RESTING)
     assert puck.state.x - x == pytest.approx(R + 0.07, abs=1e-4)

@@ -26,7 +26,7 @@ def test_a_band_that_would_hide_its_errors_is_cut_off():
     expected = 5 * 0.1 * np.array([1e3, 1e3, 1.0])[:, None] * [-1, 1]
     np.testing.assert_allclose(limits(cut, 2), expected)
     np.testing.assert_allclose(limits(cut, 0), np.tile([-0.1 - 0.25, 0.25], (3, 1)))
-    # Bands that fit are shown in full: those of 0.2 s, and narrower ones of a simulation.
+    # Bands that fit are shown in full: bands of 0.2 s, and narrower bands of a simulation.
     assert limits(cut, 1)[0] == pytest.approx([-2.0, 2.0], rel=0.15)
     whole = prediction_bands_figure(ahead, bands([0.0], 0.6, 0.1, 0.4))
     assert (np.abs(limits(whole, 2)) >= 0.4 * np.array([1e3, 1e3, 1.0])[:, None]).all()

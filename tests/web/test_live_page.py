@@ -182,7 +182,7 @@ def test_thoughts_are_told_on_request(flight):
 def test_who_sits_at_a_page_moves_a_mallet_that_is_guided(flight, domain):
     table = Table(domain, guided=True)
     try:
-        flight.wish(0.5, 0.3)  # nobody sits
+        flight.wish(0.5, 0.3)  # no page is seated
         until(flight, lambda: phase_of(flight, "waiting"))
         flight.ask("sit")
         until(flight, lambda: phase_of(flight, "play"))

@@ -115,7 +115,7 @@ def test_every_page_of_the_live_view_may_move_the_set_point():
             arena.pipe.send_bytes(SCENE + b'{"is": "scene", "plan": null}')
             assert news(first, "scene")["plan"] is None
             with arena.page() as second:
-                assert news(second, "scene")["plan"] is None  # as it was before this page came
+                assert news(second, "scene")["plan"] is None  # sent before this page came
                 for number, page in enumerate((first, second)):
                     page.send(struct.pack("<Ifff", number, 0.5, 0.25, 2.0))
                     assert arena.heard() == (WISH, (number, 0.5, 0.25, 2.0))

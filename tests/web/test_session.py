@@ -197,7 +197,7 @@ def test_games_are_recorded_with_their_players(tmp_path):
     assert recording.about == names
     target, place = np.array([0.3, 0.35]), recording["mallet"].values[:, :2]
     assert np.hypot(*(place[-1] - target)) < np.hypot(*(place[0] - target)) - 0.1
-    table.order("level", level="hard")  # saves the game before; nobody begins the next one
+    table.order("level", level="hard")  # saves the previous game; no player starts another
     table.run(0.2)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["game-1", "game-2"]
 
@@ -294,5 +294,5 @@ def test_what_cannot_be_served_is_refused():
     with listen(LOOPBACK, 0) as taken:
         host, port = taken.getsockname()
         assert host == "127.0.0.1"
-        with pytest.raises(InputError, match="give another --port"):
+        with pytest.raises(InputError, match="choose another --port"):
             listen(LOOPBACK, port)

@@ -21,7 +21,7 @@ XLA's behaviour on a CPU, as measured:
   devices would do so too, but need a process-wide setting before JAX starts.
 * A loop that joins arrays is not vectorised. In the identification's kernel the batch is therefore
   the last axis throughout, and sensitivities are added in place, kind by kind.
-* It multiplies by zeros: Jacobians are taken by one argument at a time.
+* It does not skip products with zeros: Jacobians are taken with respect to one argument at a time.
 * Alternatives tried on that kernel, all slower: one array for each kind of coordinate, the
 Runge-Kutta stages as
   an inner loop, the Jacobian of a whole step, reverse mode, no fusion emitters.

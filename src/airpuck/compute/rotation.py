@@ -58,7 +58,8 @@ def _kept() -> Any:
         if jax.dtypes.canonicalize_dtype(float) == np.float64:
             rows = polynomials(jnp, angle.astype(float)).astype(angle.dtype)
         else:
-            # Kept separate: joined, XLA would multiply each part separately and fuse the products.
+            # The parts stay separate: if they were joined, XLA would multiply each on its own and
+            # fuse the products.
             rows = jnp.where(_rows(first, angle), jnp.cos(angle), jnp.sin(angle))
         return jnp.tensordot(np.eye(2, dtype=angle.dtype), rows, 1, precision="highest")
 
@@ -91,7 +92,7 @@ def polynomials(xp: Any, angle: Any) -> Any:
     sine = rest + rest * square * _horner(_SINE, square)
     cosine = 1 - square / 2 + square * square * _horner(_COSINE, square)
     # Use one array from the start, with cos(r) = sin(r + π/2): joining two arrays is not
-    # vectorised. On most processors, conversions to 64 bits are not either.
+    # vectorised. Neither are conversions to 64 bits on most processors.
     quadrant = turns.astype(np.int32) + _rows(np.array([1, 0], np.int32), angle)
     value = xp.where(quadrant & 1, cosine, sine)
     return xp.where(quadrant & 2, -value, value)

@@ -63,7 +63,7 @@ class CandidateFlight:
 class Design:
     """A proposal and its alternatives."""
 
-    #: The truth of the trials, which also holds the prior knowledge.
+    #: The true model of the trials, whose uncertainty is the prior knowledge.
     model: Model
     #: The criterion for comparing candidates.
     quantities: ComparedQuantities
@@ -184,7 +184,7 @@ def design(
     tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
     check_seed(seed)
     if not model.free.any():
-        raise InputError("has no learned parameters; give an identified model", file=model.name)
+        raise InputError("has no learned parameters; use an identified model", file=model.name)
     given, model = model, _as_learned_next(model)
     usual = ExcitationPlan(duration_s=duration)
     grid = [
@@ -353,7 +353,7 @@ def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationP
 
 
 def _as_learned_next(model: Model) -> Model:
-    """Free the transport delay if the next fit will: on rungs with a motor lag."""
+    """Learn the transport delay if the next fit will, on rungs with a motor lag."""
     if not named_rung(model.name).lag:
         return model
     delay = model.parameters.mask(frozenset({"transport_delay"}))

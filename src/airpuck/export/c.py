@@ -175,7 +175,7 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     """Raise InputError for settings that the C sources do not support."""
     kind = tuning.regulator.kind
     if kind == "plan" and plan is None:
-        raise InputError("'plan' needs a plan; give one with --plan FILE", field="regulator.kind")
+        raise InputError("'plan' needs a plan; pass it with --plan FILE", field="regulator.kind")
     if kind not in ("lqr", "mpc", "plan"):
         raise InputError(
             f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="regulator.kind"

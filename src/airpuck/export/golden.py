@@ -19,7 +19,7 @@ from airpuck.planning.plan import Plan
 _RATE, _STEPS = 240, 120
 #: Set points, each held for the same time: near, turned, far, back.
 _TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-0.6, 0.3, -1.0), (0.0, 0.0, 0.0))
-#: When a planned flight departs, and how long it continues after its end [s].
+#: Departure of a planned flight, and time for which it continues after its end [s].
 _DEPARTS, _AFTERWARDS = 0.05, 0.2
 #: Frames that are lost, that are not finite, and that show another object.
 _LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)

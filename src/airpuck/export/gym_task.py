@@ -25,7 +25,7 @@ from airpuck.twin.race import COURSES, arrived, passes
 from airpuck.twin.settings import OnBoard, TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 
-#: Commands in an observation: those whose effect delay (21 ms) and lag (28 ms) still hide.
+#: Number of past commands in an observation: delay (21 ms) and lag (28 ms) still hide their effect.
 _REMEMBERED = 5
 #: Distance of starts and goals from the rails, in addition to the craft's radius [m].
 _MARGIN = 0.05

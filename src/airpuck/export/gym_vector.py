@@ -30,9 +30,10 @@ from airpuck.twin.batch import TwinBatch
 
 
 class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
-    """Many `CourseEnv` at once; with seed s, row i draws like a single one with seed s + i.
+    """Many `CourseEnv` at once.
 
-    Only the noise and latency of its poses differ. It takes the parameters of `CourseEnv`.
+    With seed s, row i draws the same random numbers as a single environment with seed s + i. Only
+    the noise and latency of its poses differ. The parameters are as for `CourseEnv`.
 
     Raises
     ------

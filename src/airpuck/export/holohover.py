@@ -14,8 +14,8 @@ from airpuck.export.kinds import Subject, printable, refuse_actuators, refuse_ef
 from airpuck.model.authors_params import MOTORS
 from airpuck.model.model_file import Model
 
-#: Middle of the first pair to each of its propellers, and from the centre to them [rad, m]
-#: (holohover-sysid, params.json).
+#: Angle from the middle of the first pair to each of its propellers, and their distance from the
+#: centre [rad, m] (holohover-sysid, params.json).
 _HALF_ANGLE, _DISTANCE = 0.32822, 0.046532
 #: Largest rounding error of the paper's positions and directions [m, 1].
 _SAME = 1e-9

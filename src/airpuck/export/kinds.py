@@ -159,9 +159,11 @@ def write(
         kept = {Path(one).resolve() for one in inputs}
         for name in names:
             if (target / name).resolve() in kept:
-                raise InputError("is also an input; give another folder", file=target / name)
+                raise InputError("is also an input; choose another folder", file=target / name)
             if (target / name).is_dir():
-                raise InputError("is a folder; give another one for the files", file=target / name)
+                raise InputError(
+                    "is a folder; choose another folder for the files", file=target / name
+                )
         for name in names:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
             (temporary / name).replace(target / name)

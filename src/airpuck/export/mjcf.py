@@ -27,8 +27,8 @@ _TIMESTEP = 2.5e-4
 #: Angular frequency of a contact with a rail [rad/s]: it lasts about 6 ms, or 25 steps, and a craft
 #: at 1 m/s penetrates the rail by 2 mm.
 _RAIL = 500.0
-#: MuJoCo's largest constraint impedance; its difference from 1 is the influence on the bounce of
-#: forces that push the craft into the rail.
+#: MuJoCo's largest constraint impedance. The smaller its difference from 1, the less a force that
+#: pushes the craft into the rail affects the bounce.
 _IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 #: Lowest restitution exported: below it, the damping makes the contact stiff [fraction].
 _LEAST_RESTITUTION = 0.05
@@ -225,8 +225,8 @@ def _damping_ratio(restitution: float) -> float:
     """Return the damping ratio of a spring and damper that bounces with a restitution.
 
     A contact ends when spring and damper no longer push. After a contact of duration t the speed is
-    exp(-ζ t) times that before it, with time in units of the spring's (Schwager, Pöschel, Granular
-    Matter 9, 2007).
+    exp(-ζ t) times the speed before it, with time in units of the spring's (Schwager, Pöschel,
+    Granular Matter 9, 2007).
     """
 
     def bounce(ratio: float) -> float:

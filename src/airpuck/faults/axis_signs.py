@@ -23,7 +23,7 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 
-#: Two more flips are assumed if the forces are turned to within this of 180 degrees.
+#: If the forces are turned by 180 degrees to within this angle, two more flips are assumed.
 _HALF_TURN = 0.5
 #: Least improvement of the sum of correlations, at most 2, by which other signs are accepted.
 _MARGIN = 0.15

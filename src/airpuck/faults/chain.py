@@ -27,7 +27,7 @@ from airpuck.physics.rigid_body import Dynamics
 #: Length of a step [s]: about the motors' lag, and long enough that smoothed velocities at its two
 #: ends share no pose.
 STEP = 0.025
-#: Shorter faults are the radio's jitter [s].
+#: Faults shorter than this count as jitter of the radio [s].
 SHORTEST = 0.1
 #: Longest time for which a silent radio leaves the last command in force [s].
 LONGEST_HOLD = 0.6

@@ -57,7 +57,7 @@ def find_faults(trajectory: Trajectory, model: Model) -> tuple[Span, ...]:
         Spans in order of their starts, with causes ``not armed``, ``radio out``, ``NAME stalled``
         (with a propeller's name), ``contact`` (a blow) and ``unexplained motion``. Their confidence
         is the mean posterior probability of the cause. A span covers only the visible part of a
-        fault: a motor that is commanded to idle may stand unnoticed.
+        fault: a motor that is commanded to idle may stop unnoticed.
 
     Raises
     ------

@@ -56,7 +56,7 @@ _SHORTEST = 2.0
 #: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
 #: poor guess of the inertia.
 _WRONG_UNIT = 5.0
-#: How much rotating the layout back must raise the mean cosine; otherwise swapped motors are the
+#: Least increase of the mean cosine by rotating the layout back; below it, swapped motors are the
 #: better explanation.
 _BETTER = 0.02
 #: Verdict on a propeller that agrees once the layout is rotated back.
@@ -175,7 +175,7 @@ class LayoutCheck(Result):
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """What disagrees: axes, the unit of length, names of propellers."""
+        """Items that disagree: axes, the unit of length, names of propellers."""
         return (
             *self.signs.names,
             *(("the unit of length",) if self.length_ratio != 1 else ()),
@@ -278,8 +278,8 @@ def check_layout(
         _with_signs(trajectory, vehicle, forces, one, tuple(axes))
         for one in dict.fromkeys((signs, AxisSigns()))
     ]
-    # A wrong sign leaves forces or moments unexplained. Where several explain as much, prefer what
-    # leaves most propellers alone: a reversed one of few propellers mirrors the craft, too.
+    # A wrong sign leaves forces or moments unexplained. If several choices explain as much, change
+    # as few propellers as possible: with few propellers, reversing one also mirrors the craft.
     most = max(one.explained for one in tried)
     as_good = [one for one in tried if one.explained >= _AS_GOOD * most]
     return max(as_good, key=lambda one: one.untouched)
@@ -410,7 +410,7 @@ def _unclear(
     stated: Float[np.ndarray, "3 n"],
     agrees: str,
 ) -> dict[int, str]:
-    """Judge propellers by their effect along the stated one alone."""
+    """Judge propellers by their effect along the stated direction alone."""
     unit = unit_columns(stated)
     size = np.linalg.norm(stated, axis=0)
     along = np.sum(unit * measured, axis=0) / size

@@ -1,4 +1,4 @@
-"""Which actuator is weak, dead, reversed or swapped throughout a recording.
+"""Actuators that are weak, dead, reversed or swapped throughout a recording.
 
 `find_faults` compares a recording with a model of the healthy craft. A fit to a recording in which
 an actuator never works describes that craft as healthy. So identified strengths are compared with
@@ -161,7 +161,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
 
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
-    """Name the model to fit if none is named: M3, with what the floor clearly does."""
+    """Return the rung to fit by default: M3 plus the effects that the floor clearly has."""
     floor = check_layout(trajectory, vehicle).floor
     # A rough floor also brakes in proportion to the speed.
     terms = {"tilt": "+tilt", "dish": "+dish", "friction": "+drag+friction"}
@@ -169,7 +169,7 @@ def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 
 def on_table_of(model: Model, trajectory: Trajectory) -> Model:
-    """Return the model with what the floor of a recording does, unless it models that already."""
+    """Return the model with the effects of a recording's floor that it does not have yet."""
     parameters, floor = model.parameters, check_layout(trajectory, model.vehicle).floor
     added = {name: v for name, v in floor.items() if getattr(parameters, name) is None}
     if not added:
@@ -236,7 +236,7 @@ STRENGTH_HEADINGS = ("actuator", "nominal [N]", "identified [N]", "95 %", "of no
 
 
 def strength_rows(strengths: Strengths) -> list[list[str]]:
-    """Return a row of texts for each actuator: a table for people."""
+    """Return the row of a printed table for each actuator."""
     rows = []
     for one in strengths.actuators:
         ends = one.interval_95 and " … ".join(f"{end:.3g}" for end in one.interval_95)

@@ -186,7 +186,7 @@ class LoopTiming(Result):
         self.pose_age = Histogram()
         #: Number of actions more than 10 ms late, including skipped ones.
         self.missed = 0
-        #: When the last action was due and when it was done [s].
+        #: Times at which the last action was due, and done [s].
         self._last: tuple[float, float] | None = None
 
     def add(self, due: float, done: float, pose: float | None) -> None:

@@ -59,7 +59,7 @@ _ROUNDS, _LEAST = 5, 1e-10
 class Judged:
     """A prediction and its result."""
 
-    #: When it ended [s].
+    #: Time at which it ended [s].
     time: float
     #: Measured minus predicted: x, y, yaw and their rates.
     error: Float[np.ndarray, " 6"]
@@ -108,7 +108,7 @@ class Health:
 
     @property
     def deviates(self) -> Bool[np.ndarray, " m"]:
-        """Which motors, and last whether the delay, differ significantly."""
+        """Marks the motors, and last the delay, that differ significantly."""
         n = len(self.motors)
         modelled, least = np.append(np.ones(n), 0.0), np.append(np.full(n, _LOSS), _LATE)
         sure = np.append(np.full(n, _SURE_LOSS), _SURE_LATE)
@@ -183,7 +183,7 @@ class Health:
 
 
 class HealthMonitor:
-    """Watches a craft in flight with its model; computes nothing that affects the flight."""
+    """Compares a craft in flight with its model; does not affect the flight."""
 
     def __init__(self, model: Model, *, memory: float = 5.0, compiled: bool = True) -> None:
         self.model, self._memory = model, memory

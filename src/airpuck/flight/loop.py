@@ -69,7 +69,7 @@ class Link(Protocol):
 class FlightLog:
     """Commands of a flight and outcomes of the control steps."""
 
-    #: When each command was sent [s].
+    #: Time at which each command was sent [s].
     time: Float[np.ndarray, " K"]
     #: Motor commands.
     command: Float[np.ndarray, "K n"]

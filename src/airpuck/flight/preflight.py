@@ -64,7 +64,7 @@ _MOST_TURNS = 2
 class Check:
     """The result of one check."""
 
-    #: What.
+    #: The checked item.
     name: str
     #: Whether it is right, deserves a look, or must be fixed before a flight.
     verdict: Verdict

@@ -70,7 +70,7 @@ class PulseTest(Pilot):
         if self.plan.level <= (idle := vehicle.command_min):
             raise InputError(f"must be above the command of an idle motor, {idle:g}", field="level")
         if not vehicle.actuators.possible(np.array([self.plan.level])).all():
-            raise InputError("is too low to open a valve; give 1 for switches", field="level")
+            raise InputError("is too low to open a valve; use 1 for switches", field="level")
         if any(wheel.commanded == "speed" for wheel in vehicle.wheels):
             raise InputError(
                 "a wheel whose speed is commanded gives no pulse of torque; use `airpuck check`",

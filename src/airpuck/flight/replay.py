@@ -185,12 +185,12 @@ def replay(
     """
     tuning = tuning or default_tuning()
     if fit_gains and tuning.regulator.kind != "lqr":
-        problem = "only the LQR has gains; give --regulator lqr"
+        problem = "only the LQR has gains; use --regulator lqr"
         raise InputError(problem, field="--fit-gains")
     _, commands, aligned = clean_streams(recording, model.vehicle)
     pose = recording["pose"]
     if not 0 <= span[0] < span[1] <= 1:
-        raise InputError("give two fractions of the length, 0 <= A < B <= 1", field="span")
+        raise InputError("must be two fractions of the length, 0 <= A < B <= 1", field="span")
     time, sent = commands.time, commands.values
     # The recorder may have been busy; the controller got the poses after their usual latency.
     arrivals = seconds(pose.received_ns) - aligned.recorder_epoch
@@ -211,8 +211,8 @@ def replay(
     compared = inside & known
     if not compared.any():
         raise InputError(
-            "the pose was not known at any command in the span; give a longer span, or a "
-            "recording whose poses and commands overlap",
+            "the pose was not known at any command in the span; use a longer span, or a recording "
+            "whose poses and commands overlap",
             file=recording.source,
         )
     if fit_gains:

@@ -37,7 +37,7 @@ class SetPointResult(Result):
         "overshoot:x_m,y_m,yaw_rad steady_state_error:x_m,y_m,yaw_rad effort"
     )
 
-    #: When it was in force [s].
+    #: Time in which it was in force [s].
     start: float
     stop: float
     #: x, y [m], yaw [rad].

@@ -16,7 +16,7 @@ _TOPIC_PREFIX = "rt"
 _DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 #: A killed process disappears from the graph after this long [s].
 LEASE = 3
-#: At most 40 processes of one domain on one machine find each other by port.
+#: Largest number of processes of one domain on one machine that find each other by port.
 _LOCAL_PEERS = (
     "<ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>"

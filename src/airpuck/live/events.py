@@ -41,7 +41,7 @@ class EventLog:
         self._heartbeat = MessageCodec(HEARTBEAT_TYPE, types)
         self._events = graph.publisher(EVENTS, EVENT_TYPE, types, LOG)
         self._heartbeats = graph.publisher(HEARTBEAT, HEARTBEAT_TYPE, types, STATE)
-        #: When each kind of event was last published [s].
+        #: Time at which each kind of event was last published [s].
         self._published: dict[str, float] = {}
         #: Events held back by kind: level, last text, and count.
         self._held: dict[str, tuple[Level, str, int]] = {}
@@ -57,7 +57,7 @@ class EventLog:
             _, _, count = self._held.pop(kind, (level, text, 0))
             self._held[kind] = level, text, count + 1
             return
-        # Events held back happened before this one.
+        # Events that were held back happened before this one.
         self.flush()
         self._publish(level, text, kind)
 

@@ -37,7 +37,7 @@ NAME = "airpuck fly"
 _LAST_COMMANDS = 5
 #: Number of rehearsal steps, and how many of them are skipped so that the pilot forgets the others.
 _WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
-#: Poses that arrive by then are processed before a command is due [s].
+#: Poses are processed until this long before a command is due [s].
 _EARLY = 0.002
 _GO, _QUIT = "g", "q"
 #: In the preflight check the frame and the units may be wrong. The pilot itself ends the test near
@@ -135,7 +135,7 @@ def fly_live(
     prioritize(first=True)
     with Process(name, settings or LiveSettings()) as process:
         process.refuse_second("command", vehicle.columns, "controller")
-        # Other spectators need not wait for the compiler.
+        # Other processes on the graph must not wait for the compiler.
         prioritize(first=False)
         pilot = make_pilot()
         check_pilot(pilot)
@@ -212,7 +212,7 @@ class GraphLink:
         self.commands = Outbox(process, "command", motors)
         self._references = Outbox(process, "reference") if announces else None
         self._spectators = spectators
-        #: When the newest pose was measured [s].
+        #: Time at which the newest pose was measured [s].
         self.newest: float | None = None
 
     @property
@@ -386,7 +386,7 @@ class _Flight:
 
 
 def _warm_up(pilot: Pilot, period: float) -> None:
-    """Rehearse some steps on the spot before time begins, so that everything is compiled."""
+    """Rehearse steps with the craft at rest before time starts, so that all is compiled."""
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):
         now = k * period

@@ -34,7 +34,7 @@ class Quality:
     lifespan: float | None = None
 
 
-#: As in the table's recordings: sensors and commands do not send again.
+#: As in the table's recordings: lost messages of sensors and commands are not sent again.
 SENSOR = Quality(reliable=False)
 STATE = Quality()
 #: Quality of ``/rosout``.
@@ -45,7 +45,7 @@ LOG = Quality(transient_local=True, depth=1000, lifespan=10.0)
 class Sample:
     """A received message."""
 
-    #: When it was sent, by the sender's clock [ns since the epoch].
+    #: Time at which it was sent, by the sender's clock [ns since the epoch].
     sent_ns: int
     #: Messages in CDR, with encapsulation.
     data: bytes
@@ -112,7 +112,7 @@ class Graph:
         has already joined the domain over another interface.
     """
 
-    #: Cyclone configures a domain once in a process.
+    #: Cyclone configures a domain only once per process.
     _configured: dict[int, tuple[str, Any]] = {}  # noqa: RUF012
 
     def __init__(

@@ -216,7 +216,7 @@ class Outbox:
         types = self._codec.types
         self._publisher = process.graph.publisher(topic, self._codec.msgtype, types, quality)
         self._last: Numbers | None = None
-        #: When the last message was sent [s].
+        #: Time at which the last message was sent [s].
         self.sent = -math.inf
 
     def send(self, values: Numbers, moment: float | None = None) -> None:

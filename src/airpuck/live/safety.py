@@ -63,7 +63,7 @@ class Guard:
         self._heard = -math.inf
         self._last: tuple[float, Float[np.ndarray, " 3"]] | None = None
         self._equal = 1
-        #: Since when everything has been good; None while something is wrong.
+        #: Time since which everything has been good; None while something is wrong.
         self._good_since: float | None = None
         self._reason = "no pose yet"
         self._stopped: dict[str, str] = {}

@@ -56,9 +56,9 @@ class LiveSettings(Settings):
     ] = None
     duration: Annotated[
         float | None,
-        Setting("Length; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
+        Setting("How long to run; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
     ] = None
-    quiet: Annotated[bool, Setting("Print results only.", option="--quiet/-q")] = False
+    quiet: Annotated[bool, Setting("Print only the results.", option="--quiet/-q")] = False
     topics: Annotated[
         Topics | None,
         Setting(

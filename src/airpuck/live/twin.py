@@ -19,13 +19,13 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-#: Given instead of a skill: the person at a page moves the mallet.
+#: Value to use instead of a skill: the person at a page moves the mallet.
 PAGE = "page"
 #: Initial position of the mallet [m].
 BEGINS = 0.85
 #: Time from the referee's call until a stuck puck, or the opponent's, is put back [s].
 _FETCHED = 0.2
-#: The mallet follows a target for this long after its message [s].
+#: Time for which the mallet follows a target after its message [s].
 _HOLDS = 0.25
 NAME = "airpuck twin"
 #: Measurements are lost if this process could not send them for this long [s].
@@ -113,7 +113,7 @@ def serve_twin(
     puck : PuckState, optional
         A puck, which returns to this position from a goal; by default there is no puck.
     human : str, optional
-        Skill of a scripted human who plays on the right with a mallet, and serves by the rules; or
+        Skill of a scripted human on the right, with a mallet, serving by the rules; or
         ``page``: the person at a page moves the mallet. By default there is no human.
 
     Returns

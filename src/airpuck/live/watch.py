@@ -59,7 +59,7 @@ class Observer:
 
     @property
     def health(self) -> Health:
-        """How the craft compares with its model."""
+        """Comparison of the craft with its model."""
         return self._monitor.health()
 
     def to_json(self) -> dict[str, Any]:

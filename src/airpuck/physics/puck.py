@@ -66,7 +66,7 @@ def contact_impulse(
 
     Newton's law of restitution applies in the normal direction. In the tangential direction the
     impulse removes the fraction `grip` of the slip if the cone of friction allows it, and otherwise
-    lies on the cone. `mobilities` are sums over both bodies. Speeds are those of the body that the
+    lies on the cone. `mobilities` are sums over both bodies. Speeds belong to the body that the
     impulse acts on, relative to the other.
     """
     k_nn, k_tt, k_nt = mobilities

@@ -121,7 +121,7 @@ class PuckOnTable:
 
     @property
     def next_meeting(self) -> float:
-        """When the puck will meet the table next if no disc is in its way; to a nanosecond [s]."""
+        """Next time the puck meets the table if no disc is in its way, to a nanosecond [s]."""
         return self._wall_time
 
     def run(self, end: float, discs: Sequence[Moving] = ()) -> Moving | None:
@@ -258,7 +258,7 @@ class PuckOnTable:
         """Take a new state, and compute when the puck will meet the table."""
         self.state = state
         sigma = self._walls.first(state).sigma
-        # A little early, since the state is rounded step by step until then.
+        # Slightly early, since rounding accumulates from step to step until then.
         self._wall_time = self.time + time_of(self._puck.drag_1_s, sigma) - 1e-9
 
     def _separate(self, discs: Sequence[Moving]) -> None:

@@ -160,7 +160,7 @@ def motor_accelerations(
     xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any
 ) -> tuple[Any, Any]:
     """Split the accelerations (eq. acc_dyn) into each motor's contribution and the rest."""
-    # The accelerations are linear in Π: evaluate one column at a time, and none.
+    # The accelerations are linear in Π: evaluate with each column alone, and with no column.
     n = motor_speed.shape[0]
     columns = np.concatenate([np.eye(n), np.zeros((1, n))])
     matrix = dynamics.configuration[:, :, None] * columns.T

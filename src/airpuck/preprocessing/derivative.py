@@ -80,7 +80,7 @@ def _smooth_unevenly(
 
 
 def acceleration_time(duration: float) -> float:
-    """Return the time span of smoothing for accelerations, given that for velocities [s]."""
+    """Return the time span of smoothing for accelerations, given the span for velocities [s]."""
     return ACCELERATION_TIME * (duration / VELOCITY_TIME)
 
 

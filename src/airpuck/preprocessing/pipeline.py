@@ -45,8 +45,8 @@ from airpuck.recording.torch_archive import read_authors_experiment
 #: A command this far above the lowest one marks the beginning of the experiment.
 _BEGINS_ABOVE_MINIMUM = 0.02
 _NO_COMMANDS = "no commands"
-#: Correlation below which no delay can be found, as in a flight that only hovers: 0.1 there, above
-#: 0.5 between set points.
+#: Correlation below which no delay can be found. A flight that only hovers has 0.1, a flight
+#: between set points more than 0.5.
 _NO_DELAY_BELOW = 0.3
 #: Correlation below which the commands do not explain the motion.
 _WEAK_CORRELATION = 0.5
@@ -254,7 +254,8 @@ def _compensate_delay(
                 f"the motion precedes the commands by {-samples} samples; no delay was "
                 "compensated: check the clocks of both streams"
             )
-        # A low correlation may be due to noise: a regression decides if commands cause the motion.
+        # A low correlation may be due to noise: a regression decides whether commands cause the
+        # motion.
         if correlation < _WEAK_CORRELATION and not commands_explain(trajectory, nominal):
             warnings.append(
                 f"the commands explain little of the motion (correlation {correlation:.2f}): "

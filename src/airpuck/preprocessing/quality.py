@@ -59,7 +59,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
         raise InputError(
             f"positions reach {np.abs(position).max():.0f}, which is too large for an air-hockey "
             "table in "
-            'metres; for millimetres give a mapping: pose = {units = ["mm"]}',
+            'metres; for millimetres, use a mapping: pose = {units = ["mm"]}',
             file=source,
             field="pose.position",
         )
@@ -78,7 +78,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
         raise InputError(
             f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; "
-            'give a mapping: pose = {units = ["deg"]}',
+            'use a mapping: pose = {units = ["deg"]}',
             file=source,
             field="pose.orientation.yaw",
         )
@@ -226,7 +226,7 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     rate = np.diff(values, axis=0) / pause[:, None]
     leap = np.abs(rate - _running_median(rate, neighbours))
     limit = np.maximum(_JUMP_RATIO * np.median(leap, axis=0) / 0.6745, _JUMP_SPEED)
-    # Motion during a gap is no jump.
+    # Motion during a gap does not count as a jump.
     jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * period)
     spoilt = np.zeros(len(time), dtype=bool)
     # Smoothing also spoils its neighbours.

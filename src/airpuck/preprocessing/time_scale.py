@@ -34,11 +34,11 @@ _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Standard deviation of the same differences of a motion whose acceleration changes at every
 #: sample, in accelerations times squared sample periods: between 1.1 and 1.5.
 _OF_MOTION = 1.5
-#: Variance of the slope of a cubic over L is 75 σ²/(f L³). Its bias where the acceleration jumps by
-#: a is 0.039 a L at the jump and less beside it; this is its usual size in a L.
+#: The slope of a cubic over L has the variance 75 σ²/(f L³). Where the acceleration jumps by a, its
+#: bias is 0.039 a L at the jump and less beside it; this is the usual bias in units of a L.
 _SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
 #: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
-#: takes 65 ms.
+#: craft takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
 #: Time constants of the slowest motors after which a guess of their initial speed is forgotten to
 #: 0.4 %.
@@ -105,10 +105,10 @@ def smoothed_as_measured(
 
 
 def patience(vehicle: Vehicle) -> float:
-    """Return how many times the timing errors of the paper's craft a craft tolerates: at least 1.
+    """Return how much larger timing errors a craft tolerates than the paper's: at least 1.
 
     A slow craft is less sensitive to timing errors, because its controllers act over longer times.
-    They are proportional to the time in which an actuator at full command moves it by 1 cm.
+    The factor is proportional to the time in which an actuator at full command moves it by 1 cm.
     """
     push = usual_push(vehicle)
     return max(1.0, math.sqrt(2 * _CENTIMETRE / push) / _USUAL_MOVE) if push > 0 else 1.0

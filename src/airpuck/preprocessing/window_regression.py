@@ -3,13 +3,14 @@
 Raw accelerations of a slow craft are nearly all noise. The mean acceleration over a window is the
 curvature of the parabola through its poses, whose noise falls with the window's length to the power
 2.5. Windows do not overlap, and poses are not smoothed, so their noise is independent: an F test
-tells whether the commands explain anything, however small their fraction of the variance. Slow
-disturbances correlate neighbouring windows; fewer windows then count, as for an autoregression.
+shows whether the commands explain anything, however small their fraction of the variance. Slow
+disturbances correlate neighbouring windows, which then count as fewer windows, as for an
+autoregression.
 
 The curvature of a motion is its acceleration, averaged with the weight (1 - u²)², where u runs from
--1 to 1 over the window. What the floor does is found beside the effects: a constant acceleration of
-the table frame, which a slope causes; one that is linear in the position, if the table is not flat;
-and dry friction.
+-1 to 1 over the window. The same regression finds the effects of the floor: a constant acceleration
+in the table frame, caused by a slope; an acceleration linear in the position, if the table is not
+flat; and dry friction.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ class WindowRegression:
     floor: dict[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]
     #: Size of the accelerations that each of them causes [m/s²].
     pulls: dict[str, float]
-    #: The regression, of forces or moments, that would show the stated effects more clearly.
+    #: The regression (of forces or of moments) that would show the stated effects more clearly.
     clearer: _FTest
     #: Factor by which the recording must be longer if the motors have the stated effects.
     longer: float = np.inf

@@ -76,7 +76,8 @@ def _metadata(path: Path) -> dict[str, Any]:
 def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
     """Put storage files into recording order, and leave out those missing from the metadata.
 
-    By name alone: a bag is read from its own folder, whatever path its metadata names.
+    Files are matched by name alone: a bag is read from its own folder, whatever path its metadata
+    states.
     """
     named = metadata.get("relative_file_paths")
     names = [PurePath(str(name)).name for name in named] if isinstance(named, list) else []
@@ -155,7 +156,7 @@ def _streams(
                 raise InputError(problem, file=source, field=field or name) from error
             if not stamped and stream in (*POSES, *COMMANDS):
                 warnings.append(
-                    f"messages on {name} carry no time: the recorder's arrival times are used, "
+                    f"messages on {name} have no time: the recorder's arrival times are used, "
                     "which include transport jitter"
                 )
         elif mapping.topics.required(stream, needs):

@@ -41,7 +41,7 @@ _DEEPEST = 16
 class Field(NamedTuple):
     """One leaf of a message."""
 
-    #: Names from the message down, joined by dots: ``pose.position.x``.
+    #: Field names from the outermost to the innermost, joined by dots: ``pose.position.x``.
     path: str
     #: NumPy code of a number or a fixed array (``36<f8``), or ``string``; with ``*`` before it, a
     #: sequence of these; empty for other types.

@@ -16,8 +16,9 @@ SECOND_NS = 10**9
 _UNIT = 1e-3
 #: Numbers of a rotation matrix are exported with five digits or more.
 _ORTHOGONAL = 1e-2
-#: A third coordinate that varies by more than the first number is not a height above the table [m].
-#: The true height varies by at most the second number, as a fraction of the third coordinate.
+#: Limits on the variation of a height above the table: a coordinate that varies by more than the
+#: first number is no height [m]; the true height varies by at most the second, as a fraction of
+#: that coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
 #: Problem of a number that is not a bit mask.
 NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"

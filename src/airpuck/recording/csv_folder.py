@@ -63,7 +63,7 @@ _TO_WRITE = {
 
 
 def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
-    """Return whether a folder holds the CSV files of a recording."""
+    """Return whether a folder contains the CSV files of a recording."""
     return any(_candidates(path, stream, mapping) for stream in (*POSES, "command"))
 
 
@@ -129,7 +129,7 @@ def _require_columns(single: Path, mapping: RecordingMapping, needs: Sequence[st
         written = " and ".join(f"{stream} = {{{_TO_WRITE[stream]}}}" for stream in needs)
         found = listing(plain_table(read_rows(single)).columns)
         raise InputError(
-            "is a single CSV file; give the folder with one file per stream, or name its columns "
+            "is a single CSV file; name the folder with one file per stream, or name its columns "
             f"in a file for --mapping: {written} out of {found}. If units are not m, rad and s, "
             'or commands not 0 to 1, add units = ["mm", "deg", "ms"] to pose and scale to command',
             file=single,
@@ -157,7 +157,7 @@ def _file_of(
     if len(candidates) > 1:
         names = listing(file.name for file in candidates)
         raise InputError(
-            f"holds several files that may be the {stream} ({names}); keep one, or name it in a "
+            f"contains several files that may be the {stream} ({names}); keep one, or name it in a "
             f'file for --mapping: {stream} = {{file = "{candidates[0].name}"}}',
             file=folder,
         )
@@ -298,7 +298,7 @@ def _require(
     missing = [name for name in (*times, *names) if name not in table.columns]
     if missing:
         keys = _TO_WRITE.get(stream, _TO_WRITE["pose"])
-        # A user who names columns never asked for the authors' stamps.
+        # A user who names columns does not expect the authors' stamps.
         unnamed = not (mapping.time or mapping.interval) and set(missing).issubset(
             {_SECONDS, _NANOSECONDS}
         )
@@ -325,7 +325,7 @@ def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvT
             f"row {int(np.argmax(steps < 0)) + 1} is negative; for a column of times use `time`"
         )
         raise InputError(problem, file=table.path, field=mapping.interval)
-    with np.errstate(over="ignore"):  # reported with the time that it leads to
+    with np.errstate(over="ignore"):  # reported with the time that follows from it
         times = list(map(repr, np.cumsum(steps).tolist()))
     return replace(table, columns={**table.columns, mapping.interval: times}), mapping.interval
 
@@ -404,7 +404,7 @@ def write_csv(
 
 
 def _as_table(name: str, stream: Stream) -> dict[str, Sequence[object]]:
-    """Lay out a stream like the authors."""
+    """Arrange a stream's columns as the authors do."""
     n = len(stream)
     level = [0.0] * n
     table: dict[str, Sequence[object]] = {_RECEIVED: stream.received_ns.tolist()}

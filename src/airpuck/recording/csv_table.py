@@ -38,7 +38,7 @@ class Rows:
     cells: list[list[str]]
     #: Line number of each row.
     lines: list[int]
-    #: Whether the last line is complete: a killed recorder leaves half a line.
+    #: Whether the last line is complete. A killed recorder leaves an incomplete line.
     ends: bool
 
 
@@ -67,7 +67,7 @@ class CsvTable:
         width = len(_entries(texts[0])) if texts else 0
         if width * len(texts) > CELLS:
             remedy = "cut it into parts"
-            raise refused("holds too many numbers", CELLS, remedy, file=self.path, field=name)
+            raise refused("contains too many numbers", CELLS, remedy, file=self.path, field=name)
 
         def row(text: str) -> list[float]:
             entries = _entries(text)
@@ -95,10 +95,10 @@ class CsvTable:
             return np.array(numbers, dtype=np.int64 if convert is int else np.float64)
         except ValueError:
             line, text = self.lines[len(numbers)], shortened(repr(texts[len(numbers)]))
-            comma = "; decimals have a point" if "," in text and "[" not in text else ""
+            comma = "; decimals need a point" if "," in text and "[" not in text else ""
             problem = f"line {line}: {text} {problem}{comma}"
         except OverflowError:
-            problem = "holds a number beyond 64 bits; times are in nanoseconds"
+            problem = "contains a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=shortened(name))
 
     def without_blank(self, names: Sequence[str]) -> tuple[CsvTable, int]:
@@ -113,7 +113,7 @@ class CsvTable:
 
 
 def is_list(text: str) -> bool:
-    """Return whether a cell holds a list."""
+    """Return whether a cell contains a list."""
     return text.lstrip().startswith(("[", "("))
 
 
@@ -167,7 +167,7 @@ def plain_table(rows: Rows) -> CsvTable:
 
 
 def _is_number(text: str) -> bool:
-    """Return whether a cell holds a number."""
+    """Return whether a cell contains a number."""
     try:
         float(text)
     except ValueError:

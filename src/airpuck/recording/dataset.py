@@ -143,7 +143,7 @@ def fetch(
     if given is None:
         remedy = f"set {VARIABLE} to a copy of the dataset"
         if name != PAPER:
-            remedy = "give a folder with a copy of the dataset, as in -o FOLDER"
+            remedy = "name a folder with a copy of the dataset, as in -o FOLDER"
         target = _download(found, all, folder, base_url or found.url, remedy, progress)
         _copy_our_files(name, target)
         return target
@@ -220,7 +220,7 @@ class _Counted:
     """Stops a download that is too large; pooch tells a progress bar how much has arrived."""
 
     url: str
-    #: Bytes so far.
+    #: Number of bytes received.
     arrived: int = 0
     #: Set by pooch: size according to the server.
     total: int = 0

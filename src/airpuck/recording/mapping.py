@@ -208,10 +208,10 @@ class PoseMapping(_Times):
         In TOML a column (yaw), ``{x = …, y = …, z = …, w = …}`` (quaternion), nine columns
         (rotation matrix, row by row) or ``{XYZ = […]}`` (Euler angles in SciPy's notation).
     axes : str or tuple of str
-        ``"Z-up"``, ``"Y-up"`` (the same as ``["x", "-z", "y"]``), ``"NED"`` (north, east, down,
+        ``"Z-up"``, ``"Y-up"`` (short for ``["x", "-z", "y"]``), ``"NED"`` (north, east, down,
         with a craft's axes forward, right, down: ``["x", "-y", "-z"]``), or our x, y, z in terms of
-        the file's axes. The craft's own axes are renamed in the same way. A yaw counts about the
-        file's vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
+        the file's axes. The craft's own axes are renamed in the same way. The yaw is measured about
+        the file's vertical axis, and has the sign of our z: ``["x", "-y", "z"]`` reverses y alone.
     origin_m : tuple of float
         Centre of the table in these coordinates, along our x and y [m].
     body : str
@@ -251,7 +251,7 @@ class PoseMapping(_Times):
 
     @property
     def permutation(self) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Which of the file's axes our x, y, z are, and with which signs."""
+        """The file's axes that our x, y, z correspond to, with their signs."""
         return _permutation(self.axes)
 
 
@@ -281,10 +281,10 @@ class CommandMapping(_Times):
     file, time, interval, start_s, units
         As for poses; only the unit of time matters.
     values : tuple of str
-        A column or field for each propeller, or one that holds all of them: an array of a message,
-        a list in a cell (``"[1, 0, 1]"``), or, with `bits`, a bit mask. ``name[2]`` is an entry of
-        an array or list. By default all columns that are not times; in a message, all numbers after
-        its header.
+        A column or field for each propeller, or a single one with all of them: an array of a
+        message, a list in a cell (``"[1, 0, 1]"``), or, with `bits`, a bit mask. ``name[2]`` is an
+        entry of an array or list. By default all columns that are not times; in a message, all
+        numbers after its header.
     propellers : tuple of str
         The propeller that each value drives, by its name in the vehicle file. By default the names
         of the columns or fields; values without names are in the order of the vehicle file.
@@ -326,7 +326,7 @@ class CommandMapping(_Times):
         if sum(map(bool, conversions)) > 1:
             raise ValueError("scale and offset, neutral and span, and bits exclude each other")
         if len(pulses) == 1:
-            raise ValueError("neutral and span: give both")
+            raise ValueError("neutral and span: use both")
         if self.bits and len(self.values) > 1:
             raise ValueError("bits: a bit mask is one value; values names several")
         for names in (self.values, self.propellers, self.bits):

@@ -1,8 +1,8 @@
 """Reading an MCAP file from front to back; of a damaged one, the intact part.
 
 A killed recorder never wrote the index at the end, but the records before the damage are intact. So
-the index only tells which chunks hold no wanted message; those are skipped. The lengths that
-records claim, and the unpacked sizes that chunks claim, are not trusted.
+the index serves only to skip chunks without wanted messages. The lengths that records claim, and
+the unpacked sizes that chunks claim, are not trusted.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _FOOTER_BYTES = _HEAD.size + 20 + len(_MAGIC)
 
 _FOOTER_CODE, _SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE, _CHUNK_CODE = 2, 3, 4, 5, 6
 _CHUNK_INDEX_CODE = 8
-#: Messages outside chunks are processed in groups of this size [bytes].
+#: Size of the groups in which messages outside chunks are processed [bytes].
 _TOGETHER_BYTES = 2**18
 
 
@@ -228,7 +228,7 @@ def _headed(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 def _take(file: BinaryIO, length: int, path: Path) -> bytes:
     """Read the content of a record that is not too long."""
     if length > CHUNK_BYTES:
-        raise refused("holds too large a chunk", CHUNK_BYTES, "record smaller chunks", file=path)
+        raise refused("contains too large a chunk", CHUNK_BYTES, "record smaller chunks", file=path)
     return file.read(length)
 
 

@@ -23,11 +23,12 @@ from airpuck.recording.cdr import Field, Types, encode, flatten, layout_of, type
 from airpuck.recording.conversion import SECOND_NS, yaw_of
 from airpuck.recording.stream import COLUMNS, COMMANDS, POSES
 
-#: Comments and strings of IDL, in which brackets and operators mean nothing.
+#: Comments and strings of IDL, in which brackets and operators have no meaning.
 _MEANINGLESS = re.compile(r'"(?:\\.|[^"\\])*+"|//[^\n]*|/\*.*?\*/', re.DOTALL)
-#: Where IDL allows an expression.
+#: Places where IDL allows an expression.
 _EXPRESSION = re.compile(r"[@=(\[<,+-]")
-#: The brackets of annotations; all others, products, shifts and single bits are computations.
+#: The brackets of annotations. All other brackets, products, shifts and single bits are
+#: computations.
 _ANNOTATION = re.compile(r"@[\w:]++\s*+\(")
 _COMPUTED = re.compile(r"[(*/%|^&~]|<<")
 #: Cost of a type, of an element of an array of strings or types, and of an expression, in fields.
@@ -66,7 +67,7 @@ def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
         )
     if idl:
         # Several files follow each other, each under two lines that rosbags' parser does not know.
-        # It does not know #include either, but the included files are among them.
+        # It does not know #include either, but the definition contains the included files.
         foreign = ("=" * 80, "IDL: ", "#")
         text = "\n".join(line for line in text.splitlines() if not line.startswith(foreign))
         meant = _ANNOTATION.sub("@=", _MEANINGLESS.sub("", text))

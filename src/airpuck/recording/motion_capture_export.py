@@ -47,7 +47,7 @@ def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     above = cells[1:header]
     types = next((index for index, row in enumerate(above) if "Rigid Body" in row), None)
     if types is None or len(above) < types + 3:
-        raise InputError("holds no rigid body; export rigid bodies, too", file=rows.path)
+        raise InputError("contains no rigid body; export rigid bodies, too", file=rows.path)
     names, kinds, axes = above[types + 1], above[-1], cells[header]
     width = min(len(above[types]), len(names), len(kinds), len(axes))
     of_bodies = [index for index in range(width) if above[types][index].strip() == "Rigid Body"]
@@ -87,7 +87,7 @@ def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     named = [name.strip() for name in rows.cells[header]]
     bodies = [name.removesuffix(" X") for name in named if name.endswith(" X")]
     if not bodies:
-        raise InputError("holds no rigid body; export 6D data", file=rows.path)
+        raise InputError("contains no rigid body; export 6D data", file=rows.path)
     chosen = _choose(bodies, body, rows.path)
     start = named.index(f"{chosen} X")
     stop = next((k for k in range(start + 1, len(named)) if named[k].endswith(" X")), len(named))
@@ -121,7 +121,7 @@ def _choose(bodies: Sequence[str], body: str, path: Path) -> str:
     if len(names) == 1 and not body:
         return names[0]
     raise InputError(
-        f"holds the rigid bodies {listing(names)}; choose one in the mapping, as in "
+        f"contains the rigid bodies {listing(names)}; choose one in the mapping, as in "
         f'pose = {{body = "{names[0]}"}}',
         file=path,
         field="pose.body" if body else None,

@@ -83,7 +83,7 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
         if not found.exists():
             raise InputError("there is no such file or folder", file=path)
         if not found.is_file():
-            raise InputError(f"is not a regular file; give {_FORMS}", file=path)
+            raise InputError(f"is not a regular file; use {_FORMS}", file=path)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
@@ -94,7 +94,7 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
         return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):
         raise InputError("is already preprocessed and contains no raw recording", file=path)
-    raise InputError(f"is not a recording; give {_FORMS}", file=path)
+    raise InputError(f"is not a recording; use {_FORMS}", file=path)
 
 
 def _with_wheels(recording: Recording) -> Recording:
@@ -148,11 +148,11 @@ def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
         return candidates[0]
     if candidates:
         names = listing(entry.name for entry in candidates)
-        raise InputError(f"contains several recordings; give one of {names}", file=folder)
+        raise InputError(f"contains several recordings; choose one of {names}", file=folder)
     if (folder / METADATA).is_file():
         raise InputError(
             "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
         )
     if any(entry.suffix in TABLES for entry in folder.iterdir()):
         return folder
-    raise InputError(f"contains no recording; give {_FORMS}", file=folder)
+    raise InputError(f"contains no recording; use {_FORMS}", file=folder)

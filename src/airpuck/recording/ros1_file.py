@@ -29,7 +29,7 @@ _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 _LENGTH = struct.Struct("<I")
 #: Seconds and nanoseconds.
 _TIME = struct.Struct("<II")
-#: Maximum length of a record's header [bytes]; that of a message has 40.
+#: Maximum length of a record's header [bytes]; a message's header has 40.
 _HEADER_BYTES = 4096
 #: ROS 2's names of the compression methods.
 _COMPRESSIONS = {"none": "", "bz2": "bz2", "lz4": "lz4"}
@@ -163,7 +163,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
                 raise _MalformedRecord(f"it is cut short after {size} bytes")
             if length > most:
                 remedy = "record smaller chunks"
-                raise refused("holds too large a record", most, remedy, file=path)
+                raise refused("contains too large a record", most, remedy, file=path)
             parts.append(file.read(length))
             position += length
         yield parts[0], parts[1]
@@ -201,5 +201,5 @@ def _convert(topic: TopicLog, name: str, path: Path) -> None:
         topic.messages = [bytes(store.ros1_to_cdr(m, topic.msgtype)) for m in topic.messages]
     # rosbags compiles definitions to code and checks no message: both can fail in any way.
     except Exception as error:
-        problem = f"holds a {topic.msgtype} that cannot be decoded"
+        problem = f"contains a {topic.msgtype} that cannot be decoded"
         raise InputError(problem, file=path, field=name) from error

@@ -20,7 +20,7 @@ from airpuck.recording.conversion import (
 )
 from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
 
-#: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. Of a
+#: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a
 #: game: the goals of both sides, the event (`airpuck.hockey.game.KINDS`), and the side concerned.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -37,8 +37,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 #: Streams of poses: craft, puck, the human's mallet, and the mallet's target.
 POSES = ("pose", "puck", "mallet", "mallet_target")
-#: Streams of commands: the craft's, those of its reaction wheels if they have a topic of their own,
-#: and its opponent's.
+#: Streams of commands: to the craft, to its reaction wheels if they have a topic of their own, and
+#: to its opponent.
 COMMANDS = ("command", "wheels", "opponent_command")
 
 
@@ -192,7 +192,7 @@ class Recording:
             if (np.diff(times) < 0).any():
                 raise InputError("must not decrease; sort the rows", file=source, field=name)
         if pose.shape[1] not in (3, 7):
-            problem = f"has {pose.shape[1]} columns; give x, y, yaw or x, y, z and a quaternion"
+            problem = f"has {pose.shape[1]} columns; use x, y, yaw or x, y, z and a quaternion"
             raise InputError(problem, file=source, field="poses")
         axes = 2 if pose.shape[1] == 3 else 3
         kind = "yaw" if axes == 2 else "quaternion"
@@ -237,8 +237,8 @@ def _table(
         raise InputError("are not numbers", file=source, field=name) from error
     if numbers.ndim != 2 or stamps.shape != numbers.shape[:1]:
         raise InputError(
-            f"have the shape {numbers.shape} and their times {stamps.shape}; give a row for each "
-            "time",
+            f"have the shape {numbers.shape} and their times {stamps.shape}; there must be a row "
+            "for each time",
             file=source,
             field=name,
         )

@@ -37,7 +37,7 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_NAMES = "name"
 #: Fields of a JointState that may hold the commands.
 _JOINT_VALUES = ("position", "velocity", "effort")
-#: Parts of a message that hold no command.
+#: Parts of a message that contain no command.
 _BESIDE = ("header.", "layout.")
 #: PX4 counts microseconds, north, east and down, and marks what is stopped or unknown by NaN.
 _PX4 = {"time": "timestamp", "units": ("us",)}
@@ -77,7 +77,7 @@ class Place(NamedTuple):
 
 
 def _place(name: str) -> Place:
-    """Parse a field's name, or that of an array's entry (``data[2]``)."""
+    """Parse the name of a field, or of an array's entry (``data[2]``)."""
     entry = ENTRY.fullmatch(name)
     return Place(entry[1], int(entry[2])) if entry else Place(name, None)
 
@@ -110,7 +110,7 @@ def joint_names(msgtype: str) -> tuple[str, ...]:
 
 
 def _number(code: str) -> str:
-    """Return the kind of number in a field or its array; empty if it holds no numbers."""
+    """Return the kind of number in a field or its array; empty if it contains no numbers."""
     return "" if "<" not in code else code[code.index("<") :]
 
 
@@ -152,7 +152,7 @@ def commands_in(
         parts.append(part)
         names += [path if single else ""] * part.shape[1]
     if not names:
-        raise InputError("holds no message, or messages without a number")
+        raise InputError("contains no message, or messages without a number")
     values = np.concatenate(parts, axis=1)
     whole = len(places) == 1 and places[0].entry is None
     if joints is not None and whole and values.shape[1] == joints.shape[1]:

@@ -62,7 +62,7 @@ class _Tensor(NamedTuple):
 
 
 class _Texts(dict[str, Any]):
-    """A dictionary whose keys are strings: hashing nested tuples can take forever."""
+    """A dictionary that allows only strings as keys: hashing nested tuples can take forever."""
 
     def __setitem__(self, key: Any, value: Any) -> None:
         if type(key) is not str:
@@ -86,14 +86,14 @@ def _rebuilt_tensor(storage: Any, offset: Any, shape: Any, stride: Any, *_: Any)
 
 def _encoded(text: Any, encoding: Any) -> bytes:
     if not isinstance(text, str) or len(text) > _LONGEST_TEXT or encoding != "latin1":
-        raise Refused("it holds text that is too long or in an unknown encoding")
+        raise Refused("it contains text that is too long or in an unknown encoding")
     return text.encode("latin1")
 
 
 def _numpy_text(_dtype: Any, data: Any) -> str:
     """Decode a NumPy string: four bytes a character, padded with zeros."""
     if not isinstance(data, bytes):
-        raise Refused("it holds a NumPy number where text should be")
+        raise Refused("it contains a NumPy number where text should be")
     return data.decode("utf-32-le").rstrip("\0")
 
 
@@ -110,7 +110,7 @@ _CALLS: Mapping[str, Callable[..., Any]] = {
     "numpy.dtype": _nothing,
     "collections.OrderedDict": _nothing,
 }
-#: Names that are only mentioned.
+#: Names that are only referred to.
 _MENTIONED = re.compile(r"numpy\.ndarray|torch\.[A-Z][a-z]+Storage")
 
 _INSTRUCTIONS = (
@@ -258,9 +258,11 @@ def _choose(content: Any, name: str | None) -> dict[str, _Tensor]:
     if any(set(content[key]) != set(names) for key in _WIDTHS):
         raise Refused("its tensors are not of the same experiments")
     if name is None and len(names) != 1:
-        raise Refused(f"it holds {len(names)} experiments; choose one by name ({listing(names)})")
+        raise Refused(
+            f"it contains {len(names)} experiments; choose one by name ({listing(names)})"
+        )
     if name is not None and name not in names:
-        raise Refused(f"it holds no experiment {name!r} ({listing(names)})")
+        raise Refused(f"it contains no experiment {name!r} ({listing(names)})")
     tensors = {key: content[key][name or names[0]] for key in _WIDTHS}
     for key, tensor in tensors.items():
         if not isinstance(tensor, _Tensor):

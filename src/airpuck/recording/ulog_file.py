@@ -1,7 +1,7 @@
 """Reading a PX4 log (ULog) through pyulog, the extra `px4`.
 
-A format may nest others and declare arrays of any length, which pyulog unrolls field by field, and
-pyulog never ends where definitions are damaged. So they are checked first.
+Definitions are checked first, because damaged ones can make pyulog loop forever. A format may also
+nest others and declare arrays of any length, which pyulog unrolls field by field.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topic_stream import section_of, stream_of
 
 ULOG = ".ulg"
-#: Default topics: the first one that the log has. Motion capture comes before PX4's own estimates.
+#: Default topics; the first that is in the log is used. Motion capture comes before PX4's own
+#: estimates.
 _USUAL = {
     "pose": (
         "vehicle_visual_odometry",
@@ -145,7 +146,7 @@ def _check_definitions(content: bytes, path: Path) -> None:
         if name not in formats:
             return 1
         if name not in sizes:
-            # A format that contains itself would never end.
+            # A format that contains itself would be expanded forever.
             total = DEFINITION_SIZE + 1 if depth > len(formats) else 0
             for of, count in formats[name] if not total else ():
                 total += count * size(of, depth + 1)

@@ -54,7 +54,7 @@ class Log:
     def check_topics(self, path: Path) -> None:
         """Raise InputError if there are too many topics."""
         if len(self.topics) > TOPICS:
-            raise refused("holds too many topics", TOPICS, "split it", file=path)
+            raise refused("contains too many topics", TOPICS, "split it", file=path)
 
     def sort(self) -> None:
         """Sort messages by the recorder's clock, as readers of bags do."""
@@ -80,14 +80,14 @@ class Log:
 def check_chunk_size(size: int, path: Path) -> None:
     """Raise InputError if a chunk claims to unpack to too much."""
     if size > CHUNK_BYTES:
-        what, remedy = "holds a chunk that unpacks to too much", "record smaller chunks"
+        what, remedy = "contains a chunk that unpacks to too much", "record smaller chunks"
         raise refused(what, CHUNK_BYTES, remedy, file=path)
 
 
 def check_message_size(size: int, path: Path, topic: str) -> None:
     """Raise InputError if a message is too long."""
     if size > MESSAGE_BYTES:
-        what, remedy = "holds too long a message", "choose another topic"
+        what, remedy = "contains too long a message", "choose another topic"
         raise refused(what, MESSAGE_BYTES, remedy, file=path, field=topic)
 
 
@@ -130,9 +130,9 @@ def unpacked_message(data: bytes) -> bytes:
     try:
         content = zstandard.ZstdDecompressor().stream_reader(data).read(MESSAGE_BYTES + 1)
     except zstandard.ZstdError as error:
-        raise ValueError("it holds a message that cannot be unpacked") from error
+        raise ValueError("it contains a message that cannot be unpacked") from error
     if len(content) > MESSAGE_BYTES:
-        raise ValueError(f"it holds a message that unpacks to more than {MESSAGE_BYTES:,} bytes")
+        raise ValueError(f"it contains a message that unpacks to more than {MESSAGE_BYTES:,} bytes")
     return content
 
 

@@ -71,7 +71,7 @@ def animate(
     target = Path(path)
     suffix = target.suffix.lower()
     if suffix not in (".gif", ".html"):
-        raise InputError("is neither .gif nor .html; give one of these suffixes", file=path)
+        raise InputError("is neither .gif nor .html; use one of these suffixes", file=path)
     numbers.SPEED.check(speed, "speed")
     numbers.FRAME_RATE.check(frames_per_second, "frames per second")
     play = table if isinstance(table, AirHockey) else _sized(*table)

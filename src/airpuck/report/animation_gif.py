@@ -52,7 +52,7 @@ def write_animation_gif(
 
 
 def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Image:
-    """Return a palette for all frames: the wanted, the most frequent, then other colours."""
+    """Return a palette for all frames: the given colours, the most frequent ones, then others."""
     together = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
     counted = together.getcolors(together.width * together.height) or []
     common = [color for _, color in sorted(counted, reverse=True)[:64]]
@@ -213,7 +213,7 @@ def _craft(
 
 
 def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
-    """Mix black with the floor's colour; opaque, so that overlapping ends stay invisible."""
+    """Mix black with the floor's colour; opaque, so overlapping line ends stay invisible."""
     share = np.clip(share, 0, 1)[:, None]
     return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(style.FLOOR))
 

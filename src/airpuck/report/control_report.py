@@ -37,7 +37,7 @@ OUTCOMES = {
     "failed": "the solver failed; motors idle",
     "no pose": "no pose has arrived yet; motors idle",
     "stale pose": "the last pose is too old; motors idle",
-    "jumping pose": "the last poses are farther off than the craft can fly; motors idle",
+    "jumping pose": "the last poses are farther away than the craft can have flown; motors idle",
     "bad input": "a pose or the time is not finite; motors idle",
     "unsafe": "the safety guard rejects the command; motors idle",
 }
@@ -54,8 +54,8 @@ def replay_report(
     figures = replay.to_json()
     used = replay.time[replay.compared]
     commands = (
-        "At each step the controller received the poses that had arrived by then. Its memory holds "
-        "the recorded commands instead of its own, so differences do not accumulate."
+        "At each step the controller received the poses that had arrived by then, and the recorded "
+        "commands instead of its own, so differences do not accumulate."
     )
     turning = (
         "The discretisation assumes that a force keeps its direction over a control period h. It "
@@ -352,7 +352,7 @@ _LINES: dict[str, Any] = {
     "twin": {"linewidth": 1.5},
     "real flight": {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8},
 }
-#: Line styles of commands; the broader line lies below.
+#: Line styles of commands; the broader line is drawn first.
 _COMMANDS: dict[str, Any] = {
     "twin": {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1},
     "real flight": {"color": style.GREY, "linewidth": 2.0},
@@ -431,7 +431,7 @@ def _tracks(flight: Tracked) -> dict[str, Track]:
 
 
 def _row(result: SetPointResult) -> list[str]:
-    """Lay out the results at one set point."""
+    """Return the table rows for one set point."""
     settled = "never" if result.settling_time is None else f"{result.settling_time:.2f}"
     return [
         f"{result.pose[0]:.1f}, {result.pose[1]:.1f} m, {result.pose[2]:.1f} rad",

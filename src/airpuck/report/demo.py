@@ -132,17 +132,19 @@ def _identified(training: Trajectory) -> list[Fit]:
     from airpuck.compute.process import usable_cores
     from airpuck.identification.fit import identify
 
-    # The slowest fit starts first; while one compiles or retimes packets, others compute.
+    # The slowest fit starts first. While one fit compiles or retimes packets, the others compute.
     with ThreadPoolExecutor(usable_cores()) as pool:
         fits = {name: pool.submit(identify, training, name) for name in reversed(_MODELS)}
         return [fits[name].result() for name in _MODELS]
 
 
 def _own_folder(folder: Path) -> Path:
-    """Make a folder, or raise InputError if it holds files of the user."""
+    """Make a folder, or raise InputError if it contains the user's own files."""
     foreign = folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir())
     if foreign and not (folder / _MARKER).is_file():
-        raise InputError("holds files that no demo wrote; choose another folder (-o)", file=folder)
+        raise InputError(
+            "contains files that are not from a demo; choose another folder (-o)", file=folder
+        )
     with replacing(folder / _MARKER):
         return folder
 

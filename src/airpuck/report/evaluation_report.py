@@ -40,7 +40,7 @@ _CHANNELS = ("x mm", "y mm", "γ rad")
 
 @dataclass(frozen=True, eq=False)
 class JudgedModels:
-    """Models judged on one recording."""
+    """Models evaluated on one recording."""
 
     #: The recording.
     trajectory: Trajectory
@@ -66,7 +66,7 @@ def errors_as_text(values: np.ndarray) -> list[str]:
 
 
 def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
-    """Summarise the verdicts: all sentences on the best model, two on each of the others."""
+    """Summarise the verdicts: every sentence on the best model, two on each other model."""
     sentences = list(verdicts[best].sentences)
     sentences += [" ".join(one.sentences[:2]) for name, one in verdicts.items() if name != best]
     return PageSection("summary", "In short", (Text(sentences, bullets=True),))
@@ -87,7 +87,7 @@ def judged_sections(
 
 
 def path_section(trajectory: Trajectory, vehicle: Vehicle) -> PageSection:
-    """Show a flight that no model was judged on."""
+    """Show a flight on which no model was evaluated."""
     return PageSection("flight", "The flight", (_path_picture(trajectory, vehicle),))
 
 
@@ -170,7 +170,7 @@ def _protocol_words(evaluation: Evaluation) -> str:
     return (
         f"Protocol “{protocol.name}”, encoder “{evaluation.encoder}”: "
         f"{evaluation.errors.shape[2]} windows without overlap, each of {before} samples for the "
-        f"encoder and {len(evaluation.errors)} predicted steps. Errors are those after step "
+        f"encoder and {len(evaluation.errors)} predicted steps. Errors are stated after step "
         f"{evaluation.horizon_step} ({after:.3f} s)."
     )
 
@@ -203,7 +203,7 @@ def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
     caption = (
         "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, of predictions from filter estimates and "
         "of simulations. A negative fit is worse than predicting the mean. Log-likelihood, AIC and "
-        "BIC are those of the one-step innovations and count the parameters of model and noise. "
+        "BIC refer to the one-step innovations and count the parameters of model and noise. "
         "Lower AIC and BIC are better; compare them on one recording only."
     )
     first = fits[0]

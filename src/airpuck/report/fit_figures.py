@@ -106,7 +106,7 @@ def thrust_figure(
         for model, band in bands:
             axes.fill_between(speed, *band[:, motor], color=colors[model.name], **_BAND)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
-    # A very wide band must not flatten the curves.
+    # A very wide band must not compress the scale of the curves.
     highest = max(float(curve.max()) for _, curve, _ in curves)
     widest = max((np.nanmax(band[1], initial=0.0) for _, band in bands), default=0.0)
     highest = max(highest, min(widest, 1.3 * highest))

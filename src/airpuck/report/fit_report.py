@@ -173,7 +173,7 @@ def _optimiser_section(study: FitStudy) -> PageSection:
 
 
 def _parameter_section(study: FitStudy) -> PageSection:
-    """Show the parameters and what the data determine of them."""
+    """Show the parameters, and which of them the data determine."""
     label, groups = study.reference_label, [("", 2)]
     models, headings = [], ["", "unit"]
     for model in study.models:

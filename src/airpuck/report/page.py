@@ -89,7 +89,7 @@ class PageSection:
 class Origin:
     """Command and date, for the foot of a page."""
 
-    #: When the page was made.
+    #: Time at which the page was made.
     date: str
     #: Command line that made the page.
     command: str

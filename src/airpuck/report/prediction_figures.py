@@ -58,7 +58,7 @@ def horizon_figure(
 ) -> Figure:
     """Draw the RMS error over the prediction horizon.
 
-    Fitted models are broad lines, the reference thin dashed lines of the same colours. A vertical
+    Broad lines show fitted models, thin dashed lines of the same colours the reference. A vertical
     line marks the horizon reported in tables.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)

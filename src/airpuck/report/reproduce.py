@@ -44,9 +44,9 @@ RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
 
-#: Spans of the validation recording whose measured acceleration stays below half of that commanded.
-#: The craft rests at first. About every 30 s all motors stop although commands are logged. Twice a
-#: single motor stops.
+#: Spans of the validation recording whose measured acceleration stays below half of the commanded
+#: one. The craft rests at first. About every 30 s all motors stop although commands are logged.
+#: Twice a single motor stops.
 FAULTS = (
     Span(0.0, 2.2, "motors off"),
     Span(28.25, 28.75, "radio out"),
@@ -67,11 +67,11 @@ PRINTED = {
     "M4": ("10.8", "9.6", "0.387"),
 }
 
-#: Conventions behind the numbers, and differences between the paper's text and numbers.
+#: Conventions behind the numbers, and differences between the paper's text and its numbers.
 _CONVENTIONS = (
     "Protocol “paper”: the validation recording is cut into windows of E + T = 20 + 50 samples at "
     "240 Hz, without overlap. The encoder sees the first 20, the model predicts the next 50, and "
-    "errors are those after step 48 (0.2 s). All windows count. Yaw is continuous, so its error "
+    "errors are taken after step 48 (0.2 s). All windows count. Yaw is continuous, so its error "
     "needs no wrapping.",
     "Published parameters keep the conventions of the code that learned them: in the encoder, "
     "motors follow the command at the end of each interval, and the offset of the centre of mass "
@@ -201,7 +201,7 @@ def _experiments(data: str | os.PathLike[str] | None) -> tuple[Trajectory, Traje
     folder = dataset_folder() if data is None else Path(data)
     if not (folder / "experiments").is_dir():
         raise InputError(
-            "has no folder `experiments`; give a copy of the public dataset, or none to use "
+            "has no folder `experiments`; name a copy of the public dataset, or none to use "
             "$AIRPUCK_DATA or a download",
             file=folder,
             field="data",

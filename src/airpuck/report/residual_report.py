@@ -27,9 +27,9 @@ from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, w
 _STRUCTURE = (
     "Mean acceleration that the model lacks, in bins of equal counts, with pointwise 99 % bands. "
     "A complete model gives zero everywhere. Effects of speeds, motor speed and time are shown in "
-    "the body frame (forward, left), those of position in the world frame (x, y). Red: significant "
-    "at the 1 % level over all panels and at least 2 % of the motors' acceleration. Orange: "
-    "significant but smaller."
+    "the body frame (forward, left), effects of position in the world frame (x, y). Red: "
+    "significant at the 1 % level over all panels and at least 2 % of the motors' acceleration. "
+    "Orange: significant but smaller."
 )
 #: Opacity of the total band and of the band from the parameters.
 _TOTAL, _PARAMETERS = 0.35, 0.55
@@ -83,7 +83,7 @@ def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
         f"measured minus predicted. Bands should hold 95 % of the measured poses. {parameters}The "
         "rest is pose noise and unmodelled motion, estimated from one-step innovations. The "
         "simulation shown has the median error. Errors are propagated linearly: once the band of "
-        "yaw exceeds a radian, those of x and y are only orders of magnitude."
+        "yaw exceeds a radian, the bands of x and y are only orders of magnitude."
     )
     both = bands[0], bands[-1]
     panels = list(zip(both, _drawn_windows(*both), strict=True))

@@ -108,7 +108,7 @@ class Frames:
     known: Bool[np.ndarray, " F"]
     #: The command in force, or NaN.
     command: Float[np.ndarray, "F n"]
-    #: The set point, with yaw within half a turn of the craft's; NaN before the first.
+    #: The set point, its yaw shifted to within half a turn of the craft's; NaN before the first.
     reference: Float[np.ndarray, "F 3"]
 
 
@@ -125,8 +125,8 @@ def read_scene(
     """
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError(
-            f"{span[0]:g} {span[1]:g} is not a span; give two fractions of the recording's "
-            "length, 0 <= A < B <= 1",
+            f"{span[0]:g} {span[1]:g} is not a span; use two fractions of the recording's length, "
+            "0 <= A < B <= 1",
             field="span",
         )
     pose, command = recording["pose"], recording["command"]
@@ -209,7 +209,7 @@ def _poses(
     for span in find_frozen(time, usable.values):
         if span.stop - span.start > _longest_pause(time):
             fresh[(time > span.start) & (time <= span.stop)] = False
-    fresh[-1] = True  # keeps the duration of a flight with a frozen end
+    fresh[-1] = True  # keeps the duration of a flight whose end is frozen
     time, values = time[fresh], usable.values[fresh]
     values[:, 2] = np.unwrap(values[:, 2])
     return time, values
@@ -281,7 +281,7 @@ def poses_at(
     pause: float,
     at: Float[np.ndarray, " F"],
 ) -> tuple[Float[np.ndarray, "F 3"], Bool[np.ndarray, " F"]]:
-    """Return poses at given moments, the last one where none is known then; and where one is."""
+    """Return the pose, or the last known pose, at given times; and whether it is known."""
     after = np.searchsorted(times, at, side="right").clip(1, len(times) - 1)
     before = after - 1
     apart = times[after] - times[before]
@@ -335,7 +335,7 @@ def trail(
 
 
 def arrow_scale(vehicle: Vehicle) -> float:
-    """Return the length of an arrow per thrust [m/N]."""
+    """Return the scale of thrust arrows [m/N]."""
     full = _largest_thrust(vehicle)
     return _LONGEST_ARROW * vehicle.radius_m / full if full > 0 else 0.0
 

@@ -208,7 +208,7 @@ def draw_window_errors(
     size: Float[np.ndarray, " W"],
     marked: Bool[np.ndarray, " W"],
 ) -> None:
-    """Draw the error of each window over time, marked windows in red."""
+    """Draw the error of each window over time, with marked windows in red."""
     for chosen, color in ((~marked, BLUE), (marked, VERMILLION)):
         axes.vlines(time[chosen], 0, size[chosen], color=color, lw=0.9)
         axes.plot(time[chosen], size[chosen], ".", color=color, ms=3)

@@ -102,7 +102,7 @@ def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> Non
 
 
 def flight_data(scene: FlightScene) -> dict[str, Any]:
-    """Return a flight as the page's script expects it."""
+    """Return a flight in the form that the page's script expects."""
     shown = moments.thinned(scene)
     return {
         "start": round(scene.start, 6),
@@ -129,7 +129,7 @@ def flight_data(scene: FlightScene) -> dict[str, Any]:
 
 
 def _game(game: GameScene) -> dict[str, Any]:
-    """Return a game as the page's script expects it."""
+    """Return a game in the form that the page's script expects."""
     other = game.other
     return {
         "puck": _poses(*_sparse(game.puck)),

@@ -22,7 +22,7 @@ def listen(host: str, port: int) -> socket.socket:
     except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or "no address"
         raise InputError(
-            f"cannot serve at {host}:{port} ({why}); give another --port", field="--port"
+            f"cannot serve at {host}:{port} ({why}); choose another --port", field="--port"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""The page of a game on the ROS 2 graph: it shows the graph's data, and may move the mallet."""
+"""The page of a game on the ROS 2 graph: shows the graph's data, and can move the mallet."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class LivePage:
 
     A page plays only if the process that publishes the poses of the mallet also subscribes to the
     mallet's target, as a twin with its human at the page does. Otherwise the human is at the table,
-    and pages only show the game. A flight neither waits for its pages nor ends with them.
+    and pages only show the game. A flight does not wait for its pages, and continues without them.
     """
 
     def __init__(self, pages: Pages, score: Score, level: str) -> None:

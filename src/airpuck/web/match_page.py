@@ -1,4 +1,4 @@
-"""A match on a page: two players, in real time, watched by any page."""
+"""A match in the browser: two players, in real time, with any number of spectators."""
 
 from __future__ import annotations
 

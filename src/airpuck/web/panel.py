@@ -17,7 +17,7 @@ from airpuck.live.watch import Observer
 
 #: Number of events shown, the newest first.
 _SHOWN = 12
-#: A controller whose last heartbeat is older counts as gone [s].
+#: Age of the last heartbeat above which a controller counts as gone [s].
 _GONE = 2.5
 #: Figures of the controller's heartbeat, their names here, and their limits [ms].
 _TIMES = {

@@ -21,7 +21,8 @@ _HOST = re.compile(r"(?:\[(?P<six>[0-9a-f:.]+)\]|(?P<name>[a-z0-9._-]+))(?::[0-9
 def refusal(hosts: Sequence[str], origins: Sequence[str], served: str) -> str | None:
     """Return why a request with these headers is rejected, or None.
 
-    A client other than a browser sends no origin. It may connect: it could also send on the graph.
+    A client other than a browser sends no origin. It may connect, since it could also publish on
+    the graph itself.
     """
     if len(hosts) != 1 or not _is_ours(hosts[0], served):
         return "This page is not served under that name."

@@ -23,7 +23,7 @@ from airpuck.flight.clock import TokenBucket
 from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
 from airpuck.web.same_origin import refusal
 
-#: The pages: a game, whose first page takes the seat, and the live view, which everyone may use.
+#: The pages: a game, whose first page takes the seat, and the live view, which anyone may use.
 PageName = Literal["play", "view"]
 _SHARED = "view"
 #: Types of files by extension. Each page has three files of its own, and shares three with all

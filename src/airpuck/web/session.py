@@ -38,11 +38,12 @@ _NO_LIMIT = 1e6
 _WARM_UP = 20
 #: Number of steps in which the craft flies home after the player has left; then the game pauses.
 _HOMEWARD = 300
-#: Position of the puck meanwhile: the player begins [m].
+#: Position of the puck meanwhile, from which the player begins [m].
 _LAID = 0.3
-#: Time left to other processes in each period, at least [s].
+#: Least time left to other processes in each period [s].
 _BREATH = 5e-4
-#: If the loop is this late, the machine was suspended: the game resumes from now [s].
+#: If the loop is this late, the machine was suspended, and the game resumes at the present time
+#: [s].
 _SLEPT = 0.25
 
 
@@ -89,7 +90,7 @@ def play_in_browser(
         If websockets is not installed, the level is unknown, or the address is not free.
     """
     if level not in LEVELS:
-        raise InputError(f"give {', '.join(LEVELS)}, not {level!r}", field="--level")
+        raise InputError(f"must be {', '.join(LEVELS)}, not {level!r}", field="--level")
     arena = arena or ArenaSettings()
     settings = settings or default_twin_settings()
     hello = hello_of(model, settings) | {"recorded": record is not None}

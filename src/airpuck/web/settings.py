@@ -41,7 +41,8 @@ class ArenaSettings(Settings):
         bool, Setting("Whether to open the page in a browser.", option="--browser/--no-browser")
     ] = True
     duration: Annotated[
-        float | None, Setting("Length; by default until Ctrl-C", numbers.LIVE_DURATION, "S")
+        float | None,
+        Setting("How long to run; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
     ] = None
 
     @property
