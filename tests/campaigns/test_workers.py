@@ -1,7 +1,10 @@
 """Workers die; their items survive."""
 
+import contextlib
 import logging
 import signal
+import socket
+import warnings
 from functools import partial
 
 import pytest
@@ -28,9 +31,14 @@ def run(tmp_path_factory):
         for s in range(12)
     ]
     results = {}
-    for entry, result in dispatch([Entry(f"item {i.seed}", {}, i) for i in items], workers=2):
-        assert entry.item.seed not in results
-        results[entry.item.seed] = result
+    with socket.socket() as another, warnings.catch_warnings():
+        # Dask's usual port for its dashboard, which another cluster may hold.
+        warnings.filterwarnings("error", message="Port")
+        with contextlib.suppress(OSError):
+            another.bind(("0.0.0.0", 8787))
+        for entry, result in dispatch([Entry(f"item {i.seed}", {}, i) for i in items], workers=2):
+            assert entry.item.seed not in results
+            results[entry.item.seed] = result
     runs = {s: len(list(folder.glob(f"{s}-*"))) for s in range(12)}
     return results, runs
 

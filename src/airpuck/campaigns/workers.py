@@ -181,7 +181,7 @@ def _client(workers: int | str | None) -> Iterator[Any]:
         needs = "campaigns need Dask: pip install distributed"
         raise InputError(f"{needs} (match and league: or use --workers 1)") from None
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-    local |= {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    local |= {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):
         if not isinstance(workers, str):
             with Client(**local) as client:
