@@ -122,3 +122,10 @@ def test_fit_report_of_one_fit_without_truth(study, judged, tmp_path, undrawn):
     assert "delay" not in page.ids
     with pytest.raises(InputError, match="no fit"):
         fit_report((), study.training, tmp_path)
+
+
+def test_commands_in_sentences_are_set_as_code_and_still_escaped(tmp_path):
+    section = PageSection("a", "A", (Text(["run `airpuck a <b>` & wait", "a single ` stays"]),))
+    text = write_page(tmp_path / "out", "A page", "about it", [section]).read_text("utf-8")
+    assert "run <code>airpuck a &lt;b&gt;</code> &amp; wait" in text
+    assert "a single ` stays" in text

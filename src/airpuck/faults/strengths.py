@@ -8,6 +8,7 @@ all strengths alike and is no actuator's fault.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -238,8 +239,11 @@ STRENGTH_HEADINGS = ("actuator", "nominal [N]", "identified [N]", "95 %", "of no
 def strength_rows(strengths: Strengths) -> list[list[str]]:
     """Return the row of a printed table for each actuator."""
     rows = []
+    # Three digits of the weakest nominal strength, so that all rows of a column are comparable.
+    weakest = min((one.nominal for one in strengths.actuators if one.nominal > 0), default=1.0)
+    digits = max(0, 2 - math.floor(math.log10(weakest)))
     for one in strengths.actuators:
-        ends = one.interval_95 and " … ".join(f"{end:.3g}" for end in one.interval_95)
-        numbers = [f"{one.nominal:.3g}", f"{one.value:.3g}", ends or "unknown"]
+        ends = one.interval_95 and " … ".join(f"{end:.{digits}f}" for end in one.interval_95)
+        numbers = [f"{one.nominal:.{digits}f}", f"{one.value:.{digits}f}", ends or "unknown"]
         rows.append([one.name, *numbers, f"{100 * one.of_nominal:.0f} %", one.verdict])
     return rows

@@ -237,8 +237,8 @@ def outcome_words(fit: Fit) -> list[str]:
     if fit.exclusion is not None and fit.exclusion.share > 0:
         faults = sum(map(len, fit.exclusion.faults))
         text.append(
-            f"excluded as faulty: {100 * fit.exclusion.share:.1f} % of the windows ({faults} "
-            "faults); "
+            f"excluded as faulty: {100 * fit.exclusion.share:.1f} % of the windows "
+            f"({'1 fault' if faults == 1 else f'{faults} faults'}); "
             "`airpuck faults` lists them, --faults keep includes them"
         )
     return text

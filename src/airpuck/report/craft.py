@@ -17,8 +17,18 @@ from airpuck.report.page import PageSection, Picture, packaged_text
 
 #: Largest spread of radii or half-angles that share one annotation [m, rad].
 _SAME_RADIUS, _SAME_ANGLE = 1e-4, 2e-3
+#: Mass from which it is stated in kilograms [kg].
+_GRAMS_BELOW_KG = 1.0
 #: Largest half-angle between neighbouring partners [rad].
 _WIDEST_HALF_ANGLE = 1.0
+
+
+def actuator_words(vehicle: Vehicle) -> str:
+    """Count the actuators: ``6 propellers``, ``8 on/off thrusters``, ``3 propellers, 1 wheel``."""
+    actuation = vehicle.actuation
+    noun = "on/off thruster" if "on_off" in actuation.kinds else "propeller"
+    counts = (len(vehicle.propellers), noun), (len(actuation.wheels), "wheel")
+    return ", ".join(f"{n} {noun}{'' if n == 1 else 's'}" for n, noun in counts if n)
 
 
 def draw_craft(vehicle: Vehicle, suffix: str) -> bytes:
@@ -77,7 +87,9 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     reach = 1.5 * max(disc, float(radii.max()))
     axes.set(xlim=(-reach, reach), xlabel="$x^b$, forward [mm]")
     axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]", aspect="equal")
-    what = f"{vehicle.n_propellers} propellers, {1e3 * vehicle.mass_kg:.4g} g, seen from above"
+    mass = vehicle.mass_kg
+    weight = f"{1e3 * mass:.4g} g" if mass < _GRAMS_BELOW_KG else f"{mass:.4g} kg"
+    what = f"{actuator_words(vehicle)}, {weight}, seen from above"
     axes.set_title(f"{vehicle.name}: {what}")
     return figure
 

@@ -17,7 +17,7 @@ from airpuck.evaluation.coasting import coasting
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.fit_measures import FitMeasures, fit_text
 from airpuck.model.model_file import Model
-from airpuck.report.craft import craft_section
+from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.fit_figures import thrust_figure
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 from airpuck.report.prediction_figures import (
@@ -333,6 +333,6 @@ def evaluation_report(
     ]
     lead = (
         f"{', '.join(names)} on {trajectory.duration:.1f} s of flight, {len(trajectory)} samples, "
-        f"{vehicle.n_propellers} propellers."
+        f"{actuator_words(vehicle)}."
     )
     return write_page(out, f"Predictions of {vehicle.name}", lead, sections, origin)

@@ -26,7 +26,7 @@ from airpuck.identification.selection import (
 )
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
-from airpuck.report.craft import craft_section
+from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.evaluation_report import (
     JudgedModels,
     judged_sections,
@@ -149,10 +149,12 @@ def _optimiser_section(study: FitStudy) -> PageSection:
         rows.append(row)
     settings = study.fits[0].model.fit
     weights = ", ".join(f"{weight:g}" for weight in settings["weights"])
+    stride = settings["stride"]
+    every = "at every sample" if stride == 1 else f"every {stride} samples"
     table = (
         f"Losses in 10⁻⁵: mean squared error, weighted by ({weights}) per m, m and rad, over "
         f"windows, {settings['prediction_length']} steps and the channels x, y, γ, without "
-        f"regulariser. A training window starts every {settings['stride']} samples. Each fit "
+        f"regulariser. A training window starts {every}. Each fit "
         "prepares its own data, so compare losses within a row only. Time includes compilation "
         "and, for parallel fits, waiting."
     )
@@ -312,7 +314,7 @@ def fit_report(
     duration, samples = sum(one.duration for one in learned), sum(map(len, learned))
     lead = (
         f"{', '.join(fit.model.name for fit in fits)}: identified from {duration:.1f} s of flight, "
-        f"{samples} samples, {vehicle.n_propellers} propellers"
+        f"{samples} samples, {actuator_words(vehicle)}"
     )
     if len(learned) > 1:
         lead += f", {len(learned)} recordings; figures show the first"

@@ -154,6 +154,17 @@ def packaged_text(name: str) -> str:
     return (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
 
 
+def _with_code(text: str) -> Any:
+    """Escape a text, and set what stands between backticks as code."""
+    import markupsafe
+
+    pieces = [markupsafe.escape(piece) for piece in text.split("`")]
+    if len(pieces) % 2 == 0:
+        return markupsafe.escape(text)
+    code = [f"<code>{piece}</code>" if k % 2 else str(piece) for k, piece in enumerate(pieces)]
+    return markupsafe.Markup("".join(code))
+
+
 def render(template: str, **values: Any) -> str:
     """Fill in a template of the package; values are escaped."""
     import jinja2
@@ -161,4 +172,5 @@ def render(template: str, **values: Any) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["code"] = _with_code
     return environment.from_string(packaged_text(template)).render(**values)
