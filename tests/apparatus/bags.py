@@ -247,6 +247,65 @@ def ros1_bag(
     return path
 
 
+_STAMPED = "std_msgs/Header header\n"
+#: Messages of other labs' craft: topic, type, definition, rate [Hz], and the values of the fields.
+_LABS = {
+    "/pose": (
+        "ff_msgs/msg/Pose2DStamped",
+        "float32 x\nfloat32 y\nfloat32 theta\n",
+        50,
+        lambda rng: rng.uniform(-1, 1, 3).tolist(),
+    ),
+    "/switches": (
+        "ff_msgs/msg/ThrusterCommand",
+        "bool[8] switches\n",
+        10,
+        lambda rng: [rng.random(8) < 0.5],
+    ),
+    "/duties": (
+        "ff_msgs/msg/ThrusterPWMCommand",
+        "float64[8] duty_cycles\n",
+        10,
+        lambda rng: [rng.random(8)],
+    ),
+    "/wheel": (
+        "ff_msgs/msg/WheelVelCommand",
+        "float64 velocity\n",
+        20,
+        lambda rng: [float(rng.uniform(-500, 500))],
+    ),
+    "/motors": (
+        "px4_msgs/msg/ActuatorMotors",
+        "uint64 timestamp\nuint64 timestamp_sample\nuint16 reversible_flags\nfloat32[12] control\n",
+        20,
+        lambda rng: [np.r_[rng.random(8), np.full(4, np.nan)].astype(np.float32)],
+    ),
+}
+
+
+def labs_bag(path: Path, duration: float = 2.0) -> Path:
+    """A bag of ROS 1 with messages of the Stanford free-flyer and of PX4, in several chunks."""
+    store, rng = get_typestore(Stores.ROS1_NOETIC), np.random.default_rng(11)
+    t, writer, events = store.types, Ros1Writer(path), []
+    writer.chunk_threshold = 3000
+    for topic, (name, fields, rate, values) in _LABS.items():
+        px4 = name.startswith("px4")
+        store.register(get_types_from_msg(fields if px4 else _STAMPED + fields, name))
+        for k in range(round(duration * rate)):
+            stamp = START_NS + round(k * 1e9 / rate)
+            stamped = t["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+            begin = (stamp // 1000, stamp // 1000, 0)
+            begin = begin if px4 else (t["std_msgs/msg/Header"](k, stamped, "w"),)
+            events.append((stamp + 10**6, topic, name, t[name](*begin, *values(rng))))
+    with writer:
+        topics = {}
+        for time, topic, name, message in sorted(events, key=lambda event: event[0]):
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, name, typestore=store)
+            writer.write(topics[topic], time, store.serialize_ros1(message, name))
+    return path
+
+
 def write_ulog(path: Path, topics: Mapping[str, tuple[str, Iterable[bytes]]]) -> Path:
     """A PX4 log by its specification: topic -> (fields, messages)."""
 

@@ -30,6 +30,7 @@ from typing import Any
 
 from tests.apparatus import mutations as m
 
+_EXAMPLES = Path(__file__).parents[2] / "examples"
 MEMORY = 2 * 2**30
 SECONDS = 10
 #: One case out of this number also goes through the command line.
@@ -90,6 +91,40 @@ def _ros1(folder: Path) -> Path:
     from tests.apparatus.bags import ros1_bag
 
     return ros1_bag(folder / "a.bag", n_poses=60, n_commands=25)
+
+
+def _labs(folder: Path) -> Path:
+    from tests.apparatus.bags import labs_bag
+
+    return labs_bag(folder / "a.bag")
+
+
+#: What a craft of another lab is mapped to, for one command of each kind.
+_LABS_TOPICS = {
+    "ff_msgs duties and wheel": 'pose = "/pose"\ncommand = "/duties"\nwheels = "/wheel"',
+    "ff_msgs switches": 'pose = "/pose"\ncommand = "/switches"',
+    "px4_msgs motors": 'pose = "/pose"\ncommand = "/motors"',
+}
+
+
+def _read_mapped(path: Path, mapping: Path) -> None:
+    """Read a recording with a mapping."""
+    from airpuck.recording.mapping import read_mapping
+    from airpuck.recording.read import read_recording
+
+    read_recording(path, mapping=read_mapping(mapping))
+
+
+def _labs_kind(scratch: Path, topics: str) -> Kind:
+    """Damaged bags of ROS 1 with other labs' messages, read by a mapping."""
+    mapping, vehicle = scratch / "labs.toml", _EXAMPLES / "free_flyers/freeflyer2.toml"
+
+    def make(folder: Path) -> Path:
+        mapping.write_text(f"[topics]\n{topics}\n")
+        return _labs(folder)
+
+    command = (*_PREPROCESS, "--mapping", str(mapping), "--vehicle", str(vehicle))
+    return Kind(make, m.ros1_damaged, functools.partial(_read_mapped, mapping=mapping), command)
 
 
 def _ulog(folder: Path) -> Path:
@@ -283,6 +318,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             functools.partial(_bag, use_chunking=False), m.bytes_damaged, _read_recording
         ),
         "ROS 1 bag": Kind(_ros1, m.bytes_damaged, _read_recording, _PREPROCESS),
+        **{f"ROS 1, {name}": _labs_kind(scratch, topics) for name, topics in _LABS_TOPICS.items()},
         "PX4 log": Kind(_ulog, m.bytes_damaged, _read_recording),
         "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
         "metadata.yaml": Kind(_metadata, text, _read_parent),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import io
 import json
 import random
@@ -13,6 +14,7 @@ import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
 
 HUGE = [2**8, 2**15, 2**16 - 1, 2**31 - 1, 2**32 - 1, 2**33, 2**62, 2**63, 2**64 - 1]
@@ -220,6 +222,151 @@ def mcap_damaged(content: bytes, rng: random.Random) -> bytes:
     else:
         records[index] = (rng.choice([code, rng.randrange(16)]), bytes_damaged(data, rng))
     return content[:8] + _joined(records) + content[-8:]
+
+
+_LENGTH = struct.Struct("<I")
+#: Lengths and counts that no record has.
+_ABSURD = [0, 1, 2**16, 2**28 + 1, 2**31 - 1, 2**32 - 1]
+_PACK: dict[bytes, Callable[[bytes], bytes]] = {
+    b"none": bytes,
+    b"bz2": bz2.compress,
+    b"lz4": lz4.frame.compress,
+}
+_CONNECTION, _CHUNK = 7, 5
+
+#: Header and content of a record in a ROS 1 bag.
+Ros1Record = tuple[dict[bytes, bytes], bytes]
+
+
+def _prefixed(data: bytes) -> bytes:
+    return _LENGTH.pack(len(data)) + data
+
+
+def _pieces(data: bytes) -> list[bytes]:
+    """Split data into what the lengths before each piece say."""
+    found, place = [], 0
+    while place < len(data):
+        (length,) = _LENGTH.unpack_from(data, place)
+        found.append(data[place + 4 : place + 4 + length])
+        place += 4 + length
+    return found
+
+
+def _ros1_fields(data: bytes) -> dict[bytes, bytes]:
+    return {name: value for name, _, value in (one.partition(b"=") for one in _pieces(data))}
+
+
+def _ros1_records(data: bytes) -> list[Ros1Record]:
+    pieces = _pieces(data)
+    return [(_ros1_fields(a), b) for a, b in zip(pieces[::2], pieces[1::2], strict=True)]
+
+
+def _ros1_joined(fields: dict[bytes, bytes]) -> bytes:
+    return b"".join(_prefixed(name + b"=" + value) for name, value in fields.items())
+
+
+def _ros1_written(records: list[Ros1Record]) -> bytes:
+    return b"".join(_prefixed(_ros1_joined(head)) + _prefixed(data) for head, data in records)
+
+
+def _field_damaged(fields: dict[bytes, bytes], rng: random.Random) -> None:
+    """Damage, drop or rename a field of a header."""
+    if not fields:
+        return
+    name = rng.choice(list(fields))
+    value = fields.pop(name)
+    match rng.randrange(5):
+        case 0:
+            return
+        case 1:
+            fields[bytes_damaged(name, rng)] = value
+        case 2 if len(value) in (4, 8):
+            fields[name] = _LENGTH.pack(rng.choice(_ABSURD)) * (len(value) // 4)
+        case 3:
+            fields[name] = b"0" * len(value)
+        case _:
+            fields[name] = bytes_damaged(value, rng)
+
+
+def _connection_damaged(content: bytes, rng: random.Random) -> bytes:
+    """Damage the description of a topic: its type, its definition, its md5sum."""
+    fields = _ros1_fields(content)
+    match rng.randrange(4):
+        case 0:
+            fields[b"md5sum"] = rng.choice([b"*", b"", b"0" * 32, b"\xff" * 32])
+        case 1:
+            fields[b"message_definition"] = text_damaged(fields[b"message_definition"], rng)
+        case 2:
+            others = [b"std_msgs/String", b"ff_msgs/WheelVelCommand", b"a", b"/", b"a/b/c", b""]
+            fields[b"type"] = rng.choice(others)
+        case _:
+            _field_damaged(fields, rng)
+    return _ros1_joined(fields)
+
+
+def _ros1_record_damaged(record: Ros1Record, rng: random.Random) -> Ros1Record:
+    """Damage one record: its header, or its content."""
+    head, content = dict(record[0]), record[1]
+    if rng.random() < 0.3:
+        _field_damaged(head, rng)
+    elif head.get(b"op") == bytes([_CONNECTION]) and rng.random() < 0.8:
+        content = _connection_damaged(content, rng)
+    else:
+        content = bytes_damaged(content, rng)
+    return head, content
+
+
+def _chunk_damaged(record: Ros1Record, rng: random.Random) -> Ros1Record:
+    """Damage records in a chunk and pack it, perhaps with a false size or method."""
+    head, inner = dict(record[0]), _ros1_records(record[1])
+    if rng.random() < 0.3:
+        inner = [one for one in inner if one[0][b"op"] != bytes([_CONNECTION])]
+    connections = [k for k, one in enumerate(inner) if one[0][b"op"] == bytes([_CONNECTION])]
+    for _ in range(rng.choice([0, 1, 1, 4])):
+        among = connections if connections and rng.random() < 0.5 else range(len(inner))
+        place = rng.choice(among)
+        inner[place] = _ros1_record_damaged(inner[place], rng)
+    plain = _ros1_written(inner * rng.choice([1, 1, 1, 3]))
+    method = rng.choice(list(_PACK))
+    content, size = _PACK[method](plain), len(plain)
+    match rng.randrange(6):
+        case 0:
+            size = rng.choice([*_ABSURD, size - 1, size + 1])
+        case 1:
+            method = rng.choice([b"bz2", b"lz4", b"none", b"zip", b"", b"\xff"])
+        case 2:
+            content = bytes_damaged(content, rng)
+        case _:
+            pass
+    return head | {b"compression": method, b"size": _LENGTH.pack(size)}, content
+
+
+def ros1_damaged(content: bytes, rng: random.Random) -> bytes:
+    """Damage records of a ROS 1 bag, those in chunks included, with right lengths; or the file.
+
+    The file's chunks must not be compressed.
+    """
+    if rng.random() < 0.2:
+        return bytes_damaged(content, rng)
+    start = content.index(b"\n") + 1
+    records = _ros1_records(content[start:])
+    chunks = [k for k, (head, _) in enumerate(records) if head[b"op"] == bytes([_CHUNK])]
+    for _ in range(rng.choice([1, 1, 2, 5])):
+        # The first chunks describe the topics.
+        place = rng.choice(
+            [rng.choice(chunks), rng.choice(chunks[:2]), rng.randrange(len(records))]
+        )
+        if place in chunks and rng.random() < 0.8:
+            records[place] = _chunk_damaged(records[place], rng)
+            chunks.remove(place)
+        else:
+            records[place] = _ros1_record_damaged(records[place], rng)
+            chunks = [k for k in chunks if k != place]
+        if not chunks:
+            break
+    if rng.random() < 0.1:
+        records = rng.sample(records, len(records))
+    return content[:start] + _ros1_written(records)
 
 
 _STATEMENTS = [

@@ -1,6 +1,7 @@
 """Tuning files: written and read back; errors name every mistake."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from hypothesis import strategies as st
 from airpuck.boundary.errors import InputError
 from airpuck.control.laws import LAWS
 from airpuck.control.lqr import point_mass, regulator
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import (
     Allocation,
     Estimation,
@@ -21,8 +24,10 @@ from airpuck.control.tuning import (
     read_tuning,
     tuning_for,
 )
-from airpuck.craft.vehicle import default_vehicle
+from airpuck.craft.vehicle import default_vehicle, read_vehicle
+from airpuck.model.model_file import nominal_model
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 positive = st.floats(1e-9, 1e4)
 non_negative = st.just(0.0) | positive
 weight = st.floats(1e-6, 1e6)
@@ -233,6 +238,20 @@ def test_only_a_much_slower_craft_gets_another_tuning():
     assert tuning_for(vehicle) == default_tuning()
     heavy = vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg})
     assert tuning_for(heavy).weights.speed > default_tuning().weights.speed
+
+
+def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
+    for name in ("atmos", "freeflyer2"):
+        vehicle = read_vehicle(EXAMPLES / f"free_flyers/{name}.toml")
+        tuning = tuning_for(vehicle)
+        assert tuning.period_s == 0.1
+        for kind in LAWS:
+            TrackingController(
+                nominal_model(vehicle),
+                SetPoint(0.1, 0.0, 0.0),
+                tuning.with_regulator(kind),
+                compiled=False,
+            )
 
 
 def test_a_law_is_chosen_by_name_and_nothing_else_changes():

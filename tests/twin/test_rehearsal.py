@@ -1,17 +1,20 @@
 """Simulated flights for a verdict: craft that a controller brings to rest, and others."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import read_vehicle
 from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import Model, nominal_model, published_model
 from airpuck.twin.rehearsal import as_seen, failures, like, settles
 from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.synthetic_flights import fly
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 MODEL = replace(published_model("M3"), frame="body", indexing="start")
 
 
@@ -54,6 +57,18 @@ def test_the_noise_of_the_cameras_is_that_of_the_recording(flight):
 @pytest.mark.slow
 def test_a_controller_settles_on_its_own_craft(flight):
     assert failures(MODEL, flight, shown(MODEL, flight)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["atmos", "freeflyer2"])
+def test_a_slow_craft_with_its_own_pwm_settles_with_the_packaged_controller(name):
+    model = nominal_model(read_vehicle(EXAMPLES / f"free_flyers/{name}.toml"))
+    settings = default_twin_settings()
+    room = {"length_m": 4.0, "width_m": 3.0}
+    table = settings.table.model_copy(update=room)
+    cameras = settings.motion_capture.model_copy(update={"rate_hz": 50.0})
+    updates = {"table": table, "motion_capture": cameras}
+    assert settles(model, model, settings.model_copy(update=updates))
 
 
 @pytest.mark.slow

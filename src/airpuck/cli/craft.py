@@ -71,7 +71,7 @@ def _propeller_table(model: Model) -> Table:
         numbers = [f"{value:.1f}" for value in (1e3 * x, 1e3 * y, channel.direction_deg)]
         strength = f"{sum(curve):.3f}"
         if channel.is_wheel:
-            numbers, strength = ["", "", "wheel"], f"{sum(curve):.3g} m"
+            numbers, strength = ["", "", "wheel"], f"{sum(curve):.3g} N m"
         rows.append([str(number), channel.name, *numbers, strength, turns])
     headings = ("", "propeller", "x mm", "y mm", "pushes towards °", "full thrust N", "turns it")
     title = f"{craft.name}: {1e3 * craft.mass_kg:.4g} g, radius {1e3 * craft.radius_m:.4g} mm"

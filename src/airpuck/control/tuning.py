@@ -19,6 +19,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.control.laws import check_law
+from airpuck.craft.actuators import OnOff
 from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.axis_filter import Noise
 from airpuck.preprocessing.time_scale import patience
@@ -369,6 +370,17 @@ def default_tuning() -> Tuning:
 
 
 def tuning_for(vehicle: Vehicle) -> Tuning:
-    """Return the packaged tuning, slowed down for a craft that is much slower than the paper's."""
-    slower = patience(vehicle)
-    return default_tuning().slowed(slower) if slower > _SLOW else default_tuning()
+    """Return the packaged tuning for a craft: slowed down if it is much slower than the paper's.
+
+    A craft that has its own PWM gets one duty cycle for each of its periods. The predictive law's
+    steps are then no shorter, and as many.
+    """
+    slower, kind = patience(vehicle), vehicle.actuation.kind
+    tuning = default_tuning().slowed(slower) if slower > _SLOW else default_tuning()
+    period = kind.pwm_period_s if isinstance(kind, OnOff) else None
+    if period is None:
+        return tuning
+    law = tuning.regulator
+    longer = max(period / law.step_s, 1.0)
+    times = {"step_s": longer * law.step_s, "horizon_s": longer * law.horizon_s}
+    return tuning.model_copy(update={"period_s": period, "regulator": law.model_copy(update=times)})

@@ -274,7 +274,7 @@ def _graded(windows: Windows) -> Bool[np.ndarray, " n"]:
     """Return whether each actuator was ever commanded to a value between off and full."""
     sizes = [np.abs(trajectory.command) for trajectory in windows.trajectories]
     between = [(size > _OFF) & (size < 1 - _OFF) for size in sizes]
-    return np.concatenate(between).any(axis=0)
+    return np.asarray(np.concatenate(between).any(axis=0))
 
 
 def _motor_speeds(model: Model, dynamics: Dynamics, windows: Windows) -> Float[np.ndarray, "n T W"]:

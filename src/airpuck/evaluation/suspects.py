@@ -90,7 +90,9 @@ def unit_suspect(model: Model) -> list[str]:
     """Report an impossible learned inertia: lengths are in a wrong unit."""
     vehicle = model.vehicle
     learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
-    ratio = float(model.parameters.inertia) / (vehicle.mass_kg * vehicle.radius_m**2)
+    # Some craft carry propellers outside the radius that meets the rails.
+    radius = max(vehicle.radius_m, float(np.hypot(*vehicle.positions.T).max()))
+    ratio = float(model.parameters.inertia) / (vehicle.mass_kg * radius**2)
     if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
         return []
     what = "larger than a ring's" if ratio > 1 else "smaller than any craft's"

@@ -32,7 +32,7 @@ GOAL, NEAR = (0.45, 0.2, 1.5), (0.02, 0.02, 0.1)
 _ARRIVES, _STAYS = 2.0, 1.0
 #: A craft with little thrust is given this multiple of the shortest time that its accelerations
 #: allow, up to a limit [s].
-_LEISURE, _LONGEST = 3.0, 20.0
+_LEISURE, _LONGEST = 3.0, 60.0
 #: Fraction of its effort in the vehicle file that a craft needs in its weakest motion. With 3 %,
 #: one propeller almost dead, all controllers hold the paper's craft; with none it drifts away,
 #: though MPC may keep it at the goal for a second.
