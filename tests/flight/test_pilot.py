@@ -9,10 +9,12 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
+from airpuck.control.reference import Target
 from airpuck.flight.pilot import check_pilot, pilot_maker
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
 from tests.apparatus import commands as command_line
+from tests.apparatus import typechecker
 
 M3 = published_model("M3")
 
@@ -59,15 +61,15 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_pilot_that_sends_percent_is_warned_of_and_named(file, tmp_path):
-    file.write_text(SPRING.replace("(np.clip(", "(100 * np.clip("))
+def test_a_pilot_whose_commands_are_clipped_is_warned_of_and_named(file, tmp_path):
+    file.write_text(SPRING.replace("(np.clip(", "(1.9 * np.clip("))
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.2, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
         *("--setpoints", points, "--regulator", f"{file}:Spring", "-o", tmp_path / "page"),
     )
-    assert ran.stderr.startswith("warning: commands of Spring from 3 to ")
+    assert ran.stderr.startswith(f"warning: commands of {file}:Spring from 0.057 to ")
     assert ran.stderr.endswith("were clipped to [0, 1]\n")
     assert "Spring (M3) to ( 0.2,  0.1,  0.3)" in ran.stdout
     page = (tmp_path / "page" / "index.html").read_text()
@@ -95,6 +97,7 @@ def test_what_inherits_from_pilot_needs_only_a_step():
         (pilot(sent=lambda self, command: None), "sent() must take 2 arguments beside self"),
         (pilot(measured=lambda self, *, pose: None), "measured() must take 1 argument beside self"),
         (pilot(watches="puck"), "must have `watches`"),
+        (pilot(watches=("pukc",)), "must have `watches`"),
     ],
 )
 def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
@@ -109,6 +112,10 @@ def test_what_is_no_pilot_is_refused_before_it_flies(wrong, problem):
         (lambda self, time: np.zeros(6), "step() must return airpuck.Step(command), not ndarray"),
         (lambda self, time: airpuck.Step(np.zeros(4)), "needs 6 finite numbers"),
         (
+            lambda self, time: airpuck.Step(np.full(6, 50.0)),
+            "pilot Mine: step() at 0.00 s: its command goes from 50 to 50, but motors take 0 to 1",
+        ),
+        (
             lambda self, time: airpuck.Step(np.full(6, np.nan if time > 0.05 else 0.1)),
             "pilot Mine: step() at 0.06 s: its command needs 6 finite numbers",
         ),
@@ -118,6 +125,53 @@ def test_a_wrong_command_is_refused(step, problem):
     with pytest.raises(InputError) as refused:
         airpuck.fly(pilot(step=step), airpuck.Twin(M3), 0.1)
     assert problem in str(refused.value)
+
+
+def test_commands_slightly_out_of_range_are_clipped_with_a_warning():
+    log = airpuck.fly(
+        pilot(step=lambda self, time: airpuck.Step(np.full(6, -0.2))), airpuck.Twin(M3), 0.02
+    )
+    assert log.warnings == ("commands of pilot Mine from -0.2 to -0.2 were clipped to [0, 1]",)
+
+
+@pytest.mark.parametrize("lost", [None, 5, airpuck.PuckState(0, 0)])
+def test_a_reference_that_is_lost_in_flight_is_named(lost):
+    def step(self, time):
+        typechecker.pause()
+        self.reference = lost
+        return airpuck.Step(np.zeros(6))
+
+    with pytest.raises(InputError, match="pilot Mine: must have a `reference`"):
+        airpuck.fly(pilot(step=step), airpuck.Twin(M3), 0.05)
+
+
+def test_a_reference_that_is_not_finite_is_named():
+    class Lost:
+        def at(self, now, ahead):
+            return Target(np.full(6, np.nan), np.zeros(3))
+
+    with pytest.raises(InputError, match="pilot Mine: its reference must be 6 finite numbers"):
+        airpuck.fly(pilot(reference=Lost()), airpuck.Twin(M3), 0.05)
+
+
+@pytest.mark.parametrize(
+    "beyond",
+    [
+        airpuck.TimedPath([0.0, 1.0], [(0, 0, 0), (5, 0, 0)]),
+        airpuck.Rendezvous(1.0, (5, 0, 0, 0, 0, 0)),
+        airpuck.Rendezvous(1.0, np.zeros(6), then=airpuck.SetPoint(0, 5, 0)),
+        airpuck.SetPoints([0.0], [(0, 5, 0)]),
+    ],
+)
+def test_a_reference_beyond_the_table_is_refused(beyond):
+    with pytest.raises(InputError, match=r"setpoint: .* is outside the table"):
+        airpuck.fly(pilot(reference=beyond), airpuck.Twin(M3), 0.05)
+
+
+@pytest.mark.parametrize(("duration", "period"), [(-1.0, 0.01), (1.0, 0.0), (1.0, 10.0)])
+def test_a_flight_lasts_for_a_period_at_least(duration, period):
+    with pytest.raises(InputError, match="period: must be above 0 and at most the duration"):
+        airpuck.fly(pilot(), airpuck.Twin(M3), duration, period)
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,7 @@ def tactics(tmp_path):
         # With checked signatures, `Intention` itself rejects some of them.
         ("HasNoReference", "reference"),
         ("AvoidsAWord", "avoid"),
-        ("MeetsNever", r"gave a meet that is not 3 finite numbers"),
+        ("MeetsNever", r"meet: must be 3 finite numbers"),
         ("SeesNoPath", "path"),
         ("HopesInWords", "chance"),
         ("NeedsMore", r"cannot be made without arguments: TypeError"),

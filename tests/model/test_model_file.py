@@ -1,10 +1,11 @@
 """Model files: writing and reading back, older files, and errors for mistakes."""
 
 import tomllib
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
+import tomli_w
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import read_tuning
@@ -181,10 +182,9 @@ def test_a_file_of_another_kind_is_told_what_it_is(tmp_path):
 
 
 def test_a_model_of_a_matrix_needs_three_rows(tmp_path):
-    model = published_model("M4")
-    wrong = replace(model.parameters, configuration_matrix=np.ones((2, 6)))
-    replace(model, parameters=wrong, free=model.free[: len(wrong.to_vector())]).save(
-        tmp_path / "m.toml"
-    )
+    published_model("M4").save(tmp_path / "m.toml")
+    content = tomllib.loads((tmp_path / "m.toml").read_text())
+    content["parameters"]["configuration_matrix_SI"].pop()
+    (tmp_path / "m.toml").write_text(tomli_w.dumps(content))
     with pytest.raises(InputError, match="3 rows of 6"):
         read_model(tmp_path / "m.toml")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import warnings
@@ -10,7 +11,7 @@ from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import pydantic
 
@@ -57,6 +58,17 @@ class Section(pydantic.BaseModel):
 
     model_config = pydantic.ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    if not TYPE_CHECKING:  # type checkers derive the arguments from the fields
+
+        def __init__(self, /, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except pydantic.ValidationError as error:
+                raise _explained(error, type(self), values) from error
+
+        # Of nested tables, pydantic reports the place itself.
+        __init__.__pydantic_base_init__ = True
+
     @pydantic.model_validator(mode="after")
     def _of_this_world(self) -> Section:
         for name, value in self:
@@ -74,8 +86,11 @@ class Section(pydantic.BaseModel):
         Returns
         -------
         Section
-            The copy; updated fields are not checked.
+            The copy; of updated fields, only numbers are checked, which must be finite.
         """
+        for name, value in (how.get("update") or {}).items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"must be a finite number, not {value!r}", field=name)
         copied = super().model_copy(**how)
         for name in copied.__dict__.keys() - type(self).model_fields.keys():
             object.__delattr__(copied, name)
@@ -136,26 +151,37 @@ def checked(
         text = json.dumps(content, default=str, skipkeys=True)
         return adapter.validate_json(text, strict=True)
     except pydantic.ValidationError as error:
-        # A misspelt key also leaves the right one missing: report the spelling.
-        found = error.errors()
-        first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
-        # Names of validator functions and Python types do not help a user.
-        field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
-        problem = first["msg"].removeprefix("Value error, ").rstrip(".")
-        problem = problem.replace("Input should be", "must be")
-        problem = problem.replace("a valid array", "a list in brackets, [ ]")
-        problem = _OF_LENGTH.sub(r"must have \1", problem)
-        known = _keys(schema)
-        kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
-        if first["type"] in _UNKNOWN and kind:
-            field, problem = "", f"is {_KINDS[kind]}; another kind of file is expected"
-        elif first["type"] in _UNKNOWN:
-            near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
-            hint = f"did you mean {near[0]}?" if near else "check its spelling"
-            problem = f"is not a known key; {hint}"
-        elif first["type"] == "missing":
-            problem = "is required but missing"
-        raise InputError(problem, file=file, field=field or None) from error
+        raise _explained(error, schema, content, file) from error
+
+
+def _explained(
+    error: pydantic.ValidationError,
+    schema: type,
+    content: Mapping[str, Any],
+    file: str | os.PathLike[str] | None = None,
+) -> InputError:
+    """Return the error for the first thing that pydantic rejects."""
+    # A misspelt key also leaves the right one missing: report the spelling.
+    found = error.errors()
+    first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
+    # Names of validator functions and Python types do not help a user.
+    field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
+    problem = first["msg"].removeprefix("Value error, ").rstrip(".")
+    problem = problem.replace("Input should be", "must be")
+    problem = problem.replace("a valid array", "a list in brackets, [ ]")
+    problem = problem.replace("a valid dictionary or instance of", "a dictionary or a")
+    problem = _OF_LENGTH.sub(r"must have \1", problem)
+    known = _keys(schema)
+    kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
+    if first["type"] in _UNKNOWN and kind and file is not None:
+        field, problem = "", f"is {_KINDS[kind]}; another kind of file is expected"
+    elif first["type"] in _UNKNOWN:
+        near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
+        hint = f"did you mean {near[0]}?" if near else "check its spelling"
+        problem = f"is not a known key; {hint}"
+    elif first["type"] == "missing":
+        problem = "is required but missing"
+    return InputError(problem, file=file, field=field or None)
 
 
 def write_toml(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 
 from airpuck.boundary.errors import InputError
 
@@ -28,6 +29,8 @@ class Range:
 
     def check(self, value: float, field: str) -> None:
         """Raise InputError for nan or a number out of the range."""
+        if not isinstance(value, Real):
+            raise InputError(f"must be a number, not {value!r}", field=field)
         inside = self.low < value <= self.high if self.above else self.low <= value <= self.high
         if not inside:
             words = str(self) if self.above else f"from {self}"
@@ -37,7 +40,7 @@ class Range:
 def check_finite(**given: float) -> None:
     """Raise InputError that names the first number that is nan or infinite."""
     for name, value in given.items():
-        if not math.isfinite(value):
+        if not (isinstance(value, Real) and math.isfinite(value)):
             raise InputError(f"must be a finite number, not {value!r}", field=name)
 
 

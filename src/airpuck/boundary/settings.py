@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import builtins
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields
-from difflib import get_close_matches
 from functools import cache
 from inspect import get_annotations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import fits, misfit, unknown
 from airpuck.boundary.numbers import Range
-
-#: Number of characters shown of a value that is too long.
-_SHOWN = 60
 
 
 @dataclass(frozen=True)
@@ -84,10 +81,12 @@ class Settings:
         """Check every declared field."""
         for one in declared(type(self)):
             value = getattr(self, one.name)
-            one.setting.check(value, one.name)
             choices = choices_of(one.kind)
             if choices and value is not None and value not in choices:
                 raise InputError(unknown(value, choices), field=one.name)
+            if not fits(value, one.kind):
+                raise InputError(misfit(value, one.kind), field=one.name)
+            one.setting.check(value, one.name)
 
 
 @cache
@@ -139,13 +138,3 @@ def choices_of(annotation: Any) -> tuple[Any, ...]:
     if get_origin(annotation) is Literal:
         return get_args(annotation)
     return next(filter(None, map(choices_of, get_args(annotation))), ())
-
-
-def unknown(name: Any, known: Iterable[Any]) -> str:
-    """Return an error text for an unknown name: the known names, and the nearest of them."""
-    names = list(map(repr, known))
-    near = get_close_matches(repr(name), names, 1) if isinstance(name, str) else []
-    hint = f"; did you mean {near[0]}?" if near else ""
-    shown = repr(name)
-    shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
-    return f"must be {' or '.join(names)}, not {shown}{hint}"

@@ -17,7 +17,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import unknown
+from airpuck.boundary.kinds import unknown
 from airpuck.boundary.terminal import escaped
 from airpuck.cli.names import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed

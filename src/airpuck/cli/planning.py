@@ -11,7 +11,8 @@ from typer import Argument
 import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import Setting, unknown
+from airpuck.boundary.kinds import unknown
+from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, show_time_left, table

@@ -12,12 +12,20 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
 from airpuck.boundary.user_code import UserCode
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0
+#: Positions farther away, or more turns, are mistakes; squares of far larger numbers overflow [m,
+#: rad].
+_FARTHEST = 1e6
+#: Largest time; stamps count from 1970 [s].
+_LATEST = 1e10
+#: Number of times at which a path is compared with a border.
+_LOOKS = 200
 #: Values that callers may pass for a one-dimensional array.
 Numbers = Sequence[float] | np.ndarray
 
@@ -89,7 +97,7 @@ class SetPoint:
     Raises
     ------
     InputError
-        If a value is not finite.
+        If a value is not finite, or far from any table.
 
     Examples
     --------
@@ -107,6 +115,13 @@ class SetPoint:
             value = getattr(self, name)
             if not isinstance(value, Real) or not math.isfinite(value):
                 raise InputError(f"must be a finite number, not {value!r}", field=name)
+        if max(abs(self.x), abs(self.y), abs(self.yaw)) > _FARTHEST:
+            raise _too_far("setpoint")
+
+    @property
+    def visits(self) -> list[tuple[float, float, float]]:
+        """Poses that it leads through."""
+        return [(self.x, self.y, self.yaw)]
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the pose, at rest; see `Reference.at`."""
@@ -146,6 +161,11 @@ class SetPoints:
         self.times, self.poses = _checked(times, poses, 1, "setpoint")
         at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
         self._targets = [Target(state, np.zeros(3)) for state in at_rest]
+
+    @property
+    def visits(self) -> Float[np.ndarray, "N 3"]:
+        """Poses that it leads through."""
+        return self.poses
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the set point in force now; see `Reference.at`."""
@@ -191,6 +211,11 @@ class TimedPath:
         self._first, self._last = float(known[0]), float(known[-1])
         spline = CubicSpline(known, through, bc_type="clamped")
         self._splines = (spline, spline.derivative(), spline.derivative(2))
+
+    @property
+    def visits(self) -> Float[np.ndarray, "N 3"]:
+        """Poses that it leads through."""
+        return self._splines[0](np.linspace(self._first, self._last, _LOOKS))
 
     def at(self, now: float, ahead: float) -> Target:
         """Return pose, velocity and acceleration at ``now + ahead``; see `Reference.at`."""
@@ -244,15 +269,28 @@ class Rendezvous:
         precision: Numbers = (0.002, 0.002, 0.05, 0.05, 0.05, 1.0),
         then: Reference | None = None,
     ) -> None:
-        self.time, self.state = float(time), np.array(state, dtype=float)
-        self.precision = np.array(precision, dtype=float)
-        if self.state.shape != (6,) or not np.isfinite([*self.state, self.time]).all():
-            raise InputError("must be a finite time and six finite numbers", field="state")
+        if not isinstance(time, Real) or not abs(time) <= _LATEST:
+            raise InputError(f"must be a number within ±{_LATEST:g} s", field="time")
+        self.time, self.state = float(time), numbers_of(state, (6,), "state")
+        if max(map(abs, self.state.tolist())) > _FARTHEST:
+            raise _too_far("state")
+        try:
+            self.precision = np.array(precision, dtype=float)
+        except (TypeError, ValueError):
+            self.precision = np.zeros(0)
         if self.precision.shape != (6,) or not (self.precision > 0).all():
             raise InputError(
                 "must be six positive numbers; inf frees a component", field="precision"
             )
+        if not (then is None or isinstance(then, Reference)):
+            problem = f"must be a reference, such as a SetPoint, not {type(then).__name__}"
+            raise InputError(problem, field="then")
         self.then = then or SetPoint(*self.state[:3].tolist())
+
+    @property
+    def visits(self) -> list[Sequence[float]]:
+        """Poses that it leads through."""
+        return [self.state[:3].tolist(), *getattr(self.then, "visits", ())]
 
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:
         """Return the state to reach, or the target afterwards; see `asked`."""
@@ -311,7 +349,7 @@ class UserReference:
     def asked(self, now: float) -> Float[np.ndarray, " 6"]:
         """Return the desired state now; see `asked`."""
         what = f"reference.asked() at {now:.2f} s"
-        return self._code.run(what, lambda: _finite(asked(self._own, now), 6, "state"))
+        return self._code.run(what, lambda: numbers_of(asked(self._own, now), (6,), "state"))
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
         """Return the targets at several times; see `course`."""
@@ -320,13 +358,14 @@ class UserReference:
     def _at(self, now: float, ahead: float) -> Target:
         target = self._own.at(now, ahead)
         return Target(
-            _finite(target.state, 6, "state"), _finite(target.acceleration, 3, "acceleration")
+            numbers_of(target.state, (6,), "state"),
+            numbers_of(target.acceleration, (3,), "acceleration"),
         )
 
     def _over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
         found, count = course(self._own, now, ahead), len(ahead)
-        states = _finite(found.states, (count, 6), "states")
-        accelerations = _finite(found.accelerations, (count, 3), "accelerations")
+        states = numbers_of(found.states, (count, 6), "states")
+        accelerations = numbers_of(found.accelerations, (count, 3), "accelerations")
         if not (found.arrival is None or isinstance(found.arrival, Arrival)):
             raise InputError("must be an Arrival or None", field="arrival")
         return Course(states, accelerations, found.arrival)
@@ -346,13 +385,10 @@ def sheltered(reference: Reference, code: UserCode) -> Reference:
     return reference if ours else UserReference(reference, code)
 
 
-def _finite(given: object, shape: int | tuple[int, ...], field: str) -> np.ndarray:
-    """Return finite numbers as an array of a given shape, or raise InputError."""
-    found = np.array(given, dtype=float)
-    shape = (shape,) if isinstance(shape, int) else shape
-    if found.shape != shape or not np.isfinite(found).all():
-        raise InputError(f"must be finite numbers of shape {shape}", field=field)
-    return found
+def _too_far(field: str) -> InputError:
+    """Return the error for poses that are far from any table."""
+    problem = f"must lie within ±{_FARTHEST:g} m and rad; is it in another unit?"
+    return InputError(problem, field=field)
 
 
 def _held(target: Target, count: int) -> Course:
@@ -366,17 +402,22 @@ def _checked(
     """Return times and poses as arrays, or raise InputError."""
     try:
         pose = np.array(poses, dtype=float)
-    except ValueError:
+    except (TypeError, ValueError):
         pose = np.zeros((1, 1))  # rows of different lengths
     if pose.size and pose.shape[1:] != (3,):
         raise InputError("each pose must be three numbers: x, y, yaw", field=field)
-    time, pose = np.array(times, dtype=float), pose.reshape(-1, 3)
+    try:
+        time, pose = np.array(times, dtype=float), pose.reshape(-1, 3)
+    except (TypeError, ValueError):
+        raise InputError("times must be numbers", field=field) from None
     if time.shape != (len(pose),) or len(time) < least:
         raise InputError(f"needs as many times as poses, and at least {least}", field=field)
     if not (np.isfinite(time).all() and np.isfinite(pose).all()):
         raise InputError("times and poses must be finite numbers", field=field)
     if (np.diff(time) <= 0).any():
         raise InputError("times must increase", field=field)
+    if np.abs(pose).max() > _FARTHEST:
+        raise _too_far(field)
     return time, pose
 
 
@@ -410,16 +451,17 @@ def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
 def check_inside(
     reference: Reference, reach: tuple[float, float], border: str = "the geofence"
 ) -> None:
-    """Reject set points beyond a border at ±x, ±y [m], and yaws that must be in degrees."""
-    poses = reference.poses.tolist() if isinstance(reference, SetPoints) else []
-    if isinstance(reference, SetPoint):
-        poses = [(reference.x, reference.y, reference.yaw)]
-    for x, y, yaw in poses:
+    """Reject references beyond a border at ±x, ±y [m], and set points that must be in degrees.
+
+    A reference that is known in advance has `visits`: the poses that it leads through.
+    """
+    turns = not isinstance(reference, SetPoint | SetPoints)
+    for x, y, yaw in map(tuple, getattr(reference, "visits", ())):
         if abs(x) > reach[0] or abs(y) > reach[1]:
             raise InputError(
                 f"({x:g}, {y:g}) is outside {border}, ±{reach[0]:g} m by ±{reach[1]:g} m",
                 field="setpoint",
             )
-        if abs(yaw) > _MOST_YAW:
+        if abs(yaw) > _MOST_YAW and not turns:
             words = f"yaw = {yaw:g} rad is {abs(yaw) / math.tau:.0f} turns; is it in degrees?"
             raise InputError(words, field="setpoint")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
@@ -20,7 +21,7 @@ from airpuck.control.laws import law_named
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
-from airpuck.control.reference import Numbers, Reference
+from airpuck.control.reference import Numbers, Reference, check_inside
 from airpuck.control.tuning import Estimation, Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
@@ -32,6 +33,7 @@ from airpuck.model.model_file import Model, nominal_model
 _LEAST_EFFORT = 1e-6
 
 
+@checked_class
 class TrackingController(Pilot):
     """Steers the craft along a reference.
 
@@ -69,7 +71,8 @@ class TrackingController(Pilot):
     Raises
     ------
     InputError
-        If a thrust curve falls somewhere, or the propellers cannot produce every acceleration.
+        If a thrust curve falls somewhere, the propellers cannot produce every acceleration, a gain
+        is not finite, or the reference is beyond the rails of the given table.
 
     Examples
     --------
@@ -98,6 +101,10 @@ class TrackingController(Pilot):
                 f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
                 "check their positions and directions"
             )
+        if gain is not None:
+            gain = numbers_of(gain, (3, 6), "gain")
+        if table is not None:
+            check_inside(reference, table.reach(0.0), "the table")
         self.model, self.reference, self.tuning = model, reference, tuning
         self.compensate_delay = compensate_delay
         self._idle = vehicle.idle
@@ -244,7 +251,14 @@ class TrackingController(Pilot):
         -------
         Estimate
             State, motor speeds and disturbance at that time.
+
+        Raises
+        ------
+        InputError
+            If no pose has come, or the time is not finite.
         """
+        if self._gate.received is None or not math.isfinite(time):
+            raise InputError("needs a pose of the craft first, and a finite time", field="time")
         acting = self.filter.predict(time + self.model.transport_delay)
         if self.compensate_delay:
             return acting
@@ -299,7 +313,10 @@ def _commands_all_directions(model: Model) -> bool:
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:
     """Copy an array that a caller may change later, and check its shape."""
-    copied = np.array(values, dtype=float)
+    try:
+        copied = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(f"must be {count} numbers", field=name) from None
     if copied.shape != (count,):
         raise InputError(
             f"must be {count} numbers, not an array of shape {copied.shape}", field=name

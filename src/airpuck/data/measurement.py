@@ -8,9 +8,14 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
+
 #: The sensors: motion capture of the craft, the puck and the other side's disc; the on-board
 #: inertial unit and optical mouse sensor.
 Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
+#: Length of their values.
+_SIZES: dict[Kind, int] = {"pose": 3, "imu": 6, "mouse": 2, "puck": 3, "mallet": 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +33,11 @@ class Measurement:
         body's x, y, z [m/s²], angular velocity about them [rad/s]. Mouse: velocity along the body's
         x, y [m/s].
 
+    Raises
+    ------
+    InputError
+        If the kind is unknown, or the values are too few or too many. They need not be finite.
+
     Examples
     --------
     >>> pose = airpuck.Measurement("pose", 0.25, np.array([0.1, -0.2, 1.0]))
@@ -38,3 +48,11 @@ class Measurement:
     kind: Kind
     stamp: float
     values: Float[np.ndarray, " k"]
+
+    def __post_init__(self) -> None:
+        # Numbers that are not finite pass: a pilot in flight has to bear them.
+        if self.kind not in _SIZES:
+            raise InputError(unknown(self.kind, _SIZES), field="kind")
+        if len(self.values) != _SIZES[self.kind]:
+            problem = f"must be {_SIZES[self.kind]} numbers for {self.kind}"
+            raise InputError(problem, field="values")

@@ -58,6 +58,11 @@ class Span:
 
     def __post_init__(self) -> None:
         check_finite(start=self.start, stop=self.stop, confidence=self.confidence)
+        if self.stop < self.start:
+            problem = f"must not be before the start, {self.start:g} s, but is {self.stop:g} s"
+            raise InputError(problem, field="stop")
+        if not 0 <= self.confidence <= 1:
+            raise InputError("must be from 0 to 1", field="confidence")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,6 +126,11 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         samples, commands = np.size(self.time), np.size(self.command_time)
+        for name, kind in {"propellers": str, "excluded": Span}.items():
+            given = getattr(self, name)
+            if not (isinstance(given, tuple) and all(isinstance(one, kind) for one in given)):
+                problem = f"must be a tuple of {kind.__name__}"
+                raise InputError(problem, file=self.source, field=name)
         shapes = {
             "time": (samples,),
             "state": (samples, 6),
@@ -137,6 +147,10 @@ class Trajectory:
             if array.shape != shape:
                 raise InputError(f"must have the shape {shape}", file=self.source, field=name)
         check_finite(delay=self.delay)
+        for name, least in {"time": 2, "command_time": 1}.items():
+            if np.size(getattr(self, name)) < least:
+                problem = f"must have {least} entries or more"
+                raise InputError(problem, file=self.source, field=name)
         if (np.diff(self.time) <= 0).any():
             raise InputError("must increase", file=self.source, field="time")
         if (np.diff(self.command_time) < 0).any():
@@ -189,6 +203,7 @@ class Trajectory:
         int
             Rounded to the nearest sample, and at least `least`.
         """
+        check_finite(duration=duration)
         return max(round(duration / self.sample_period), least)
 
     @cached_property
@@ -262,7 +277,15 @@ class Trajectory:
         -------
         array of int, shape (windows,)
             Indices of first samples; no window touches an excluded span.
+
+        Raises
+        ------
+        InputError
+            If the length or the stride is below 1.
         """
+        for name, count in {"length": length, "stride": stride}.items():
+            if count < 1:
+                raise InputError(f"must be at least 1, not {count}", field=name)
         starts = [
             np.arange(first, last - length + 1, stride)
             for first, last in self.segments
@@ -318,6 +341,9 @@ class Trajectory:
         Trajectory
             The same samples; no window touches a span.
         """
+        spans = tuple(spans)
+        if not all(isinstance(span, Span) for span in spans):
+            raise InputError("must be a sequence of Span", field="spans")
         excluded = sorted({*self.excluded, *spans}, key=lambda span: (span.start, span.stop))
         return replace(self, excluded=tuple(excluded))
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
+from airpuck.boundary.arguments import checked_class
 from airpuck.compute.arrays import scan
 from airpuck.data.windows import Past
 from airpuck.physics.motor import motor_step
@@ -41,6 +42,7 @@ class StateEncoder(Encoder, Protocol):
         ...
 
 
+@checked_class
 @dataclass(frozen=True)
 class PaperEncoder:
     """The encoder of the paper: measured pose, smoothed velocities, motors lagging the commands.

@@ -21,7 +21,7 @@ try:
 except ImportError:
     raise InputError("environments need Gymnasium: pip install gymnasium") from None
 
-from airpuck.boundary.settings import unknown
+from airpuck.boundary.kinds import unknown
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import unknown
+from airpuck.boundary.kinds import unknown
 from airpuck.craft.table import Table
 from airpuck.twin.settings import TwinSettings
 

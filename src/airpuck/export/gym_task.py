@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.settings import unknown
+from airpuck.boundary.kinds import unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Kind, Measurement
 from airpuck.export.kinds import refuse_actuators

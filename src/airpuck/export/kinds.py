@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
-from airpuck.boundary.settings import unknown
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Effect

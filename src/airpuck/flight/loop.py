@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.pilot import Pilot
@@ -81,6 +82,8 @@ class FlightLog:
     took: Float[np.ndarray, " K"]
     #: Predictions of a predictive law, by step number; every tenth step.
     predictions: Mapping[int, Prediction]
+    #: Problems that did not prevent the flight.
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +131,9 @@ def fly(
     Raises
     ------
     InputError
-        If the pilot lacks a method, its command is not one finite number for each motor, or its set
-        point is beyond the rails of a link that has rails.
+        If the pilot lacks a method, its command is not one finite number for each motor within the
+        motor's range, its reference gives no finite numbers, or leads beyond the rails of a link
+        that has rails; or if the duration is shorter than a period.
 
     Examples
     --------
@@ -139,15 +143,20 @@ def fly(
     (50, 6)
     """
     check_pilot(pilot)
+    if not 0 < period <= duration:
+        problem = f"must be above 0 and at most the duration, {duration:g} s, but is {period:g} s"
+        raise InputError(problem, field="period")
     border = getattr(link, "border", None)
     if border is not None:
         check_inside(pilot.reference, border, "the table")
     start = link.now
     actions = list(control(pilot, link, duration, period, on_board=on_board))
     link.wait_until(start + duration)
+    command = np.array([action.step.command for action in actions])
     return FlightLog(
         time=np.array([action.time for action in actions]),
-        command=np.array([action.step.command for action in actions]),
+        command=command,
+        warnings=_clipped(pilot, link, command),
         status=tuple(action.step.status for action in actions),
         reference=np.array([action.reference[:3] for action in actions]),
         took=np.array([action.took for action in actions]),
@@ -186,8 +195,9 @@ def control(
                 if measurement.kind in told:
                     pilot.measured(measurement)
         now = link.now
-        wanted = asked(pilot.reference, now)
+        wanted = _wanted(pilot, now)
         if not np.array_equal(wanted, announced):
+            _check_target(pilot, wanted)
             link.announce(wanted)
             announced = wanted
         began = time.perf_counter()
@@ -201,3 +211,30 @@ def control(
         pilot.sent(now, step.command)
         yield Action(due, now, step, wanted, took)
         k = max(k + 1, math.floor((link.now - start) / period))
+
+
+def _clipped(pilot: Pilot, link: Link, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:
+    """Return a warning if commands were outside the range of a link that states its range."""
+    span = getattr(link, "command_range", None)
+    if span is None or not ((command < span[0]) | (command > span[1])).any():
+        return ()
+    low, high = command.min(), command.max()
+    limits = f"[{span[0].min():g}, {span[1].max():g}]"
+    return (f"commands of {called(pilot)} from {low:.3g} to {high:.3g} were clipped to {limits}",)
+
+
+def _wanted(pilot: Pilot, now: float) -> Float[np.ndarray, " 6"]:
+    """Return the desired state now; raise InputError if the pilot has no reference any more."""
+    try:
+        return asked(pilot.reference, now)
+    except AttributeError:
+        check_pilot(pilot)
+        raise
+
+
+def _check_target(pilot: Pilot, wanted: Float[np.ndarray, " 6"]) -> None:
+    """Raise InputError that names the pilot if its reference does not give a state."""
+    try:
+        numbers_of(wanted, (6,), "reference")
+    except InputError as error:
+        raise InputError(f"its reference {error.problem}", field=called(pilot)) from None

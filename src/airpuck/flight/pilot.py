@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from airpuck.control.law import Law, Prediction, Step
 from airpuck.control.laws import LAWS, check_law
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, sheltered
-from airpuck.data.measurement import Measurement
+from airpuck.data.measurement import Kind, Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
@@ -37,7 +37,8 @@ def check_pilot(pilot: Any) -> None:
             "airpuck.Pilot for a default",
             field=called(pilot),
         )
-    if not isinstance(getattr(pilot, "watches", None), tuple):
+    watches = getattr(pilot, "watches", None)
+    if not isinstance(watches, tuple) or not set(watches) <= set(get_args(Kind)):
         raise InputError(
             'must have `watches`, a tuple such as ("puck", "mallet"), or () for poses of the craft '
             "alone; inherit from airpuck.Pilot for a default",
@@ -73,9 +74,11 @@ def _what_is_wrong(step: Any) -> str:
     if not isinstance(step, Step):
         return f"must return airpuck.Step(command), not {type(step).__name__}"
     try:
-        np.asarray(step.command, dtype=float)
-    except (TypeError, ValueError) as error:
-        return f"gave a command that is not an array of numbers: {error}"
+        real = np.asarray(step.command).dtype.kind in "fiu"
+    except ValueError:
+        real = False
+    if not real:
+        return "gave a command that is not an array of numbers"
     kinds = {"status": str, "estimate": Estimate | None, "prediction": Prediction | None}
     for name, kind in kinds.items():
         if not isinstance(getattr(step, name), kind):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from numbers import Real
-from typing import Any, get_args
+from typing import Any
 
-import numpy as np
-
+from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 from airpuck.control.pilot import Pilot
@@ -19,7 +17,7 @@ from airpuck.hockey.hand import Hand
 from airpuck.hockey.level import LEVELS, Level
 from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.player import Player
-from airpuck.hockey.tactic import Intention, Kind, Tactic, View
+from airpuck.hockey.tactic import Intention, Tactic, View
 from airpuck.model.model_file import Model
 
 #: Names of the package's own players; other names are files.
@@ -115,42 +113,9 @@ class _UserTactic:
             returned = type(intention).__name__
             self._code.refuse(f"{called} must return an Intention, not {returned}")
         reference = self._code.run(called, sheltered, intention.reference, self._code)
-        intention = self._code.run(called, lambda: replace(intention, reference=reference))
-        problem = self._code.run(called, _what_is_wrong, intention, view.time)
-        if problem:
-            self._code.refuse(f"{called} {problem}")
-        return intention
-
-
-def _what_is_wrong(intention: Intention, time: float) -> str:
-    """Return the first problem with an intention, or an empty text."""
-    if intention.kind not in get_args(Kind):
-        return f"gave a kind other than {', '.join(get_args(Kind))}"
-    numbers = {
-        "reference": (intention.reference.at(time, 0.0).state, (6,)),
-        "meet": (intention.meet, (3,)),
-        "avoid": (intention.avoid, (3,)),
-    }
-    for name, (given, shape) in numbers.items():
-        found = None if given is None else _finite(given)
-        if given is not None and (found is None or found.shape != shape):
-            return f"gave a {name} that is not {shape[0]} finite numbers"
-    path, chance = intention.path, intention.chance
-    found = None if path is None else _finite(path)
-    if path is not None and (found is None or found.ndim != 2 or found.shape[1] != 2):
-        return "gave a path that is not an array of finite numbers (N, 2)"
-    if not (chance is None or isinstance(chance, Real)):
-        return "gave a chance that is not a number"
-    return ""
-
-
-def _finite(given: Any) -> np.ndarray | None:
-    """Return finite numbers as an array; None if some are not finite numbers."""
-    try:
-        found = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        return None
-    return found if np.isfinite(found).all() else None
+        target = self._code.run(called, reference.at, view.time, 0.0)
+        self._code.run(called, lambda: numbers_of(target.state, (6,), "reference"))
+        return self._code.run(called, lambda: replace(intention, reference=reference))
 
 
 def _flown(

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
@@ -145,6 +146,7 @@ class Side:
         self.body.target = self.frame.point(x, y)
 
 
+@checked_class
 class Game:
     """A game between two contestants, stepped one control period at a time.
 

@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary import numbers
+from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Step
 from airpuck.control.mpc import MPC
@@ -54,6 +56,7 @@ _NO_ROOM = 1e-3
 _HOME = 0.10
 
 
+@checked_class
 class Player(Pilot):
     """A craft that plays air hockey on one half of the table: a `Pilot`.
 
@@ -92,7 +95,8 @@ class Player(Pilot):
     Raises
     ------
     InputError
-        If the side is neither -1 nor 1, or the craft cannot be controlled.
+        If the side is neither -1 nor 1, another number is out of range, or the craft cannot be
+        controlled.
 
     Examples
     --------
@@ -118,6 +122,9 @@ class Player(Pilot):
     ) -> None:
         if side not in (-1, 1):
             raise InputError(f"must be -1 or 1, not {side!r}", field="side")
+        numbers.SEED.check(seed, "seed")
+        if opponent_radius is not None:
+            numbers.DISTANCE.check(opponent_radius, "opponent_radius")
         self.watches = ("puck", "mallet")
         self.tactic: Tactic = tactic or AllRounder()
         self.level, self.side, self.equipment = level, side, equipment

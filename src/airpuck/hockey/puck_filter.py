@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.learning import PuckLearner
@@ -36,6 +37,7 @@ _DRAG_MEMORY = 0.1
 _LOST = 0.5
 #: Longest time that a puck is predicted ahead [s].
 _LONGEST = 60.0
+_AHEAD = numbers.Range(0, _LONGEST, "predictions begin at the last pose and are short", "s")
 #: A smaller change of velocity has no direction [m/s].
 _NO_CHANGE = 1e-6
 #: Frames closer in time than this are the same frame [s].
@@ -59,6 +61,7 @@ class PuckNoise:
     yaw_rad: float = 7e-4
 
 
+@checked_class
 class PuckFilter:
     """Estimates the puck's motion from its poses.
 
@@ -118,9 +121,17 @@ class PuckFilter:
             Time stamp of the pose [s]; a pose that is not newer than the last is ignored.
         pose : array, shape (3,)
             x, y [m], yaw [rad].
+
+        Raises
+        ------
+        InputError
+            If the pose is not three numbers.
         """
-        if not all(map(math.isfinite, (time, *pose.tolist()))):
+        if np.shape(pose) != (3,):
+            raise InputError("must be three numbers", field="pose")
+        if not (math.isfinite(time) and np.isfinite(pose).all()):
             return
+        pose = np.asarray(pose, dtype=float)
         if self.belief is not None and time <= self.belief.time + _SAME:
             return
         if self.belief is None or time > self.belief.time + _LOST:
@@ -160,15 +171,14 @@ class PuckFilter:
         Raises
         ------
         InputError
-            If no pose has come, or a time is before the last pose.
+            If no pose has come, a time is before the last pose, or times decrease.
         """
         if self.belief is None:
             raise InputError("no pose of the puck has come yet")
         for time in times:
-            ahead = numbers.Range(
-                0, _LONGEST, "predictions begin at the last pose and are short", "s"
-            )
-            ahead.check(time - self.belief.time, "times")
+            _AHEAD.check(time - self.belief.time, "times")
+        if (np.diff(times) < 0).any():
+            raise InputError("must not decrease", field="times")
         return predict_puck(self.model, self.belief, times)
 
     def crossing(self, x: float, horizon: float = 2.0) -> PuckCrossing | None:
@@ -185,7 +195,14 @@ class PuckFilter:
         -------
         PuckCrossing or None
             The crossing; None if there is none in time, or no pose has come.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite, or the horizon is too long.
         """
+        numbers.check_finite(x=x)
+        _AHEAD.check(horizon, "horizon")
         return self.belief and predict_crossing(self.model, self.belief, x, horizon)
 
     def _begin(

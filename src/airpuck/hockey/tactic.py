@@ -5,13 +5,18 @@ A player works in its own frame: its goal is at x = -length / 2, its half is x <
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import numbers_of
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
+from airpuck.boundary.numbers import Range
 from airpuck.control.reference import Reference
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.minimal_time import MinimalTimes
@@ -20,6 +25,8 @@ from airpuck.hockey.rival import Rival
 
 #: Kinds of actions of a craft.
 Kind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]
+_KINDS = get_args(Kind)
+_CHANCE = Range(0, 1, "it is a probability")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +130,15 @@ class View:
     rival: Rival = field(default_factory=Rival)
 
 
+def _is_three(disc: Any) -> bool:
+    """Return whether a value is three finite numbers."""
+    try:
+        x, y, z = disc
+        return math.isfinite(x + y + z)
+    except (TypeError, ValueError):
+        return False
+
+
 @dataclass(frozen=True, eq=False)
 class Intention:
     """The output of a tactic.
@@ -142,6 +158,11 @@ class Intention:
     avoid : tuple of float, optional
         A disc that the craft's centre must avoid, such as one around the puck: x, y, radius [m].
 
+    Raises
+    ------
+    InputError
+        If the kind is unknown, or a value is not as described.
+
     Examples
     --------
     >>> intention = airpuck.Intention("defend", airpuck.SetPoint(-0.9, 0.0, 0.0))
@@ -155,6 +176,24 @@ class Intention:
     path: Float[np.ndarray, "N 2"] | None = None
     chance: float | None = None
     avoid: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in _KINDS:
+            raise InputError(unknown(self.kind, _KINDS), field="kind")
+        if not isinstance(self.reference, Reference):
+            problem = (
+                f"must be a reference, such as a SetPoint, not {type(self.reference).__name__}"
+            )
+            raise InputError(problem, field="reference")
+        for name, disc in (("meet", self.meet), ("avoid", self.avoid)):
+            if disc is not None and not _is_three(disc):
+                raise InputError("must be 3 finite numbers", field=name)
+        if self.avoid is not None and self.avoid[2] < 0:
+            raise InputError("must have a radius that is not negative", field="avoid")
+        if self.path is not None:
+            numbers_of(self.path, (None, 2), "path")
+        if self.chance is not None:
+            _CHANCE.check(self.chance, "chance")
 
 
 @runtime_checkable

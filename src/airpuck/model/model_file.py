@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import checked, write_toml
 from airpuck.boundary.notebook import frame
@@ -25,11 +26,10 @@ from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
     ModelFile,
-    parameters_content,
+    model_content,
     read_free,
     read_parameters,
     read_uncertainty,
-    uncertainty_content,
     with_nominal_delay,
 )
 from airpuck.model.simulation import derivative, draw, simulate
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 _FORMAT = "airpuck model 1"
 
 
+@partial(checked_class, finite=False)
 @dataclass(frozen=True, eq=False)
 class Model:
     """A craft with known parameters: the result of identification, used by all other packages.
@@ -72,6 +73,11 @@ class Model:
     delay_jitter : DelayJitter or None
         Spread of the transport delay between packets, if it was learned here.
 
+    Raises
+    ------
+    InputError
+        If a parameter is not finite or does not fit the vehicle.
+
     Examples
     --------
     >>> isinstance(model, airpuck.Model), model.name
@@ -93,6 +99,9 @@ class Model:
     source: str = ""
     uncertainty: Uncertainty | None = None
     delay_jitter: DelayJitter | None = None
+
+    def __post_init__(self) -> None:
+        self.parameters.check(self.vehicle.n_propellers)
 
     def __repr__(self) -> str:
         return (
@@ -164,6 +173,11 @@ class Model:
         -------
         Model
             A copy.
+
+        Raises
+        ------
+        InputError
+            If the delay is negative or longer than 10 s.
         """
         return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
 
@@ -350,26 +364,7 @@ class Model:
         path : path-like
             The file to write.
         """
-        learned, free = self.parameters.with_vector(self.free), {}
-        for quantity in self.parameters.quantities:
-            entries = np.ravel(getattr(learned, quantity.name)).tolist()
-            free[quantity.name] = entries[0] if len(set(entries)) == 1 else entries
-        content = {
-            "format": _FORMAT,
-            "name": self.name,
-            "source": self.source,
-            "center_of_mass_frame": self.frame,
-            "encoder_indexing": self.indexing,
-            "parameters": parameters_content(self.parameters),
-            "free": free,
-            "fit": dict(self.fit),
-            "data": dict(self.data),
-        }
-        if self.known is not None:
-            content["uncertainty"] = uncertainty_content(self.known, self.parameters, self.vehicle)
-        if self.delay_jitter is not None:
-            content["delay_jitter"] = self.delay_jitter.model_dump()
-        content["vehicle"] = self.vehicle.model_dump(mode="json")
+        content = {"format": _FORMAT, **model_content(self)}
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
 
 

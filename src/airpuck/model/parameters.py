@@ -14,11 +14,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity
 from airpuck.physics.effects import Effect, Layout
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
 
+#: Times, and the longest that a craft could be flown with [s]; numerical derivatives at 0 step
+#: below it by less than this [s].
+_TIMES, _LONGEST, _BELOW = ("motor_time_constant", "transport_delay"), 10.0, 1e-3
 #: The motor lag, for `Parameters.mask`.
 LAG = frozenset({"motor_time_constant"})
 
@@ -66,6 +70,35 @@ class Parameters(_Values):
             The entries.
         """
         return np.concatenate([np.ravel(getattr(self, q.name)) for q in self.quantities])
+
+    def check(self, n: int) -> None:
+        """Check numbers for a craft with `n` propellers; values that JAX traces are skipped.
+
+        Parameters
+        ----------
+        n : int
+            Number of propellers.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite or has an impossible sign, or an array has another shape.
+        """
+        rows = {"thrust": (n,), "configuration_matrix": (3, n)}
+        for quantity in self.quantities:
+            value, field = getattr(self, quantity.name), f"parameters.{quantity.name}"
+            shape = rows.get(quantity.name, ())
+            if np.shape(value)[: len(shape)] != shape or (shape and np.ndim(value) != 2):
+                raise InputError(f"must have numbers for each of {n} propellers", field=field)
+            if not isinstance(value, float | int | np.ndarray) or np.result_type(value).kind != "f":
+                continue
+            if not np.isfinite(value).all():
+                raise InputError("must be finite numbers", field=field)
+            if quantity.name == "inertia" and value <= 0:
+                raise InputError(f"must be above 0, not {value:g}", field=field)
+            if quantity.name in _TIMES and not -_BELOW < value <= _LONGEST:
+                problem = f"must be from 0 to {_LONGEST:g} s, not {value:g}"
+                raise InputError(problem, field=field)
 
     def with_vector(self, vector: Any) -> Parameters:
         """Return the parameters whose `to_vector` is the given one.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary import numbers
+from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters
@@ -147,7 +149,7 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     Raises
     ------
     InputError
-        If a rung or term is unknown.
+        If a rung, term or frame is unknown, or the degree is out of range.
 
     Examples
     --------
@@ -155,6 +157,9 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     >>> rung.name
     'M3+drag'
     """
+    if degree is not None:
+        numbers.DEGREE.check(degree, "degree")
+    chosen(frame, dict.fromkeys(get_args(CenterOfMassFrame)), "frame")
     base, *terms = name.split("+")
     if base not in RUNGS:
         raise InputError(

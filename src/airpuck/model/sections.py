@@ -43,6 +43,31 @@ class StandardErrors(_one_field_each(NanSection, bounded=False)):
     """The table ``[uncertainty.standard_errors]``."""
 
 
+def model_content(model: Any) -> dict[str, Any]:
+    """Return what a model file holds of a `Model`, without the format."""
+    learned, free = model.parameters.with_vector(model.free), {}
+    for quantity in model.parameters.quantities:
+        entries = np.ravel(getattr(learned, quantity.name)).tolist()
+        free[quantity.name] = entries[0] if len(set(entries)) == 1 else entries
+    content = {
+        "name": model.name,
+        "source": model.source,
+        "center_of_mass_frame": model.frame,
+        "encoder_indexing": model.indexing,
+        "parameters": parameters_content(model.parameters),
+        "free": free,
+        "fit": dict(model.fit),
+        "data": dict(model.data),
+    }
+    if model.known is not None:
+        known = uncertainty_content(model.known, model.parameters, model.vehicle)
+        content["uncertainty"] = known
+    if model.delay_jitter is not None:
+        content["delay_jitter"] = model.delay_jitter.model_dump()
+    content["vehicle"] = model.vehicle.model_dump(mode="json")
+    return content
+
+
 def parameters_content(parameters: Parameters) -> dict[str, Any]:
     """Return the numbers of all quantities by their keys."""
     return {q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.quantities}

@@ -40,8 +40,12 @@ def derivative(dynamics: Dynamics, state: Any, command: Any) -> Any:
 def simulate(dynamics: Dynamics, vehicle: Vehicle, state: Any, commands: Any, period: Any) -> Any:
     """Simulate held commands; see `Model.simulate`."""
     n = vehicle.n_propellers
-    if isinstance(period, float | int | np.ndarray) and not np.all(np.asarray(period) > 0):
-        raise InputError("must be above 0 s", field="period")
+    period = np.asarray(period) if isinstance(period, list | tuple) else period
+    if isinstance(period, float | int | np.ndarray):
+        if not (np.all(np.asarray(period) > 0) and np.isfinite(period).all()):
+            raise InputError("must be above 0 s, and finite", field="period")
+        if np.shape(period)[:1] not in ((), np.shape(commands)[:1]):
+            raise InputError("must be one number, or one for each command", field="period")
 
     def states(state: Any, commands: Any) -> Any:
         xp = namespace(state, commands, period, dynamics.thrust)
@@ -49,13 +53,30 @@ def simulate(dynamics: Dynamics, vehicle: Vehicle, state: Any, commands: Any, pe
             raise InputError(f"must have {n} columns, one for each motor", field="commands")
         if isinstance(commands, np.ndarray) and commands.dtype != object:
             _check_commands(vehicle, commands)
+        _check_finite(state, "state")
         if state.shape[0] == _POSE_AND_RATES:
             state = xp.concatenate([state, commands[0]])
         _check(state, _POSE_AND_RATES + n, "state")
         durations = xp.broadcast_to(xp.asarray(period), commands.shape[:1] + np.shape(period)[1:])
         return rollout(xp, dynamics, state, commands, durations)
 
-    return with_symbols(states, state, commands)
+    return with_symbols(states, _array(state, "state"), _array(commands, "commands"))
+
+
+def _array(given: Any, field: str) -> Any:
+    """Return an array for a list of numbers; arrays, traced values and symbols are left as is."""
+    if not isinstance(given, list | tuple | str):
+        return given
+    try:
+        return np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("must be an array of numbers", field=field) from None
+
+
+def _check_finite(state: Any, field: str) -> None:
+    """Raise InputError for an array with a number that is not finite; traced ones are skipped."""
+    if isinstance(state, np.ndarray) and state.dtype.kind == "f" and not np.isfinite(state).all():
+        raise InputError("must be finite numbers", field=field)
 
 
 def _check_commands(vehicle: Vehicle, commands: Float[np.ndarray, "T n *batch"]) -> None:

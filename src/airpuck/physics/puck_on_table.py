@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Contact
 from airpuck.physics.puck import (
     Disc,
@@ -110,9 +111,16 @@ class PuckOnTable:
         ----------
         state : PuckState
             Position and motion; positions beyond a rail are moved to the rail.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite.
         """
         # NumPy scalars are slow.
         state = PuckState(*map(float, state))
+        if not math.isfinite(sum(state)):
+            raise InputError("must be finite numbers", field="puck")
         x, y = self._walls.nearest(state.x, state.y)
         self.goal = 0
         self._free_from = -math.inf

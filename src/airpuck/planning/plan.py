@@ -6,13 +6,14 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml, write_toml
 from airpuck.boundary.results import Result
@@ -36,10 +37,13 @@ _SAMPLE = 1e-3
 #: A plan meets its goal only within a tolerance, so it may be faster than possible by this
 #: fraction.
 _INACCURATE = 1e-3
+#: Commands may exceed their limits by this.
+_ROUNDING = 1e-6
 #: Multipliers of rails that count as zero, as a fraction of the largest price.
 _TOUCH = 1e-3
 
 
+@partial(checked_class, finite=False)
 @dataclass(frozen=True, eq=False)
 class Plan(Result):
     """A time-optimal flight; a reference that a controller can track.
@@ -68,6 +72,11 @@ class Plan(Result):
     keep_out : tuple of (x, y, radius)
         Discs that the craft avoids [m].
 
+    Raises
+    ------
+    InputError
+        If a number is not finite, times do not increase from 0, or arrays do not fit together.
+
     Examples
     --------
     >>> coast = airpuck.Plan(  # without thrust from (0, 0) at 0.4 m/s
@@ -95,6 +104,30 @@ class Plan(Result):
     via: tuple[tuple[float, ...], ...] = ()
     keep_out: tuple[tuple[float, ...], ...] = ()
 
+    def __post_init__(self) -> None:
+        n, nodes = self.model.vehicle.n_propellers, np.size(self.time)
+        if nodes < 2:
+            raise InputError("must have two entries or more", field="time")
+        shapes = {"time": (nodes,), "states": (nodes, 6 + n), "commands": (nodes - 1, n)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, numbers_of(getattr(self, name), shape, name))
+        if self.time[0] != 0 or (np.diff(self.time) <= 0).any():
+            raise InputError("must increase from 0", field="time")
+        if not (self.commands.min() >= -_ROUNDING and self.commands.max() <= 1 + _ROUNDING):
+            raise InputError("must lie in [0, 1]", field="commands")
+        numbers.RESERVE.check(self.reserve, "reserve")
+        if self.lower_bound is not None:
+            numbers.check_finite(lower_bound=self.lower_bound)
+        if math.isnan(self.begin):  # infinite: it waits for a departure
+            raise InputError("must be a number", field="begin")
+        numbers_of(self.via or np.zeros((0, 2)), (None, 2), "via")
+        numbers_of(self.keep_out or np.zeros((0, 3)), (None, 3), "keep_out")
+
+    @property
+    def visits(self) -> Float[np.ndarray, "nodes 3"]:
+        """Poses that it leads through: those of the nodes."""
+        return self.states[:, :3]
+
     @property
     def duration(self) -> float:
         """Duration of the flight [s]."""
@@ -112,7 +145,15 @@ class Plan(Result):
         -------
         Path
             Durations of the legs, states at the nodes, commands between them.
+
+        Raises
+        ------
+        InputError
+            If the intervals cannot be divided into so many legs.
         """
+        if legs < 1 or len(self.commands) % legs:
+            problem = f"must divide the plan's {len(self.commands)} intervals, but is {legs}"
+            raise InputError(problem, field="legs")
         ends = self.time[:: (len(self.time) - 1) // legs]
         return Path(np.diff(ends), self.states, self.commands)
 
@@ -311,7 +352,10 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
     states, commands = np.array(content.states), np.array(content.commands)
     bound, reserve = content.lower_bound_s, content.reserve
     course = {"via": content.via_m, "keep_out": content.keep_out_m}
-    return Plan(model, time, states, commands, bound, reserve=reserve, **course)
+    try:
+        return Plan(model, time, states, commands, bound, reserve=reserve, **course)
+    except InputError as error:
+        raise InputError(error.problem, file=path, field=error.field) from error
 
 
 def plan(
@@ -369,6 +413,8 @@ def plan(
     True
     """
     numbers.INTERVALS.check(intervals, "intervals")
+    if warm is not None and len(warm.commands) % (len(via) + 1):
+        raise InputError("has another number of legs than this request", field="warm")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
     near = None if warm is None else warm.path(len(request.via) + 1)
     solved, tried = search(request, intervals, near)

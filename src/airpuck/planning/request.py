@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
@@ -37,6 +38,7 @@ _ROUNDING, _FORCE_ROUNDING = 1e-6, 1e-12
 _SPEEDS = 2001
 
 
+@checked_class
 @dataclass(frozen=True)
 class Goal:
     """The end state of a plan.
@@ -52,6 +54,11 @@ class Goal:
     turn : {"shorter", "exact"}, default "shorter"
         Whether the craft turns the shorter way to the yaw; otherwise the yaw is continuous, whole
         turns included.
+
+    Raises
+    ------
+    InputError
+        If a number is not finite, or the velocity is not three numbers.
 
     Examples
     --------
@@ -175,7 +182,10 @@ def checked_request(
 
 def _numbers(values: Numbers, field: str, lengths: tuple[int, ...]) -> Float[np.ndarray, " k"]:
     """Return finite numbers, or raise InputError."""
-    array = np.array(values, dtype=float)
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("must be numbers", field=field) from None
     if array.ndim != 1 or len(array) not in lengths:
         raise InputError(f"must be {' or '.join(map(str, lengths))} numbers", field=field)
     if not np.isfinite(array).all():

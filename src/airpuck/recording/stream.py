@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
 from numpy.typing import ArrayLike
 
+from airpuck.boundary.arguments import checked, checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import (
@@ -73,9 +75,22 @@ class Stream:
     columns: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        n, k = self.values.shape
+        if np.ndim(self.values) != 2 or np.asarray(self.values).dtype.kind not in "fiu":
+            raise InputError(
+                "must be numbers in two dimensions: a row for each time, a column for each name",
+                field="values",
+            )
+        for name in ("stamp_ns", "received_ns"):
+            stamps = np.asarray(getattr(self, name))
+            if stamps.ndim != 1 or stamps.dtype.kind not in "iu":
+                raise InputError("must be whole numbers, one for each row", field=name)
+        n, k = np.shape(self.values)
         if len(self.columns) != k or len(self.stamp_ns) != n or len(self.received_ns) != n:
             raise InputError("stamps, values and columns of a stream do not fit together")
+        if len(set(self.columns)) != k:
+            raise InputError("two columns have the same name", field="columns")
+        for name in ("values", "stamp_ns", "received_ns"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name)))
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -96,6 +111,7 @@ class Stream:
     __hash__ = None  # pyright: ignore[reportAssignmentType]
 
 
+@checked_class
 @dataclass(frozen=True, repr=False)
 class Recording:
     """Named streams of one flight, and their origin.
@@ -133,7 +149,18 @@ class Recording:
     warnings: tuple[str, ...] = ()
     about: Mapping[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        for name, stream in self.streams.items():
+            if not isinstance(stream, Stream):
+                problem = f"must be a Stream, not {type(stream).__name__}"
+                raise InputError(problem, file=self.source, field=name)
+            expected = COLUMNS.get(name)
+            if expected is not None and len(stream.columns) != len(expected):
+                problem = f"must have the columns {', '.join(expected)}"
+                raise InputError(problem, file=self.source, field=name)
+
     @classmethod
+    @partial(checked, finite=False)
     def from_arrays(
         cls,
         time: ArrayLike,

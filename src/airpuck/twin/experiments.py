@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.pilot import Pilot
@@ -199,8 +200,8 @@ def track(
     True
     """
     _check_duration(duration, tuning)
-    if gain is not None and (np.shape(gain) != (3, 6) or not np.isfinite(gain).all()):
-        raise InputError("must be 3 rows of 6 finite numbers", field="gain")
+    if gain is not None:
+        gain = numbers_of(gain, (3, 6), "gain")
     truth = truth or model
     if len(truth.vehicle.columns) != len(model.vehicle.columns):
         raise InputError(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import check_finite
 from airpuck.craft.table import AirHockey, Contact, Mallet, Table
 from airpuck.physics.puck import PuckState, strike
 from airpuck.physics.puck_on_table import Moving, PuckOnTable
@@ -47,7 +48,18 @@ class HandMallet:
         self._reach = table.reach(mallet.radius_m)
         self.x, self.y = self.allowed(x, y)
         self.vx = self.vy = 0.0
-        self.target = self.x, self.y
+        self._target = self.x, self.y
+
+    @property
+    def target(self) -> tuple[float, float]:
+        """Target of the hand [m]; setting it checks that it is finite."""
+        return self._target
+
+    @target.setter
+    def target(self, place: tuple[float, float]) -> None:
+        x, y = place
+        check_finite(target=x + y)
+        self._target = x, y
 
     def allowed(self, x: float, y: float) -> tuple[float, float]:
         """Return the nearest position on its half of the table.

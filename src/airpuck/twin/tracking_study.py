@@ -277,16 +277,8 @@ def _flown(
         table=settings.table,
         label=label,
         pilot=pilot,
-        warnings=() if pilot is None else _clipped(pilot, log.command),
+        warnings=() if pilot is None else log.warnings,
     )
-
-
-def _clipped(name: str, command: Float[np.ndarray, "K n"]) -> tuple[str, ...]:
-    """Return a warning if a user's pilot gave commands outside [0, 1]."""
-    low, high = float(command.min(initial=np.inf)), float(command.max(initial=-np.inf))
-    if low >= 0 and high <= 1:
-        return ()
-    return (f"commands of {name} from {low:.3g} to {high:.3g} were clipped to [0, 1]",)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Kind, Measurement
@@ -25,7 +26,14 @@ from airpuck.twin.radio import radio_delay
 from airpuck.twin.sensors import SensorSet, build_sensors, command_stream, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
+#: Commands may exceed their range by this; a law that saturates may give such, percent and pulse
+#: widths are larger.
+_EXCESS = 1.0
+#: No puck is faster; air-hockey players hit it at up to 20 m/s [m/s, rad/s].
+_FASTEST = 1000.0
 
+
+@checked_class
 class Twin:
     """A simulated craft with its sensors and radio; a `Link`.
 
@@ -94,8 +102,8 @@ class Twin:
         self._felt = replace(self.plant.dynamics, effects=pushed)
         shared = world is not None
         if world is None:
+            played = _played(puck, mallet, settings.table)
             world = World(settings, puck, logs=logs)
-            played = _played(puck, mallet)
         elif puck is not None or mallet is not None:
             raise InputError("come with the world; leave them out", field="puck and mallet")
         elif world.puck is None:
@@ -133,12 +141,19 @@ class Twin:
         return self.settings.table.reach(0.0)
 
     @property
+    def command_range(self) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
+        """Smallest and largest commands that the motors take."""
+        return self._lowest, np.ones_like(self._lowest)
+
+    @property
     def contacts(self) -> list[float]:
         """Times at which the craft met a rail [s]."""
         return [time for time, _ in self.craft.contacts]
 
     def wait_until(self, time: float) -> list[Measurement]:
         """Simulate until a time; see `airpuck.flight.loop.Link`."""
+        if not math.isfinite(time):
+            raise InputError(f"must be a finite number, not {time!r}", field="time")
         self.world.run(time)
         self.now = time
         return self._sensors.arrived(time)
@@ -160,18 +175,27 @@ class Twin:
         Parameters
         ----------
         command : array, shape (c,)
-            A command for each actuator; values outside its range are clipped, as by a real radio.
+            A command for each actuator; values slightly outside its range are clipped, as by a real
+            radio.
 
         Raises
         ------
         InputError
-            If there is not one finite number for each motor.
+            If there is not one finite number for each motor, or one is so large that it must be in
+            another unit.
         """
-        command = np.array(command, dtype=float)
-        lowest = self._lowest
+        command, lowest = np.array(command), self._lowest
         n = len(lowest)
-        if command.shape != (n,) or not np.isfinite(command).all():
+        real = command.dtype.kind in "fiu"
+        if command.shape != (n,) or not real or not np.isfinite(command).all():
             raise InputError(f"needs {n} finite numbers, one for each motor", field="command")
+        least, most = command.min(), command.max()
+        if most > 1 + _EXCESS or (command < lowest - _EXCESS).any():
+            raise InputError(
+                f"goes from {least:g} to {most:g}, but motors take {lowest.min():g} to 1; is it "
+                "a pulse width, or in percent?",
+                field="command",
+            )
         command = np.clip(command, lowest, 1.0)
         if self._logs:
             self._sent.append((self.now, command))
@@ -180,7 +204,7 @@ class Twin:
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Log the reference; see `airpuck.flight.loop.Link`."""
         if self._logs:
-            self._announced.append((self.now, np.array(reference, dtype=float)))
+            self._announced.append((self.now, numbers_of(reference, (6,), "reference")))
 
     @property
     def next_event(self) -> float:
@@ -244,17 +268,26 @@ class Twin:
         return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
 
 
-def _played(puck: PuckState | None, mallet: tuple[float, float] | None) -> tuple[Kind, ...]:
+def _played(
+    puck: PuckState | None, mallet: tuple[float, float] | None, table: Table
+) -> tuple[Kind, ...]:
     """Return the other bodies beside the craft; raise InputError for invalid positions."""
     if puck is None:
         if mallet is not None:
             raise InputError("needs a puck; add a puck, too", field="mallet")
         return ()
-    for field, numbers_given in (("puck", puck), ("mallet", mallet or ())):
-        if not all(map(math.isfinite, numbers_given)):
-            raise InputError("must be finite numbers", field=field)
-    if mallet is not None and len(mallet) != 2:
-        raise InputError(f"must be x and y, not {mallet}", field="mallet")
+    discs = {"puck": puck, "mallet": mallet}
+    for field, place in discs.items():
+        if place is None:
+            continue
+        x, y, *motion = numbers_of(place, (len(place),), field).tolist()
+        if motion and max(map(abs, motion[1:])) > _FASTEST:
+            problem = f"moves faster than {_FASTEST:g} m/s, or spins faster than {_FASTEST:g} rad/s"
+            raise InputError(problem, field=field)
+        reach = table.reach(0.0)
+        if abs(x) > reach[0] or abs(y) > reach[1]:
+            problem = f"({x:g}, {y:g}) is outside the table, ±{reach[0]:g} m by ±{reach[1]:g} m"
+            raise InputError(problem, field=field)
     return ("puck",) if mallet is None else ("puck", "mallet")
 
 
@@ -267,8 +300,11 @@ def check_seed(seed: Any, field: str = "seed", limits: numbers.Range = numbers.S
 
 def check_pose(pose: Any, table: Table, radius: float, field: str = "pose") -> None:
     """Raise InputError for a pose off the table."""
-    if len(pose) != 3 or not all(map(math.isfinite, pose)):
-        raise InputError("needs three finite numbers, x, y [m] and yaw [rad]", field=field)
+    try:
+        pose = numbers_of(pose, (3,), field).tolist()
+    except InputError:
+        problem = "needs three finite numbers, x, y [m] and yaw [rad]"
+        raise InputError(problem, field=field) from None
     reach = table.reach(radius)
     if min(reach) < 0:
         raise InputError("is smaller than the craft", field="table")

@@ -1,0 +1,123 @@
+"""Kinds of values: whether a value fits an annotation, and what the annotation accepts."""
+
+from __future__ import annotations
+
+import os
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
+from numbers import Integral, Real
+from typing import Any, Literal
+
+import numpy as np
+
+#: Number of characters shown of a value that is too long.
+_SHOWN = 60
+
+#: Kinds of values that are also accepted: a NumPy number is a number, too.
+_KINDS: dict[Any, tuple[Any, str]] = {
+    float: (Real, "a number"),
+    int: (Integral, "a whole number"),
+    bool: ((bool, np.bool_), "True or False"),
+    str: (str, "a text"),
+    os.PathLike: (os.PathLike, "a path"),
+    Callable: (Callable, "a function"),
+    Sequence: ((Sequence, np.ndarray), "a sequence"),
+    tuple: ((Sequence, np.ndarray), "a sequence"),
+    Iterable: (Iterable, "a sequence"),
+    Mapping: (Mapping, "a mapping"),
+}
+
+
+def fits(value: Any, hint: Any) -> bool:
+    """Return whether a value fits an annotation; undecidable cases fit."""
+    origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if origin is typing.Annotated:
+        return fits(value, inner[0])
+    if origin in (typing.Union, types.UnionType):
+        return any(fits(value, one) for one in inner)
+    if origin is Literal:
+        return isinstance(value, str | int) and value in inner
+    if origin in (None, type(None)):
+        return value is None
+    if origin in _KINDS:
+        kind, _ = _KINDS[origin]
+        if not isinstance(value, kind) or (isinstance(value, bool) and origin in (int, float)):
+            return False
+        if origin in (Sequence, tuple):
+            return _elements_fit(value, inner)
+        return True
+    if not isinstance(origin, type) or hasattr(origin, "array_type"):
+        return True  # Any, or an array, which is converted and whose shape is checked
+    if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):
+        return True
+    return isinstance(value, origin)
+
+
+def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
+    """Return whether all elements of a sequence are of a kind; text does not count."""
+    if isinstance(value, str | bytes):
+        return False
+    if not inner:
+        return True
+    if isinstance(value, np.ndarray):
+        return len(inner) == 1 or inner[-1] is ... or value.shape[:1] == (len(inner),)
+    if len(inner) == 1 or inner[-1] is ...:
+        return all(fits(one, inner[0]) for one in value)
+    pairs = zip(value, inner, strict=False)
+    return len(value) == len(inner) and all(fits(one, kind) for one, kind in pairs)
+
+
+def misfit(value: Any, hint: Any) -> str:
+    """Describe what an argument accepts."""
+    names = [name for one in _alternatives(hint) for name in _names(one)]
+    if names and isinstance(value, str):
+        return unknown(value, names)
+    return f"must be {_words(hint)}, not {_shown(value)}"
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """Return the kinds that an annotation allows."""
+    union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    return typing.get_args(hint) if union else (hint,)
+
+
+def _names(hint: Any) -> tuple[str, ...]:
+    return typing.get_args(hint) if typing.get_origin(hint) is Literal else ()
+
+
+def _words(hint: Any) -> str:
+    """Describe a kind."""
+    alternatives = _alternatives(hint)
+    if len(alternatives) > 1:
+        return " or ".join(dict.fromkeys(map(_words, alternatives)))
+    origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if origin is Literal:
+        return " or ".join(map(repr, inner))
+    if origin in (None, type(None)):
+        return "None"
+    if origin in (Sequence, tuple) and inner:
+        count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} values: "
+        return f"a sequence of {count}{_words(inner[0])}"
+    if origin in _KINDS:
+        return _KINDS[origin][1]
+    if origin is np.ndarray:
+        return "an array"
+    return getattr(origin, "__name__", str(origin))
+
+
+def _shown(value: object) -> str:
+    """Show a short value; for others, the type."""
+    simple = value is None or isinstance(value, str | bool | Real)
+    return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"
+
+
+def unknown(name: Any, known: Iterable[Any]) -> str:
+    """Return an error text for an unknown name: the known names, and the nearest of them."""
+    names = list(map(repr, known))
+    near = get_close_matches(repr(name), names, 1) if isinstance(name, str) else []
+    hint = f"; did you mean {near[0]}?" if near else ""
+    shown = repr(name)
+    shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
+    return f"must be {' or '.join(names)}, not {shown}{hint}"
