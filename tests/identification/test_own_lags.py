@@ -19,7 +19,7 @@ from ..apparatus.two_way_craft import triangle
 STEP, DELAY = 0.02, 0.04
 
 
-def flown(tmp_path):
+def flown(tmp_path, noise=(1e-4, 1e-4, 5e-4)):
     """Return the craft, its true model, and a trajectory of 60 s seen at 8 Hz."""
     fast = 'commanded = "torque"\ntime_constant_s = 0.01'
     vehicle = triangle(tmp_path, fast, **{"constant_s = 0.06": "constant_s = 0.15"})
@@ -35,7 +35,7 @@ def flown(tmp_path):
     moved = replace(nominal, parameters=truth).simulate(np.zeros(6), drives, STEP)
     time = STEP * np.arange(1, count + 1)
     seen = slice(None, None, 6)
-    pose = moved[seen, :3] + random.normal(0, [1e-4, 1e-4, 5e-4], (len(time[seen]), 3))
+    pose = moved[seen, :3] + random.normal(0, noise, (len(time[seen]), 3))
     sent = STEP * held * np.arange(count // held) - DELAY
     recording = Recording.from_arrays(time[seen], pose, sent, command, propellers=vehicle.columns)
     return vehicle, truth, preprocess(recording, vehicle)
@@ -69,3 +69,27 @@ def test_a_wheel_with_its_own_lag_leaves_all_forces_right(tmp_path):
     assert (within < 0.1).all()
     assert abs(model.parameters.motor_time_constant - 0.17) < 0.01
     assert abs(model.transport_delay - DELAY) < 0.01
+
+
+@pytest.mark.slow
+def test_the_error_of_a_wheels_lag_is_that_of_fits_with_other_lags(tmp_path):
+    """Also where noise makes the model smooth the velocities, by 0.1 standard errors."""
+    vehicle, _, trajectory = flown(tmp_path, noise=(1e-3, 1e-3, 2e-3))
+    (wheel,), error = vehicle.wheels, 0.01
+
+    def fitted(**stated):
+        wheels = (wheel.model_copy(update=stated),)
+        other = vehicle.model_copy(update={"wheels": wheels})
+        return identify(trajectory, vehicle=other, preparation=Preparation(faults="keep")).model
+
+    known, without = (
+        fitted(time_constant_s=0.02, lag_error_s=own).uncertainty for own in (error, 0.0)
+    )
+    low, high = (
+        fitted(time_constant_s=0.02 + sign * error, lag_error_s=0.0).parameters.to_vector()
+        for sign in (-1, 1)
+    )
+    told = np.isfinite(known.standard_errors)
+    added = np.diag(known.covariance)[told] - np.diag(without.covariance)[told]
+    actual, plain = np.abs(high - low)[told] / 2, without.standard_errors[told]
+    assert (np.abs(np.sqrt(np.maximum(added, 0)) - actual) < 0.05 * plain + 0.2 * actual).all()

@@ -33,6 +33,7 @@ from airpuck.identification.problem import Exclusion, Problem, exclude_faults
 from airpuck.identification.retiming import (
     delay_jitter,
     error_growth,
+    prepared_gradients,
     retime_packets,
     score_derivatives,
     smoothed_along,
@@ -363,10 +364,11 @@ def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Unce
     if solution.problem.loss.robust:
         added = information_of_weights(*loss.window_gradients(parameters))
         known = grown(known, information_growth(quadratic.hessian, added, space.basis))
-    known = _with_held_lags(solution, known, quadratic, space.basis)
     rounds = solution.problem.retimings
     along = rounds > 0 and any(map(is_slow, solution.trajectories))
-    if (any(map(len, packets)) or along) and np.isfinite(known.standard_errors).any():
+    prepared = any(map(len, packets)) or along
+    known = _with_held_lags(solution, known, quadratic, space.basis, model if prepared else None)
+    if prepared and np.isfinite(known.standard_errors).any():
         mixed, hessian = score_derivatives(
             loss, solution.trajectories, model, packets, known.standard_errors
         )
@@ -384,8 +386,13 @@ def _with_held_lags(
     known: Uncertainty,
     quadratic: Quadratic,
     basis: Float[np.ndarray, "P R"],
+    along: Model | None,
 ) -> Uncertainty:
-    """Add the errors of the vehicle file's lags: of the motors if held, and of wheels."""
+    """Add the errors of the vehicle file's lags: of the motors if held, and of wheels.
+
+    `along` is the model that the data were prepared with; None: with none. The effect of a wheel's
+    lag on the preparation is added here, since this lag is not a parameter.
+    """
     problem, (loss, _, model) = solution.problem, solution.result
     vehicle, held = problem.vehicle, np.zeros(len(basis), dtype=bool)
     changes, slopes = [], []
@@ -403,10 +410,15 @@ def _with_held_lags(
             continue
         slower = wheel.model_copy(update={"time_constant_s": lag + _LAG_STEP * error})
         wheels = (*vehicle.wheels[:k], slower, *vehicle.wheels[k + 1 :])
-        moved = replace(loss, vehicle=vehicle.model_copy(update={"wheels": wheels}))
-        gradient = moved.quadratic(model.parameters).gradient
+        other = vehicle.model_copy(update={"wheels": wheels})
+        gradient = replace(loss, vehicle=other).quadratic(model.parameters).gradient
+        rise = gradient - quadratic.gradient
+        if along is not None:
+            both = [along, replace(along, vehicle=other)]
+            found, _ = prepared_gradients(loss, solution.trajectories, both, solution.packets)
+            rise = rise + found[1] - found[0]
         changes.append(np.zeros(len(basis)))
-        slopes.append((gradient - quadratic.gradient) / _LAG_STEP)
+        slopes.append(rise / _LAG_STEP)
     if not changes:
         return known
     adapted = np.array(changes) - np.array(slopes) @ basis @ basis.T
