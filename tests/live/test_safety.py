@@ -221,7 +221,8 @@ def test_a_controller_that_fails_to_take_note_idles_the_motors(kind):
     last = poses(made, 0.0, 0.5)
     if kind != "pose":
         assert made.step(last).flies
-        news = (last, np.zeros(2)) if kind == "sent" else (Measurement(kind, last, np.zeros(3)),)
+        size = {"imu": 6, "mouse": 2}.get(kind, 3)
+        news = (last, np.zeros(2)) if kind == "sent" else (Measurement(kind, last, np.zeros(size)),)
         (made.sent if kind == "sent" else made.measured)(*news)
     np.testing.assert_array_equal(made.step(last).command, [0.03, 0.03])
     assert logged[-1] == "motors idle: the controller failed: ZeroDivisionError: in the filter"

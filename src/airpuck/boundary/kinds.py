@@ -48,8 +48,8 @@ def fits(value: Any, hint: Any) -> bool:
         if origin in (Sequence, tuple):
             return _elements_fit(value, inner)
         return True
-    if not isinstance(origin, type) or hasattr(origin, "array_type"):
-        return True  # Any, or an array, which is converted and whose shape is checked
+    if origin is Any or not isinstance(origin, type) or hasattr(origin, "array_type"):
+        return True  # an array is converted, and its shape checked
     if getattr(origin, "_is_protocol", False) and not getattr(origin, "_is_runtime_protocol", 0):
         return True
     return isinstance(value, origin)

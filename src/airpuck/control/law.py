@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.user_code import UserCode
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
@@ -215,6 +216,7 @@ class UserLaw(Law):
         found = self._code.run(what, self._own.step, state, moment)
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Step)):
             self._code.refuse(f"{what} must return an airpuck.Step and the next state")
+        self._code.run(what, numbers_of, found[0].command, (None,), "command")
         return found
 
 

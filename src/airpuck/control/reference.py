@@ -357,6 +357,8 @@ class UserReference:
 
     def _at(self, now: float, ahead: float) -> Target:
         target = self._own.at(now, ahead)
+        if not isinstance(target, Target):
+            raise InputError(f"must return a Target, not {type(target).__name__}")
         return Target(
             numbers_of(target.state, (6,), "state"),
             numbers_of(target.acceleration, (3,), "acceleration"),
