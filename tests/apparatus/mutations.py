@@ -288,6 +288,15 @@ def _field_damaged(fields: dict[bytes, bytes], rng: random.Random) -> None:
             fields[name] = bytes_damaged(value, rng)
 
 
+def _definition_damaged(fields: dict[bytes, bytes], rng: random.Random) -> bytes:
+    """Damage the definition of a message, as text if it still is one."""
+    content = fields.get(b"message_definition", b"")
+    try:
+        return text_damaged(content, rng)
+    except UnicodeDecodeError:
+        return bytes_damaged(content, rng)
+
+
 def _connection_damaged(content: bytes, rng: random.Random) -> bytes:
     """Damage the description of a topic: its type, its definition, its md5sum."""
     fields = _ros1_fields(content)
@@ -295,7 +304,7 @@ def _connection_damaged(content: bytes, rng: random.Random) -> bytes:
         case 0:
             fields[b"md5sum"] = rng.choice([b"*", b"", b"0" * 32, b"\xff" * 32])
         case 1:
-            fields[b"message_definition"] = text_damaged(fields[b"message_definition"], rng)
+            fields[b"message_definition"] = _definition_damaged(fields, rng)
         case 2:
             others = [b"std_msgs/String", b"ff_msgs/WheelVelCommand", b"a", b"/", b"a/b/c", b""]
             fields[b"type"] = rng.choice(others)

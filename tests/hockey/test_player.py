@@ -15,9 +15,9 @@ from airpuck.flight.loop import control
 from airpuck.hockey.frame import Frame
 from airpuck.hockey.level import LEVELS, Level, slower, weakened
 from airpuck.hockey.minimal_time import read_minimal_times
-from airpuck.hockey.player import Player, pitch_of
+from airpuck.hockey.player import Player, check_player, pitch_of
 from airpuck.hockey.tactic import Intention
-from airpuck.model.model_file import read_model
+from airpuck.model.model_file import nominal_model, read_model
 from airpuck.physics.puck import PuckState
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
@@ -308,3 +308,11 @@ def test_a_puck_is_frozen_after_six_repeated_poses():
     resting = Player(MODEL, PLAY)
     stepped(resting, frozen, 20)
     assert resting.sight == "seen"
+
+
+def test_a_craft_that_takes_commands_too_rarely_is_refused_before_anything_is_planned():
+    examples = Path(__file__).parents[2] / "examples"
+    atmos = airpuck.read_vehicle(examples / "free_flyers/atmos.toml")
+    with pytest.raises(InputError, match=r"one command every 100 ms .* hockey needs one every 10"):
+        check_player(nominal_model(atmos))
+    check_player(read_model("paper:M3"))

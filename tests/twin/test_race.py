@@ -1,12 +1,14 @@
 """Plans flown on the twin: as fast as planned, and twice as fast as a set point."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
+from airpuck.model.model_file import nominal_model
 from airpuck.twin import race as module
 
 # All courses are on the table; flying each takes minutes.
@@ -64,3 +66,10 @@ def test_points_and_discs_are_no_task_for_a_set_point_and_motion_no_start(planne
     states[0, 3] = 0.5
     with pytest.raises(InputError, match="starts in motion"):
         race(replace(planned, states=states), M3)
+
+
+def test_a_twin_of_another_craft_is_refused(planned):
+    examples = Path(__file__).parents[2] / "examples"
+    other = nominal_model(airpuck.read_vehicle(examples / "free_flyers/atmos.toml"))
+    with pytest.raises(InputError, match="has 6 propellers, the twin 8"):
+        race(planned, other)

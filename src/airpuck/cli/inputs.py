@@ -74,8 +74,11 @@ def read_player(name: str, quiet: bool) -> Model:
     """Read a model for a player; first plan its shortest times if they are unknown."""
     from airpuck.cli.output import say, show_time_left
     from airpuck.hockey.minimal_time import minimal_times_of
+    from airpuck.hockey.player import check_player
 
     model = read_belief(name)
+    with about(name):
+        check_player(model)
     with ExitStack() as stack:
 
         @cache

@@ -259,7 +259,7 @@ def fly_excitation(
     from airpuck.control.excitation import Excitation
 
     craft = inputs.model_or_nominal(model, vehicle)
-    controls = inputs.read_controls(guarded.tuning)
+    controls = inputs.read_controls(guarded.tuning, None, craft)
     make = partial(
         Excitation,
         craft,

@@ -86,7 +86,7 @@ class Excitation(Pilot):
         if weakest < _LEAST_PUSH:
             raise InputError(
                 f"the propellers of {craft!r} cannot push in every direction: the craft could not "
-                "be kept on the table"
+                "be kept on the table. Steer it by hand and record that flight"
             )
         if weakest_effort(model) < _LEAST_PUSH:
             raise InputError(

@@ -15,7 +15,7 @@ from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
-from airpuck.control.authority import weakest_effort
+from airpuck.control.authority import control_authority, weakest_effort
 from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
 from airpuck.control.laws import law_named
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
@@ -96,11 +96,7 @@ class TrackingController(Pilot):
     ) -> None:
         tuning = tuning or default_tuning()
         vehicle = model.vehicle
-        if not _commands_all_directions(model):
-            raise InputError(
-                f"the propellers of {vehicle.name!r} cannot push and turn in every direction; "
-                "check their positions and directions"
-            )
+        check_steerable(model)
         if gain is not None:
             gain = numbers_of(gain, (3, 6), "gain")
         if table is not None:
@@ -299,6 +295,20 @@ class TrackingController(Pilot):
             return "bad input"
         self._clock = time
         return self._gate.refusal(time)
+
+
+def check_steerable(model: Model) -> None:
+    """Raise InputError if a craft cannot be pushed and turned in every direction."""
+    if _commands_all_directions(model):
+        return
+    vehicle = model.vehicle
+    missing = control_authority(nominal_model(vehicle)).sentences
+    why = f" ({'; '.join(missing)})" if missing else ""
+    raise InputError(
+        f"the propellers of {vehicle.name!r} cannot push and turn in every direction{why}, so no "
+        "controller can steer it; `airpuck check`, `identify`, `evaluate`, `faults` and `plan` "
+        "work without one. If this is wrong, correct the vehicle file"
+    )
 
 
 def _commands_all_directions(model: Model) -> bool:

@@ -18,8 +18,9 @@ from airpuck.control.law import Step
 from airpuck.control.mpc import MPC
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.control.tracking import TrackingController
+from airpuck.control.tracking import TrackingController, check_steerable
 from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.craft.actuators import OnOff
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
 from airpuck.hockey.all_rounder import AllRounder
@@ -54,6 +55,24 @@ _SMOOTHING = 0.3
 _NO_ROOM = 1e-3
 #: Clearance between the craft's edge at home and its goal line [m].
 _HOME = 0.10
+
+
+def check_player(model: Model) -> None:
+    """Raise InputError if a craft cannot play: before its shortest times take minutes to plan."""
+    check_steerable(model)
+    name, actuation = model.vehicle.name, model.vehicle.actuation
+    if actuation.two_way.any():
+        raise InputError(
+            f"{name!r} has wheels or reversible propellers, and hockey is for propellers that push "
+            "one way; steer it with the LQR or MPC (`airpuck track`)"
+        )
+    kind, period = actuation.kind, default_tuning().period_s
+    if isinstance(kind, OnOff) and (kind.pwm_period_s or 0.0) > period:
+        raise InputError(
+            f"{name!r} takes one command every {1e3 * (kind.pwm_period_s or 0.0):g} ms "
+            f"(pwm_period_s), and hockey needs one every {1e3 * period:g} ms; steer it with "
+            "`airpuck track`"
+        )
 
 
 @checked_class

@@ -206,7 +206,7 @@ def track(
     if len(truth.vehicle.columns) != len(model.vehicle.columns):
         raise InputError(
             f"the controller's model has {len(model.vehicle.columns)} propellers, the twin "
-            f"{len(truth.vehicle.columns)}"
+            f"{len(truth.vehicle.columns)}; name a truth of the same craft"
         )
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
     if make_pilot is not None:

@@ -136,6 +136,7 @@ def race(
             "--velocity)",
             field="plan",
         )
+    _check_same_craft(planned, truth)
     settings = settings or default_twin_settings()
     tuning = tuning or default_tuning()
     plant = build_plant(truth, settings)
@@ -164,6 +165,17 @@ def race(
         tuple(twin.truth[1][:, :2] for twin in raced),
         raced[0].recording(),
     )
+
+
+def _check_same_craft(planned: Plan, truth: Model) -> None:
+    """Raise InputError if the twin has other propellers than the controller's model."""
+    ours, theirs = (len(one.vehicle.columns) for one in (planned.model, truth))
+    if ours != theirs:
+        raise InputError(
+            f"the controller's model has {ours} propellers, the twin {theirs}; name a truth of the "
+            "same craft",
+            field="truth",
+        )
 
 
 def _flown(
