@@ -68,7 +68,7 @@ def test_a_file_laid_over_a_base_changes_what_it_names(tmp_path):
 def test_not_text(tmp_path):
     path = tmp_path / "bad.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="cannot be read as text"):
+    with pytest.raises(InputError, match=r"is not UTF-8 text .*; save it as UTF-8"):
         read_toml(path, Example)
 
 

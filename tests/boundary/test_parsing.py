@@ -102,7 +102,7 @@ def test_a_hostile_summary_does_not_keep_a_bag_from_being_read(tmp_path: Path):
         ("a" * (ROW_LENGTH + 1), "too long a line"),
         ('"\n",' * (ROW_LENGTH // 3), "too long a line"),
         ('a\n"' + "x\n" * 200_000, "field larger"),
-        (b"a,b\n\xff\xfe\n", "not a text file"),
+        (b"a,b\n\xff\xfe\n", "not UTF-8 text"),
     ],
     ids=lambda value: f"{value[:5]!r}-{len(value)}",
 )

@@ -9,9 +9,12 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 from airpuck.campaigns.match import match
+from airpuck.control.law import Moment
+from airpuck.control.laws import law_named
 from airpuck.flight.pilot import pilot_maker
 from airpuck.hockey.rules import Rules
 from tests.apparatus import commands as command_line
+from tests.apparatus import typechecker
 
 #: Misbehaviour of user code.
 MISDEEDS = {
@@ -166,3 +169,23 @@ def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
     finally:
         sys.path.remove(str(tmp_path))
         del sys.modules["beside_it"]
+
+
+def test_a_folder_is_no_file_of_code(tmp_path):
+    (tmp_path / "mine.py").mkdir()
+    with pytest.raises(InputError, match=r"mine\.py: tactic: is a folder"):
+        UserCode(f"{tmp_path / 'mine.py'}:Mine", "tactic")
+
+
+def test_a_law_whose_command_is_not_finite_is_named_by_its_file(tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import airpuck\n"
+        "class Mine(airpuck.Law):\n"
+        "    def step(self, state, moment):\n"
+        "        return airpuck.Step([float('nan')] * 6), state\n"
+    )
+    law = law_named(f"{file}:Mine")(None, None, None)
+    typechecker.pause()
+    with pytest.raises(InputError, match=r"mine\.py:Mine: .*command: must be finite numbers"):
+        law.step(None, Moment(airpuck.SetPoint(0, 0, 0), 0.0, 0.0, lambda: None))

@@ -213,7 +213,7 @@ def test_a_command_without_motors(tmp_path: Path):
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"\x89MCAP0\r\n" + bytes(range(256)), b""])
 def test_what_is_no_text(tmp_path: Path, content: bytes):
     (folder(tmp_path) / POSE).write_bytes(content)
-    with pytest.raises(InputError, match=r"is not a text file|is empty"):
+    with pytest.raises(InputError, match=r"is not UTF-8 text|is empty"):
         read_recording(tmp_path)
 
 

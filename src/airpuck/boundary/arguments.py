@@ -70,9 +70,9 @@ def numbers_of(given: Any, shape: tuple[int | None, ...], field: str) -> np.ndar
     )
     if not (wide and found.dtype.kind in "fiu" and np.isfinite(found).all()):
         lengths = ", ".join("N" if length is None else str(length) for length in shape)
-        many = f"{lengths} finite numbers" if len(shape) == 1 else "finite numbers"
-        many += f" of the shape ({lengths})" if len(shape) > 1 else ""
-        raise InputError(f"must be {many if shape else 'a finite number'}", field=field)
+        words = {0: "a finite number", 1: f"{lengths} finite numbers"}
+        words = words.get(len(shape), f"finite numbers of the shape ({lengths})")
+        raise InputError(f"must be {words.removeprefix('N ')}", field=field)
     return found.astype(float, copy=False)
 
 

@@ -140,7 +140,12 @@ def read_text(
     try:
         return read_bytes(path, most).decode(encoding)
     except UnicodeDecodeError as error:
-        raise InputError(f"cannot be read as text ({error.reason})", file=path) from error
+        raise InputError(_not_utf8(error), file=path) from error
+
+
+def _not_utf8(error: UnicodeDecodeError) -> str:
+    """Describe a file that is not UTF-8 text."""
+    return f"is not UTF-8 text ({error.reason}); save it as UTF-8, or is it the right file?"
 
 
 def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
@@ -291,6 +296,6 @@ def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]
             except csv.Error as error:
                 raise InputError(f"line {reader.line_num}: {error}", file=path) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"is not a text file ({error.reason})", file=path) from error
+        raise InputError(_not_utf8(error), file=path) from error
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error

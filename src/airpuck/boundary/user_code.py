@@ -29,6 +29,8 @@ class UserCode:
         self.name = name
         if self._path.suffix != ".py" or not self._attribute:
             raise InputError("must be FILE.py:NAME, such as my_pilot.py:Spring", field=option)
+        if self._path.is_dir():
+            raise InputError("is a folder; a file is expected", file=path, field=option)
         if not self._path.is_file():
             raise InputError("there is no such file", file=path, field=option)
         #: The class.
