@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from airpuck import Loss, Preparation, Twin, identify, preprocess, read_vehicle
+from airpuck.identification.bootstrap import bootstrap, resampled_estimates
 from airpuck.model.model_file import nominal_model
+from airpuck.model.parameters import LAG
 from airpuck.twin.settings import read_twin_settings
 
 FREE_FLYERS = Path(__file__).parents[2] / "examples" / "free_flyers"
@@ -57,16 +59,21 @@ def test_forces_and_delay_of_a_twin_come_back(flown) -> None:
     assert found.transport_delay + found.motor_time_constant == pytest.approx(0.046, abs=2e-3)
 
 
-@pytest.mark.slow
-def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_error(
-    flown, tmp_path
-) -> None:
-    truth, recording = flown
+@pytest.fixture(scope="module")
+def held(flown, tmp_path_factory):
+    """Return a fit that keeps the file's lag, 5 ± 0.3 ms."""
     text = (FREE_FLYERS / "atmos.toml").read_text()
     text = text.replace("fall_s = 0.005", "fall_s = 0.005\nlag_error_s = 3e-4")
-    (tmp_path / "craft.toml").write_text(text)
-    fit = fitted(recording, read_vehicle(tmp_path / "craft.toml"), 1)
-    lag = truth.mask(frozenset({"motor_time_constant"}))
+    path = tmp_path_factory.mktemp("held") / "craft.toml"
+    path.write_text(text)
+    return fitted(flown[1], read_vehicle(path), 1)
+
+
+@pytest.mark.slow
+def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_error(
+    held,
+) -> None:
+    fit, lag = held, held.model.parameters.mask(LAG)
     known = fit.uncertainty
     assert known is not None
     assert not fit.model.free[lag].any()
@@ -74,3 +81,23 @@ def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_
     assert known.standard_errors[lag] == pytest.approx(3e-4)
     assert "vehicle file's" in " ".join(known.notes)
     assert fit.model.parameters.transport_delay == pytest.approx(0.041, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_resampled_fits_draw_a_held_lag_from_its_error(held) -> None:
+    """The delay is shorter where the lag is longer."""
+    loss = held.objective
+    # A longer flight has that many blocks of its own.
+    blocks = replace(loss, clusters=np.arange(len(loss.windows)) // 4)
+    fit = replace(held, objective=blocks)
+    estimates = resampled_estimates(fit, 12, seed=1)
+    lag, delay = (
+        estimates[:, fit.model.parameters.mask(frozenset({name}))][:, 0]
+        for name in ("motor_time_constant", "transport_delay")
+    )
+    assert 1.5e-4 < np.std(lag) < 5e-4
+    assert np.mean(lag) == pytest.approx(0.005, abs=3e-4)
+    assert np.corrcoef(lag, delay)[0, 1] < -0.6
+    found = bootstrap(fit, 12, seed=1).uncertainty.bootstrap
+    entry = fit.model.parameters.mask(LAG)
+    assert 6e-4 < (found.upper - found.lower)[entry] < 14e-4

@@ -8,6 +8,7 @@ import pytest
 from airpuck.evaluation.coasting import better_from
 from airpuck.evaluation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
+from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import nominal_model
@@ -93,3 +94,20 @@ def test_the_error_of_a_wheels_lag_is_that_of_fits_with_other_lags(tmp_path):
     added = np.diag(known.covariance)[told] - np.diag(without.covariance)[told]
     actual, plain = np.abs(high - low)[told] / 2, without.standard_errors[told]
     assert (np.abs(np.sqrt(np.maximum(added, 0)) - actual) < 0.05 * plain + 0.2 * actual).all()
+
+
+@pytest.mark.slow
+def test_resampled_fits_draw_a_wheels_lag_from_its_error(tmp_path):
+    vehicle, _, trajectory = flown(tmp_path)
+    fit = identify(trajectory, preparation=Preparation(faults="keep"))
+    (wheel,), known, estimates = vehicle.wheels, fit.uncertainty, []
+    for error in (0.005, 0.0):
+        wheels = (wheel.model_copy(update={"lag_error_s": error}),)
+        other = vehicle.model_copy(update={"wheels": wheels})
+        model = replace(fit.model, vehicle=other)
+        estimates.append(resampled_estimates(replace(fit, model=model), 6, seed=3))
+    drawn, held = estimates
+    errors = np.nan_to_num(known.standard_errors, nan=np.inf)
+    # A longer lag changes all parameters in proportion.
+    size = np.linalg.svd((drawn - held) / errors, compute_uv=False)
+    assert size[0] > max(3 * size[1], 0.5)

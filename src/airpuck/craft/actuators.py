@@ -191,6 +191,13 @@ class Wheel(Section):
             return 0.0
         return self.time_constant_s if self.lag_error_s is None else self.lag_error_s
 
+    def slower(self, by: float) -> Wheel:
+        """Return the wheel with its own lag longer by a time [s], within the plausible range."""
+        if self.time_constant_s is None:
+            return self
+        lag = min(max(self.time_constant_s + by, _LEAST_LAG), _LONGEST_LAG)
+        return self.model_copy(update={"time_constant_s": lag})
+
     @property
     def spin_up_s(self) -> float:
         """Time from rest to the largest speed at full torque."""

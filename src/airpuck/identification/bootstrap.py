@@ -1,7 +1,8 @@
 """Intervals by resampling: draw blocks of time with replacement, and fit the model again.
 
 The block bootstrap (Künsch 1989) makes no use of the curvature at the optimum. It captures
-constraints that become active and nonlinearity, which the sandwich estimator does not.
+constraints that become active and nonlinearity, which the sandwich estimator does not. Lags that a
+fit holds at the vehicle file's values are drawn from their errors.
 """
 
 from __future__ import annotations
@@ -12,16 +13,17 @@ from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
+from airpuck.craft.vehicle import Vehicle
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import reweighted
 from airpuck.identification.retiming import variance_of_mean
-from airpuck.model.parameters import fix_gauge
+from airpuck.model.parameters import LAG, Parameters, fix_gauge
 from airpuck.model.uncertainty import Bootstrap
 
 #: Fewer blocks than this cannot be resampled: too many draws would leave parameters undetermined.
@@ -81,7 +83,8 @@ def bootstrap(
         middle, half = (lower + upper) / 2, np.hypot((upper - lower) / 2, reach)
         lower, upper = np.where(delay, [middle - half, middle + half], [lower, upper])
     # Along directions that the data do not determine, every fit stays at its start.
-    determined = fit.model.free & (np.abs(known.undetermined) <= 1e-9).all(axis=0)
+    learned = fit.model.free | held_lag(fit)
+    determined = learned & (np.abs(known.undetermined) <= 1e-9).all(axis=0)
     lower, upper = np.where(determined, [lower, upper], np.nan)
     found = Bootstrap(len(estimates), seed, lower, upper)
     return replace(fit, model=replace(fit.model, uncertainty=replace(known, bootstrap=found)))
@@ -95,7 +98,7 @@ def resampled_estimates(
     progress: Callable[[int], None] = lambda _: None,
 ) -> Float[np.ndarray, "N P"]:
     """Fit to resampled data on all cores; return the estimates of the fits that converged."""
-    loss, parameters, free = fit.objective, fit.model.parameters, fit.model.free
+    loss, free = fit.objective, fit.model.free
     assert loss is not None and loss.clusters is not None
     clusters = loss.clusters
     count = int(clusters.max()) + 1
@@ -109,11 +112,16 @@ def resampled_estimates(
     method = LevenbergMarquardt(tolerance=1e-5)
     weights = np.ones(len(clusters)) if loss.multiplicity is None else loss.multiplicity
 
-    def fitted(draw: Float[np.ndarray, " G"]) -> Float[np.ndarray, " P"] | None:
-        resampled = replace(loss, multiplicity=draw[clusters], clusters=None)
+    lags = drawn_lags(fit, rng, replicates)
+
+    def fitted(
+        draw: Float[np.ndarray, " G"], lagging: tuple[Parameters, Vehicle]
+    ) -> Float[np.ndarray, " P"] | None:
+        start, vehicle = lagging
+        resampled = replace(loss, vehicle=vehicle, multiplicity=draw[clusters], clusters=None)
         weighted = replace(resampled, multiplicity=weights * draw[clusters])
         try:
-            found = method.minimize(weighted, parameters, free)
+            found = method.minimize(weighted, start, free)
             if fit.model.fit["robust"]:
                 _, found = reweighted(method, resampled, found, free)
         except (InputError, ArithmeticError):
@@ -122,10 +130,37 @@ def resampled_estimates(
 
     found = []
     with ThreadPoolExecutor(usable_cores()) as pool:
-        for number, vector in enumerate(pool.map(fitted, draws), start=1):
+        for number, vector in enumerate(pool.map(fitted, draws, lags), start=1):
             if vector is not None and np.isfinite(vector).all():
                 found.append(vector)
             progress(number)
     if len(found) < 2:
         raise InputError("fewer than two fits to resampled data converged", field="bootstrap")
     return np.array(found)
+
+
+def held_lag(fit: Fit) -> Bool[np.ndarray, " P"]:
+    """Mark the motor lag if the fit held it; its standard error is then the vehicle file's."""
+    known, lag = fit.uncertainty, fit.model.parameters.mask(LAG)
+    stated = np.isfinite(known.standard_errors) if known is not None else np.zeros_like(lag)
+    return lag & ~fit.model.free & stated
+
+
+def drawn_lags(fit: Fit, rng: np.random.Generator, count: int) -> list[tuple[Parameters, Vehicle]]:
+    """Draw the lags that the fit held from their errors, within their bounds."""
+    parameters, vehicle, held = fit.model.parameters, fit.model.vehicle, held_lag(fit)
+    vector, (lower, upper) = parameters.to_vector(), parameters.bounds()
+    errors = np.zeros(len(vector))
+    if held.any():
+        assert fit.uncertainty is not None
+        errors[held] = fit.uncertainty.standard_errors[held]
+    drawn = []
+    for _ in range(count):
+        moved = vector + errors * rng.standard_normal()
+        start = parameters.with_vector(np.where(held, np.clip(moved, lower, upper), vector))
+        wheels = tuple(
+            wheel.slower(wheel.lag_error * rng.standard_normal()) for wheel in vehicle.wheels
+        )
+        other = vehicle.model_copy(update={"wheels": wheels}) if wheels else vehicle
+        drawn.append((start, other))
+    return drawn

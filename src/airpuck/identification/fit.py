@@ -405,10 +405,10 @@ def _with_held_lags(
         note += f"{1e3 * error:.3g} ms, is the vehicle file's: the poses determine it less well"
         known = replace(known, notes=(*known.notes, note))
     for k, wheel in enumerate(vehicle.wheels):
-        lag, error = wheel.time_constant_s, wheel.lag_error
-        if lag is None or not error > 0:
+        error = wheel.lag_error
+        if not error > 0:
             continue
-        slower = wheel.model_copy(update={"time_constant_s": lag + _LAG_STEP * error})
+        slower = wheel.slower(_LAG_STEP * error)
         wheels = (*vehicle.wheels[:k], slower, *vehicle.wheels[k + 1 :])
         other = vehicle.model_copy(update={"wheels": wheels})
         gradient = replace(loss, vehicle=other).quadratic(model.parameters).gradient
