@@ -16,6 +16,7 @@ from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess
 
 from ..apparatus.synthetic_flights import fly, record
+from ..apparatus.two_way_craft import triangle
 
 #: Position and direction of craft with other numbers of propellers.
 LAYOUTS = {
@@ -206,3 +207,20 @@ def test_faults_are_searched_on_the_tilted_table():
     np.testing.assert_allclose(model.parameters.tilt, TILT, atol=5e-3)
     assert not model.free[model.parameters.mask(frozenset({"tilt"}))].any()
     assert find_faults(flight, model) == ()
+
+
+def test_a_wheel_is_not_compared_with_propellers_whose_thrust_was_guessed(tmp_path):
+    # Five propellers push 1.5 times as hard as guessed; the wheel's torque is from a data sheet.
+    vehicle = triangle(tmp_path)
+    found = actuator_strengths(fitted(truth(vehicle, *[1.5] * 3, 1.0, 1.5, 1.5, 1.0), 0.02))
+    assert [one.name for one in found.remarkable] == []
+    assert found.common == pytest.approx(1.5)
+    weak = actuator_strengths(fitted(truth(vehicle, *[1.5] * 3, 0.5, 1.5, 1.5, 0.5), 0.02))
+    assert [one.name for one in weak.remarkable] == ["wheel", "wheel_reverse"]
+
+
+def test_a_strength_that_could_be_anything_is_not_called_sound():
+    found = actuator_strengths(fitted(truth(craft(4), 0.6), 0.3))
+    assert {one.verdict for one in found.actuators} == {"unknown"}
+    (said,) = found.sentences
+    assert said.startswith("The recording does not determine the strength of p0 (-1 % to 121 %")

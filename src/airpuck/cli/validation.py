@@ -150,10 +150,13 @@ def faults(
         "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
         "strengths": strengths.to_json(),
     }
-    rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in spans]
+    # Drop-outs of the cameras can be many: what the motors or the radio did comes before them.
+    listed = sorted(spans, key=lambda s: (s.confidence == 1, s.start - s.stop))[:_MOST_SPANS]
+    listed = sorted(listed, key=lambda s: s.start)
+    rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in listed]
     headings = ("from s", "to s", "cause", "confidence")
-    shown = table(headings, rows[:_MOST_SPANS], left=("cause",)) if spans else None
-    more = len(rows) - _MOST_SPANS
+    shown = table(headings, rows, left=("cause",)) if spans else None
+    more = len(spans) - _MOST_SPANS
     folded = f"and {more} more; --json has all" if more > 0 else None
     what = "passing faults" if strengths.remarkable else "any fault"
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without {what}"

@@ -9,6 +9,7 @@ all strengths alike and is no actuator's fault.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,8 @@ from airpuck.physics.thrust import thrust
 _WEAK, _STRONG = 0.8, 1.25
 #: An actuator that may give nothing, and certainly gives less than this, is dead.
 _DEAD = 0.5
+#: Half the interval, relative to the others' strength, above which nothing is said but that.
+_VAGUE = 0.5
 #: An effect that is certainly below this fraction of the nominal one is reversed.
 _REVERSED = -0.2
 #: Deviation of all strengths alike that is worth mentioning.
@@ -72,8 +75,18 @@ class Strength(Result):
             return f"{self.name} {self.verdict}"
         if self.interval_95 is None:
             return f"{self.name} is {self.verdict}"
-        low, high = (f"{100 * end / self.nominal:.0f} %" for end in self.interval_95)
-        return f"{self.name} is {self.verdict} ({low} to {high} of its nominal strength)"
+        return f"{self.name} is {self.verdict} ({self._range} of its nominal strength)"
+
+    @property
+    def extent(self) -> str:
+        """Name and interval."""
+        return f"{self.name} ({self._range} of nominal)"
+
+    @property
+    def _range(self) -> str:
+        """The interval, relative to the nominal strength."""
+        low, high = (100 * end / self.nominal for end in self.interval_95 or (np.nan, np.nan))
+        return f"{low:.0f} % to {high:.0f} %"
 
 
 @dataclass(frozen=True)
@@ -96,11 +109,15 @@ class Strengths(Result):
         """Sentences on actuators that are not sound, and on errors common to all."""
         found = [one.sentence for one in self.remarkable]
         lines = [f"Throughout the recording: {'; '.join(found)}."] if found else []
+        vague = [one for one in self.actuators if one.verdict == "unknown" and one.interval_95]
+        if vague:
+            names = ", ".join(one.extent for one in vague)
+            lines.append(f"The recording does not determine the strength of {names}.")
         alone = self.remarkable or abs(self.common - 1) <= _SCALE
         if not alone and all(one.verdict == "sound" for one in self.actuators):
             lines.append(
-                f"All actuators give about {percent(self.common)} of their nominal strength: check "
-                "mass, supply and nominal thrust in the vehicle file."
+                f"All propellers give about {percent(self.common)} of their nominal strength: "
+                "check mass, supply and nominal thrust in the vehicle file."
             )
         return tuple(lines)
 
@@ -143,8 +160,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
                 np.where(held, stated * spread, error),
             )
     ratio, deviation = value / stated, error / stated
-    common = float(np.median(np.delete(ratio, list(wrong)) if len(wrong) < len(ratio) else ratio))
-    reference = common if len(ratio) >= _FEWEST and common > 0 else 1.0
+    common, reference = _references(vehicle, ratio, wrong)
     verdicts = _verdicts(ratio / reference, deviation / reference, quantile)
     return Strengths(
         tuple(
@@ -159,6 +175,22 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         ),
         common,
     )
+
+
+def _references(
+    vehicle: Vehicle, ratio: Float[np.ndarray, " n"], wrong: Collection[int]
+) -> tuple[float, Float[np.ndarray, " n"]]:
+    """Return the median of the propellers' ratios, and what each ratio is compared with.
+
+    An error of the mass, or of the thrust on one supply, is common to all propellers, but not to
+    wheels: these are compared with the vehicle file.
+    """
+    wheel = np.array([channel.is_wheel for channel in vehicle.actuation.channels])
+    among = ~wheel
+    among[list(wrong)] = False
+    common = float(np.median(ratio[among] if among.any() else ratio))
+    compared = np.count_nonzero(~wheel) >= _FEWEST and common > 0
+    return common, np.where(wheel | (not compared), 1.0, common)
 
 
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
@@ -215,6 +247,8 @@ def _verdicts(
             judged.append("dead")
         elif middle + half < _WEAK:
             judged.append("weak")
+        elif half > _VAGUE:
+            judged.append("unknown")
         else:
             judged.append("strong" if middle - half > _STRONG else "sound")
     return judged
