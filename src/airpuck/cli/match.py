@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import airpuck
 from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from airpuck.campaigns.match import MatchResult
     from airpuck.hockey.game import Game
+    from airpuck.model.model_file import Model
 
 #: Events shown to spectators.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
@@ -50,6 +52,17 @@ class Pairing(Settings):
     twin: options.ReadTwin = None
 
 
+def _read_craft(pairing: Pairing, quiet: bool) -> Model:
+    """Read the model of the craft; hands need none, so they take the default alone."""
+    from airpuck.hockey.contestant import contestant
+
+    if any(contestant(name).player for name in (pairing.left, pairing.right)):
+        return inputs.read_player(pairing.model, quiet)
+    if pairing.model != Pairing.model:
+        raise InputError("has no effect: both sides are hands; leave it out", field="--model")
+    return inputs.read_belief(pairing.model)
+
+
 @app.command(rich_help_panel="Air hockey")
 def match(
     pairing: Pairing,
@@ -66,7 +79,7 @@ def match(
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    inputs.read_player(pairing.model, quiet)
+    _read_craft(pairing, quiet)
     with show_time_left("games", quiet) as progress:
         found = airpuck.match(
             pairing.left,
@@ -104,7 +117,7 @@ def watch_match(
 
     names = pairing.left, pairing.right
     players = [contestant(name) for name in names]
-    craft = inputs.read_player(pairing.model, quiet)
+    craft = _read_craft(pairing, quiet)
     low_latency()
     game = Game(*players, settings=pairing.twin, rules=rules, model=craft, seed=pairing.seed)
     began = time.monotonic()
