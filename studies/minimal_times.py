@@ -20,7 +20,7 @@ DISTANCE = [0.0, 0.1, 0.3, 0.7, 1.3, 2.2]
 SPEED = [0.0, 0.7, 1.4, 2.1]
 DIRECTION = [0.0, 1.570796, 3.141592]
 #: Number of random states at which the table is tested.
-CHECKS = 30
+CHECKS = 100
 
 
 def main() -> None:

@@ -114,7 +114,7 @@ def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
 
 def test_an_error_above_the_usual_one_is_kept_in_reserve():
     packaged = read_minimal_times()
-    assert replace(packaged, error={"p95": 0.1}).margin == pytest.approx(0.067)
+    assert replace(packaged, error={"p95": 0.1}).margin == pytest.approx(0.064)
     assert replace(packaged, error={"p95": 0.02}).margin == 0
 
 
