@@ -7,8 +7,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
-from airpuck.control.reference import SetPoint
+from airpuck.control.reference import SetPoint, Target
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import SoftLimits, Tuning
 from airpuck.craft.table import Table
@@ -26,6 +27,17 @@ LIMITS = (
 )
 #: Scales of numbers: ordinary, extreme, infinite and NaN.
 _SIZES = np.array([0.0, 1e-9, 1.0, 1.0, 1.0, 10.0, 1e3, 1e9, np.nan, np.inf])
+
+
+@dataclass(frozen=True, eq=False)
+class Anywhere:
+    """A pose that no set point allows, as a user's reference might give it."""
+
+    pose: Float[np.ndarray, " 3"]
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the pose, at rest; see `Reference.at`."""
+        return Target(np.append(self.pose, np.zeros(3)), np.zeros(3))
 
 
 @dataclass
@@ -55,7 +67,7 @@ def thrown(tuning: Tuning, count: int, seed: int = 0, *, compiled: bool = True) 
             numbers = sizes * rng.normal(size=12)
             estimate = Estimate(k / 100, numbers[:6], rng.uniform(size=6), numbers[6:9])
             target = np.nan_to_num(numbers[9:], nan=1.0, posinf=1e9, neginf=-1e9)
-            controller.reference = SetPoint(*target.tolist())
+            controller.reference = Anywhere(target)
             begun = time.process_time()
             with np.errstate(all="ignore"):
                 step = controller.steer(estimate, k / 100)

@@ -64,14 +64,14 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
 def test_a_pilot_whose_commands_are_clipped_is_warned_of_and_named(file, tmp_path):
     file.write_text(SPRING.replace("(np.clip(", "(1.9 * np.clip("))
     points = tmp_path / "points.toml"
-    points.write_text("setpoints = [{at_s = 0.2, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
+    points.write_text("setpoints = [{at_s = 0.2, x_m = 0.8, y_m = 0.3, yaw_rad = 3.0}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
         *("--setpoints", points, "--regulator", f"{file}:Spring", "-o", tmp_path / "page"),
     )
     assert ran.stderr.startswith(f"warning: commands of {file}:Spring from 0.057 to ")
     assert ran.stderr.endswith("were clipped to [0, 1]\n")
-    assert "Spring (M3) to ( 0.2,  0.1,  0.3)" in ran.stdout
+    assert "Spring (M3) to ( 0.8,  0.3,  3.0)" in ran.stdout
     page = (tmp_path / "page" / "index.html").read_text()
     assert "The set points of points.toml, flown with Spring (M3) on a twin of M3." in page
 
