@@ -12,6 +12,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import commands
+from airpuck.hockey.opponents import HANDS
 
 from ..apparatus.commands import airpuck, refused
 
@@ -25,6 +26,12 @@ def test_skills_on_the_command_line():
     assert figures["defend"]["successes"] == 1
     assert "defend: 1 of 1" in ended.stderr
     assert refused(airpuck("skills", "--episodes", "0"), "--episodes")
+
+
+@pytest.mark.parametrize("name", ["match", "league"])
+def test_the_help_names_every_player(name):
+    shown = " ".join(airpuck(name, "--help", env={**os.environ, "COLUMNS": "1000"}).stdout.split())
+    assert f"{', '.join(('airpuck', *HANDS))}, each with :LEVEL" in shown
 
 
 @pytest.mark.parametrize(

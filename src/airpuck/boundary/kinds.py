@@ -7,27 +7,31 @@ import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from numbers import Integral, Real
 from typing import Any, Literal
-
-import numpy as np
 
 #: Number of characters shown of a value that is too long.
 _SHOWN = 60
 
-#: Kinds of values that are also accepted: a NumPy number is a number, too.
-_KINDS: dict[Any, tuple[Any, str]] = {
-    float: (Real, "a number"),
-    int: (Integral, "a whole number"),
-    bool: ((bool, np.bool_), "True or False"),
-    str: (str, "a text"),
-    os.PathLike: (os.PathLike, "a path"),
-    Callable: (Callable, "a function"),
-    Sequence: ((Sequence, np.ndarray), "a sequence"),
-    tuple: ((Sequence, np.ndarray), "a sequence"),
-    Iterable: (Iterable, "a sequence"),
-    Mapping: (Mapping, "a mapping"),
-}
+@cache
+def _kinds() -> dict[Any, tuple[Any, str]]:
+    """Return the types that fit a type, and words for it: a NumPy number is a number, too."""
+    import numpy as np  # only where a value is checked: it would double the time of `--help`
+
+    return {
+        float: (Real, "a number"),
+        int: (Integral, "a whole number"),
+        bool: ((bool, np.bool_), "True or False"),
+        str: (str, "a text"),
+        os.PathLike: (os.PathLike, "a path"),
+        np.ndarray: (np.ndarray, "an array"),
+        Callable: (Callable, "a function"),
+        Sequence: ((Sequence, np.ndarray), "a sequence"),
+        tuple: ((Sequence, np.ndarray), "a sequence"),
+        Iterable: (Iterable, "a sequence"),
+        Mapping: (Mapping, "a mapping"),
+    }
 
 
 def fits(value: Any, hint: Any) -> bool:
@@ -41,8 +45,8 @@ def fits(value: Any, hint: Any) -> bool:
         return isinstance(value, str | int) and value in inner
     if origin in (None, type(None)):
         return value is None
-    if origin in _KINDS:
-        kind, _ = _KINDS[origin]
+    if origin in _kinds():
+        kind, _ = _kinds()[origin]
         if not isinstance(value, kind) or (isinstance(value, bool) and origin in (int, float)):
             return False
         if origin in (Sequence, tuple):
@@ -61,7 +65,7 @@ def _elements_fit(value: Any, inner: tuple[Any, ...]) -> bool:
         return False
     if not inner:
         return True
-    if isinstance(value, np.ndarray):
+    if hasattr(value, "shape"):
         return len(inner) == 1 or inner[-1] is ... or value.shape[:1] == (len(inner),)
     if len(inner) == 1 or inner[-1] is ...:
         return all(fits(one, inner[0]) for one in value)
@@ -100,10 +104,8 @@ def _words(hint: Any) -> str:
     if origin in (Sequence, tuple) and inner:
         count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} values: "
         return f"a sequence of {count}{_words(inner[0])}"
-    if origin in _KINDS:
-        return _KINDS[origin][1]
-    if origin is np.ndarray:
-        return "an array"
+    if origin in _kinds():
+        return _kinds()[origin][1]
     return getattr(origin, "__name__", str(origin))
 
 

@@ -11,7 +11,6 @@ from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, table
 from airpuck.export.kinds import KINDS, check_given
-from airpuck.planning.plan import read_plan
 
 
 @app.command(rich_help_panel="Control and flight")
@@ -38,6 +37,8 @@ def export(
     quiet: options.Quiet = False,
 ) -> None:
     """Write a model, or its whole controller, for other tools."""
+    from airpuck.planning.plan import read_plan
+
     check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
     # The controller is the same as in the other commands; it depends on the craft.

@@ -18,7 +18,6 @@ from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import console, is_stdout, report, say, show_time_left, table
 from airpuck.cli.views import Without
-from airpuck.hockey.opponents import HANDS
 from airpuck.hockey.rules import Rules
 
 if TYPE_CHECKING:
@@ -33,7 +32,11 @@ _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 #: Columns and rows of the picture; time between two pictures [s].
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
-PLAYER = f"{', '.join(('airpuck', *HANDS))}, each with :LEVEL, or a tactic, FILE.py:NAME."
+#: Names `airpuck` and all of `airpuck.hockey.opponents.HANDS`, which takes long to import.
+PLAYER = (
+    "airpuck, human, keeper, striker, counter, banker, wrongfoot, wild, wall, each with :LEVEL, or "
+    "a tactic, FILE.py:NAME."
+)
 GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
 
 

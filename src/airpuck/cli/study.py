@@ -12,7 +12,6 @@ import airpuck
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.output import console, origin, report, say, show, table
-from airpuck.recording.dataset import PAPER, dataset, dataset_names
 
 PANEL = "The paper's study"
 
@@ -24,7 +23,7 @@ Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--outp
 
 @app.command(rich_help_panel=PANEL)
 def fetch(
-    name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = PAPER,
+    name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = "holohover",
     everything: Annotated[
         bool, Option("--all", help="All recordings, not only the study's.")
     ] = False,
@@ -36,6 +35,8 @@ def fetch(
     quiet: options.Quiet = False,
 ) -> None:
     """Download and verify a public dataset, by default the paper's (or verify $AIRPUCK_DATA)."""
+    from airpuck.recording.dataset import dataset, dataset_names
+
     if listed:
         found = {each: dataset(each) for each in dataset_names()}
         rows = [(n, f"{d.size_MB:g} MB", d.licence, d.title) for n, d in found.items()]

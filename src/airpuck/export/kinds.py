@@ -9,20 +9,20 @@ from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, ClassVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
-from airpuck.control.tuning import Tuning, default_tuning
-from airpuck.model.model_file import Model
-from airpuck.physics.effects import Effect
-from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
-from airpuck.planning.plan import Plan
-from airpuck.twin.settings import TwinSettings, default_twin_settings
+
+if TYPE_CHECKING:  # the help of the command line lists the kinds
+    from airpuck.control.tuning import Tuning
+    from airpuck.model.model_file import Model
+    from airpuck.physics.effects import Effect
+    from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
+    from airpuck.planning.plan import Plan
+    from airpuck.twin.settings import TwinSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +144,9 @@ def write(
     InputError
         If the kind is unknown, does not use an input that is given, or cannot represent the model.
     """
+    from airpuck.control.tuning import default_tuning
+    from airpuck.twin.settings import default_twin_settings
+
     check_given(kind, tuning=tuning, twin=twin, plan=plan)
     target = Path(folder)
     check_output(target, "folder")
@@ -185,6 +188,8 @@ def check_given(kind: str, **given: Any) -> None:
 
 def refuse_settings(twin: TwinSettings, kind: str, fields: Sequence[str]) -> None:
     """Raise InputError for settings of the twin that an export cannot represent."""
+    from airpuck.twin.settings import default_twin_settings
+
     usual = default_twin_settings()
     for field in fields:
         if attrgetter(field)(twin) != attrgetter(field)(usual):
@@ -195,7 +200,7 @@ def refuse_settings(twin: TwinSettings, kind: str, fields: Sequence[str]) -> Non
 
 def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effect]] = ()) -> None:
     """Raise InputError for an effect of the model that an export cannot represent."""
-    dynamics = model if isinstance(model, Dynamics) else model.dynamics
+    dynamics = getattr(model, "dynamics", model)
     for effect in dynamics.effects:
         if not isinstance(effect, tuple(held)):
             name = type(effect).__name__
@@ -218,7 +223,7 @@ def refuse_actuators(model: Model, kind: str, held: Sequence[str] = ()) -> None:
 
 def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
     """Raise InputError if the centre of mass is not fixed to this frame."""
-    if model.frame != frame and np.any(model.parameters.center_of_mass):
+    if model.frame != frame and any(model.parameters.center_of_mass):
         raise InputError(
             f"has a centre of mass that is fixed to the {model.frame}, which an export to {kind} "
             f"cannot represent; identify it with --com-frame {frame}",
