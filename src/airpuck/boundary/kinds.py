@@ -14,6 +14,7 @@ from typing import Any, Literal
 #: Number of characters shown of a value that is too long.
 _SHOWN = 60
 
+
 @cache
 def _kinds() -> dict[Any, tuple[Any, str]]:
     """Return the types that fit a type, and words for it: a NumPy number is a number, too."""

@@ -326,12 +326,12 @@ def _twice_integrated(
     acceleration: Float[np.ndarray, "T W 3 m"], duration: Float[np.ndarray, "t W"]
 ) -> Float[np.ndarray, "T W 3 m"]:
     """Integrate twice from rest, accelerations linear between samples."""
-    h = duration[..., None, None]
-    here, there = acceleration[:-1], acceleration[1:]
-    velocity = np.cumsum(h / 2 * (here + there), axis=0)
-    before = np.concatenate([np.zeros_like(velocity[:1]), velocity[:-1]])
-    position = np.cumsum(h * before + h**2 / 6 * (2 * here + there), axis=0)
-    return np.concatenate([np.zeros_like(position[:1]), position])
+    position, velocity = np.zeros_like(acceleration), np.zeros_like(acceleration[0])
+    for k, h in enumerate(duration[..., None, None]):
+        here, there = acceleration[k], acceleration[k + 1]
+        position[k + 1] = position[k] + h * velocity + h**2 / 6 * (2 * here + there)
+        velocity += h / 2 * (here + there)
+    return position
 
 
 def _without_start(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -20,7 +21,7 @@ from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.main_quantities import physical_thrust
-from airpuck.faults.layout_check import PropellerCheck, check_layout
+from airpuck.faults.layout_check import LayoutCheck, PropellerCheck, check_layout
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.thrust import thrust
 
@@ -147,7 +148,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     value, error = _full_thrust(model), np.asarray(model.standard_error(_full_thrust))
     quantile, wrong = (model.known.quantile if model.known else _NORMAL), {}
     if trajectory is not None:
-        check = check_layout(trajectory, vehicle)
+        check = _layout(trajectory, vehicle)
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
         # Strengths that a constraint holds have no error of their own.
         held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
@@ -193,9 +194,15 @@ def _references(
     return common, np.where(wheel | (not compared), 1.0, common)
 
 
+@lru_cache(maxsize=1)
+def _layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
+    """Check the layout by a recording; the latest check is kept, since several ask for it."""
+    return check_layout(trajectory, vehicle)
+
+
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
     """Return the rung to fit by default: M3 plus the effects that the floor clearly has."""
-    floor = check_layout(trajectory, vehicle).floor
+    floor = _layout(trajectory, vehicle).floor
     # A rough floor also brakes in proportion to the speed.
     terms = {"tilt": "+tilt", "dish": "+dish", "friction": "+drag+friction"}
     return "M3" + "".join(term for name, term in terms.items() if name in floor)
@@ -203,7 +210,7 @@ def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 def on_table_of(model: Model, trajectory: Trajectory) -> Model:
     """Return the model with the effects of a recording's floor that it does not have yet."""
-    parameters, floor = model.parameters, check_layout(trajectory, model.vehicle).floor
+    parameters, floor = model.parameters, _layout(trajectory, model.vehicle).floor
     added = {name: v for name, v in floor.items() if getattr(parameters, name) is None}
     if not added:
         return model
