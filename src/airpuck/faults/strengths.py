@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Float
@@ -194,10 +194,16 @@ def _references(
     return common, np.where(wheel | (not compared), 1.0, common)
 
 
-@lru_cache(maxsize=1)
+#: The latest check of each recording, and the vehicle file that it was checked against.
+_checks: WeakKeyDictionary[Trajectory, tuple[Vehicle, LayoutCheck]] = WeakKeyDictionary()
+
+
 def _layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
-    """Check the layout by a recording; the latest check is kept, since several ask for it."""
-    return check_layout(trajectory, vehicle)
+    """Check the layout, once for all who ask."""
+    known = _checks.get(trajectory)
+    if known is None or known[0] != vehicle:
+        known = _checks[trajectory] = vehicle, check_layout(trajectory, vehicle)
+    return known[1]
 
 
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
