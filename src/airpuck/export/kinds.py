@@ -200,7 +200,7 @@ def refuse_settings(twin: TwinSettings, kind: str, fields: Sequence[str]) -> Non
 
 def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effect]] = ()) -> None:
     """Raise InputError for an effect of the model that an export cannot represent."""
-    dynamics: Dynamics = getattr(model, "dynamics", model)
+    dynamics: Any = getattr(model, "dynamics", model)
     for effect in dynamics.effects:
         if not isinstance(effect, tuple(held)):
             name = type(effect).__name__
