@@ -88,6 +88,19 @@ def test_an_unknown_player_is_refused():
     assert refused(airpuck("league", "keeper", "wizard"), "wizard", "unknown player")
 
 
+def test_a_league_of_hands_takes_no_model():
+    ended = airpuck("league", "keeper", "wild", "--model", "paper:M2")
+    assert refused(ended, "--model: has no effect: all players are hands")
+
+
+@pytest.mark.parametrize(
+    "given", [("--games", 3), ("--seed", 1), ("--limit", 9), ("--workers", 1), ("--only", "wild")]
+)
+def test_recorded_games_alone_take_no_options_of_games(tmp_path, given):
+    ended = airpuck("league", "--bags", tmp_path, *given)
+    assert refused(ended, f"{given[0]}: has no effect on recorded games")
+
+
 def test_goals_of_a_result_add_up():
     random = np.random.default_rng(1)
     games = tuple(

@@ -113,7 +113,7 @@ def test_from_the_command_line(tmp_path):
     assert "over" in watched.stdout
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "unknown player")
     hands = "--left", "human", "--right", "wall", "--model", "paper:M2"
-    refused(airpuck("match", *hands), "--model: has no effect: both sides are hands")
+    refused(airpuck("match", *hands), "--model: has no effect: all players are hands")
 
 
 def test_the_last_seed_of_a_match_has_a_limit():

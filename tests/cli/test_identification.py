@@ -66,6 +66,9 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path, undrawn):
         (("--bootstrap", 20, "--adam", 1), ("--adam", "--bootstrap")),
         (("--bootstrap", 3), ("--bootstrap",)),
         (("--model", "auto", "--adam", 1), ("--adam", "--model auto")),
+        (("--model", "M4", "--com-frame", "world"), ("--com-frame: has no effect on M4",)),
+        (("--seed", 1), ("--seed: has no effect without --bootstrap",)),
+        (("-v", "-q"), ("--verbose: has no effect with --quiet",)),
     ],
 )
 def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words):

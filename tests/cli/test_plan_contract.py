@@ -26,6 +26,7 @@ FROM, TO = ("--from", 0, 0, 0), ("--to", 0.3, 0, 0)
         (FROM, "--to"),
         ((*FROM, *TO, "--sped", 1), "did you mean --speed?"),
         ((*FROM, *TO, "--turn", "exct"), "--turn: must be 'shorter' or 'exact', not 'exct'"),
+        ((*FROM, *TO, "--free", "yaw", "--turn", "exact"), "--turn: has no effect on a free yaw"),
         ((*FROM, *TO, "--spin", 0), "--spin: must be from 0.1 to 40 rad/s"),
         ((*FROM, *TO, "--speed", 0), "--speed: must be from 0.01 to 20 m/s"),
         ((*FROM, *TO, "--via", 0.1, 0.9), "--via: (0.1, 0.9) is outside the rails"),

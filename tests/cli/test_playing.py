@@ -41,6 +41,7 @@ def test_the_help_names_every_player(name):
         (("play", "--port", "0"), "--port: must be from 1 to 65535"),
         (("play", "--level", "hrd"), "--level: must be .*, not 'hrd'; did you mean 'hard'"),
         (("play-live", "--port", "-1"), "--port: must be from 0 to 65535"),
+        (("play-live", "--port", "0", "--no-browser"), "--no-browser: has no effect with --port 0"),
         (("play-live", "--domain", "233"), "--domain: must be from 0 to 232"),
     ],
 )

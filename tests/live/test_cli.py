@@ -25,6 +25,7 @@ def run(*arguments: str) -> None:
         (("--setpoint", "1", "0.3", "north"), "--setpoint: must be a valid number, not 'north'"),
         (("--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
         (("--setpoint", "0", "0", "0", "--dwell", "0"), "--dwell: must be from 0.1 to 1000 s"),
+        (("--dwell", "2"), "--dwell: has no effect with one set point"),
         (("--setpoints", "p.toml"), r"--setpoints: no such option; did you mean --setpoint\?"),
         (("--regulator", "nowhere.py:Mine"), "nowhere.py: --regulator: there is no such file"),
         (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),

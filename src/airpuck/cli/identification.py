@@ -187,6 +187,15 @@ def identify(
     rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
     if degree is not None and rungs[0].powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
+    if com_frame != "body" and not any("center_of_mass" in rung.free for rung in rungs):
+        raise InputError(
+            f"has no effect on {model}, which learns no centre of mass; leave it out",
+            field="--com-frame",
+        )
+    if verbose and quiet:
+        raise InputError("has no effect with --quiet; leave out one of them", field="--verbose")
+    if seed and bootstrap is None:
+        raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
     if adam is not None and (bootstrap is not None or model == "auto"):
         raise InputError("takes neither --bootstrap nor --model auto", field="adam")
     optimiser = airpuck.LevenbergMarquardt() if adam is None else airpuck.Adam(epochs=adam)

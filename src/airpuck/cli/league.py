@@ -9,16 +9,22 @@ from typer import Argument
 
 import airpuck
 from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.match import PLAYER, GameRules
+from airpuck.cli.match import PLAYER, GameRules, Pairing, read_craft
 from airpuck.cli.output import report, show_time_left, table
+from airpuck.control.settings import Workers
+from airpuck.hockey.rules import Rules
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from airpuck.campaigns.league import LeagueResult
+
+#: Default number of games of each pair.
+_GAMES = 2
 
 
 @app.command(rich_help_panel="Air hockey")
@@ -30,9 +36,9 @@ def league(
     ] = None,
     games: Annotated[
         int, Setting("Number of games of each pair; sides alternate.", numbers.GAMES, "N")
-    ] = 2,
+    ] = _GAMES,
     seed: options.Seed = 0,
-    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
+    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = Pairing.model,
     twin: options.ReadTwin = None,
     workers: options.Workers = None,
     bags: Annotated[
@@ -61,7 +67,12 @@ def league(
         *(Path(name) for name in players or () if bags and Path(name).is_dir()),
     ]
     others = [name for name in players or () if Path(name) not in folders]
-    inputs.read_player(model, quiet)
+    if folders and len(others) < 2:
+        _refuse_games(games, seed, model, rules, workers, only)
+    elif others:
+        read_craft(model, others, quiet)
+    else:
+        inputs.read_player(model, quiet)
     with show_time_left("games", quiet) as progress:
         found = airpuck.league(
             others or (() if folders else PLAYERS),
@@ -85,6 +96,27 @@ def league(
         write_png(league_figure(found), figure)
     people = [_people(found)] if found.people else []
     report(found.to_json(), json_file, _ratings(found), *people, figure)
+
+
+def _refuse_games(
+    games: int, seed: int, model: str, rules: Rules, workers: Workers, only: str | None
+) -> None:
+    """Raise InputError for an option of games if only recorded ones count."""
+    given = {
+        "--games": games != _GAMES,
+        "--seed": seed != 0,
+        "--model": model != Pairing.model,
+        "--goals": rules.goals != Rules.goals,
+        "--limit": rules.limit_s != Rules.limit_s,
+        "--workers": workers is not None,
+        "--only": only is not None,
+    }
+    for option, changed in given.items():
+        if changed:
+            raise InputError(
+                "has no effect on recorded games; leave it out, or name at least two players",
+                field=option,
+            )
 
 
 def _ratings(found: LeagueResult) -> Table:

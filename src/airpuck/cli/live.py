@@ -17,7 +17,6 @@ from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import is_stdout, report, show, write_json
 from airpuck.cli.views import Without
-from airpuck.control.settings import Dwell
 from airpuck.live.settings import LiveSettings
 
 if TYPE_CHECKING:
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
     from airpuck.planning.plan import Plan
 
 _PANEL = "Live, on a ROS 2 graph"
+#: Default time at each of several set points [s].
+_DWELL = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +179,10 @@ def fly(
             "--setpoint",
         ),
     ] = None,
-    dwell: Dwell = 3.0,
+    dwell: Annotated[
+        float | None,
+        Setting("Time at each of several set points; by default 3.", numbers.DWELL, "S"),
+    ] = None,
     steered: Steered,
     live: LiveSettings,
     json_file: options.Json = None,
@@ -187,7 +191,12 @@ def fly(
     from airpuck.control.reference import SetPoints
 
     poses = setpoints or [(0.0, 0.0, 0.0)]
-    points = SetPoints([k * dwell for k in range(len(poses))], poses)
+    if dwell is not None and len(poses) < 2:
+        raise InputError(
+            "has no effect with one set point; give several, or leave it out", field="--dwell"
+        )
+    wait = _DWELL if dwell is None else dwell
+    points = SetPoints([k * wait for k in range(len(poses))], poses)
     steered.fly_to(partial(_planned, points), live, json_file)
 
 

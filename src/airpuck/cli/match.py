@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
@@ -55,15 +55,15 @@ class Pairing(Settings):
     twin: options.ReadTwin = None
 
 
-def _read_craft(pairing: Pairing, quiet: bool) -> Model:
+def read_craft(model: str, players: Sequence[str], quiet: bool) -> Model:
     """Read the model of the craft; hands need none, so they take the default alone."""
     from airpuck.hockey.contestant import contestant
 
-    if any(contestant(name).player for name in (pairing.left, pairing.right)):
-        return inputs.read_player(pairing.model, quiet)
-    if pairing.model != Pairing.model:
-        raise InputError("has no effect: both sides are hands; leave it out", field="--model")
-    return inputs.read_belief(pairing.model)
+    if any(contestant(name).player for name in players):
+        return inputs.read_player(model, quiet)
+    if model != Pairing.model:
+        raise InputError("has no effect: all players are hands; leave it out", field="--model")
+    return inputs.read_belief(model)
 
 
 @app.command(rich_help_panel="Air hockey")
@@ -82,7 +82,7 @@ def match(
     quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    _read_craft(pairing, quiet)
+    read_craft(pairing.model, (pairing.left, pairing.right), quiet)
     with show_time_left("games", quiet) as progress:
         found = airpuck.match(
             pairing.left,
@@ -120,7 +120,7 @@ def watch_match(
 
     names = pairing.left, pairing.right
     players = [contestant(name) for name in names]
-    craft = _read_craft(pairing, quiet)
+    craft = read_craft(pairing.model, names, quiet)
     low_latency()
     game = Game(*players, settings=pairing.twin, rules=rules, model=craft, seed=pairing.seed)
     began = time.monotonic()

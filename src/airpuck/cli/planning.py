@@ -205,9 +205,11 @@ def _goal(
     free: Literal["yaw", "velocity", "both"] | None,
     turn: Literal["shorter", "exact"],
 ) -> Goal:
-    """Return the goal; raise InputError for a velocity that is both given and free."""
+    """Return the goal; raise InputError if something is both given and free."""
     if free in ("velocity", "both") and any(velocity):
         raise InputError("is given and left free; choose one", field="--end-velocity")
+    if free in ("yaw", "both") and turn != "shorter":
+        raise InputError("has no effect on a free yaw; leave it out", field="--turn")
     x, y, yaw = pose
     rates = None if free in ("velocity", "both") else velocity
     return airpuck.Goal(x, y, None if free in ("yaw", "both") else yaw, rates, turn)

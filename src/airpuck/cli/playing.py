@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, Literal
 from typer import Exit
 
 from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
@@ -104,6 +105,8 @@ def play_live(
     from airpuck.web.live_page import LivePage, live_hello
     from airpuck.web.page import invite, served
 
+    if not (port or browser):
+        raise InputError("has no effect with --port 0; leave it out", field="--no-browser")
     model = inputs.read_player(craft.model, live.quiet)
     table = craft.twin or AirHockey()
     make = AllRounder if craft.tactic is None else tactic_maker(craft.tactic)
