@@ -5,7 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from airpuck.cli.validation import listed_spans
 from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.trajectory import Span
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import Recording, Stream
 
@@ -46,6 +48,16 @@ def test_faults_are_printed_written_and_drawn(bag, tmp_path, undrawn):
     assert all(0 < span["confidence"] < 1 for span in spans.values())
     assert 0.9 < figures["usable"] < 1
     assert "jumping pose" in (tmp_path / "r" / "index.html").read_text()
+
+
+def test_a_full_table_lists_faults_before_drop_outs_and_long_ones_before_short_ones():
+    gaps = [Span(k, k + 0.1, "gap") for k in range(5)]
+    long_gap = Span(1.5, 1.9, "gap")
+    short, stalled = Span(7.0, 7.1, "contact", 0.6), Span(2.5, 3.5, "motor_a_1 stalled", 0.9)
+    spans = [*gaps, long_gap, short, stalled]
+    assert listed_spans(spans, 1) == [stalled]
+    assert listed_spans(spans, 3) == [long_gap, stalled, short]
+    assert listed_spans(spans, 30) == sorted(spans, key=lambda span: span.start)
 
 
 def test_with_a_model_nothing_is_fitted(bag):

@@ -150,10 +150,10 @@ def faults(
         "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
         "strengths": strengths.to_json(),
     }
-    # Drop-outs of the cameras can be many: what the motors or the radio did comes before them.
-    listed = sorted(spans, key=lambda s: (s.confidence == 1, s.start - s.stop))[:_MOST_SPANS]
-    listed = sorted(listed, key=lambda s: s.start)
-    rows = [[f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)] for s in listed]
+    rows = [
+        [f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)]
+        for s in listed_spans(spans, _MOST_SPANS)
+    ]
     headings = ("from s", "to s", "cause", "confidence")
     shown = table(headings, rows, left=("cause",)) if spans else None
     more = len(spans) - _MOST_SPANS
@@ -301,6 +301,16 @@ def resid(
             f"{len(one.start)} predictions"
         )
     report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), page)
+
+
+def listed_spans(spans: Sequence[Span], most: int) -> list[Span]:
+    """Return the spans that a table has room for, by their starts.
+
+    Drop-outs of the cameras can be many, so faults of motors and radio take precedence over them,
+    and long spans over short ones.
+    """
+    important = sorted(spans, key=lambda s: (s.confidence == 1, s.start - s.stop))
+    return sorted(important[:most], key=lambda s: s.start)
 
 
 def _confidence(span: Span) -> str:
