@@ -30,7 +30,7 @@ from airpuck.preprocessing.time_scale import forgetting_time, patience, showing_
 _PAST_S, _AHEAD_S = 40 / 240, 0.4
 #: Step of the finite differences in transport delay and lag [s].
 _STEP_S = 1e-3
-#: Integration steps per lag of an actuator, and at most so many from one pose to the next. With a
+#: Integration steps per lag of an actuator, and the largest number between two poses. With a
 #: lag of 10 ms and poses every 60 ms, 6 and 12 steps agree to 11 ms in timing, and one step misses
 #: it by seconds.
 _STEPS_PER_LAG, _MOST_PARTS = 2, 12

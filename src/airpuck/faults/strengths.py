@@ -30,7 +30,7 @@ from airpuck.physics.thrust import thrust
 _WEAK, _STRONG = 0.8, 1.25
 #: An actuator that may give nothing, and certainly gives less than this, is dead.
 _DEAD = 0.5
-#: Half the interval, relative to the others' strength, above which nothing is said but that.
+#: Half the interval, relative to the others' strength, above which the strength counts as unknown.
 _VAGUE = 0.5
 #: An effect that is certainly below this fraction of the nominal one is reversed.
 _REVERSED = -0.2

@@ -93,7 +93,7 @@ def block(view: View, outlook: Outlook) -> Intention:
 def braked(view: View, outlook: Outlook) -> Intention | None:
     """Brake if the puck will then meet the craft squarely; None: it will not.
 
-    A craft that goes on towards its own goal would be thrown against the rail.
+    Otherwise the puck would throw a craft that moves towards its own goal against the rail.
     """
     pitch, motion = view.pitch, view.craft[3:5]
     speed = float(np.hypot(*motion))

@@ -125,7 +125,7 @@ class Plan(Result):
 
     @property
     def visits(self) -> Float[np.ndarray, "nodes 3"]:
-        """Poses that it leads through: those of the nodes."""
+        """The poses at the nodes."""
         return self.states[:, :3]
 
     @property

@@ -83,7 +83,7 @@ class HandMallet:
         return math.inf
 
     def longest_step(self, puck: PuckOnTable) -> float:
-        """Return how long a step may be; the path is straight [s]."""
+        """Return the longest allowed step [s]; a straight path needs no shorter one."""
         return LONGEST_STEP
 
     def pose(self) -> Float[np.ndarray, " 3"]:
