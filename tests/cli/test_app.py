@@ -1,7 +1,10 @@
 """The command line from a user's point of view."""
 
+import contextlib
+import io
 import json
 import os
+import runpy
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +14,7 @@ import pytest
 import airpuck as package
 from airpuck import write_bag, write_csv
 from airpuck.boundary.errors import InputError
-from airpuck.cli.app import commands
+from airpuck.cli.app import commands, main
 from airpuck.cli.inputs import published_flights
 from airpuck.identification.adam import Adam
 from airpuck.model.model_file import read_model
@@ -274,3 +277,41 @@ def test_datasets_are_listed_with_their_licences():
     assert listed.returncode == 0
     for name, licence in (("holohover", "BSD 2-Clause"), ("air-bearing-satellite", "MIT")):
         assert any(name in line and licence in line for line in listed.stdout.splitlines())
+
+
+def test_a_closed_or_full_stream_is_no_bug(monkeypatch):
+    with monkeypatch.context() as closed:
+        closed.setattr("sys.argv", ["airpuck", "--version"])
+        closed.setattr("sys.stdout", None)
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 0
+    with monkeypatch.context() as closed, contextlib.redirect_stdout(io.StringIO()) as shown:
+        closed.setattr("sys.argv", ["airpuck", "nonsense"])
+        closed.setattr("sys.stderr", None)
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert ended.value.code == 2
+    assert shown.getvalue() == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full disk")
+def test_errors_that_cannot_be_printed_keep_their_status(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["airpuck", "nonsense"])
+    file = os.open("/dev/full", os.O_WRONLY)
+    full = io.TextIOWrapper(io.FileIO(file, "w"), write_through=True)
+    monkeypatch.setattr("sys.stderr", full)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+
+
+def test_an_interrupted_start_is_one_line(monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("airpuck.cli.main", interrupted)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("airpuck", run_name="__main__")
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "airpuck: interrupted\n"

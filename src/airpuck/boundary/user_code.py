@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 import sys
 import traceback
 from collections.abc import Callable
@@ -46,11 +47,10 @@ class UserCode:
         try:
             with redirect_stdout(sys.stderr):
                 return function(*given)
-        # Raised by Ctrl-C and SIGTERM.
-        except KeyboardInterrupt:
-            raise
         # Catches `sys.exit`, too.
         except BaseException as error:
+            if _is_signal(error):
+                raise
             if isinstance(error, InputError) and error.file == self.name:
                 raise
             line = self._line(error)
@@ -89,6 +89,17 @@ class UserCode:
         frames = traceback.walk_tb(error.__traceback__)
         lines = [line for frame, line in frames if Path(frame.f_code.co_filename) == path]
         return lines[-1] if lines else None
+
+
+def _is_signal(error: BaseException) -> bool:
+    """Return whether Ctrl-C or SIGTERM raised this exception, and not the user's own code.
+
+    Commands raise a subclass of KeyboardInterrupt, and their worker processes ignore Ctrl-C; only
+    Python's own handler raises the class itself.
+    """
+    if type(error) is KeyboardInterrupt:
+        return signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return isinstance(error, KeyboardInterrupt)
 
 
 def _described(error: BaseException) -> str:

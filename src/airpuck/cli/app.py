@@ -6,9 +6,11 @@ import contextlib
 import errno
 import functools
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -144,6 +146,7 @@ def commands() -> Any:
 
 def main() -> None:
     """Run the command line; user and system errors end with one line and status 2."""
+    _open_streams()
     keep_compiled_programs()
     single_threaded_algebra()
     try:
@@ -164,14 +167,22 @@ def main() -> None:
         else:
             raise
     except (typer.Abort, KeyboardInterrupt):
-        code = _say("interrupted")
+        code = _say("interrupted", _SIGNALLED + signal.SIGINT)
     sys.exit(code if isinstance(code, int) else 0)
 
 
 def _say(message: str, status: int = 2) -> int:
     """Print one line on standard error; return the exit status, by default of bad input."""
-    print(f"airpuck: {escaped(' '.join(message.split()))}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # standard error may be a file on a full disk
+        print(f"airpuck: {escaped(' '.join(message.split()))}", file=sys.stderr)
     return status
+
+
+def _open_streams() -> None:
+    """Replace closed standard streams by the null device; Python has None for them."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
 
 
 def _close_output() -> None:
