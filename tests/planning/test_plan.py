@@ -14,7 +14,7 @@ from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Nominal, Propeller, Vehicle
 from airpuck.model.model_file import nominal_model
 from airpuck.planning import transcription
-from airpuck.planning.plan import read_plan
+from airpuck.planning.plan import Plan, read_plan
 from airpuck.planning.request import Goal, checked_request
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
@@ -227,12 +227,52 @@ def test_a_plan_is_a_reference_that_feeds_its_accelerations_forward(metre):
     )
     np.testing.assert_allclose(gained, 0, atol=0.02)
     np.testing.assert_allclose(velocity, targets[middle].state[3:], atol=0.02)
+    assert targets[middle].state[3] == pytest.approx(metre.states[:, 3].max(), rel=0.01)
     assert flown.motors_at(2.0, 0.0) == pytest.approx(metre.commands[0])
     assert flown.motors_at(9.0, 0.0) == pytest.approx(np.full(6, M3.vehicle.command_min))
     ahead = np.linspace(-0.1, metre.duration + 0.1, 57)
     for together in (flown.state_at, flown.motors_at):
         one_by_one = [together(2.0, float(t)) for t in ahead]
         np.testing.assert_array_equal(together(2.0, ahead), one_by_one)
+
+
+@pytest.fixture
+def coasting() -> Plan:
+    """Half a second at 1 m/s with all motors at their smallest command."""
+    states = np.zeros((2, 12))
+    states[:, 3] = 1.0
+    states[1, 0] = 0.5
+    return Plan(M3, np.array([0.0, 0.5]), states, np.full((1, 6), M3.vehicle.command_min), None)
+
+
+def test_a_plan_moves_between_its_beginning_and_its_end_only(coasting):
+    flown = coasting.starting(2.0)
+    before, during, after = (flown.at(now, 0.01).state for now in (1.9, 2.2, 2.6))
+    np.testing.assert_allclose(before, np.zeros(6))
+    np.testing.assert_allclose(during[:5], [0.21, 0, 0, 1, 0], atol=0.01)
+    np.testing.assert_allclose(after, [0.5, 0, 0, 0, 0, 0], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("times_s = [0.0, 0.5]", "times_s = [0.0]", "rows of a wrong length"),
+        ("times_s = [0.0, 0.5]", "times_s = [0.0, 0.0]", "times must rise from 0"),
+        ("times_s = [0.0, 0.5]", "times_s = [0.1, 0.5]", "times must rise from 0"),
+        ("    [0.5, ", "    [", "rows of a wrong length"),
+        ("    [0.0, 0.0, ", "    [", "rows of a wrong length"),
+        ("    [0.03, ", "    [", "rows of a wrong length"),
+        ("commands = [", "commands = [\n    [0.1, 0.1, 0.1, 0.1, 0.1, 0.1],", "times must rise"),
+    ],
+)
+def test_rows_of_a_plan_file_must_belong_together(coasting, tmp_path, old, new, said):
+    path = tmp_path / "plan.toml"
+    coasting.save(path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=said):
+        read_plan(path, M3)
 
 
 @pytest.mark.slow
