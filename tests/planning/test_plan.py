@@ -13,6 +13,7 @@ from airpuck.control.reference import Reference
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Nominal, Propeller, Vehicle
 from airpuck.model.model_file import nominal_model
+from airpuck.physics.effects import GRAVITY
 from airpuck.planning import transcription
 from airpuck.planning.plan import Plan, read_plan
 from airpuck.planning.request import Goal, checked_request
@@ -99,6 +100,19 @@ def test_lag_costs_time_and_bound_alike():
     slow = airpuck.plan(one_axis(lag), at_rest(0), at_rest(0.5), intervals=20)
     quick = 2 * np.sqrt(0.5 / ACCELERATION)
     assert quick < slow.lower_bound <= slow.duration < quick + 2 * lag
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("push", [0.5 * ACCELERATION, -0.5 * ACCELERATION])
+def test_a_slope_costs_as_much_uphill_as_downhill(push):
+    # Speeding up at a + b and braking at a - b takes 2 sqrt(d a / (a^2 - b^2)).
+    level = one_axis()
+    slope = np.array([push / GRAVITY, 0.0])
+    tilted = replace(level, parameters=replace(level.parameters, tilt=slope))
+    found = airpuck.plan(tilted, at_rest(0), at_rest(0.5), intervals=20)
+    known = 2 * np.sqrt(0.5 * ACCELERATION / (ACCELERATION**2 - push**2))
+    assert found.duration == pytest.approx(known, rel=1e-6)
+    assert 0.97 * known < found.lower_bound <= known
 
 
 @pytest.mark.slow
