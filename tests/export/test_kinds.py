@@ -25,7 +25,7 @@ M4 = PAPER["M4"]
 
 
 def test_an_unknown_kind_names_the_kinds(tmp_path):
-    with pytest.raises(InputError, match=r"must be 'c' or 'casadi' or .*, not 'cassadi'"):
+    with pytest.raises(InputError, match=r"must be 'c', .*, not 'cassadi'; did you mean 'casadi'"):
         export.write(M4, "cassadi", tmp_path)
 
 

@@ -96,10 +96,10 @@ def _words(hint: Any) -> str:
     """Describe a kind."""
     alternatives = _alternatives(hint)
     if len(alternatives) > 1:
-        return " or ".join(dict.fromkeys(map(_words, alternatives)))
+        return _either(dict.fromkeys(map(_words, alternatives)))
     origin, inner = typing.get_origin(hint) or hint, typing.get_args(hint)
     if origin is Literal:
-        return " or ".join(map(repr, inner))
+        return _either(map(repr, inner))
     if origin in (None, type(None)):
         return "None"
     if origin in (Sequence, tuple) and inner:
@@ -118,9 +118,18 @@ def _shown(value: object) -> str:
 
 def unknown(name: Any, known: Iterable[Any]) -> str:
     """Return an error text for an unknown name: the known names, and the nearest of them."""
-    names = list(map(repr, known))
-    near = get_close_matches(repr(name), names, 1) if isinstance(name, str) else []
-    hint = f"; did you mean {near[0]}?" if near else ""
-    shown = repr(name)
+    names, shown = list(known), repr(name)
     shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
-    return f"must be {' or '.join(names)}, not {shown}{hint}"
+    return f"must be {_either(map(repr, names))}, not {shown}{nearest(name, names)}"
+
+
+def nearest(name: Any, known: Iterable[Any]) -> str:
+    """Return the end of an error text that suggests the nearest name; empty if none is near."""
+    near = get_close_matches(repr(name), map(repr, known), 1) if isinstance(name, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _either(words: Iterable[str]) -> str:
+    """Join alternatives: 1, 2 or 3."""
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last

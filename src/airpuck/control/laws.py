@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
 from airpuck.boundary.user_code import UserCode
 
 #: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.
@@ -21,8 +22,7 @@ LAWS: dict[str, Callable[..., Any] | str] = {
 def check_law(name: str) -> str:
     """Return the name of a law; raise InputError for an unknown name."""
     if name not in LAWS and ".py:" not in name:
-        known = ", ".join(map(repr, LAWS))
-        raise InputError(f"must be {known} or FILE.py:NAME, not {name!r}")
+        raise InputError(unknown(name, [*LAWS, "FILE.py:NAME"]))
     return name
 
 

@@ -27,6 +27,7 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import PROPELLERS
 from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers, Wheel
 
@@ -161,7 +162,7 @@ class Vehicle(Section):
         for pair in self.pairs:
             for name in pair:
                 if name not in names:
-                    raise ValueError(f"pairs: unknown propeller {name!r}")
+                    raise ValueError(f"pairs: unknown propeller {name!r}{nearest(name, names)}")
                 if name in two_way:
                     raise ValueError(f"pairs: {name!r} pushes both ways and needs no partner")
         paired = [name for pair in self.pairs for name in pair]
@@ -405,7 +406,7 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
         raise InputError(
             f"drives no propeller of the vehicle {vehicle.name!r} "
             f"(it has {', '.join(names)}); rename the propellers in the vehicle file, or "
-            "name them in the mapping: command.propellers",
+            "name them in the mapping: command.propellers" + nearest(unknown[0], names),
             file=source,
             field=unknown[0],
         )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.compute.arrays import with_symbols
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
@@ -55,7 +56,8 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
         if name not in (names := _arguments(model)):
             raise InputError(
                 f"the equations of motion have no parameter {name!r}; choose from "
-                + ", ".join(names),
+                + ", ".join(names)
+                + nearest(name, names),
                 field="free",
             )
     refuse_actuators(model, "casadi", ["on_off", "reversible propeller"])

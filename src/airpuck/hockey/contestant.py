@@ -8,6 +8,7 @@ from typing import Any
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.user_code import UserCode
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import sheltered
@@ -83,7 +84,8 @@ def contestant(name: str) -> Contestant:
     if ".py" in name:
         return _flown(name, tactic_maker(name), LEVELS["hard"])
     known = ", ".join(f"{player}[:LEVEL]" for player in PLAYERS)
-    raise InputError(f"unknown player; use {known} or FILE.py:NAME", field=name)
+    problem = f"unknown player; use {known} or FILE.py:NAME{nearest(kind, PLAYERS)}"
+    raise InputError(problem, field=name)
 
 
 def tactic_maker(name: str) -> Callable[[], Tactic]:
@@ -141,5 +143,6 @@ def _flown(
 def _by_level(levels: Mapping[str, Any], level: str, name: str) -> Any:
     """Return the entry for a level."""
     if level not in levels:
-        raise InputError(f"unknown level; use {', '.join(levels)}", field=name)
+        problem = f"unknown level; use {', '.join(levels)}{nearest(level, levels)}"
+        raise InputError(problem, field=name)
     return levels[level]

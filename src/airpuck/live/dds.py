@@ -10,6 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.recording.cdr import Types
 
 _TOPIC_PREFIX = "rt"
@@ -34,19 +35,30 @@ def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) ->
     return number
 
 
+def check_interface(name: str) -> None:
+    """Raise InputError if this machine has no network interface of that name."""
+    names = _interfaces()
+    if name not in names:
+        raise InputError(
+            f"there is no network interface {name!r}; there are {', '.join(names)}"
+            + nearest(name, names),
+            field="--interface",
+        )
+
+
+def _interfaces() -> list[str]:
+    return [name for _, name in socket.if_nameindex()]
+
+
 def domain_config(interface: str | None) -> str:
     """Return Cyclone's configuration of a domain on an interface; None is loopback.
 
     On loopback there is no multicast: participants look for each other at the ports of 127.0.0.1,
     and no packet can leave the machine. On a named interface discovery uses multicast, as in ROS 2.
     """
-    interfaces = [name for _, name in socket.if_nameindex()]
-    loopback = next((name for name in interfaces if name in ("lo", "lo0")), "lo")
-    if interface is not None and interface not in interfaces:
-        raise InputError(
-            f"there is no network interface {interface!r}; there are {', '.join(interfaces)}",
-            field="--interface",
-        )
+    loopback = next((name for name in _interfaces() if name in ("lo", "lo0")), "lo")
+    if interface is not None:
+        check_interface(interface)
     name = interface or loopback
     multicast, peers = ("false", _LOCAL_PEERS) if name == loopback else ("true", "")
     return (

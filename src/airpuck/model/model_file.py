@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import checked, write_toml
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
 from airpuck.compute.arrays import generator, namespace
@@ -466,7 +467,8 @@ def published_model(name: str) -> Model:
     if name not in published:
         raise InputError(
             f"there is no published model {name!r}; choose one of "
-            + ", ".join(f"paper:{key}" for key in published),
+            + ", ".join(f"paper:{key}" for key in published)
+            + nearest(name, published),
             field="model",
         )
     vehicle = default_vehicle()

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters
 from airpuck.model.quantities import EFFECTS, QUANTITIES
@@ -163,13 +164,15 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     base, *terms = name.split("+")
     if base not in RUNGS:
         raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}", field="model"
+            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}{nearest(base, RUNGS)}",
+            field="model",
         )
     rung = replace(RUNGS[base], degree=degree, frame=frame)
     for term in terms:
         if term not in TERMS:
             raise InputError(
-                f"there is no term {term!r}; choose from {', '.join(TERMS)}", field="model"
+                f"there is no term {term!r}; choose from {', '.join(TERMS)}{nearest(term, TERMS)}",
+                field="model",
             )
         if TERMS[term] in rung.effects:
             raise InputError(f"{name!r} has the term {term!r} twice", field="model")

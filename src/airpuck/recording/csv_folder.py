@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.csv_table import CsvTable, is_list, plain_table, read_rows
@@ -305,7 +306,7 @@ def _require(
         problem = "no column is named for the time" if unnamed else "there is no such column"
         raise InputError(
             f"{problem}; name columns in a file for --mapping: {stream} = "
-            f"{{{keys}}} out of {listing(table.columns)}",
+            f"{{{keys}}} out of {listing(table.columns)}" + nearest(missing[0], table.columns),
             file=table.path,
             field="time" if unnamed else ", ".join(missing),
         )

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import CELLS, PROPELLERS, ROW_LENGTH, csv_rows, refused
 from airpuck.recording.conversion import NO_MASK, is_mask
 from airpuck.recording.files import listing, shortened
@@ -84,7 +85,8 @@ class CsvTable:
         """Convert the cells of a column; raise InputError for the first that does not fit."""
         if name not in self.columns:
             raise InputError(
-                f"there is no such column (there are {listing(self.columns)})",
+                f"there is no such column (there are {listing(self.columns)})"
+                + nearest(name, self.columns),
                 file=self.path,
                 field=name,
             )

@@ -15,6 +15,7 @@ import pydantic
 from airpuck.boundary import limits
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Positive, Section, read_toml
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.outputs import replacing, unwritable
 from airpuck.recording.files import listing, sha256
 
@@ -66,7 +67,8 @@ def dataset(name: str = PAPER) -> Dataset:
     """Return a dataset's description, or raise InputError for an unknown name."""
     names = dataset_names()
     if name not in names:
-        raise InputError(f"there is no such dataset; choose from {listing(names)}", field=name)
+        problem = f"there is no such dataset; choose from {listing(names)}{nearest(name, names)}"
+        raise InputError(problem, field=name)
     with resources.as_file(resources.files("airpuck") / _DATASETS / name) as folder:
         return read_toml(folder / "dataset.toml", Dataset)
 

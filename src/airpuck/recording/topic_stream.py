@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field, decode, flatten
 from airpuck.recording.conversion import (
@@ -126,7 +127,8 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
     known = [field.path for field in fields if _number(field.code)]
     unknown = [place.path for place in places if place.path not in known]
     if unknown:
-        raise InputError(f"has no number {', '.join(unknown)} (it has {listing(known)})")
+        problem = f"has no number {', '.join(unknown)} (it has {listing(known)})"
+        raise InputError(problem + nearest(unknown[0], known))
     return places
 
 

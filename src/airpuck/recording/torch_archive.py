@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import Archive, within_means
 from airpuck.data.trajectory import Trajectory
 from airpuck.recording.files import listing, sha256, shortened
@@ -262,7 +263,8 @@ def _choose(content: Any, name: str | None) -> dict[str, _Tensor]:
             f"it contains {len(names)} experiments; choose one by name ({listing(names)})"
         )
     if name is not None and name not in names:
-        raise Refused(f"it contains no experiment {name!r} ({listing(names)})")
+        problem = f"it contains no experiment {name!r} ({listing(names)})"
+        raise Refused(problem + nearest(name, names))
     tensors = {key: content[key][name or names[0]] for key in _WIDTHS}
     for key, tensor in tensors.items():
         if not isinstance(tensor, _Tensor):

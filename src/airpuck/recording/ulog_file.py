@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import DEFINITION_SIZE, refused
 from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
@@ -79,7 +80,7 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
         topic = next((topic for topic in named if topic in topics), "")
         if not topic:
             problem = f"there is no such topic; choose from {listing(sorted(topics))}"
-            raise InputError(problem, file=path, field=named[0])
+            raise InputError(problem + nearest(named[0], topics), file=path, field=named[0])
         try:
             streams[stream] = _stream(stream, topic, topics[topic], mapping)
         except (ValueError, OverflowError) as error:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.plant import LONGEST_STEP, Plant
@@ -31,7 +32,8 @@ class MotorUnit:
             for fault in faults:
                 if fault.motor not in names:
                     raise InputError(
-                        f"there is no motor called {fault.motor!r} (there are {', '.join(names)})",
+                        f"there is no motor called {fault.motor!r} (there are {', '.join(names)})"
+                        + nearest(fault.motor, names),
                         field=f"motors.{field}",
                     )
         self._settings = settings

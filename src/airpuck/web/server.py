@@ -20,8 +20,8 @@ from multiprocessing.connection import Connection
 from typing import Any, Literal
 
 from airpuck.flight.clock import TokenBucket
+from airpuck.web.address import refusal
 from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
-from airpuck.web.same_origin import refusal
 
 #: The pages: a game, whose first page takes the seat, and the live view, which anyone may use.
 PageName = Literal["play", "view"]

@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from airpuck.web.same_origin import refusal
+from airpuck.web.address import refusal
 
 PORT = "8080"
 
