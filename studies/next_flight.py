@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.experiment_design.design import design
-from airpuck.experiment_design.trials import CheckedFlights, check_design
+from airpuck.experiment_design.design import CheckedFlights, check_design, design
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
 from airpuck.report.style import write_png

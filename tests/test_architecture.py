@@ -191,9 +191,11 @@ def test_a_class_name_means_one_thing():
     assert not [name for name, count in names.items() if count > 1]
 
 
-def test_the_models_modules_do_not_import_each_other_in_a_circle():
+@pytest.mark.parametrize("package", ORDER)
+def test_the_modules_of_a_package_do_not_import_each_other_in_a_circle(package):
     left = {
-        f"airpuck.model.{path.stem}": imports(path) for path in (ROOT / "model").glob("[!_]*.py")
+        f"airpuck.{package}.{path.stem}": imports(path)
+        for path in (ROOT / package).glob("[!_]*.py")
     }
     while free := [name for name, used in left.items() if not used & left.keys() - {name}]:
         left = {name: used for name, used in left.items() if name not in free}

@@ -10,7 +10,7 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration
-from airpuck.identification.problem import Loss
+from airpuck.identification.problem import Loss, prediction_loss
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import named_rung
 
@@ -49,7 +49,7 @@ def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
 def fit_of(model: Model, training: Trajectory | None = None) -> Fit:
     """Make up the result of a fit."""
     history = tuple(Iteration(k, 1e-4 * (1 + 2.0**-k)) for k in range(4))
-    loss = None if training is None else Loss().on([training], model.vehicle)
+    loss = None if training is None else prediction_loss(Loss(), [training], model.vehicle)
     found = history[-1].loss
     return Fit(model, found, history, True, "converged", 100, 0.1, (), objective=loss)
 

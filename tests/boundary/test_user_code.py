@@ -9,8 +9,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 from airpuck.campaigns.match import match
-from airpuck.control.law import Moment
-from airpuck.control.laws import law_named
+from airpuck.control.law import Moment, law_named
 from airpuck.flight.pilot import pilot_maker
 from airpuck.hockey.rules import Rules
 from tests.apparatus import commands as command_line

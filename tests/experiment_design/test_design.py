@@ -13,9 +13,15 @@ from airpuck.cli.app import app
 from airpuck.cli.designing import error_table, summary
 from airpuck.cli.output import console
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
-from airpuck.experiment_design.design import CandidateFlight, Design, design
+from airpuck.experiment_design.design import (
+    CandidateFlight,
+    CheckedFlights,
+    Design,
+    check_design,
+    design,
+)
 from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
-from airpuck.experiment_design.trials import CheckedFlights, Trial, check_design, fly_trial
+from airpuck.experiment_design.trials import Trial, fly_trial
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
 

@@ -9,6 +9,7 @@ import pytest
 from airpuck import Loss, Twin, preprocess, read_vehicle
 from airpuck.craft.table import Table
 from airpuck.identification.packet_delays import UNKNOWN
+from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import score_derivatives, smoothed_along
 from airpuck.model.model_file import nominal_model
 from airpuck.twin.settings import read_twin_settings
@@ -51,7 +52,8 @@ def test_the_effect_of_a_lag_on_prepared_data_is_that_at_all_phases_of_pulses() 
     def quadratic(sign):
         other = replace(model, parameters=parameters.with_vector(vector + sign * change))
         prepared = smoothed_along(trajectory, other)
-        return loss.on([prepared], model.vehicle, learns_delay=True).quadratic(parameters)
+        made = prediction_loss(loss, [prepared], model.vehicle, learns_delay=True)
+        return made.quadratic(parameters)
 
     def moved(hessian, scores):
         return np.linalg.solve(hessian[np.ix_(free, free)], -scores[free])[:-1]
@@ -59,9 +61,12 @@ def test_the_effect_of_a_lag_on_prepared_data_is_that_at_all_phases_of_pulses() 
     low, high = quadratic(-1), quadratic(1)
     expected = moved((low.hessian + high.hessian) / 2, (high.gradient - low.gradient) / 2)
     mixed, hessian = score_derivatives(
-        loss.on([trajectory], model.vehicle, learns_delay=True), [trajectory], model, [UNKNOWN],
+        prediction_loss(loss, [trajectory], model.vehicle, learns_delay=True),
+        [trajectory],
+        model,
+        [UNKNOWN],
         MILLISECONDS * (lag + delay),
-    )  # fmt: skip
+    )
     stated = moved(hessian, mixed @ change)
     # Of all thrusters alike; windows that all begin with pulses find 2.4 mN.
     assert abs(np.mean(stated - expected)) < 1e-3

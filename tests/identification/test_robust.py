@@ -19,6 +19,7 @@ from airpuck.identification.method import (
     window_weights,
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
+from airpuck.identification.problem import prediction_loss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import grown, information_growth, sandwich, subspace
 from airpuck.model.rungs import named_rung
@@ -88,7 +89,7 @@ def test_adam_is_not_robust(clean):
 @pytest.mark.slow
 def test_a_window_that_is_drawn_twice_counts_as_two(faulty):
     """Resampled fits recompute the weights for the windows that were drawn."""
-    loss = replace(ROBUST.on([faulty], MODEL.vehicle), clusters=None)
+    loss = replace(prediction_loss(ROBUST, [faulty], MODEL.vehicle), clusters=None)
     rung, windows, method = named_rung("M0"), loss.windows, LevenbergMarquardt()
     start = rung.initial(MODEL.vehicle)
     times = np.random.default_rng(0).integers(0, 3, len(windows))

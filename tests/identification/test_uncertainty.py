@@ -10,6 +10,7 @@ from airpuck.craft.vehicle import default_vehicle
 from airpuck.evaluation.main_quantities import physical_thrust
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import Quadratic
+from airpuck.identification.problem import prediction_loss
 from airpuck.identification.settings import Loss
 from airpuck.identification.uncertainty import (
     binding_constraints,
@@ -37,7 +38,7 @@ NAMES = VEHICLE.propeller_names
 
 
 def clustered_loss():
-    return Loss(spacing=29 / 240).on([noisy()], VEHICLE)
+    return prediction_loss(Loss(spacing=29 / 240), [noisy()], VEHICLE)
 
 
 def along(quadratic, parameters, free, shared=0.0):
@@ -451,7 +452,7 @@ def test_intervals_hold_the_truth():
 
 def test_what_blocks_share_is_what_a_moving_average_loses():
     """Scores that sum up the L samples of their window, white noise: the variance by hand."""
-    loss = Loss().on([noisy(duration=40.0)], VEHICLE)
+    loss = prediction_loss(Loss(), [noisy(duration=40.0)], VEHICLE)
     windows, clusters = loss.windows, loss.clusters
     sample = np.zeros((len(windows), int(windows.starts.max()) + 90))
     for row, start in zip(sample, windows.starts, strict=True):
@@ -462,14 +463,14 @@ def test_what_blocks_share_is_what_a_moving_average_loses():
     one = replace(loss, clusters=np.zeros(len(windows), dtype=int))
     assert shared_at_borders(one) == 0
     # The ends of recordings do not count as borders.
-    two = Loss().on([noisy(1, 7.0), noisy(2, 7.0)], VEHICLE)
+    two = prediction_loss(Loss(), [noisy(1, 7.0), noisy(2, 7.0)], VEHICLE)
     by_trajectory = np.searchsorted(two.windows.origins, two.windows.starts, side="right")
     assert shared_at_borders(replace(two, clusters=by_trajectory - by_trajectory.min())) == 0
 
 
 def test_clusters_are_blocks_of_time():
     flights = [noisy(seed, duration=7.0) for seed in (1, 2)]
-    loss = Loss().on(flights, VEHICLE)
+    loss = prediction_loss(Loss(), flights, VEHICLE)
     windows, clusters = loss.windows, loss.clusters
     second = windows.starts >= len(flights[0])
     assert not set(clusters[second]) & set(clusters[~second])

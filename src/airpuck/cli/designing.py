@@ -19,8 +19,7 @@ from airpuck.control.settings import Criterion, ProposedDuration, ProposedMargin
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.experiment_design.design import CandidateFlight, Design
-    from airpuck.experiment_design.trials import CheckedFlights
+    from airpuck.experiment_design.design import CandidateFlight, CheckedFlights, Design
     from airpuck.model.model_file import Model
     from airpuck.recording.mapping import RecordingMapping
 
@@ -60,7 +59,7 @@ def design(
     quiet: options.Quiet = False,
 ) -> None:
     """Propose the excitation that best reduces the largest parameter errors."""
-    from airpuck.experiment_design.trials import check_design
+    from airpuck.experiment_design.design import check_design
 
     craft = airpuck.read_model(model)
     if after:

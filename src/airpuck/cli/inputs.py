@@ -139,8 +139,7 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
 
 def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
     """Raise InputError if the law of a tuning file, or the user's own law, does not suit."""
-    from airpuck.control.law import LawOptions
-    from airpuck.control.laws import law_named
+    from airpuck.control.law import LawOptions, law_named
 
     make = law_named(tuning.regulator.kind)
     if tuning.regulator.kind == "lqr":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -13,6 +14,7 @@ from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.user_code import UserCode
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
+from airpuck.control.laws import LAWS, check_law
 from airpuck.control.reference import Reference
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
@@ -231,3 +233,27 @@ def staged(law: Law, model: Model, compiled: bool) -> Callable[..., tuple[Estima
         return e, compute(e.state, e.motor_speed, e.disturbance, e.effectiveness, *inputs)
 
     return computed
+
+
+def law_named(name: str) -> Callable[..., Any]:
+    """Return a factory that makes the named law from model, tuning and options."""
+    found = LAWS.get(check_law(name))
+    if found is None:
+        return _users_law(name)
+    if isinstance(found, str):
+        module, _, attribute = found.rpartition(".")
+        found = getattr(import_module(module), attribute)
+    return found
+
+
+def _users_law(name: str) -> Callable[..., Any]:
+    """Return a factory that makes a user's law and checks its results."""
+    code = UserCode(name, "--regulator")
+
+    def make(*given: Any) -> Any:
+        law = code.run("cannot be made from (model, tuning, options)", code.kind, *given)
+        if not isinstance(law, Law):
+            code.refuse("must inherit from airpuck.Law; see docs/control.md")
+        return UserLaw(law, code)
+
+    return make

@@ -16,8 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.authority import control_authority, weakest_effort
-from airpuck.control.law import Law, LawOptions, Moment, Status, Step, staged
-from airpuck.control.laws import law_named
+from airpuck.control.law import Law, LawOptions, Moment, Status, Step, law_named, staged
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered

@@ -27,6 +27,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.packet_delays import PacketDelays
+from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import spread_of, variance_of_mean
 from airpuck.identification.settings import PUBLISHED_WEIGHTS, Loss
 from airpuck.identification.uncertainty import (
@@ -87,15 +88,12 @@ def information_of(
 ) -> Information:
     """Compute the information in a flight of a known model."""
     whole = [_whole_seconds(trajectory)]
-    loss = (
-        loss_of(model)
-        .suited(whole, model.vehicle)
-        .on(
-            whole,
-            model.vehicle,
-            frame=model.frame,
-            learns_delay=model.delay_learned,
-        )
+    loss = prediction_loss(
+        loss_of(model).suited(whole, model.vehicle),
+        whole,
+        model.vehicle,
+        frame=model.frame,
+        learns_delay=model.delay_learned,
     )
     quadratic = loss.quadratic(model.parameters)
     # The loss is a mean over windows; information and scores are sums.

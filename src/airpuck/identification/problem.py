@@ -14,19 +14,18 @@ from jaxtyping import Bool
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers, vehicle_of
-from airpuck.estimate.encoder import PaperEncoder
+from airpuck.data.windows import make_windows
 from airpuck.faults.find import find_faults
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import Loss, Preparation
+from airpuck.identification.uncertainty import cluster_windows
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import LAG, Parameters
 from airpuck.model.rungs import Rung, named_rung
+from airpuck.physics.rigid_body import CenterOfMassFrame
 
-_ENCODER = PaperEncoder()
-#: Relative difference between the sample periods of recordings that are fitted together.
-_SAME_RATE = 0.05
 #: Largest fraction of the windows that faults may take; beyond it the model must be wrong.
 MOST = 0.5
 #: Number of motor time constants after which an encoder knows the motor speeds again.
@@ -124,13 +123,40 @@ class Problem:
 
     def loss_on(self, trajectories: Sequence[Trajectory]) -> PredictionLoss:
         """Return the loss on prepared trajectories."""
-        return self.loss.on(
-            trajectories, self.vehicle, frame=self.rung.frame, learns_delay=self.learns_delay
+        frame, learns_delay = self.rung.frame, self.learns_delay
+        return prediction_loss(
+            self.loss, trajectories, self.vehicle, frame=frame, learns_delay=learns_delay
         )
 
     def model(self, parameters: Parameters) -> Model:
         """Return the model with these parameters."""
         return Model(self.rung.name, self.vehicle, parameters, self.free, self.rung.frame)
+
+
+def prediction_loss(
+    loss: Loss,
+    trajectories: Sequence[Trajectory],
+    vehicle: Vehicle,
+    *,
+    frame: CenterOfMassFrame = "body",
+    learns_delay: bool = False,
+) -> PredictionLoss:
+    """Cut trajectories into windows, and return the loss over them, in equally weighted clusters.
+
+    `frame` is the frame of the offset of the centre of mass; `learns_delay` makes the transport
+    delay a parameter.
+    """
+    before, ahead, stride = loss.samples(trajectories)
+    windows = make_windows(trajectories, before, ahead, stride)
+    return PredictionLoss(
+        windows,
+        vehicle,
+        loss.encoder,
+        loss.weights,
+        frame,
+        continuous_delay=learns_delay,
+        clusters=cluster_windows(windows),
+    )
 
 
 def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from airpuck.craft.vehicle import Vehicle
     from airpuck.data.trajectory import Trajectory
     from airpuck.estimate.encoder import PaperEncoder
-    from airpuck.identification.objective import PredictionLoss
-    from airpuck.physics.rigid_body import CenterOfMassFrame
 
 #: Weights of the errors of x, y [1/m] and yaw [1/rad] in the published fits.
 PUBLISHED_WEIGHTS = (1.0, 1.0, 0.1)
@@ -181,48 +179,6 @@ class Loss(Settings):
         longer = min(_SHORT * FORGOTTEN * lag, _LONGEST_ENCODER)
         enough = longer <= _SHORT**2 * (self.encoder_time or _ENCODER)
         return self if enough else replace(self, encoder_time=longer)
-
-    def on(
-        self,
-        trajectories: Sequence[Trajectory],
-        vehicle: Vehicle,
-        *,
-        frame: CenterOfMassFrame = "body",
-        learns_delay: bool = False,
-    ) -> PredictionLoss:
-        """Cut trajectories into windows, and return the loss over them.
-
-        Parameters
-        ----------
-        trajectories : sequence of Trajectory
-            Data of one craft.
-        vehicle : Vehicle
-            The craft.
-        frame : {"body", "world"}, default "body"
-            The frame in which the offset of the centre of mass is constant.
-        learns_delay : bool, default False
-            Whether the transport delay is one of the parameters.
-
-        Returns
-        -------
-        PredictionLoss
-            The loss, with its windows grouped into clusters and equally weighted.
-        """
-        from airpuck.data.windows import make_windows
-        from airpuck.identification.objective import PredictionLoss
-        from airpuck.identification.uncertainty import cluster_windows
-
-        before, ahead, stride = self.samples(trajectories)
-        windows = make_windows(trajectories, before, ahead, stride)
-        return PredictionLoss(
-            windows,
-            vehicle,
-            self.encoder,
-            self.weights,
-            frame,
-            continuous_delay=learns_delay,
-            clusters=cluster_windows(windows),
-        )
 
     def samples(self, trajectories: Sequence[Trajectory]) -> tuple[int, int | None, int]:
         """Return E, T and the stride in samples; recordings must have the same rate.

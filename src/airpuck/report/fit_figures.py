@@ -16,8 +16,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.main_quantities import largest_accelerations, physical_thrust
-from airpuck.experiment_design.design import Design
-from airpuck.experiment_design.trials import CheckedFlights
+from airpuck.experiment_design.design import CheckedFlights, Design
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.model_file import Model
