@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.table import AirHockey, Puck
+from airpuck.physics.many_pucks import NUMBERS, paths
 from airpuck.physics.puck import PuckState, coast, time_of
 from airpuck.physics.puck_on_table import PuckOnTable, Touch
 
@@ -67,7 +68,7 @@ class PuckPrediction:
 
 
 class PuckModel:
-    """A table with a puck, and variants with each uncertain number shifted by a standard deviation.
+    """A table with a puck, and pucks with each uncertain number shifted by a standard deviation.
 
     Parameters
     ----------
@@ -84,6 +85,18 @@ class PuckModel:
         }
         #: Standard deviation of the drag [1/s].
         self.drag_error = self.spread["drag_1_s"]
+
+    @cached_property
+    def numbers(self) -> Float[np.ndarray, "V 4"]:
+        """`NUMBERS` of the pucks of a prediction, one in each row.
+
+        The state of the first twelve differs, then each number is too high, and too low. The last
+        is the mean.
+        """
+        puck, spread = self.equipment.puck, np.diag([self.spread[name] for name in NUMBERS])
+        given = [puck.drag_1_s, puck.spin_drag_1_s, puck.rail.restitution, puck.rail.grip]
+        rows = np.concatenate([np.zeros((12, 4)), spread, -spread, np.zeros((1, 4))])
+        return np.clip(rows + given, 0.0, [math.inf, math.inf, 1.0, 1.0])
 
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
@@ -143,16 +156,18 @@ def predict_puck(
     when = np.array(times, dtype=float)
     puck = PuckOnTable(model.equipment, PuckState(*belief.mean.tolist()), belief.time)
     puck.run(max(when, default=belief.time))
-    deviation = np.array(
-        [
-            (predict_path(*above, when) - predict_path(*below, when)) / 2
-            for above, below in _both_sides(model, belief)
-        ]
-    )
+    variance, axes = np.linalg.eigh(belief.covariance)
+    steps = (axes * np.sqrt(np.maximum(variance, 0.0))).T
+    count, other = len(steps), len(NUMBERS)
+    states = np.tile(belief.mean, (len(model.numbers), 1))
+    states[:count] += steps
+    states[count : 2 * count] -= steps
+    found = paths(model.equipment, states, model.numbers, when - belief.time)
+    *sides, mean = np.split(found, np.cumsum([count, count, other, other]))
+    deviation = np.concatenate([sides[0] - sides[1], sides[2] - sides[3]]) / 2
     covariance = np.einsum("kti,ktj->tij", deviation, deviation)
     covariance += process_noise(when - belief.time, ACCELERATION_DENSITY)
-    mean = predict_path(model.equipment, belief, when)
-    return PuckPrediction(when, mean, covariance, tuple(puck.touches), puck.goal)
+    return PuckPrediction(when, mean[0], covariance, tuple(puck.touches), puck.goal)
 
 
 def predict_path(
