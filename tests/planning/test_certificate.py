@@ -18,10 +18,12 @@ from airpuck.planning.certificate import (
     missing_at,
     unavoidable_rail,
 )
-from airpuck.planning.request import Goal, checked_request
+from airpuck.planning.request import Goal, Request, checked_request
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
-from airpuck.planning.yaw_program import Weight, frontier
+from airpuck.planning.yaw_program import Fineness, Weight, YawProgram, frontier
+
+from ..apparatus.one_axis_craft import ACCELERATION, one_axis
 
 M3 = airpuck.read_model("paper:M3")
 WIDE = Limits(spin=40.0, speed=10.0)
@@ -51,6 +53,32 @@ def test_chords_of_the_frontier_lie_above_linear_programs(yaw, redrawn):
                 shares = np.array([1 - before, before])
                 assert shares @ np.interp(ends, moments, table) >= best - 1e-9
         assert np.interp(moment, moments, table) <= best + (1.5 if redrawn else 0.8)
+
+
+@pytest.mark.parametrize("yaw", [0.4, 3.3])
+def test_the_frontier_includes_moments_that_effects_add(yaw):
+    low, high = np.full(6, 0.01), M3.dynamics.thrust.sum(axis=1)
+    turn = np.asarray(M3.dynamics.configuration)[2]
+    reach = [np.where(side * turn > 0, high, low) @ turn + side * 40.0 for side in (-1, 1)]
+    moments = np.linspace(*reach, 41)
+    for added, reached in ((0.0, False), (40.0, True)):
+        table = frontier(M3, np.array([yaw]), low, high, moments, (0.5, added))[0]
+        assert (table > -1e6).all() == reached
+
+
+@pytest.mark.parametrize(("turning", "velocity"), [(1, (0, 0, 0)), (-1, (0, 0, 0)), (1, None)])
+def test_a_few_long_steps_bound_the_push_of_a_craft_in_a_spin(turning, velocity):
+    """The weight turns against the craft, so that chords between steps miss most."""
+    model, spin, time, nowhere = one_axis(), 3.0 * turning, 0.2, np.zeros((0, 2))
+    start = np.array([0, 0, -0.3 * turning, 0, 0, spin, *np.zeros(6)])
+    goal = Goal(0.0, 0.0, 0.3 * turning, velocity and (*velocity[:2], spin), turn="exact")
+    asked = Request(model, start, goal, nowhere, (np.inf,) * 2, np.zeros((0, 3)), Limits(spin=4.0))
+    weight = straight(1.0 + 0.3j * turning, 1.0 - 0.3j * turning, time)
+    program = YawProgram(asked, weight, time, Fineness(2, 8, 100, 480), np.zeros(1))
+    times = (np.arange(1000) + 0.5) * time / 1000
+    pushed = np.conj(weight(times)) * np.exp(1j * (start[2] + spin * times))
+    exact = ACCELERATION * time * pushed.real.mean()
+    assert exact <= program.most[-1, 0] < 1.06 * exact
 
 
 @pytest.mark.parametrize("yaw", [0.4, 1.9, 3.3])
@@ -197,3 +225,97 @@ def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
     pushed = np.maximum(np.outer(along.real, full[0]) + np.outer(along.imag, full[1]), 0)
     assert bound > 0.85 * 2 * np.sqrt(2 * np.hypot(*point) / pushed.sum(axis=1).max())
     assert bound < 0.7 + 0.7
+
+
+def drifting(time, motion, yaw=0.4, frame="body", offset=(0.05, 0.02), free=(), tilt=None, **more):
+    """Return the request of a flight with hardly any thrust, and its states.
+
+    Whatever its bound assumes wrongly about the motion has no thrust to hide behind.
+    """
+    thrust = 1e-6 * M3.parameters.thrust
+    parameters = replace(M3.parameters, thrust=thrust, center_of_mass=np.array(offset))
+    model = replace(M3, parameters=parameters, frame=frame)
+    model = affected(model, Tilt(*tilt)) if tilt else model
+    start = np.concatenate([(0.1, -0.2, yaw), motion, np.zeros(6)])
+    states = model.simulate(start, np.zeros((400, 6)), time / 400)
+    goal = Goal(*states[-1, :3], velocity=tuple(states[-1, 3:6]), turn="exact")
+    goal = replace(goal, **dict.fromkeys(free), **more)
+    limits = Limits(spin=max(0.1, abs(motion[2])), speed=np.abs(states[:, 3:5]).max())
+    nothing = np.zeros((0, 2)), (np.inf, np.inf), np.zeros((0, 3))
+    return Request(model, start, goal, *nothing, limits), states
+
+
+def straight(begin, end, time):
+    none = np.zeros(0)
+    return Weight(begin, (end - begin) / time, none, none.astype(complex))
+
+
+@pytest.mark.parametrize(
+    ("motion", "tilt"), [((2.0, 0.5, 0.0), None), ((0.6, -0.3, 3.0), (0.02, -0.01))]
+)
+def test_a_craft_without_thrust_cannot_be_later_than_it_is(motion, tilt):
+    """In fractions of a step that it has coasted; its place and velocity there are exact."""
+    asked, _ = drifting(0.4, motion, tilt=tilt)
+    direction = complex(*motion[:2]) / abs(complex(*motion[:2]))
+    bound = lower_bound(asked, straight(0.5 * direction, -0.5 * direction, 0.4), 0.4)
+    assert 0.997 < bound / 0.4 <= 1.0
+
+
+@pytest.mark.parametrize("begin", [1.0 + 0j, 0.3 - 0.7j])
+@pytest.mark.parametrize("end", [-1j, 0.6 + 0.2j])
+@pytest.mark.parametrize("tilt", [None, (0.02, -0.01)])
+def test_a_craft_that_turns_about_its_centre_of_mass_needs_no_thrust(begin, end, tilt):
+    asked, _ = drifting(0.4, (0.5, -0.3, -5.0), tilt=tilt)
+    needed, most, _ = missing_at(asked, straight(begin, end, 0.4), 0.4)
+    assert -1e-5 < needed <= most < 1e-4
+
+
+@pytest.mark.parametrize("end", [-1j, 0.6 + 0.2j])
+@pytest.mark.parametrize(("spin", "turn"), [(-5.0, "exact"), (2.0, "shorter")])
+def test_a_centre_of_mass_fixed_in_the_world_is_pulled_along_its_offset(end, spin, turn):
+    asked, _ = drifting(0.4, (0.5, -0.3, spin), frame="world", turn=turn)
+    needed, most, _ = missing_at(asked, straight(1.0 + 0j, end, 0.4), 0.4)
+    pulled = 0.4 * np.dot((0.05, 0.02), ((1 + end.real) / 2, end.imag / 2)) * spin**2
+    assert needed == pytest.approx(pulled, abs=1e-5)
+    assert needed <= most
+
+
+def test_a_free_yaw_may_have_the_centre_of_mass_anywhere_around():
+    asked, states = drifting(0.4, (0.5, -0.3, 3.0), free=["yaw"])
+    arm = complex(0.05, 0.02) * np.exp(1j * states[-1, 2])
+    # The weight for which no other final yaw is worse.
+    needed, most, _ = missing_at(asked, straight(-0.5j * arm - 0.4 * arm, -0.5j * arm, 0.4), 0.4)
+    assert -1e-5 < needed <= most
+
+
+@pytest.mark.parametrize("turn", ["exact", "shorter"])
+def test_a_centre_of_mass_fixed_in_the_world_depends_on_all_turns(turn):
+    spin, aside = 2 * np.pi + 0.5, 1j * complex(0.05, 0.02)
+    free = ["yaw"] if turn == "exact" else ()
+    asked, _ = drifting(1.0, (0.5, -0.3, spin), frame="world", free=free, turn=turn)
+    needed, most, _ = missing_at(asked, straight(-1.5 * aside, -0.5 * aside, 1.0), 1.0)
+    assert -1e-5 < needed <= most
+
+
+def test_a_free_velocity_may_be_as_large_as_the_limit():
+    asked, _ = drifting(0.4, (-1.0, -1.0, 0.0), free=["velocity"])
+    needed, most, _ = missing_at(asked, straight(-0.3 + 1j, 1.0 + 0.5j, 0.4), 0.4)
+    assert -0.01 < needed <= most  # a spin of 0.1 rad/s is allowed, and needs 5 mm/s
+
+
+def test_a_centre_of_mass_beside_the_rail_is_beyond_it():
+    asked, _ = drifting(0.4, (0.0, 0.5, 0.0), yaw=0.0, offset=(0.05, 0.0))
+    asked = replace(asked, reach=(0.1, 1.0))
+    weight = Weight(0j, 0j, np.array([0.2]), np.array([-1.0 + 0j]))
+    needed, most, _ = missing_at(asked, weight, 0.4)
+    assert -1e-5 < needed <= most
+
+
+def test_a_centre_of_mass_fixed_in_the_world_moves_aside_with_every_turn():
+    # It is accelerated along y; by 1.52 s it has moved 0.15 m along -x.
+    asked, _ = drifting(1.6, (0.0, 0.0, 2.0), frame="world", offset=(0.0, 0.05))
+    asked = replace(asked, reach=(0.1, 2.0), start=asked.start + np.eye(12)[0] * -0.2)
+    asked = replace(asked, goal=replace(asked.goal, x=asked.goal.x - 0.2))
+    weight = Weight(0j, 0j, np.array([1.52]), np.array([1.0 + 0j]))
+    needed, most, _ = missing_at(asked, weight, 1.6)
+    assert -1e-5 < needed <= most < 0.01

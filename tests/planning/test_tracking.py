@@ -5,12 +5,14 @@ import pytest
 from scipy.optimize import lsq_linear
 
 import airpuck
+from airpuck.control.law import Moment
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
+from airpuck.estimate.estimator import Estimate
 from airpuck.flight.loop import fly
 from airpuck.flight.pilot import check_pilot
 from airpuck.planning.settings import Limits
-from airpuck.planning.tracking import Departing, least_correction, plan_tracker, rests
+from airpuck.planning.tracking import Departing, PlanTracker, least_correction, plan_tracker, rests
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -111,6 +113,33 @@ def test_a_craft_beside_its_plan_is_at_the_goal_in_time(planned):
         error = np.abs(states[late][:, :6] - flight.samples[1][-1, :6])
         near = (error < (0.01, 0.01, 0.1, 0.05, 0.05, 1.0)).all(axis=1)
         assert near.any()
+
+
+def command_at(plan, time, aside=(0.0,) * 6, delay=0.02):
+    """Return the command of a tracker for a craft that is beside its plan when it acts."""
+    state = plan.state_at(time + delay, np.zeros(1))[0]
+    craft = Estimate(time + delay, state[:6] + aside, state[6:], np.zeros(3))
+    moment = Moment(plan, time, delay, lambda *_: (craft, ()))
+    return PlanTracker(M3, default_tuning()).step(None, moment)[0].command
+
+
+def test_a_plan_is_flown_from_the_moment_it_begins(planned):
+    flight = planned.starting(0.5)
+    # The LQR would idle the first motor.
+    first = command_at(flight, 0.5, delay=0.0)[0]
+    assert first == pytest.approx(flight.commands[0, 0], abs=0.1)
+    assert first > 0.15
+
+
+@pytest.mark.parametrize("spin", [20.0, -20.0])
+def test_motors_that_a_plan_stops_within_a_period_can_still_run_fully(spin):
+    commands = np.repeat([1.0, M3.vehicle.command_min], (10, 30))[:, None] * np.ones(6)
+    start = np.append(np.zeros(6), np.ones(6))
+    states = np.vstack([start, M3.simulate(start, commands, 0.01)])
+    plan = airpuck.Plan(M3, 0.01 * np.arange(41), states, commands, lower_bound=None)
+    # It acts from 94.5 to 104.5 ms, and requires the largest moment.
+    command = command_at(plan, 0.0745, (0, 0, 0, 0, 0, spin))
+    assert ((command < 0.2) | (command > 0.85)).all()
 
 
 @pytest.mark.slow

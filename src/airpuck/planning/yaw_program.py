@@ -46,8 +46,6 @@ _FEWEST_COLUMNS = 8
 #: Floors that avoid a division by zero for a craft that cannot turn: of an angular acceleration
 #: [rad/s²] or its change of the yaw rate in a step [rad/s], and of the reachable yaw rates [rad/s].
 LEAST_MOMENT, _LEAST_REACH = 1e-9, 1e-6
-#: Moments tried in the last half step, if the final yaw rate is free.
-_MOMENTS = 65
 #: A gain below this fraction of `_IMPOSSIBLE` marks a moment out of reach.
 _SMALLEST_SHARE = 1e-15
 
@@ -283,10 +281,11 @@ class YawProgram:
             rows = np.arange(int(np.floor(far[0])), int(np.ceil(far[1])) + 2)
         yaws, ending = self._yaws[rows % count], worth[rows % count]
         if np.isnan(goal[5]):
-            least, most = moment_range(self._model, *(force[:, k] for force in self._boxes))
-            moments = np.linspace(least - self._added[1], most + self._added[1], _MOMENTS)
-            best = half * self._gains(k, yaws, moments).max(axis=1)
-            return np.full(len(coasts), (ending.max(axis=1) + best).max())
+            # Any moment is allowed, so each motor does what pushes most.
+            push = _pushes(self._model, yaws - float(np.angle(self._values[k])))
+            low, high = (force[:, k] for force in self._boxes)
+            best = np.maximum(push, 0.0) @ high + np.minimum(push, 0.0) @ low + self._added[0]
+            return np.full(len(coasts), (ending.max(axis=1) + half * best).max())
         moments = (goal[5] - self._spins) * 2 / self.step
         # Columns are in ascending order, these moments in descending order.
         ended = ending + half * self._gains(k, yaws, moments[::-1])[:, ::-1]
@@ -340,6 +339,12 @@ def _steepest(gains: Float[np.ndarray, "Y M"], yaws: Float[np.ndarray, " Y"]) ->
     return float(np.abs(changes).max(initial=0.0)) / float(yaws[1] - yaws[0])
 
 
+def _pushes(model: Model, angles: Float[np.ndarray, " Y"]) -> Float[np.ndarray, "Y n"]:
+    """Return the acceleration along a direction per unit of each thrust, at angles to it."""
+    forward, left, _ = np.asarray(model.dynamics.configuration)
+    return np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
+
+
 def frontier(
     model: Model,
     angles: Float[np.ndarray, " Y"],
@@ -356,8 +361,7 @@ def frontier(
     chords between evenly spaced moments lie above the values in between; moments beyond the first
     infeasible moment are unreachable.
     """
-    forward, left, turn = np.asarray(model.dynamics.configuration)
-    push = np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
+    turn, push = np.asarray(model.dynamics.configuration)[2], _pushes(model, angles)
     # Any prices give a bound; prices of motors that barely turn the craft are only rounding errors.
     turns = np.abs(turn) > _TURNS * np.abs(turn).max()
     prices = np.where(turns, -push / np.where(turns, turn, 1.0), 0.0)
