@@ -4,8 +4,7 @@ import os
 
 import pytest
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.terminal import escaped
+from airpuck.boundary.errors import InputError, escaped
 
 
 @pytest.mark.parametrize("name", ["\x1b[2J\x1b[31mred", "a\nb", "\u202eevil", "\udcff", "a\x00b"])

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from airpuck.boundary.terminal import escaped
+from airpuck.boundary.errors import escaped
 from airpuck.cli.app import commands
 from airpuck.cli.output import origin, report, table
 from airpuck.model.model_file import published_model, read_model

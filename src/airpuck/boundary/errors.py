@@ -1,10 +1,8 @@
-"""The one error class intended for users."""
+"""The one error class intended for users, and the escaping of text on its way to a terminal."""
 
 from __future__ import annotations
 
 import os
-
-from airpuck.boundary.terminal import escaped
 
 #: Libraries may repeat a whole file in their messages.
 _LONGEST = 2000
@@ -51,3 +49,14 @@ class InputError(ValueError):
 
 def _shortened(text: str) -> str:
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def escaped(text: str) -> str:
+    r"""Write control characters as \x1b: names in files and on the graph are untrusted.
+
+    A terminal obeys them. Characters that reverse or hide others, invalid characters and line
+    breaks are escaped as well, since a name must not begin a new line.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -18,9 +18,8 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.kinds import unknown
-from airpuck.boundary.terminal import escaped
 from airpuck.cli.names import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import (

@@ -16,8 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from airpuck.boundary.errors import escaped
 from airpuck.boundary.results import plain
-from airpuck.boundary.terminal import escaped
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -18,6 +18,7 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
+from airpuck.boundary.kinds import unknown
 from airpuck.control.laws import check_law
 from airpuck.craft.actuators import OnOff
 from airpuck.craft.vehicle import Vehicle
@@ -250,8 +251,7 @@ class Tuning(Section):
             If the name is unknown.
         """
         if estimator not in ESTIMATORS:
-            problem = f"must be {' or '.join(map(repr, ESTIMATORS))}, not {estimator!r}"
-            raise InputError(problem, field="estimation.estimator")
+            raise InputError(unknown(estimator, ESTIMATORS), field="estimation.estimator")
         changed = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": changed})
 

@@ -81,7 +81,7 @@ def xml(model: Model, table: Table) -> str:
             )
         )
     )
-    slope = [GRAVITY * s for e in model.dynamics.effects if isinstance(e, Tilt) for s in (e.x, e.y)]
+    slopes = [effect.gravity for effect in model.dynamics.effects if effect.gravity is not None]
     _add(
         root,
         "option",
@@ -89,7 +89,7 @@ def xml(model: Model, table: Table) -> str:
         # Without lag the forces jump, which RK4 alone integrates exactly.
         integrator="implicitfast" if model.parameters.motor_time_constant > 0 else "RK4",
         cone="elliptic",
-        gravity=[*(slope or (0, 0)), -GRAVITY],
+        gravity=[*np.sum([(0.0, 0.0), *slopes], axis=0), -GRAVITY],
     )
     custom = _add(root, "custom")
     _add(custom, "numeric", name="thrust_degree", data=np.shape(model.parameters.thrust)[1])

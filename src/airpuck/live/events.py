@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from airpuck.boundary.terminal import escaped
+from airpuck.boundary.errors import escaped
 from airpuck.live.graph import LOG, STATE, Graph
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.message import MessageCodec, definitions

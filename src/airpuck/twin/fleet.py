@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
 from airpuck.compute.compiled import for_batches
 from airpuck.compute.process import usable_cores
 from airpuck.craft.table import Table
@@ -263,7 +264,7 @@ def _check_numbers(period: float, seeds: Sequence[int], every: int, precision: s
     if not isinstance(every, Integral) or every < 1:
         raise InputError("must be a whole number, at least 1", field="every")
     if precision not in ("double", "single"):
-        raise InputError(f"must be 'double' or 'single', not {precision!r}", field="precision")
+        raise InputError(unknown(precision, ("double", "single")), field="precision")
 
 
 def _frames(rate: float, duration: float, every: int) -> tuple[Float[np.ndarray, " F"], int]:
