@@ -9,7 +9,7 @@ from studies.bounds import affected, case, sharp
 
 import airpuck
 from airpuck.craft.table import Table
-from airpuck.physics.effects import Effect, Tilt
+from airpuck.physics.effects import Drag, Effect, Tilt
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
 from airpuck.planning.certificate import (
@@ -165,9 +165,21 @@ class Boost(Effect):
         return 1.5 * thrust
 
 
-def test_an_effect_that_states_no_bounds_leaves_none():
+class Wind(Drag):
+    """Its bounds are those of drag, which it exceeds."""
+
+    def acceleration(self, xp, motion):
+        return 2.0, 0.0, 0.0
+
+
+class Gust(Wind):
+    """Has no method of its own."""
+
+
+@pytest.mark.parametrize("effect", [Boost(), Wind(), Gust()])
+def test_an_effect_that_states_no_bounds_leaves_none(effect):
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
-    unknown = replace(asked, model=affected(M3, Boost()))
+    unknown = replace(asked, model=affected(M3, effect))
     assert lower_bound(unknown, along_x(0.6), 0.6) is None
     assert lower_bound_through(unknown, np.array([0.6])) is None
 

@@ -60,11 +60,16 @@ class Envelope:
     spin: float
 
 
+def _unknown(*_: Any) -> None:
+    """Know no bound."""
+
+
 class Effect:
     """Base of all effects: changes nothing.
 
-    A subclass that changes thrusts implements `thrust_bounds`; a subclass that adds accelerations
-    implements `acceleration_bound`. If either returns None, no bound is known.
+    A subclass that overrides `thrust` also implements `thrust_bounds`; a subclass that overrides
+    `acceleration` implements `acceleration_bound`. If it does not, or if either returns None, no
+    bound is known.
     """
 
     @classmethod
@@ -98,11 +103,18 @@ class Effect:
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
         """Bound the changed thrusts, for any thrusts (n, K) from `low` to `high`."""
-        return (low, high) if type(self).thrust is Effect.thrust else None
+        return low, high
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float] | None:
         """Bound the added linear and angular acceleration, apart from `gravity`."""
-        return (0.0, 0.0) if type(self).acceleration is Effect.acceleration else None
+        return 0.0, 0.0
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Drop inherited bounds of what a subclass computes otherwise."""
+        super().__init_subclass__(**options)
+        for changed, bound in (("thrust", "thrust_bounds"), ("acceleration", "acceleration_bound")):
+            if changed in vars(cls) and bound not in vars(cls):
+                setattr(cls, bound, _unknown)
 
 
 def _magnitude(xp: Any, value: Any) -> Any:
