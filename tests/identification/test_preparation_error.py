@@ -63,6 +63,15 @@ def test_rounds_add_up():
 
 
 @pytest.mark.slow
+def test_errors_beyond_all_bounds_move_no_parameter_out_of_them(flight, fit):
+    errors = fit.uncertainty.standard_errors.copy()
+    errors[[LAG, DELAY]] = 1e6
+    packets = fit.packet_delays
+    mixed, _ = score_derivatives(fit.objective, [flight], fit.model, packets, errors)
+    assert np.isfinite(mixed).all()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("entry", [LAG, pytest.param(ANGLE, marks=pytest.mark.study)])
 def test_it_is_that_of_data_prepared_with_something_else(flight, fit, entry, monkeypatch):
     """Prepare everything again, with all decisions, two standard errors away."""

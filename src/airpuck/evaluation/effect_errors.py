@@ -51,9 +51,8 @@ _PER_MOTOR = 3
 LOW_SPEED = 0.2
 #: Information in a channel of one window beyond its initial pose and velocity: about two numbers.
 _TOLD = 2
-#: Order of the differences that remove slow errors, and how much they raise the noise's variance.
+#: Order of the differences that remove slow errors; lower if windows have few poses.
 _DIFFERENCES = 3
-_GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Directions of acceleration: row of Π, sign.
 WAYS = ((0, 1), (0, -1), (1, 1), (1, -1), (2, 1), (2, -1))
 
@@ -129,7 +128,10 @@ def _estimated(model: Model, windows: Windows, moved: float, block: float) -> Ef
 
 def _white(left: Float[np.ndarray, "W T 3"]) -> Float[np.ndarray, " 3"]:
     """Return the standard deviation of white noise, beside errors that change slowly."""
-    return np.sqrt(np.mean(np.diff(left, n=_DIFFERENCES, axis=1) ** 2, axis=(0, 1)) / _GROWN)
+    order = min(_DIFFERENCES, left.shape[1] - 1)
+    # Differences raise the variance of white noise by this factor.
+    grown = math.comb(2 * order, order)
+    return np.sqrt(np.mean(np.diff(left, n=order, axis=1) ** 2, axis=(0, 1)) / grown)
 
 
 def _in_words_of_control(

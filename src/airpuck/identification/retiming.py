@@ -212,7 +212,10 @@ def score_derivatives(
     """
     parameters, vector = model.parameters, model.parameters.to_vector()
     moved = np.flatnonzero(standard_errors > 0)
-    steps = _STEP * standard_errors[moved]
+    # What the data do not determine may have an error beyond all bounds.
+    below, above = (np.abs(bound - vector)[moved] for bound in parameters.bounds())
+    steps = _STEP * np.minimum(standard_errors[moved], np.maximum(below, above))
+    steps = np.where(above >= below, steps, -steps)
     models = [
         replace(model, parameters=parameters.with_vector(vector + step * np.eye(len(vector))[j]))
         for j, step in zip(moved, steps, strict=True)

@@ -251,8 +251,8 @@ def _compensate_delay(
         found = correlation >= _NO_DELAY_BELOW
         if samples < 0 and found:
             warnings.append(
-                f"the motion precedes the commands by {-samples} samples; no delay was "
-                "compensated: check the clocks of both streams"
+                f"the motion precedes the commands by {-samples * trajectory.sample_period:.2g} s; "
+                "no delay was compensated: check the clocks of both streams"
             )
         # A low correlation may be due to noise: a regression decides whether commands cause the
         # motion.
