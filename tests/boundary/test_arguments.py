@@ -113,3 +113,23 @@ def short():
 
 def test_a_type_that_is_imported_for_type_checkers_only_is_not_checked():
     assert fits(5, Any) and fits("five", Any)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: airpuck.identify(methd="lm"),
+            r"identify\(\) has no argument 'methd'; did you mean 'method'\?",
+        ),
+        (
+            lambda: airpuck.Goal(0.0, 0.0, yaww=1.0),
+            r"Goal\(\) has no argument 'yaww'; did you mean 'yaw'\?",
+        ),
+        (lambda: airpuck.identify(), r"identify\(\) is missing .*'trajectories'"),
+        (lambda: airpuck.Goal(0, 0, 0, (0, 0, 0), "exact", 1), r"Goal\(\): too many"),
+    ],
+)
+def test_a_call_that_does_not_fit_names_the_function_and_suggests_an_argument(call, message):
+    with pytest.raises(TypeError, match=message):
+        call()

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import fits, misfit, unknown
+from airpuck.boundary.kinds import fits, misfit, nearest, unknown
 from airpuck.boundary.settings import setting_of
 
 Chosen = TypeVar("Chosen")
@@ -37,7 +37,10 @@ def checked(function: Function, *, finite: bool = True) -> Function:
 
     @functools.wraps(function)
     def boundary(*args: Any, **kwargs: Any) -> Any:
-        given = signature.bind(*args, **kwargs).arguments
+        try:
+            given = signature.bind(*args, **kwargs).arguments
+        except TypeError as error:
+            raise TypeError(_uncallable(function, kwargs, error)) from None
         for name, hint in hints.items():
             if name in given and not fits(given[name], hint):
                 raise InputError(misfit(given[name], hint), field=name)
@@ -48,6 +51,15 @@ def checked(function: Function, *, finite: bool = True) -> Function:
         return function(*args, **kwargs)
 
     return typing.cast(Function, boundary)
+
+
+def _uncallable(function: Callable[..., Any], given: Mapping[str, Any], error: TypeError) -> str:
+    """Describe a call that does not fit a function; suggest the nearest name of an argument."""
+    name, known = function.__qualname__.removesuffix(".__init__"), inspect.signature(function)
+    strange = [one for one in given if one not in known.parameters]
+    if strange and not any(p.kind is p.VAR_KEYWORD for p in known.parameters.values()):
+        return f"{name}() has no argument {strange[0]!r}{nearest(strange[0], known.parameters)}"
+    return f"{name}() is {error}" if str(error).startswith("missing") else f"{name}(): {error}"
 
 
 def checked_class(kind: Class, *, finite: bool = True) -> Class:
