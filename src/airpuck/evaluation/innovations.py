@@ -14,8 +14,9 @@ once.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -63,21 +64,15 @@ def most_likely_noise(
     """
     given = pose, added, period, restart, used.astype(float)
     point, step = _begin(near, typical, given)
-    axis, least = np.arange(3), np.full(3, np.inf)
+    axis = np.arange(3)
     around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
-    while (step > _FINEST).any():
-        candidates = np.clip(point + around[:, None] * step, _LOWEST, _HIGHEST)
-        cost = _costs(candidates, typical, given)[0]
-        best = cost.argmin(axis=0)
-        better = cost[best, axis] < least - _GAIN
-        point = np.where(better[:, None], candidates[best, axis], point)
-        least = np.where(better, cost[best, axis], least)
-        step = np.where(better[:, None], step, step / 2)
+    costs = partial(_costs, typical=typical, given=given)
+    point = pattern_search(costs, point, step, around, (_LOWEST, _HIGHEST), _FINEST)
     # A noise must improve Akaike's criterion, otherwise it is zero. The number of candidates equals
     # the search's, to share one program.
     candidates = np.repeat(point[None], len(around), axis=0)
     candidates[1::2, :, 0], candidates[2:, :, 1] = _LOWEST[0], _LOWEST[1]
-    cost, variance = _costs(candidates, typical, given)
+    cost, variance = costs(candidates)
     ratios = _ratios(candidates)
     best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
     ratios, scale = ratios[best, axis], variance[best, axis]
@@ -85,6 +80,31 @@ def most_likely_noise(
     parts: Any = (tuple(np.sqrt(part).tolist()) for part in (scale, *densities.T))
     counts: Any = tuple((1 + (ratios > 0).sum(axis=1)).tolist())
     return Noise(*parts), counts
+
+
+def pattern_search(
+    costs: Callable[[Float[np.ndarray, "C 3 k"]], tuple[Any, ...]],
+    point: Float[np.ndarray, "3 k"],
+    step: Float[np.ndarray, "3 k"],
+    around: Int[np.ndarray, "C k"],
+    limits: tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]],
+    finest: float,
+) -> Float[np.ndarray, "3 k"]:
+    """Return the logarithms of the noise ratios with the lowest costs, each axis on its own.
+
+    Candidates lie `around` the best point in multiples of its step, which is halved where none of
+    them is better, until all steps are at most `finest`. `costs` returns the costs first.
+    """
+    axis, least = np.arange(3), np.full(3, np.inf)
+    while (step > finest).any():
+        candidates = np.clip(point + around[:, None] * step, *limits)
+        cost = costs(candidates)[0]
+        best = cost.argmin(axis=0)
+        better = cost[best, axis] < least - _GAIN
+        point = np.where(better[:, None], candidates[best, axis], point)
+        least = np.where(better, cost[best, axis], least)
+        step = np.where(better[:, None], step, step / 2)
+    return point
 
 
 def _begin(

@@ -22,7 +22,12 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.axis_filter import process_noise
 from airpuck.estimate.motor_regression import accelerations_by_motor
 from airpuck.evaluation.evaluate import delay_for
-from airpuck.evaluation.innovations import Innovations, initial_covariance, motor_speeds_at
+from airpuck.evaluation.innovations import (
+    Innovations,
+    initial_covariance,
+    motor_speeds_at,
+    pattern_search,
+)
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
@@ -37,8 +42,6 @@ _LEAST_LAG = 1e-3
 _LOWEST, _HIGHEST = np.array([-14.0, -22.0, -8.0]), np.array([3.0, 3.0, 4.0])
 #: First and last steps of the search [decades].
 _COARSEST, _FINEST = 1.0, 0.1
-#: Smallest improvement of the likelihood that counts.
-_GAIN = 1e-3
 #: Step of the finite differences in delay and lag [s].
 _STEP = 0.002
 
@@ -165,19 +168,12 @@ def _most_likely(
     densities = np.square([found.noise.acceleration, found.noise.disturbance]).T / pose[:, None]
     point = np.zeros((3, 3))
     point[:, :2] = np.log10(densities / units[:, :2] + 1e-300)
-    point, least = np.clip(point, _LOWEST + _COARSEST, _HIGHEST), np.full(3, np.inf)
+    point = np.clip(point, _LOWEST + _COARSEST, _HIGHEST)
     # Vary each noise alone, then accelerations against delays, which can replace each other.
     alone = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]])[:, None]
+    around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]]).astype(int)
     step = np.full((3, 3), _COARSEST)
-    while (step > _FINEST).any():
-        candidates = np.clip(point + around * step, _LOWEST, _HIGHEST)
-        cost = costs(candidates)[0]
-        best = cost.argmin(axis=0)
-        better = cost[best, axis] < least - _GAIN
-        point = np.where(better[:, None], candidates[best, axis], point)
-        least = np.where(better, cost[best, axis], least)
-        step = np.where(better[:, None], step, step / 2)
+    point = pattern_search(costs, point, step, around, (_LOWEST, _HIGHEST), _FINEST)
     # Keep or drop every noise; Akaike's criterion decides. As many candidates as in the search.
     without = np.unpackbits(np.arange(8, dtype=np.uint8)[:, None], axis=1)[:, -3:].astype(bool)
     some = np.where(np.resize(without, (len(around), 3))[:, None], _LOWEST, point)
