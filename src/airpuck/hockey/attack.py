@@ -130,11 +130,12 @@ class Shoot(Searcher):
             return None
         shape = len(times), len(_NORMALS), len(self.speeds)
         normal = np.broadcast_to(_NORMALS[None, :, None], shape)
-        velocity = self.speeds[:, None] * unit(normal)
-        place = pucks[:, None, None, :2] - pitch.contact_distance * unit(normal)
-        motion = np.broadcast_to(pucks[:, None, None, 3:], (*shape, 3))
-        closing = ((velocity - motion[..., :2]) * unit(normal)).sum(axis=-1)
-        recoil = -pitch.recoil * closing[..., None] * unit(normal)
+        along = unit(_NORMALS)[:, None]
+        velocity = np.broadcast_to(self.speeds[:, None] * along, (*shape, 2))
+        place = pucks[:, None, None, :2] - pitch.contact_distance * along
+        place = np.broadcast_to(place, (*shape, 2))
+        closing = ((velocity - pucks[:, None, None, 3:5]) * along).sum(axis=-1)
+        recoil = -pitch.recoil * closing[..., None] * along
         # The craft must be faster than the puck along the normal.
         fits = stays_inside(view, place, velocity, recoil) & (closing > _FASTER)
         when = np.broadcast_to(times[:, None, None], shape)
