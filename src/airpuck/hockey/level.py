@@ -56,7 +56,7 @@ class Level:
 #: By name.
 LEVELS = {
     "easy": Level(thrust=0.45, reaction_s=0.15, shot_noise_rad=0.15),
-    "medium": Level(thrust=0.8, reaction_s=0.12, shot_noise_rad=0.1),
+    "medium": Level(thrust=0.55, reaction_s=0.12, shot_noise_rad=0.1),
     "hard": Level(),
 }
 
