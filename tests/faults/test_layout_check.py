@@ -10,11 +10,14 @@ from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.faults import layout_check
+from airpuck.faults.axis_signs import AxisSigns
 from airpuck.faults.effect_match import match_effects, rotation, turned
 from airpuck.faults.layout_check import check_layout
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.pipeline import preprocess
+from airpuck.preprocessing.window_regression import regress_windows
 from airpuck.twin.experiments import excite
 
 from ..apparatus.examples import examples
@@ -201,6 +204,43 @@ def test_mass_thrust_and_inertia_need_not_be_right(flight):
     )
     rough = vehicle.model_copy(update={"mass_kg": 0.3, "nominal": nominal})
     assert check_layout(flight, rough).agrees
+
+
+@pytest.mark.parametrize("ratio", [0.25, 0.3, 3.0])
+def test_a_poor_guess_of_the_inertia_blames_no_propeller(flight, ratio):
+    nominal = default_vehicle().nominal
+    nominal = nominal.model_copy(update={"inertia_kg_m2": ratio * nominal.inertia_kg_m2})
+    craft = default_vehicle().model_copy(update={"nominal": nominal})
+    check = check_layout(flight, craft)
+    assert check.agrees
+    assert check.inertia_ratio == pytest.approx(1 / ratio, rel=0.25)
+    assert any("inertia" in remark for remark in check.remarks)
+
+
+@pytest.mark.parametrize(("error", "verdict"), [(0.01, "has no such effect"), (0.2, "not clear")])
+def test_only_a_certain_deviation_is_blamed(flight, monkeypatch, error, verdict):
+    vehicle = default_vehicle()
+    effect = np.asarray(nominal_model(vehicle).dynamics.configuration).copy()
+    push = np.linalg.norm(effect[:2, 0])
+    effect[:2, 0] = turned(effect[:, :1], 0.75)[:2, 0]
+    errors = np.full_like(effect, 1e-3 * push)
+    errors[:2, 0] = error * push
+
+    def measured(*given):
+        return replace(regress_windows(*given), effect=effect, error=errors)
+
+    monkeypatch.setattr(layout_check, "regress_windows", measured)
+    first, *others = check_layout(flight, vehicle).propellers
+    assert first.verdict.startswith(verdict)
+    assert {one.verdict for one in others} == {"agrees"}
+
+
+def test_a_rotation_is_not_remarked_where_motors_are_swapped():
+    swapped = layout_check.PropellerCheck("a", -1.0, "b", "behaves like b: motors are swapped")
+    fine = layout_check.PropellerCheck("c", 1.0, "c", "agrees")
+    check = layout_check.LayoutCheck((fine,), 0.9, 0.0, 0.0, 0.45, AxisSigns())
+    assert any("turned by" in remark for remark in check.remarks)
+    assert not replace(check, propellers=(swapped, fine)).remarks
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -16,6 +16,11 @@ AGREES = 0.9
 #: propellers are mounted the wrong way round.
 _OPPOSITE = 0.5
 
+#: Standard errors that make a deviation certain.
+CERTAIN = 2.6
+#: Squared size of forces and moments, in squared standard errors, from which their ratio is judged.
+_SEEN_SIZE = 4.0
+
 
 @dataclass(frozen=True)
 class EffectMatch:
@@ -79,6 +84,33 @@ def match_effects(
             sign = 1 if table[row, column] > 0 else -1
             found[int(motors[row])] = EffectMatch(int(column), sign, float(itself[row]))
     return found
+
+
+def may_agree(
+    measured: Float[np.ndarray, "3"], error: Float[np.ndarray, "3"], stated: Float[np.ndarray, "3"]
+) -> bool:
+    """Return whether an effect may have the stated direction, given its standard errors."""
+    unit = stated / np.linalg.norm(stated)
+    along = float(unit @ measured)
+    across = measured - along * unit
+    size = float(np.linalg.norm(across))
+    spread = float(np.linalg.norm(across * error)) / max(size, np.finfo(float).tiny)
+    return along > 0 and bool(size - CERTAIN * spread < np.tan(np.arccos(AGREES)) * along)
+
+
+def force_to_moment(
+    measured: Float[np.ndarray, "3 n"],
+    error: Float[np.ndarray, "3 n"],
+    stated: Float[np.ndarray, "3 n"],
+) -> float:
+    """Return by what factor forces are too large for the moments; 1 if either is not seen."""
+    # Noise adds its variance to measured sizes.
+    noise = np.array([np.sum(part**2) for part in (error[:2], error[2])])
+    size, expected = (np.array([np.sum(p[:2] ** 2), np.sum(p[2] ** 2)]) for p in (measured, stated))
+    if (size <= _SEEN_SIZE * noise).any() or expected.min() <= 0:
+        return 1.0
+    force, moment = np.sqrt((size - noise) / expected)
+    return float(force / moment)
 
 
 def _forces(effects: Float[np.ndarray, "3 m"]) -> np.ndarray:

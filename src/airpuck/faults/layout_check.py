@@ -20,9 +20,12 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers, hold
 from airpuck.faults.axis_signs import AxisSigns, find_axis_signs
 from airpuck.faults.effect_match import (
+    CERTAIN,
     EffectMatch,
     cosines,
+    force_to_moment,
     match_effects,
+    may_agree,
     rotation,
     turned,
     unit_columns,
@@ -56,6 +59,8 @@ _SHORTEST = 2.0
 #: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
 #: poor guess of the inertia.
 _WRONG_UNIT = 5.0
+#: Error of the inertia that is remarked, and corrected before directions are judged: a ratio.
+_POOR_INERTIA = 2.0
 #: Least increase of the mean cosine by rotating the layout back; below it, swapped motors are the
 #: better explanation.
 _BETTER = 0.02
@@ -64,9 +69,8 @@ _TURNS = "turned with the whole layout"
 #: Effect, relative to the others, above which a propeller's direction is judged, and standard error
 #: up to which the direction is known, relative to the effect.
 _SEEN, _DIRECTION_LIMIT = 0.3, 0.25
-#: Effect relative to the others that a propeller without thrust stays below, and standard errors
-#: that make this certain.
-_DEAD, _CERTAIN = 0.5, 2.6
+#: Effect relative to the others that a propeller without thrust stays below.
+_DEAD = 0.5
 #: Effect relative to the others below which a propeller may give nothing, beside errors of curves.
 _NOTHING = 0.15
 #: Verdicts on propellers without thrust, and on propellers whose effect is still uncertain.
@@ -96,7 +100,7 @@ class LayoutCheck(Result):
 
     JSON = (
         "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
-        "mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
+        "inertia_ratio mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
         "dish_rad_m=dish friction_m_s2=friction propellers"
     )
 
@@ -114,6 +118,8 @@ class LayoutCheck(Result):
     signs: AxisSigns
     #: Factor by which positions are too large for the measured turns: 1, or a power of ten.
     length_ratio: float = 1.0
+    #: Inertia at which forces and moments agree, relative to the vehicle file's; 1 if it is close.
+    inertia_ratio: float = 1.0
     #: Usable time of poses and commands together [s].
     usable: float = np.inf
     #: Our x, y, z in terms of the file's axes, as in the mapping.
@@ -227,7 +233,15 @@ class LayoutCheck(Result):
                 f"the craft moves {self.length_ratio:g} times as far as its turns imply: correct "
                 'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
             )
-        if abs(self.rotation) > _TURNED:
+        if self.inertia_ratio != 1:
+            remarks.append(
+                f"forces and moments agree if the inertia is about {self.inertia_ratio:.1g} times "
+                "the vehicle file's: correct inertia_kg_m2, mass_kg or the propellers' positions"
+            )
+        verdicts = {p.verdict for p in self.propellers}
+        # Swapped motors can look like a rotation, but the others would be turned, too.
+        swapped = "agrees" in verdicts and not verdicts <= {"agrees", UNCLEAR}
+        if abs(self.rotation) > _TURNED and not swapped:
             remarks.append(
                 f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
                 "the measured yaw: align the rigid body of the motion capture with the craft"
@@ -304,7 +318,10 @@ def _with_signs(
     # Express forces and moments in one unit: moments as forces at the radius of gyration.
     rows = np.array([1.0, 1.0, nominal.radius_of_gyration])[:, None]
     measured, error = rows * found.effect, rows * np.minimum(found.error, _UNKNOWN)
-    ratio = _length_ratio(measured, error, stated)
+    forces_to_moments = force_to_moment(measured, error, stated)
+    ratio = _length_ratio(forces_to_moments)
+    # A wrong unit of length is no evidence about the inertia.
+    inertia = forces_to_moments if ratio == 1 else 1.0
     measured[:2] /= ratio
     error[:2] /= ratio
     check = LayoutCheck(
@@ -315,6 +332,7 @@ def _with_signs(
         rotation=rotation(measured, stated),
         signs=signs,
         length_ratio=ratio,
+        inertia_ratio=inertia if max(inertia, 1 / inertia) > _POOR_INERTIA else 1.0,
         usable=used,
         axes=axes,
         longer=found.longer,
@@ -345,21 +363,10 @@ def _floor(
     return values | ({"friction": friction} if friction > 0 else {})
 
 
-def _length_ratio(
-    measured: Float[np.ndarray, "3 n"],
-    error: Float[np.ndarray, "3 n"],
-    stated: Float[np.ndarray, "3 n"],
-) -> float:
-    """Return by what power of ten forces are too large for the moments."""
-    # Noise adds its variance to measured sizes.
-    noise = [np.sum(part**2) for part in (error[:2], error[2])]
-    size, expected = ([np.sum(p[:2] ** 2), np.sum(p[2] ** 2)] for p in (measured, stated))
-    size = np.array(size) - noise
-    if min(*size, *expected) <= 0:
-        return 1.0
-    force, moment = np.sqrt(size / np.array(expected))
-    wrong = max(force / moment, moment / force) > _WRONG_UNIT
-    return 10.0 ** round(np.log10(force / moment)) if wrong else 1.0
+def _length_ratio(forces_to_moments: float) -> float:
+    """Return the power of ten by which a wrong unit of length explains the ratio."""
+    wrong = max(forces_to_moments, 1 / forces_to_moments) > _WRONG_UNIT
+    return 10.0 ** round(np.log10(forces_to_moments)) if wrong else 1.0
 
 
 def _propeller_checks(
@@ -370,6 +377,10 @@ def _propeller_checks(
     found: LayoutCheck,
 ) -> tuple[PropellerCheck, ...]:
     """Judge each propeller, in a rotated layout if that explains more."""
+    agreement = np.diag(cosines(measured, stated))
+    # A poor guess of the inertia changes all moments alike.
+    moments = np.array([1.0, 1.0, found.inertia_ratio])[:, None]
+    measured, error = moments * measured, moments * error
     likeness = seen = cosines(measured, stated)
     back, agrees = measured, "agrees"
     size, spread = np.linalg.norm(measured, axis=0), np.linalg.norm(error, axis=0)
@@ -384,17 +395,22 @@ def _propeller_checks(
         else:
             back = measured
     verdicts = _unclear(back, error, stated, agrees)
-    verdicts |= {k: _verdict(match, k, names, agrees) for k, match in matches.items()}
+    verdicts |= {
+        k: UNCLEAR
+        if match.acts_as is None and may_agree(back[:, k], error[:, k], stated[:, k])
+        else _verdict(match, k, names, agrees)
+        for k, match in matches.items()
+    }
     # Forces depend only on the mass, which is known; a wheel has only a moment.
     along, pushes = stated.copy(), np.linalg.norm(stated[:2], axis=0) > 0
     along[2, pushes] = 0.0
     full = np.linalg.norm(along, axis=0)
-    strength = np.sum(along * back, axis=0) / full**2
-    deviation = np.sqrt(np.sum((along * error) ** 2, axis=0)) / full**2
+    strength = np.sum(along * back / moments, axis=0) / full**2
+    deviation = np.sqrt(np.sum((along * error / moments) ** 2, axis=0)) / full**2
     return tuple(
         PropellerCheck(
             name=name,
-            agreement=float(likeness[k, k]),
+            agreement=float(agreement[k]),
             behaves_like=names[int(np.argmax(seen[k]))],
             verdict=verdicts[k] if found.conclusive else "not judged",
             strength=float(strength[k]),
@@ -414,7 +430,7 @@ def _unclear(
     unit = unit_columns(stated)
     size = np.linalg.norm(stated, axis=0)
     along = np.sum(unit * measured, axis=0) / size
-    reach = _CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
+    reach = CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
     usual = float(np.median(along))
     verdicts = {}
     for k, (middle, half) in enumerate(zip(along / usual, reach / abs(usual), strict=True)):
