@@ -16,7 +16,7 @@ import numpy as np
 from airpuck.compute.arrays import with_symbols
 from airpuck.control.law import Law, Moment, Step
 from airpuck.control.lqr import cost_to_go, point_mass
-from airpuck.control.reference import course
+from airpuck.control.reference import preview
 from airpuck.control.tuning import Regulator
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
@@ -107,7 +107,7 @@ class Converged(Law):
         """Return the first command of the best plan."""
         estimate, _ = moment.foresee()
         ahead = moment.delay + self._problem.times
-        wanted = course(moment.reference, moment.now, ahead).states
+        wanted = preview(moment.reference, moment.now, ahead).states
         start = np.concatenate([estimate.state, estimate.motor_speed])
         # Whole turns do not count.
         left = start[2] - wanted[0, 2]

@@ -17,7 +17,7 @@ import airpuck
 from airpuck.control.law import Step
 from airpuck.control.mpc import Ongoing
 from airpuck.control.pilot import Pilot
-from airpuck.control.reference import SetPoint, TimedPath, course
+from airpuck.control.reference import SetPoint, TimedPath, preview
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.estimate.estimator import Estimate
@@ -88,7 +88,7 @@ class CompiledController(Pilot):
 
     def targets(self, time: float) -> np.ndarray:
         """Return the targets of a step, one in each row."""
-        wanted = course(self.reference, time, self._ahead)
+        wanted = preview(self.reference, time, self._ahead)
         first = self.reference.at(time, float(self._ahead[0]))
         rows = np.hstack([wanted.states, wanted.accelerations])
         rows[0] = np.concatenate([first.state, first.acceleration])

@@ -8,7 +8,7 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import Rendezvous, SetPoint, asked, course
+from airpuck.control.reference import Rendezvous, SetPoint, asked, preview
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control
@@ -86,7 +86,7 @@ def test_a_turned_reference_is_the_same_motion_seen_from_the_other_side():
     meet = Rendezvous(1.0, (0.3, 0.1, 0.2, 1.0, -0.5, 0.3), then=SetPoint(0.1, 0.2, 0.0))
     times = np.array([0.1, 0.3, 0.5])
     np.testing.assert_array_equal(asked(Frame(1).reference(meet), 0.4), Frame(1).states(meet.state))
-    ours, other = course(meet, 0.4, times), course(Frame(1).reference(meet), 0.4, times)
+    ours, other = preview(meet, 0.4, times), preview(Frame(1).reference(meet), 0.4, times)
     np.testing.assert_allclose(other.states[:, :2], -ours.states[:, :2])
     np.testing.assert_allclose(other.states[:, 2], ours.states[:, 2] + math.pi)
     np.testing.assert_allclose(other.states[:, 3:5], -ours.states[:, 3:5])

@@ -21,7 +21,7 @@ from airpuck.control.allocation import all_finite
 from airpuck.control.horizon import Ahead, Blocks, Condensed, Stages, stages
 from airpuck.control.law import Law, LawOptions, Moment, Prediction, Status, Step, staged
 from airpuck.control.lqr import LQR, cost_to_go, point_mass
-from airpuck.control.reference import Arrival, Reference, SetPoint, course
+from airpuck.control.reference import Arrival, Reference, SetPoint, preview
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
@@ -158,7 +158,7 @@ class MPC(Law):
 
     def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
         """Return targets and weights at the ends of the steps."""
-        wanted = course(reference, now, delay + self._times)
+        wanted = preview(reference, now, delay + self._times)
         weights, terminal = self._weights, self._terminal
         if wanted.arrival is not None:
             weights, terminal = self._to_arrive(wanted.arrival, delay)

@@ -51,8 +51,8 @@ class Arrival:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """A reference's targets at several times."""
+class Preview:
+    """Targets of a reference at times ahead, as a predictive law needs them."""
 
     states: Float[np.ndarray, "N 6"]
     accelerations: Float[np.ndarray, "N 3"]
@@ -128,8 +128,8 @@ class SetPoint:
         state = np.array([self.x, self.y, self.yaw, 0.0, 0.0, 0.0])
         return Target(state, np.zeros(3))
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the pose, at rest, for all times; see `course`."""
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the pose, at rest, for all times; see `preview`."""
         return _held(self.at(now, 0.0), len(ahead))
 
 
@@ -171,8 +171,8 @@ class SetPoints:
         """Return the set point in force now; see `Reference.at`."""
         return self._targets[max(int(self.times.searchsorted(now, side="right")) - 1, 0)]
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the set point in force now for all times; see `course`."""
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the set point in force now for all times; see `preview`."""
         return _held(self.at(now, 0.0), len(ahead))
 
 
@@ -222,13 +222,13 @@ class TimedPath:
         wanted = self.over(now, np.array([ahead], dtype=float))
         return Target(wanted.states[0], wanted.accelerations[0])
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return pose, velocity and acceleration at several times; see `course`."""
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return pose, velocity and acceleration at several times; see `preview`."""
         times = now + ahead
         inside = times.clip(self._first, self._last)
         pose, velocity, acceleration = (spline(inside) for spline in self._splines)
         moving = (inside == times)[:, None]
-        return Course(np.hstack([pose, velocity * moving]), acceleration * moving)
+        return Preview(np.hstack([pose, velocity * moving]), acceleration * moving)
 
 
 class Rendezvous:
@@ -303,14 +303,14 @@ class Rendezvous:
         wanted = self.over(now, np.array([ahead]))
         return Target(wanted.states[0], wanted.accelerations[0])
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the targets at several times, and the arrival; see `course`."""
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the targets at several times, and the arrival; see `preview`."""
         left = self.time - now - ahead[:, None]
         if left[0] < 0:
-            return course(self.then, now, ahead)
+            return preview(self.then, now, ahead)
         poses = self.state[:3] - left * self.state[3:]
         states = np.hstack([poses, np.tile(self.state[3:], (len(ahead), 1))])
-        return Course(states, np.zeros_like(poses), Arrival(self.time - now, self.precision))
+        return Preview(states, np.zeros_like(poses), Arrival(self.time - now, self.precision))
 
 
 def asked(reference: Reference, now: float) -> Float[np.ndarray, " 6"]:
@@ -323,8 +323,8 @@ def asked(reference: Reference, now: float) -> Float[np.ndarray, " 6"]:
     return reference.at(now, 0.0).state if own is None else own(now)
 
 
-def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-    """Return a reference's targets at several times.
+def preview(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+    """Return the targets of a reference at times ahead.
 
     Uses the reference's method `over` if it has one, otherwise calls `Reference.at` for each time.
     """
@@ -333,7 +333,7 @@ def course(reference: Reference, now: float, ahead: Float[np.ndarray, " N"]) -> 
         return over(now, ahead)
     targets = [reference.at(now, each) for each in ahead.tolist()]
     states = np.stack([target.state for target in targets])
-    return Course(states, np.stack([target.acceleration for target in targets]))
+    return Preview(states, np.stack([target.acceleration for target in targets]))
 
 
 class UserReference:
@@ -351,8 +351,8 @@ class UserReference:
         what = f"reference.asked() at {now:.2f} s"
         return self._code.run(what, lambda: numbers_of(asked(self._own, now), (6,), "state"))
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the targets at several times; see `course`."""
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the targets at several times; see `preview`."""
         return self._code.run(f"reference.over() at {now:.2f} s", self._over, now, ahead)
 
     def _at(self, now: float, ahead: float) -> Target:
@@ -364,13 +364,13 @@ class UserReference:
             numbers_of(target.acceleration, (3,), "acceleration"),
         )
 
-    def _over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        found, count = course(self._own, now, ahead), len(ahead)
+    def _over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        found, count = preview(self._own, now, ahead), len(ahead)
         states = numbers_of(found.states, (count, 6), "states")
         accelerations = numbers_of(found.accelerations, (count, 3), "accelerations")
         if not (found.arrival is None or isinstance(found.arrival, Arrival)):
             raise InputError("must be an Arrival or None", field="arrival")
-        return Course(states, accelerations, found.arrival)
+        return Preview(states, accelerations, found.arrival)
 
 
 def sheltered(reference: Reference, code: UserCode) -> Reference:
@@ -393,9 +393,9 @@ def _too_far(field: str) -> InputError:
     return InputError(problem, field=field)
 
 
-def _held(target: Target, count: int) -> Course:
+def _held(target: Target, count: int) -> Preview:
     """Return the same target for several times."""
-    return Course(np.tile(target.state, (count, 1)), np.tile(target.acceleration, (count, 1)))
+    return Preview(np.tile(target.state, (count, 1)), np.tile(target.acceleration, (count, 1)))
 
 
 def _checked(

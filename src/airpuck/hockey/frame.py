@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.reference import Course, Reference, Target, asked, course
+from airpuck.control.reference import Preview, Reference, Target, asked, preview
 from airpuck.physics.puck import PuckState
 
 #: Signs of x, y, yaw and their rates under a rotation by π.
@@ -70,7 +70,7 @@ class TurnedReference:
         """Return the state requested for now; see `airpuck.control.reference.asked`."""
         return self._frame.states(asked(self._own, now))
 
-    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Course:
-        """Return the targets at several times; see `airpuck.control.reference.course`."""
-        own = course(self._own, now, ahead)
-        return Course(self._frame.states(own.states), own.accelerations * _SIGNS[:3], own.arrival)
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the targets at several times; see `airpuck.control.reference.preview`."""
+        own = preview(self._own, now, ahead)
+        return Preview(self._frame.states(own.states), own.accelerations * _SIGNS[:3], own.arrival)

@@ -351,9 +351,9 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
         raise InputError("times must rise from 0, one for each state", file=path, field="times_s")
     states, commands = np.array(content.states), np.array(content.commands)
     bound, reserve = content.lower_bound_s, content.reserve
-    course = {"via": content.via_m, "keep_out": content.keep_out_m}
+    points = {"via": content.via_m, "keep_out": content.keep_out_m}
     try:
-        return Plan(model, time, states, commands, bound, reserve=reserve, **course)
+        return Plan(model, time, states, commands, bound, reserve=reserve, **points)
     except InputError as error:
         raise InputError(error.problem, file=path, field=error.field) from error
 

@@ -219,20 +219,20 @@ def tracking_study(
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
     for model, flight in zip(models, padded, strict=True):
-        course = _Course.planned(set_points, dwell)
+        task = _Task.planned(set_points, dwell)
         if flight is not None:
-            course = _Course.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
+            task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
             label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
             own, controls = make_pilot or pilot_named(kind), tuning.with_regulator(kind)
-            found.append(fly(model, flight, course, label, tuning=controls, make_pilot=own))
+            found.append(fly(model, flight, task, label, tuning=controls, make_pilot=own))
     return found
 
 
 def _flown(
     model: Model,
     flight: Recording | None,
-    course: _Course,
+    task: _Task,
     label: str,
     *,
     truth: Model,
@@ -242,7 +242,7 @@ def _flown(
     make_pilot: PilotMaker | None,
     **options: Any,
 ) -> Tracked:
-    """Fly a course on the twin with one model and one law; `options` go to `track`."""
+    """Fly a task on the twin with one model and one law; `options` go to `track`."""
     law, pilot, gains = tuning.regulator.kind, None, None
     if make_pilot is not None:
         pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)
@@ -253,10 +253,10 @@ def _flown(
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
     recording, log = track(
         model,
-        course.set_points,
-        course.duration,
+        task.set_points,
+        task.duration,
         truth=truth,
-        pose=course.pose,
+        pose=task.pose,
         gain=None if gains is None else gains.matrix(),
         compensate_delay=full_controller,
         reject_disturbance=full_controller,
@@ -270,7 +270,7 @@ def _flown(
         regulator=law,
         gains=gains,
         twin=Track.of(recording, truth.vehicle, f"{model.name}, twin"),
-        real=course.real,
+        real=task.real,
         log=log,
         recording=recording,
         vehicle=truth.vehicle,
@@ -282,7 +282,7 @@ def _flown(
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _Task:
     """The task of a flight: set points, start and duration."""
 
     set_points: SetPoints
@@ -294,7 +294,7 @@ class _Course:
     real: Track | None
 
     @classmethod
-    def planned(cls, set_points: SetPoints | None, dwell: float) -> _Course:
+    def planned(cls, set_points: SetPoints | None, dwell: float) -> _Task:
         """Return a flight from the centre through set points, by default the paper's."""
         if set_points is None:
             changes = _LEAD + dwell * np.arange(len(SET_POINTS) - 1)
@@ -302,7 +302,7 @@ class _Course:
         return cls(set_points, float(set_points.times[-1]) + dwell, (0.0, 0.0, 0.0), None)
 
     @classmethod
-    def flown(cls, real: Track, border: tuple[float, float]) -> _Course:
+    def flown(cls, real: Track, border: tuple[float, float]) -> _Task:
         """Return a real flight's set points at its times, from the same start."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
         # Because of noise, or of another radius, a craft that touches a rail may seem to be beyond
