@@ -40,7 +40,7 @@ def checked(function: Function, *, finite: bool = True) -> Function:
         try:
             given = signature.bind(*args, **kwargs).arguments
         except TypeError as error:
-            raise TypeError(_uncallable(function, kwargs, error)) from None
+            raise TypeError(_uncallable(function, signature, kwargs, error)) from None
         for name, hint in hints.items():
             if name in given and not fits(given[name], hint):
                 raise InputError(misfit(given[name], hint), field=name)
@@ -53,12 +53,17 @@ def checked(function: Function, *, finite: bool = True) -> Function:
     return typing.cast(Function, boundary)
 
 
-def _uncallable(function: Callable[..., Any], given: Mapping[str, Any], error: TypeError) -> str:
+def _uncallable(
+    function: Callable[..., Any],
+    signature: inspect.Signature,
+    given: Mapping[str, Any],
+    error: TypeError,
+) -> str:
     """Describe a call that does not fit a function; suggest the nearest name of an argument."""
-    name, known = function.__qualname__.removesuffix(".__init__"), inspect.signature(function)
-    strange = [one for one in given if one not in known.parameters]
-    if strange and not any(p.kind is p.VAR_KEYWORD for p in known.parameters.values()):
-        return f"{name}() has no argument {strange[0]!r}{nearest(strange[0], known.parameters)}"
+    name, known = function.__qualname__.removesuffix(".__init__"), signature.parameters
+    strange = [one for one in given if one not in known]
+    if strange and not any(p.kind is p.VAR_KEYWORD for p in known.values()):
+        return f"{name}() has no argument {strange[0]!r}{nearest(strange[0], known)}"
     return f"{name}() is {error}" if str(error).startswith("missing") else f"{name}(): {error}"
 
 

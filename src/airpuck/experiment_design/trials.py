@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,19 +16,13 @@ from airpuck.compute.process import usable_cores
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning
 from airpuck.data.trajectory import Trajectory
-from airpuck.experiment_design.forecast import (
-    Information,
-    information_of,
-)
+from airpuck.experiment_design.forecast import Information, information_of
 from airpuck.identification.retiming import retime_packets
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import fly_excitation
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings
-
-if TYPE_CHECKING:
-    pass
 
 #: Called with the number done and the total.
 Progress = Callable[[float, float], None]

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
@@ -90,13 +91,15 @@ class PuckModel:
     def numbers(self) -> Float[np.ndarray, "V 4"]:
         """`NUMBERS` of the pucks of a prediction, one in each row.
 
-        The state of the first twelve differs, then each number is too high, and too low. The last
-        is the mean.
+        The state of the first differs, to both sides of six axes; then each number is too high, and
+        too low. The last is the mean.
         """
-        puck, spread = self.equipment.puck, np.diag([self.spread[name] for name in NUMBERS])
-        given = [puck.drag_1_s, puck.spin_drag_1_s, puck.rail.restitution, puck.rail.grip]
-        rows = np.concatenate([np.zeros((12, 4)), spread, -spread, np.zeros((1, 4))])
-        return np.clip(rows + given, 0.0, [math.inf, math.inf, 1.0, 1.0])
+        read = attrgetter(*NUMBERS)
+        given = read(self.equipment.puck)
+        high, low = (
+            [read(table.puck) for table in side] for side in zip(*self.variants, strict=True)
+        )
+        return np.array([*[given] * (2 * len(PuckState._fields)), *high, *low, given])
 
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
@@ -156,8 +159,7 @@ def predict_puck(
     when = np.array(times, dtype=float)
     puck = PuckOnTable(model.equipment, PuckState(*belief.mean.tolist()), belief.time)
     puck.run(max(when, default=belief.time))
-    variance, axes = np.linalg.eigh(belief.covariance)
-    steps = (axes * np.sqrt(np.maximum(variance, 0.0))).T
+    steps = _axes(belief)
     count, other = len(steps), len(NUMBERS)
     states = np.tile(belief.mean, (len(model.numbers), 1))
     states[:count] += steps
@@ -279,12 +281,17 @@ def predict_crossing(
     return PuckCrossing(*middle, deviation.T @ deviation)
 
 
+def _axes(belief: PuckBelief) -> Float[np.ndarray, "6 6"]:
+    """Return the axes of a belief in rows, each a standard deviation long."""
+    variance, axes = np.linalg.eigh(belief.covariance)
+    return (axes * np.sqrt(np.maximum(variance, 0.0))).T
+
+
 def _both_sides(
     model: PuckModel, belief: PuckBelief
 ) -> Iterator[tuple[tuple[AirHockey, PuckBelief], tuple[AirHockey, PuckBelief]]]:
     """Yield table and belief a standard deviation to both sides: of the state, of the numbers."""
-    variance, axes = np.linalg.eigh(belief.covariance)
-    for step in (axes * np.sqrt(np.maximum(variance, 0.0))).T[variance > 0]:
+    for step in filter(np.any, _axes(belief)):
         above, below = (
             PuckBelief(belief.time, mean, belief.covariance)
             for mean in (belief.mean + step, belief.mean - step)
