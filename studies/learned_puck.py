@@ -1,9 +1,12 @@
-"""Errors of predicted bounces, with and without learning drag and restitution during play.
+"""What a player gains by learning drag and restitution during play.
 
     python studies/learned_puck.py --games 30
+    python studies/learned_puck.py --games 7 --duration 90 --against human:medium wild:medium
 
-Two scripted hands play with pucks drawn within what is known of them. Filters that start from the
-table file see noisy poses. Each prediction reaches over at least one bounce and no touch.
+The first measures errors of predicted bounces. Two scripted hands play with pucks drawn within what
+is known of them. Filters that start from the table file see noisy poses. Each prediction reaches
+over at least one bounce and no touch. The second counts goals: the craft plays each hand twice with
+each puck, once without learning puck and opponent.
 """
 
 from __future__ import annotations
@@ -14,11 +17,15 @@ from itertools import pairwise
 import numpy as np
 from one_line import run
 
-from airpuck.hockey.contestant import contestant
+from airpuck.control.pilot import Pilot
+from airpuck.craft.table import AirHockey
+from airpuck.hockey.contestant import Contestant, contestant
 from airpuck.hockey.game import Game
+from airpuck.hockey.player import Player
 from airpuck.hockey.prediction import drawn_puck, predict_puck
 from airpuck.hockey.puck_filter import PuckFilter, PuckNoise
 from airpuck.hockey.rules import Rules
+from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
 
@@ -66,12 +73,50 @@ def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
     return found
 
 
+def goals(against: str, learns: bool, seed: int, duration: float) -> tuple[int, int]:
+    """Play a game with a craft, for all its time; return goals scored and conceded."""
+
+    def player(model: Model, equipment: AirHockey, side: int, seed: int, opponent: float) -> Pilot:
+        return Player(
+            model, equipment, side=side, seed=seed, opponent_radius=opponent, learns=learns
+        )
+
+    believed = default_twin_settings()
+    puck = drawn_puck(believed.puck, np.random.default_rng(seed))
+    game = Game(
+        Contestant("airpuck", player=player),
+        contestant(against),
+        settings=believed.model_copy(update={"puck": puck}),
+        believed=believed,
+        rules=Rules(limit_s=duration, goals=None),
+        seed=seed,
+        logs=False,
+    )
+    game.play()
+    return game.score[0], game.score[1]
+
+
+def count_goals(against: list[str], games: int, duration: float) -> None:
+    """Print the goals of a craft that learns, and of one that does not."""
+    for name in against:
+        total = np.zeros((2, 2), dtype=int)
+        for seed in range(games):
+            for learns in (False, True):
+                total[int(learns)] += goals(name, learns, seed, duration)
+            print(f"{name}, {seed + 1} games of {duration:.0f} s: fixed ", end="")
+            print(f"{total[0, 0]} : {total[0, 1]}, learned {total[1, 0]} : {total[1, 1]}")
+
+
 def main() -> None:
-    """Play, and print the errors by age of the game."""
+    """Play, and print the errors by age of the game, or the goals."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--games", type=int, default=30)
     parser.add_argument("--duration", type=float, default=40.0, help="of a game [s]")
+    parser.add_argument("--against", nargs="+", metavar="HAND", help="count goals against hands")
     options = parser.parse_args()
+    if options.against:
+        count_goals(options.against, options.games, options.duration)
+        return
     rows = np.array([row for k in range(options.games) for row in predictions(k, options.duration)])
     for begin, end in pairwise(AGES):
         some = rows[(rows[:, 0] >= begin) & (rows[:, 0] < end)]
