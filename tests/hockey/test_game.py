@@ -129,6 +129,7 @@ def test_a_game_of_two_crafts_is_a_bag(tmp_path):
     np.testing.assert_allclose(seen[-1][:2], right.body.pose()[:2], atol=0.03)
     assert len(back["command"]) == len(back["opponent_command"]) == 200
     assert len(back["puck"]) < 480
+    assert not {"imu", "mouse"} & set(back.streams)  # nobody reads them
     events = back["game"].values
     assert events[-1, :2].tolist() == list(game.score) == [1.0, 0.0]
     assert len(events) == len(game.events)

@@ -22,7 +22,7 @@ from airpuck.hockey.skills import LONGEST
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.angle import wrapped
 from airpuck.twin.race import COURSES, arrived, passes
-from airpuck.twin.settings import OnBoard, TwinSettings, default_twin_settings, read_twin_settings
+from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 
 #: Number of past commands in an observation: delay (21 ms) and lag (28 ms) still hide their effect.
@@ -52,8 +52,7 @@ def read_world(model: ModelSource, twin: TwinSource) -> tuple[Model, TwinSetting
         twin = default_twin_settings()
     elif not isinstance(twin, TwinSettings):
         twin = read_twin_settings(twin)
-    # On-board sensors are not observed, and cost time.
-    return model, twin.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
+    return model, twin.without_on_board()
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> Float[np.ndarray, "*n"]:

@@ -352,7 +352,7 @@ class Game:
 
     def _side(self, sign: int, contestant: Contestant, model: Model, opponent: float) -> Side:
         """Put a disc on the table, and let the contestant move it."""
-        settings = self.settings
+        settings = self.settings.without_on_board()
         x = sign * (settings.table.length_m / 2 - _BEGIN)
         seed = 2 * self.seed + (sign > 0)
         if contestant.hand is not None:

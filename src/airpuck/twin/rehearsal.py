@@ -92,9 +92,8 @@ def like(trajectory: Trajectory, effects: EffectErrors, model: Model) -> TwinSet
     table = usual.table.model_copy(
         update={"length_m": usual.table.length_m + room, "width_m": usual.table.width_m + room}
     )
-    on_board = usual.on_board.model_copy(update={"rate_hz": 0.0})
-    updates = {"motion_capture": cameras, "table": table, "on_board": on_board}
-    return usual.model_copy(update=updates)
+    updates = {"motion_capture": cameras, "table": table}
+    return usual.model_copy(update=updates).without_on_board()
 
 
 def failures(model: Model, trajectory: Trajectory, effects: EffectErrors) -> list[str]:

@@ -208,6 +208,17 @@ class TwinSettings(AirHockey):
         radio = self.radio.model_copy(update={"delay_s": transport_delay})
         return self.model_copy(update={"radio": radio})
 
+    def without_on_board(self) -> TwinSettings:
+        """Return settings without on-board sensors, for flights in which nobody reads them.
+
+        Returns
+        -------
+        TwinSettings
+            A copy; each sample takes time.
+        """
+        on_board = self.on_board.model_copy(update={"rate_hz": 0.0})
+        return self.model_copy(update={"on_board": on_board})
+
 
 def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     """Read the settings of a twin.
