@@ -317,9 +317,14 @@ def _crossing(
     return None
 
 
-def process_noise(duration: Float[np.ndarray, " T"], density: float) -> Float[np.ndarray, "T 6 6"]:
+def process_noise(
+    duration: float | Float[np.ndarray, " T"], density: float
+) -> Float[np.ndarray, "*T 6 6"]:
     """Return the contribution of white accelerations to the covariance."""
-    squares = np.diag([density**2, density**2, SPIN_DENSITY**2])
-    cross = duration**2 / 2
-    growth = np.array([[duration**3 / 3, cross], [cross, duration]])
-    return (growth.T[:, :, None, :, None] * squares[:, None]).reshape(-1, 6, 6)
+    found = np.zeros((*np.shape(duration), 6, 6))
+    place, cross = duration**3 / 3, duration**2 / 2
+    for axis, squared in enumerate((density**2, density**2, SPIN_DENSITY**2)):
+        found[..., axis, axis] = squared * place
+        found[..., axis, axis + 3] = found[..., axis + 3, axis] = squared * cross
+        found[..., axis + 3, axis + 3] = squared * duration
+    return found

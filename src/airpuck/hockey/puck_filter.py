@@ -245,13 +245,14 @@ class PuckFilter:
             return PuckBelief(time, found.mean[0], found.covariance[0]), found.touches
         sigma, turned = (sigma_of(rate, duration) for rate in (puck.drag_1_s, puck.spin_drag_1_s))
         left, spins = 1 - puck.drag_1_s * sigma, 1 - puck.spin_drag_1_s * turned
-        step = np.diag([1.0, 1.0, 1.0, left, left, spins])
+        step = np.eye(6)
+        step[3, 3] = step[4, 4] = left
+        step[5, 5] = spins
         step[0, 3] = step[1, 4] = sigma
         step[2, 5] = turned
         speed = math.hypot(*belief.mean[3:5].tolist())
         density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
-        grown = step @ belief.covariance @ step.T
-        grown += process_noise(np.array([duration]), density)[0]
+        grown = step @ belief.covariance @ step.T + process_noise(duration, density)
         return PuckBelief(time, step @ belief.mean, grown), ()
 
     def _compared(
