@@ -278,12 +278,15 @@ def problem(seed: int, blocks: Blocks, *, tight: float = np.inf) -> Stages:
     """Return a random linear-quadratic problem with two limits: the tighter, the further away."""
     random, count = np.random.default_rng(seed), len(blocks.times)
     root, middle = random.normal(size=(6, 6)), 0.0
+    onward = 0.35 * random.normal(size=(count, SIZE, SIZE - 2 + N_MOTORS))
+    # A motor's speed depends on its own speed and command alone.
+    onward[:, 6:] *= np.hstack([np.zeros((N_MOTORS, 4)), np.eye(N_MOTORS), np.eye(N_MOTORS)])
     if np.isfinite(tight):
         middle = random.normal(size=(count, 2)) / tight
     return Stages(
         states=random.normal(size=(count, SIZE)),
         accelerations=random.normal(size=(count, 3)),
-        onward=0.35 * random.normal(size=(count, SIZE, SIZE - 2 + N_MOTORS)),
+        onward=onward,
         felt=random.normal(size=(count, 3, SIZE - 2)),
         error=random.normal(size=(count, 6)),
         excess=random.normal(size=(count, 3)),

@@ -123,7 +123,7 @@ class Stages(NamedTuple):
     states: Num[Any, "N s"]
     accelerations: Num[Any, "N 3"]
     #: Derivative of a state with respect to the previous state (without its position) and the
-    #: command.
+    #: command; a motor's speed depends on its own speed and command alone.
     onward: Num[Any, "N s p"]
     #: Derivative of the accelerations with respect to the state at that time (without its
     #: position).
@@ -362,10 +362,9 @@ class Condensed(Sizes):
         import daqp
 
         n, rows = self.n, count * len(blocks.owner)
-        #: Maps all commands to the commands of a step.
-        self._each = np.zeros((len(blocks.owner), n, self.m))
-        for k, block in enumerate(blocks.owner):
-            self._each[k, :, block * n : (block + 1) * n] = np.eye(n)
+        #: Whether a command is of the block of a step; whether two commands are of one motor.
+        self._chosen = np.repeat(np.eye(len(blocks.lengths))[blocks.owner], n, axis=1)
+        self._same = self._by_motor(np, np.tile(np.eye(n), (len(blocks.lengths), 1)))
         self._senses = np.repeat([_HARD, _SOFT], [self.m, rows]).astype(np.intc)
         # Any feasible numbers will do here: DAQP allocates its memory for their sizes.
         empty = np.eye(self.m), np.zeros(self.m), np.zeros((rows, self.m))
@@ -381,32 +380,56 @@ class Condensed(Sizes):
     def form(self, xp: Any, s: Stages) -> tuple[Any, ...]:
         """Eliminate the states: return Hessian, gradient, rows, bounds and the states."""
         m = self.m
-
-        def onward(moved: Any, given: tuple[Any, Any]) -> tuple[Any, Any]:
-            slope, chosen = given
-            into = xp.concatenate([moved[2:], chosen])
-            kept = xp.concatenate([moved[:2], xp.zeros((moved.shape[0] - 2, m))])
-            following = kept + slope @ into
-            return following, following
-
-        start = xp.zeros((s.states.shape[1], m))
-        _, moved = scan(xp, onward, start, (s.onward, xp.asarray(self._each)))
-        pose, pushes = moved[:, :6], s.felt @ moved[:, 2:]
+        pose, speeds = self._moved(xp, s)
+        pushes = sum(s.felt[:, :, i, None] * pose[:, None, 2 + i] for i in range(4))
+        pushes = pushes + self._by_motor(xp, s.felt[:, :, 4:]) * speeds[:, None]
         weighted = xp.concatenate(
             [s.weights[:-1, :, None] * pose[:-1], (s.terminal @ pose[-1])[None]]
         )
-        effort, speeds = self.effort[:, None] * pushes, moved[:, 6:]
-        bent = s.bend[:, :, None] * speeds
-        rows = [part.reshape(-1, m) for part in (weighted, effort, bent, pose, pushes, speeds)]
-        left = xp.concatenate([xp.ravel(s.error), xp.ravel(s.excess)])
-        product = xp.concatenate(rows[:3]).T
-        hessian = product @ xp.concatenate(rows[3:]) + xp.diag(self.changed)
+        weighted, effort, rows, pushes = (
+            part.reshape(-1, m) for part in (weighted, self.effort[:, None] * pushes, pose, pushes)
+        )
+        bent = (self._by_motor(xp, s.bend) * speeds).T @ speeds
+        hessian = weighted.T @ rows + effort.T @ pushes + self._same * bent + xp.diag(self.changed)
         plan = xp.ravel(s.plan)
-        gradient = product[:, : len(left)] @ left + self.used * (plan - self.least)
+        gradient = xp.ravel(s.error) @ weighted + xp.ravel(s.excess) @ effort
+        gradient = gradient + self.used * (plan - self.least)
         limited = (s.limited @ pose).reshape(-1, m)
         lower = xp.concatenate([self.least - plan, xp.ravel(s.lower)])
         upper = xp.concatenate([self.greatest - plan, xp.ravel(s.upper)])
         return hessian, gradient, limited, lower, upper, pose
+
+    def _moved(self, xp: Any, s: Stages) -> tuple[Num[Any, "N 6 m"], Num[Any, "N m"]]:
+        """Return how the commands change pose with rates, and the speed of their own motor.
+
+        As they change no other motor, most products of the full matrices would be with zeros.
+        """
+        before, now = slice(4, 4 + self.n), slice(4 + self.n, None)
+        held = xp.broadcast_to(np.eye(6, 2), (len(s.onward), 6, 2))
+        slopes = xp.concatenate([held, s.onward[:, :6, :4]], axis=2)
+        by_speed, by_command, decay, drive = (
+            self._by_motor(xp, part)
+            for part in (
+                s.onward[:, :6, before],
+                s.onward[:, :6, now],
+                xp.diagonal(s.onward[:, 6:, before], axis1=1, axis2=2),
+                xp.diagonal(s.onward[:, 6:, now], axis1=1, axis2=2),
+            )
+        )
+
+        def onward(moved: Any, given: tuple[Any, ...]) -> tuple[Any, Any]:
+            slope, by_speed, pushed, decay, driven = given
+            pose = sum(slope[:, i, None] * moved[i] for i in range(6)) + by_speed * moved[6]
+            following = xp.concatenate([pose + pushed, (decay * moved[6] + driven)[None]])
+            return following, following
+
+        given = slopes, by_speed, by_command * self._chosen[:, None], decay, drive * self._chosen
+        _, moved = scan(xp, onward, xp.zeros((7, self.m)), given)
+        return moved[:, :6], moved[:, 6]
+
+    def _by_motor(self, xp: Any, values: Num[Any, "... n"]) -> Num[Any, "... m"]:
+        """Repeat a value of each motor for each of its commands."""
+        return xp.tile(values, self.m // self.n)
 
     def solve(self, formed: Sequence[Float[np.ndarray, "..."]]) -> Answer | None:
         """Solve from the last active set; start cold if the last attempt failed."""
