@@ -134,7 +134,7 @@ class Shoot(Searcher):
         velocity = np.broadcast_to(self.speeds[:, None] * along, (*shape, 2))
         place = pucks[:, None, None, :2] - pitch.contact_distance * along
         place = np.broadcast_to(place, (*shape, 2))
-        closing = ((velocity - pucks[:, None, None, 3:5]) * along).sum(axis=-1)
+        closing = self.speeds - (pucks[:, 3:5] @ along[:, 0].T)[..., None]
         recoil = -pitch.recoil * closing[..., None] * along
         # The craft must be faster than the puck along the normal.
         fits = stays_inside(view, place, velocity, recoil) & (closing > _FASTER)
@@ -185,8 +185,7 @@ class Shoot(Searcher):
         apart = (_NORMALS[:, None] - _NORMALS[None, :]) / spread
         weights = np.exp(-(apart**2) / 2)
         weights /= weights.sum(axis=1, keepdims=True)
-        chance = np.einsum("ji,kil->kjl", weights, flights.scores * flights.passes)
-        return chance, after[..., :2]
+        return weights @ (flights.scores * flights.passes), after[..., :2]
 
     def _apart(
         self, order: tuple[np.ndarray, ...], value: Float[np.ndarray, "K J L"]

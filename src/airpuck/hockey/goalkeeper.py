@@ -7,7 +7,16 @@ import math
 import numpy as np
 
 from airpuck.control.reference import Rendezvous, SetPoint
-from airpuck.hockey.interception import AVOIDED, NOTICED, STEP, Outlook, around, slack, standing
+from airpuck.hockey.interception import (
+    AVOIDED,
+    NOTICED,
+    STEP,
+    Outlook,
+    around,
+    lengths,
+    slack,
+    standing,
+)
 from airpuck.hockey.possession import Catch
 from airpuck.hockey.tactic import Intention, View
 
@@ -72,9 +81,9 @@ def block(view: View, outlook: Outlook) -> Intention:
     back = np.maximum(-pitch.recoil * motions[:, 0], 0)
     room = back * NOTICED + back**2 / (2 * pitch.acceleration)
     places[:, 0] = np.maximum(places[:, 0], np.minimum(pitch.fence[0, 0] + room, pitch.home[0]))
-    apart = np.linalg.norm(places - pucks, axis=1)
+    apart = lengths(places - pucks)
     spare = slack(view, times, places, np.zeros_like(places))
-    away = np.linalg.norm(places - view.craft[:2], axis=1)
+    away = lengths(places - view.craft[:2])
     value = np.minimum(spare, _SPARE) - _AWAY * away
     # A craft that the fence keeps off the puck's path covers less of the goal.
     value -= _OFF_PATH * np.maximum(apart - pitch.contact_distance, 0)
