@@ -12,7 +12,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import commands
-from airpuck.hockey.opponents import HANDS
+from airpuck.hockey.contestant import PLAYERS
 
 from ..apparatus.commands import airpuck, refused
 
@@ -31,7 +31,7 @@ def test_skills_on_the_command_line():
 @pytest.mark.parametrize("name", ["match", "league"])
 def test_the_help_names_every_player(name):
     shown = " ".join(airpuck(name, "--help", env={**os.environ, "COLUMNS": "1000"}).stdout.split())
-    assert f"{', '.join(('airpuck', *HANDS))}, each with :LEVEL" in shown
+    assert f"{', '.join(PLAYERS)}, each with :LEVEL" in shown
 
 
 @pytest.mark.parametrize(

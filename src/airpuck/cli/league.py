@@ -32,7 +32,9 @@ def league(
     rules: GameRules,
     players: Annotated[
         list[str] | None,
-        Argument(metavar="PLAYER", help=f"{PLAYER} By default our levels and all scripted hands."),
+        Argument(
+            metavar="PLAYER", help=f"{PLAYER} By default our levels, predecessor and all hands."
+        ),
     ] = None,
     games: Annotated[
         int, Setting("Number of games of each pair; sides alternate.", numbers.GAMES, "N")

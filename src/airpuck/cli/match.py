@@ -32,10 +32,10 @@ _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
 #: Columns and rows of the picture; time between two pictures [s].
 _LETTERS = (78, 20)
 _REDRAWN = 0.05
-#: Names `airpuck` and all of `airpuck.hockey.opponents.HANDS`, which takes long to import.
+#: Names all of `airpuck.hockey.contestant.PLAYERS`, which takes long to import.
 PLAYER = (
-    "airpuck, human, keeper, striker, counter, banker, wrongfoot, wild, wall, each with :LEVEL, or "
-    "a tactic, FILE.py:NAME."
+    "airpuck, predecessor, human, keeper, striker, counter, banker, wrongfoot, wild, wall, each "
+    "with :LEVEL, or a tactic, FILE.py:NAME."
 )
 GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
 
