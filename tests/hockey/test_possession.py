@@ -173,3 +173,17 @@ def test_a_push_waits_until_nothing_lies_between():
             assert apart.min() > PITCH.contact_distance - 0.01
             kinds.append("straight")
     assert {"round", "straight"} == set(kinds)
+
+
+def test_no_push_aims_at_the_own_goal_or_narrowly_past_it():
+    pushed = 0
+    for aside in (-0.15, 0.0, 0.12):
+        for craft in ((-0.85, 0.3), (-0.9, 0.0), (-0.95, 0.25)):
+            view = view_of((-1.0, aside, 0, 0, 0.06, 0), craft=(*craft, 0, 0, 0, 0))
+            intention = decided(Free(), view, 6)
+            if intention is None or intention.avoid is not None:
+                continue
+            _, place, _, puck = contact(view, intention)
+            assert place[0] - puck[0] < 0.4 * PITCH.contact_distance
+            pushed += 1
+    assert pushed > 0

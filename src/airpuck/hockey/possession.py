@@ -42,6 +42,8 @@ _WAITS, _PUSHES, _PUSH = (0.5, 0.9, 1.3), np.arange(20) * (2 * math.pi / 20), 0.
 #: Times after a push at which the puck's place is valued [s]; weight of their mean beside the best;
 #: lost per second of waiting.
 _AFTER, _MEAN, _PUSH_WAITING = np.array([0.6, 1.0, 1.4, 1.8]), 0.3, 0.2
+#: A push must miss the own goal by this [m]: a contact may be a little off.
+_MISSES = 0.1
 #: Decisions between searches for a catch, and for a push.
 _EVERY_CATCH, _EVERY_PUSH = 2, 3
 
@@ -113,6 +115,18 @@ def _receding(view: View, speed: Any, aslant: Any) -> Any:
     return (_LEAVES + along) / gives - along
 
 
+def _aims_at_goal(
+    view: View, puck: Float[np.ndarray, " 6"], after: Float[np.ndarray, " 3"]
+) -> bool:
+    """Return whether a puck moves towards the own goal, or narrowly past it."""
+    table = view.pitch.equipment.table
+    if after[0] >= 0.0:
+        return False
+    ahead = (view.pitch.goal_line + puck[0]) / -after[0]
+    crosses = abs(float(puck[1] + after[1] * ahead))
+    return crosses < table.goal_width_m / 2 + _MISSES
+
+
 def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:
     """Return how good places of the puck are to shoot from, 0 to 1.
 
@@ -156,6 +170,8 @@ class Free(Searcher):
         after = struck(view.pitch, contacts)
         best, found = -math.inf, []
         for j in np.flatnonzero(able).tolist():
+            if _aims_at_goal(view, puck, after[j]):
+                continue
             belief = PuckBelief(time, np.concatenate([puck[:3], after[j]]), np.zeros((6, 6)))
             end = predict_path(view.pitch.equipment, belief, time + _AFTER)
             # Not into the own goal, and not to the opponent.
