@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import shutil
+import signal
 import subprocess
 import sys
 from functools import partial
@@ -13,9 +14,11 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns import items, match_item
+from airpuck.campaigns import match as match_module
 from airpuck.campaigns.match import match
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import read_spec
+from airpuck.compute.process import Stopped
 from airpuck.hockey.rules import Rules
 from airpuck.recording.read import read_recording
 
@@ -54,6 +57,17 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     assert bag.exists()
     match("human:easy", "human:easy", 1, seed=6, rules=SHORT, workers=1, output=tmp_path)
     assert len(list((tmp_path / "games").glob("6-*"))) == 2
+
+
+def test_an_interrupted_match_says_whether_its_games_are_kept(tmp_path, monkeypatch):
+    def interrupted(item, tell):
+        raise Stopped(signal.SIGINT)
+
+    monkeypatch.setattr(match_module, "compute", interrupted)
+    for output, words in (((), "only -o DIR keeps"), (("-o", tmp_path), "run it again to play")):
+        ended = airpuck("match", "--left", "wild", "--workers", 1, *output)
+        assert ended.returncode == 130
+        assert words in ended.stderr
 
 
 def test_the_interval_of_wins_is_wilsons():

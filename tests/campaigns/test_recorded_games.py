@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.hockey.game import KINDS
+from airpuck.hockey.contestant import contestant
+from airpuck.hockey.game import KINDS, Game
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 
@@ -78,6 +79,14 @@ def test_people_join_the_players_of_a_league(tmp_path):
     assert figures["matrix"][1][2]["goals_for"] == 3
 
 
+def test_a_game_that_was_left_at_once_is_a_draw(tmp_path):
+    begun = Game(contestant("keeper"), contestant("human"))
+    begun.step()
+    write_bag(begun.recording(), tmp_path / "anna" / "game-1")
+    result = airpuck("league", "--bags", tmp_path / "anna", "--json", "-")
+    assert json.loads(result.stdout)["matrix"][0][1]["goals_for"] == 0
+
+
 def without_names(folder):
     path = folder / "metadata.yaml"
     path.write_text(path.read_text().replace("left: airpuck", "port: airpuck"))
@@ -133,6 +142,10 @@ def test_foreign_and_damaged_bags_are_rejected(tmp_path, damage, word):
     write_bag(game(2, 5), tmp_path / "anna" / "game-1")
     damage(tmp_path / "anna" / "game-1")
     refused(airpuck("league", "--bags", tmp_path / "anna"), word)
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path):
+    refused(airpuck("league", "--bags", tmp_path / "ana"), "ana: there is no such folder")
 
 
 def test_two_people_need_two_names(anna, tmp_path):

@@ -178,7 +178,7 @@ def test_a_flight_lasts_for_a_period_at_least(duration, period):
     ("text", "name", "problem"),
     [
         (SPRING, "{}:Springs", "has no class 'Springs'"),
-        (SPRING, "{}", "must be FILE.py:NAME"),
+        (SPRING, "{}", "must be FILE.py:NAME, such as my_regulator.py:Mine, not"),
         ("import nowhere_to_be_found", "{}:Spring", "cannot be imported: ModuleNotFoundError"),
         ("def (", "{}:Spring", "cannot be imported: SyntaxError"),
         (

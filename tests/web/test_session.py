@@ -202,6 +202,26 @@ def test_games_are_recorded_with_their_players(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["game-1", "game-2"]
 
 
+def test_a_game_is_recorded_even_if_the_tactic_fails(tmp_path):
+    tactic = tmp_path / "late.py"
+    tactic.write_text(
+        "import airpuck\n\n\nclass Late:\n    def decide(self, view):\n"
+        "        assert view.time < 0.4\n"
+        '        return airpuck.Intention("home", airpuck.SetPoint(*view.pitch.home, 0.0))\n'
+    )
+    near, far = multiprocessing.Pipe()
+    model, settings = airpuck.read_model("paper:M3"), default_twin_settings()
+    table = Table(
+        Session(Pages(near), model, settings, "easy", 0, f"{tactic}:Late", tmp_path / "games"), far
+    )
+    table.order("sit")
+    table.order("go")
+    with pytest.raises(InputError, match="tactic: line 6: decide"):
+        table.run(1.0)
+    recording = airpuck.read_recording(tmp_path / "games" / "game-1", needs=("mallet", "game"))
+    assert 0.3 < np.ptp(recording["mallet"].stamp_ns) / 1e9 < 0.6
+
+
 def test_thoughts_are_told_on_request(begun):
     begun.run(0.1)
     assert begun.thoughts == []

@@ -29,7 +29,8 @@ class UserCode:
         #: FILE.py:NAME.
         self.name = name
         if self._path.suffix != ".py" or not self._attribute:
-            raise InputError("must be FILE.py:NAME, such as my_pilot.py:Spring", field=option)
+            example = f"such as my_{option.strip('-')}.py:Mine"
+            raise InputError(f"must be FILE.py:NAME, {example}, not {name!r}", field=option)
         if self._path.is_dir():
             raise InputError("is a folder; a file is expected", file=path, field=option)
         if not self._path.is_file():

@@ -19,7 +19,7 @@ from airpuck.campaigns.items import Row
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import ItemResult, checked_workers, compute, dispatch
-from airpuck.compute.process import usable_cores
+from airpuck.compute.process import Stopped, usable_cores
 from airpuck.control.settings import Workers
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.hockey.contestant import contestant
@@ -216,7 +216,11 @@ def played(
         if not isinstance(where, str):
             where = min(where or usable_cores(), len(games))
         work = _here if where == 1 else partial(dispatch, workers=where)
-        done = completed(entries, folder, work, retry=True, progress=progress)
+        try:
+            done = completed(entries, folder, work, retry=True, progress=progress)
+        except Stopped as stopped:
+            words = "run it again to play the rest" if output else "only -o DIR keeps played games"
+            raise Stopped(stopped.number, words) from None
     if done.failures:
         raise InputError(done.failures[0][1])
     return done.results

@@ -38,6 +38,8 @@ def recorded_games(
         name = folder.resolve().name
         if name in people:
             raise InputError("is the name of two people; rename a folder", field=name)
+        if not folder.is_dir():
+            raise InputError("there is no such folder", file=folder)
         bags = sorted(path.parent for path in folder.rglob(METADATA))
         if not bags:
             raise InputError(

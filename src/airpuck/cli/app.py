@@ -53,6 +53,9 @@ class _PlainFlags:
 class Command(_PlainFlags, TyperCommand):
     """A command that checks file names before it starts."""
 
+    #: The parser's own message about them names no option.
+    allow_extra_args = True
+
     def __init__(self, *args: Any, params: Any, callback: Any, **options: Any) -> None:
         #: Options that are views of settings, by parameter.
         self.declared: dict[str, OptionView] = callback.declared
@@ -72,6 +75,8 @@ class Command(_PlainFlags, TyperCommand):
         except TyperException as error:
             raise _rejected(error) from error
         if not ctx.resilient_parsing:
+            if rest:
+                raise _unexpected(rest, ctx.command_path, self.params)
             check_inputs(ctx)
         return rest
 
@@ -98,6 +103,20 @@ def _rejected(error: Any) -> Exception:
         words = first["msg"].partition(",")[0].replace("Input should be", "must be")
         problem = f"{words}, not {first['input']!r}"
     return InputError(problem, field=error.param.opts[0])
+
+
+def _unexpected(words: Sequence[str], command: str, parameters: Sequence[Any]) -> InputError:
+    """Return an error that names an argument without an option, and the option that it needs."""
+
+    def choices(parameter: Any) -> Sequence[str]:
+        return getattr(parameter.type_descriptor, "choices", None) or ()
+
+    options = [each for each in parameters if words[0] in choices(each)] or [
+        each for each in parameters if each.metavar == "PLAYER" and isinstance(each, TyperOption)
+    ]
+    use = " ".join(f"{each.opts[0]} {word}" for each, word in zip(options, words, strict=False))
+    problem = "unexpected argument" + (f"; use {use}" if use else "")
+    return InputError(f"{problem} (see {command} --help)", field=words[0])
 
 
 class _Group(_PlainFlags, TyperGroup):
@@ -156,7 +175,8 @@ def main() -> None:
     except InputError as error:
         code = _say(str(error))
     except TyperException as error:
-        code = _say(f"{error.format_message()} (see airpuck --help)")
+        command = getattr(getattr(error, "ctx", None), "command_path", "airpuck")
+        code = _say(f"{error.format_message()} (see {command} --help)")
     except OSError as error:
         _close_output()
         if error.errno == errno.EPIPE:

@@ -246,7 +246,9 @@ def _judged(
 
 @app.command("identify-puck", rich_help_panel=PANEL)
 def identify_puck(
-    recordings: Recordings,
+    recordings: Annotated[
+        list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one puck.")
+    ],
     play: options.ReadTable = None,
     output: Annotated[Path | None, options.output("FILE", "Table file to write.")] = None,
     vehicle: options.ReadVehicle = None,

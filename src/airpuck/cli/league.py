@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -59,8 +60,8 @@ def league(
 ) -> None:
     """Let every player play every other, and rate them.
 
-    Drag and bounces of the puck differ from game to game, and no player knows them exactly. With
-    --bags DIR … people are rated from their recorded games, alone or among the given players.
+    Drag and bounces of the puck differ from game to game, and no player knows them exactly.
+    With --bags DIR … people are rated from their recorded games, alone or among the given players.
     """
     from airpuck.campaigns.league import PLAYERS
 
@@ -132,8 +133,8 @@ def _ratings(found: LeagueResult) -> Table:
         rows.append(
             [
                 found.players[number],
-                f"{value:+.0f}",
-                f"{low:+.0f} to {high:+.0f}",
+                f"{round(value):+d}",  # without negative zeros
+                f"{round(low):+d} to {round(high):+d}",
                 *(f"{count:.0f}" for count in (wins, games - wins - lost, lost)),
                 f"{scored:.0f}:{conceded:.0f}",
                 f"{60 * scored / seconds:.2f}",
@@ -149,7 +150,9 @@ def _people(found: LeagueResult) -> Table:
         [
             name,
             *(
-                f"{factor * one.value:.{digits}f} ({factor * one.low:.{digits}f} to "
+                "–"
+                if math.isnan(one.value)
+                else f"{factor * one.value:.{digits}f} ({factor * one.low:.{digits}f} to "
                 f"{factor * one.high:.{digits}f})"
                 for one, factor, digits in (
                     (hand.reaction_s, 1e3, 0),
@@ -162,4 +165,4 @@ def _people(found: LeagueResult) -> Table:
         for name, hand in found.people.items()
     ]
     headings = ("person", "reaction ms", "speed m/s", "acceleration m/s²", "aim rad")
-    return table(headings, rows, title="People, with 95 % intervals; nan: too few strokes or hits")
+    return table(headings, rows, title="People, with 95 % intervals; –: too few strokes or hits")

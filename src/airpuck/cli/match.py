@@ -158,8 +158,8 @@ def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Pa
     if figures["rail_contacts"]:
         hardest = f", the hardest at {figures['hardest_rail_contact_m_s']:.2f} m/s"
     yield (
-        f"craft hit rails {figures['rail_contacts']} times{hardest}, and crossed the centre "
-        f"line {figures['crossings']} times; the puck was stuck {figures['stuck']} times"
+        f"rail contacts of craft: {figures['rail_contacts']}{hardest}; crossings of the centre "
+        f"line: {figures['crossings']}; stuck pucks: {figures['stuck']}"
     )
     yield (
         f"{figures['duration_s']:.0f} s of play in {figures['wall_s']:.0f} s of one process, "

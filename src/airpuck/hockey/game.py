@@ -236,6 +236,8 @@ class Game:
         #: The kind of own goal that the last touch leads to, and when it was [s].
         self._slip, self._last_touch = SLIPS[0], -math.inf
         self._serve(self.referee.server)
+        if logs:  # with an event, the recording of the shortest game has its score
+            self.events.append(GameEvent(0.0, "serve", self.referee.server))
 
     @property
     def score(self) -> tuple[int, int]:
@@ -311,7 +313,7 @@ class Game:
             score[event.side > 0] += event.kind == "goal"
             values = [*score, KINDS.index(event.kind), event.side, event.value]
             rows.append((event.time, np.array(values, dtype=float)))
-        if rows:
+        if rows:  # without logs there are none
             streams["game"] = log_stream(rows, COLUMNS["game"], latency=0.0)
         left, right = (side.name for side in self.sides)
         source, about = f"game of {left} against {right}", {"left": left, "right": right}

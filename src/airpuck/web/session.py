@@ -139,9 +139,11 @@ class Session:
 
     def run(self, duration: float | None = None) -> dict[str, Any]:
         """Play until the time is over; return the results for ``--json``."""
-        with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
-            self._run(math.inf if duration is None else duration)
-        self._keep()
+        try:
+            with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
+                self._run(math.inf if duration is None else duration)
+        finally:  # a tactic of the user's may fail
+            self._keep()
         return {
             "duration_s": self._clock.now,
             "games": self._games,
