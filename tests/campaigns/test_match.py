@@ -125,6 +125,7 @@ def test_from_the_command_line(tmp_path):
     assert "times real time" in shown.stdout
     watched = airpuck("watch-match", *who, "--limit", "1", cwd=tmp_path)
     assert "over" in watched.stdout
+    assert "times real time" not in watched.stdout  # it is shown in real time
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "unknown player")
     hands = "--left", "human", "--right", "wall", "--model", "paper:M2"
     refused(airpuck("match", *hands), "--model: has no effect: all players are hands")
@@ -169,6 +170,7 @@ def test_a_damaged_bag_is_written_again(tmp_path):
     play = partial(match, "human", "human", rules=Rules(limit_s=0.1), workers=1, output=tmp_path)
     play()
     (bag,) = (tmp_path / "games").glob("*/*.mcap")
+    refused(airpuck("animate", bag.parent, "-o", tmp_path / "a.gif"), "a game between two hands")
     content = bag.read_bytes()
     bag.write_bytes(content[:-100])
     play()

@@ -19,6 +19,8 @@ from airpuck.control.settings import DWELL, ControllerKind, Dwell
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
+    from airpuck.recording.mapping import RecordingMapping
+    from airpuck.recording.stream import Recording
     from airpuck.twin.experiments import Excited
     from airpuck.twin.tracking_study import Tracked
 
@@ -212,7 +214,7 @@ def animate(
     from airpuck.report.scene import TABLE
 
     written = airpuck.animate(
-        airpuck.read_recording(recording, mapping=mapping),
+        _flight(recording, mapping),
         output,
         vehicle=vehicle,
         span=span or (0.0, 1.0),
@@ -221,6 +223,18 @@ def animate(
         table=twin or TABLE,
     )
     show(written)
+
+
+def _flight(path: Path, mapping: RecordingMapping | None) -> Recording:
+    """Read the flight of a craft; a game between two hands has none."""
+    try:
+        return airpuck.read_recording(path, mapping=mapping)
+    except InputError:
+        streams = airpuck.read_recording(path, mapping=mapping, needs=("pose",)).streams
+        if "game" in streams and "command" not in streams:
+            problem = "is a game between two hands; choose a game of a craft, or use watch-match"
+            raise InputError(problem, file=path) from None
+        raise
 
 
 def _replay_lines(replay: Replay) -> Iterator[str]:

@@ -133,10 +133,22 @@ def watch_match(
         watch_in_browser(game, craft, ArenaSettings(port), say(quiet))
     wall = time.monotonic() - began
     found = MatchResult(*names, (pairing.seed,), (game.figures(),), wall)
-    report(found.to_json(), json_file, *_lines(found, None))
+    report(found.to_json(), json_file, *_summary(found))
 
 
 def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:
+    """Yield what `_summary` yields, the speed of computation, and the folder of the games."""
+    yield from _summary(found)
+    figures = found.to_json()
+    yield (
+        f"{figures['duration_s']:.0f} s of play in {figures['wall_s']:.0f} s of one process, "
+        f"{figures['duration_s'] / figures['wall_s']:.1f} times real time"
+    )
+    if output is not None:
+        yield output / "games"
+
+
+def _summary(found: MatchResult) -> Iterator[str | Table]:
     """Yield a table of the results, and further statistics."""
     figures = found.to_json()
     rows = []
@@ -161,12 +173,6 @@ def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Pa
         f"rail contacts of craft: {figures['rail_contacts']}{hardest}; crossings of the centre "
         f"line: {figures['crossings']}; stuck pucks: {figures['stuck']}"
     )
-    yield (
-        f"{figures['duration_s']:.0f} s of play in {figures['wall_s']:.0f} s of one process, "
-        f"{figures['duration_s'] / figures['wall_s']:.1f} times real time"
-    )
-    if output is not None:
-        yield output / "games"
 
 
 def _watch(game: Game, error: bool, quiet: bool) -> None:
