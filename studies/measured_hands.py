@@ -28,6 +28,8 @@ def main() -> None:
     parser.add_argument("--games", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=300.0)
     arguments = parser.parse_args()
+    if arguments.games < 1:
+        parser.error("--games must be at least 1")
     settings = default_twin_settings()
     radii = settings.mallet.radius_m + settings.puck.radius_m
     found = {}

@@ -146,6 +146,8 @@ def test_foreign_and_damaged_bags_are_rejected(tmp_path, damage, word):
 
 def test_a_folder_that_does_not_exist_is_named(tmp_path):
     refused(airpuck("league", "--bags", tmp_path / "ana"), "ana: there is no such folder")
+    refused(airpuck("league", "--bags", tmp_path, f"{tmp_path}/ben/"), "ben/: there is no such")
+    refused(airpuck("league", tmp_path, "wild"), "is a folder; for a person's games, use --bags")
 
 
 def test_two_people_need_two_names(anna, tmp_path):

@@ -178,6 +178,8 @@ def test_what_holds_no_moving_puck_is_refused():
         identify_puck(Recording({"puck": stream(time, still)}, "still"))
     with pytest.raises(InputError, match="barely moves"):
         identify_puck(Recording({"puck": stream(time[:5], still[:5])}, "short"))
+    with pytest.raises(InputError, match=r'puck.position: .* puck = {units = \["mm"\]}'):
+        identify_puck(Recording({"puck": stream(time, 1e3 * still + 900.0)}, "millimetres"))
     with pytest.raises(InputError, match="no puck stream"):
         identify_puck(Recording({"pose": stream(time, still)}, "none"))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,6 +71,7 @@ def league(
         *(Path(name) for name in players or () if bags and Path(name).is_dir()),
     ]
     others = [name for name in players or () if Path(name) not in folders]
+    _check_names(others)
     if folders and len(others) < 2:
         _refuse_games(games, seed, model, rules, workers, only)
     elif others:
@@ -99,6 +101,17 @@ def league(
         write_png(league_figure(found), figure)
     people = [_people(found)] if found.people else []
     report(found.to_json(), json_file, _ratings(found), *people, figure)
+
+
+def _check_names(players: Sequence[str]) -> None:
+    """Raise InputError for a folder among the players."""
+    from airpuck.hockey.contestant import PLAYERS
+
+    for name in players:
+        if Path(name).is_dir() and name.partition(":")[0] not in PLAYERS:
+            raise InputError("is a folder; for a person's games, use --bags", field=name)
+        if name.endswith("/"):
+            raise InputError("there is no such folder", field=name)
 
 
 def _refuse_games(

@@ -43,6 +43,8 @@ _OUTLIER = 4.0
 _LEAST_SCATTER = 0.02
 #: Errors of a rail's position below this are not mentioned [m].
 _RAIL_OFF = 3e-3
+#: Median distances from the origin above this are no metres [m].
+_FAR = 50.0
 _TOO_LITTLE = "the puck barely moves; record a few seconds of shots and bounces"
 #: Kind of bounces that determines each number.
 _TELL = {"grip": "grip", "friction": "slide along the rail", "restitution": "were found"}
@@ -157,7 +159,7 @@ def identify_puck(
     Raises
     ------
     InputError
-        If a recording has no puck, or the puck barely moves.
+        If a recording has no puck, the puck barely moves, or positions cannot be in metres.
 
     Examples
     --------
@@ -234,6 +236,11 @@ def _flights(
         time, pose = seen_poses(recording, "puck")
         turns = turns and bool(np.isfinite(pose[:, 2]).all())
         pose[:, 2] = np.nan_to_num(pose[:, 2])
+        reach = float(np.median(np.abs(pose[:, :2]).max(axis=1))) if len(pose) else 0.0
+        if reach > _FAR:
+            known = 'for millimetres, use a mapping: puck = {units = ["mm"]}'
+            problem = f"a puck at {reach:.0f} m is on no table; {known}"
+            raise InputError(problem, file=recording.source, field="puck.position")
         noise = np.maximum(noise_of(time, pose), 1e-9)
         if np.isnan(noise).any():
             raise InputError(_TOO_LITTLE, file=recording.source)
