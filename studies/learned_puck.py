@@ -15,16 +15,15 @@ import argparse
 from itertools import pairwise
 
 import numpy as np
+from drawn_game import drawn_game
 from one_line import run
 
 from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.contestant import Contestant, contestant
-from airpuck.hockey.game import Game
 from airpuck.hockey.player import Player
-from airpuck.hockey.prediction import drawn_puck, predict_puck
+from airpuck.hockey.prediction import predict_puck
 from airpuck.hockey.puck_filter import PuckFilter, PuckNoise
-from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
@@ -37,13 +36,10 @@ NINETY_FIVE = 5.99
 
 def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
     """Play a game; return age, and for each filter the error [m] and whether it is in the band."""
-    believed, random = default_twin_settings(), np.random.default_rng(seed)
-    puck = drawn_puck(believed.puck, random)
-    true = believed.model_copy(update={"puck": puck})
+    random = np.random.default_rng(seed)
     hands = contestant("striker:medium"), contestant("counter:medium")
-    rules = Rules(limit_s=duration, goals=None)
-    game = Game(*hands, settings=true, believed=believed, rules=rules, seed=seed, logs=False)
-    filters = [PuckFilter(believed, learns=learns) for learns in (False, True)]
+    game = drawn_game(*hands, duration, seed, random)
+    filters = [PuckFilter(default_twin_settings(), learns=learns) for learns in (False, True)]
     noise = np.array([PuckNoise().position_m] * 2 + [PuckNoise().yaw_rad])
     found, due = [], 0.0
     while game.phase != "over":
@@ -57,7 +53,7 @@ def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
         if now < due:
             continue
         due = now + EVERY
-        alone = PuckOnTable(true, game.puck)
+        alone = PuckOnTable(game.settings, game.puck)
         alone.run(AHEAD)
         beliefs = [each.belief for each in filters if each.belief is not None]
         known = all(np.trace(belief.covariance[3:5, 3:5]) < 0.05**2 for belief in beliefs)
@@ -81,17 +77,8 @@ def goals(against: str, learns: bool, seed: int, duration: float) -> tuple[int, 
             model, equipment, side=side, seed=seed, opponent_radius=opponent, learns=learns
         )
 
-    believed = default_twin_settings()
-    puck = drawn_puck(believed.puck, np.random.default_rng(seed))
-    game = Game(
-        Contestant("airpuck", player=player),
-        contestant(against),
-        settings=believed.model_copy(update={"puck": puck}),
-        believed=believed,
-        rules=Rules(limit_s=duration, goals=None),
-        seed=seed,
-        logs=False,
-    )
+    craft = Contestant("airpuck", player=player)
+    game = drawn_game(craft, contestant(against), duration, seed)
     game.play()
     return game.score[0], game.score[1]
 
