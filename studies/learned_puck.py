@@ -15,15 +15,16 @@ import argparse
 from itertools import pairwise
 
 import numpy as np
-from drawn_game import drawn_game
 from one_line import run
 
 from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
 from airpuck.hockey.contestant import Contestant, contestant
+from airpuck.hockey.game import Game
 from airpuck.hockey.player import Player
-from airpuck.hockey.prediction import predict_puck
+from airpuck.hockey.prediction import drawn_puck, predict_puck
 from airpuck.hockey.puck_filter import PuckFilter, PuckNoise
+from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
@@ -32,6 +33,30 @@ from airpuck.twin.settings import default_twin_settings
 AHEAD, EVERY, AGES = 0.5, 0.1, (0.0, 5.0, 15.0, 40.0)
 #: Squared distance in the plane, relative to its covariance, that 95 % stay below.
 NINETY_FIVE = 5.99
+
+
+def drawn_game(
+    left: Contestant,
+    right: Contestant,
+    duration: float,
+    seed: int,
+    random: np.random.Generator | None = None,
+) -> Game:
+    """Return a game of a given duration [s] with a puck that neither side knows exactly.
+
+    The puck is drawn by `random`, by default from the seed.
+    """
+    believed = default_twin_settings()
+    puck = drawn_puck(believed.puck, random or np.random.default_rng(seed))
+    return Game(
+        left,
+        right,
+        settings=believed.model_copy(update={"puck": puck}),
+        believed=believed,
+        rules=Rules(goals=None, limit_s=duration),
+        seed=seed,
+        logs=False,
+    )
 
 
 def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
@@ -107,6 +132,8 @@ def main() -> None:
     rows = np.array([row for k in range(options.games) for row in predictions(k, options.duration)])
     for begin, end in pairwise(AGES):
         some = rows[(rows[:, 0] >= begin) & (rows[:, 0] < end)]
+        if not len(some):
+            continue
         rms = 1e3 * np.sqrt((some[:, [1, 3]] ** 2).mean(axis=0))
         inside = 100 * some[:, [2, 4]].mean(axis=0)
         print(
