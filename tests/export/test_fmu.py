@@ -1,6 +1,7 @@
 """The FMI unit: described as the standard says, equal to the twin, and safe from any caller."""
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -8,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import fmpy
 import numpy as np
 import pytest
 from fmpy import platform_tuple, read_model_description, sharedLibraryExtension, simulate_fmu
@@ -27,6 +29,8 @@ from ..apparatus.c_programs import SANITIZED, STRICT, build, compiler
 from ..apparatus.export_crafts import FOUR, ON_OFF
 
 ABUSE = Path(__file__).parent / "abuse_fmu.c"
+#: The standard's headers, which whoever compiles a unit provides.
+HEADERS = Path(fmpy.__file__).parent / "c-code"
 MODEL = replace(published_model("M3"), frame="body")
 PERIOD = 0.01
 #: At regular intervals a camera frame coincides with a communication point.
@@ -55,7 +59,8 @@ def compiled(unit: Path) -> None:
     libraries = [f"-l{library.attrib['name']}" for library in description.iter("Library")]
     target = unit / "binaries" / platform_tuple / f"airpuck{sharedLibraryExtension}"
     target.parent.mkdir(parents=True)
-    command = [compiler("gcc"), *STRICT, "-fPIC", "-shared", "-O1", *names, "-o", target]
+    options = ["-fPIC", "-shared", "-O1", f"-I{HEADERS}"]
+    command = [compiler("gcc"), *STRICT, *options, *names, "-o", target]
     subprocess.run([*command, *libraries], cwd=unit / "sources", check=True)
 
 
@@ -138,7 +143,7 @@ def test_description_is_valid(unit: Path) -> None:
 
 
 def test_every_function_of_the_standard_is_there(unit: Path) -> None:
-    headers = (unit / "sources/fmi3Functions.h").read_text()
+    headers = (HEADERS / "fmi3Functions.h").read_text()
     declared = {
         line.split()[-1].rstrip(";")
         for line in headers.splitlines()
@@ -150,6 +155,20 @@ def test_every_function_of_the_standard_is_there(unit: Path) -> None:
     )
     assert len(declared) > 70
     assert declared <= {line.split()[-1] for line in symbols.stdout.splitlines()}
+
+
+def test_headers_of_the_standard_are_left_to_the_importing_tool(unit: Path) -> None:
+    """FMI 3.0 excludes them from a unit, so that the tool's own ones check the functions."""
+    assert not list(unit.rglob("fmi3*"))
+    used = {h for path in (unit / "sources").glob("*.c") for h in included(path)}
+    assert "fmi3Functions.h" in used
+    for header in used - {"fmi3Functions.h"}:
+        assert (unit / "sources" / header).is_file(), header
+
+
+def included(source: Path) -> list[str]:
+    """Headers in quotes that a source includes."""
+    return re.findall(r'^#include "(.+)"$', source.read_text(), re.MULTILINE)
 
 
 def fly_both(model: Model, twin: TwinSettings, there: Simulation) -> None:
@@ -308,14 +327,15 @@ def test_commands_do_not_overtake_each_other(unit: Path) -> None:
 @pytest.mark.slow
 def test_no_call_does_harm(unit: Path, tmp_path: Path) -> None:
     sources = [*(unit / "sources").glob("*.c"), ABUSE]
-    program = build(tmp_path / "abuse", sources, *SANITIZED)
+    program = build(tmp_path / "abuse", sources, *SANITIZED, f"-I{HEADERS}")
     done = subprocess.run([program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow
 def test_clang_compiles_it_without_warnings(unit: Path, tmp_path: Path) -> None:
-    build(tmp_path / "abuse", [*(unit / "sources").glob("*.c"), ABUSE], using="clang")
+    sources = [*(unit / "sources").glob("*.c"), ABUSE]
+    build(tmp_path / "abuse", sources, f"-I{HEADERS}", using="clang")
 
 
 @pytest.mark.slow

@@ -22,11 +22,9 @@ from airpuck.twin.settings import TwinSettings
 
 #: Name of the FMU and of its library.
 NAME = "airpuck"
+#: Files to compile. They include `fmi3Functions.h`, which the importing tool provides: FMI 3.0
+#: excludes its own headers from a unit (section 2.5.1, structure of the ZIP file).
 _SOURCES = ("airpuck_plant.c", "airpuck_fmu.c", "airpuck_fmu_absent.c")
-_HEADERS = (
-    "airpuck_plant.h",
-    *(f"fmi3{n}.h" for n in ("Functions", "FunctionTypes", "PlatformTypes")),
-)
 _UNITS = {
     "m": {"m": 1},
     "s": {"s": 1},
@@ -85,7 +83,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
             sizes={**_references(listed), "AIRPUCK_TOKEN": f'"{token}"'},
             data={"airpuck_plant.h": f"{craft}\n\n{table}"},
         )
-        copy_sources([f"fmu/{name}" for name in (*_HEADERS, *_SOURCES)], sources)
+        copy_sources([f"fmu/{name}" for name in ("airpuck_plant.h", *_SOURCES)], sources)
         licences = unit / "documentation" / "licenses"
         licences.mkdir(parents=True)
         copy_sources(["LICENSE"], licences)
