@@ -212,6 +212,45 @@ def test_the_program_reads_poses_and_writes_commands(exported):
     assert "time x y yaw" in bad.stderr
 
 
+@pytest.mark.parametrize("wrong", ["1000", "0.5", "inf", "nan"])
+def test_the_program_goes_on_after_a_wrong_stamp(wrong, exported):
+    times = [f"{k / 100:.2f}" for k in range(40)]
+    given = "".join(f"{time} 0 0 0\n" for time in [*times[:5], wrong, *times[5:]])
+    words = [program(exported, "main.c")]
+    done = subprocess.run(words, input=given, capture_output=True, text=True, check=True)
+    answers = dict(line.split()[:2] for line in done.stdout.splitlines())
+    assert all(answers[f"{time}00"] == "exact" for time in times[:5])
+    # Poses that agree for the longest pause are accepted again.
+    assert all(answers[f"{time}00"] == "exact" for time in times[-5:])
+
+
+@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
+def test_without_targets_and_plan_the_motors_idle(regulator, tmp_path):
+    airpuck.export.write(M4, "c", tmp_path, tuning=default_tuning().with_regulator(regulator))
+    (tmp_path / "none.c").write_text(
+        '#include "airpuck.h"\n'
+        "int main(void)\n{\n    static airpuck craft;\n    airpuck_real command[AIRPUCK_MOTORS];\n"
+        "    const airpuck_real pose[3] = {0, 0, 0};\n    airpuck_init(&craft);\n"
+        "    airpuck_pose(&craft, 0, pose);\n"
+        "    if (airpuck_step(&craft, 0, NULL, command) != AIRPUCK_BAD_INPUT)\n        return 1;\n"
+        "    for (int i = 0; i < AIRPUCK_MOTORS; i++)\n"
+        "        if (command[i] > airpuck_tuned.command_min)\n            return 2;\n"
+        "    return craft.status != AIRPUCK_BAD_INPUT;\n}\n"
+    )
+    assert (
+        subprocess.run([program(tmp_path, "none.c", *SANITIZED)], env=ENVIRONMENT).returncode == 0
+    )
+
+
+@pytest.mark.parametrize("using", ["gcc", "clang"])
+@pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])
+def test_options_that_remove_checks_of_the_input_are_an_error(option, using, exported, tmp_path):
+    words = [compiler(using), "-std=c99", option, "-c", exported / "airpuck.c"]
+    done = subprocess.run([*words, "-o", tmp_path / "a.o"], capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "-ffinite-math-only: they remove checks of the input" in done.stderr
+
+
 @pytest.mark.parametrize("regulator", ["lqr", "mpc", "plan"])
 def test_the_stated_sizes_are_the_compilers(regulator, plan, tmp_path):
     tuning = default_tuning().with_regulator(regulator)

@@ -325,6 +325,10 @@ airpuck_status airpuck_step(airpuck *craft, double now,
     airpuck_real mean[3][4];
     craft->status = refusal(craft, now);
     craft->iterations = 0;
+#if AIRPUCK_INTERVALS == 0
+    if (targets == NULL)
+        craft->status = AIRPUCK_BAD_INPUT;
+#endif
     if (craft->status != AIRPUCK_EXACT) {
         for (int i = 0; i < N; i++)
             command[i] = airpuck_tuned.command_min;

@@ -43,7 +43,7 @@ typedef enum {
     AIRPUCK_NO_POSE,         /* No pose has been received yet. */
     AIRPUCK_STALE_POSE,      /* The last pose is too old, or too far ahead (longest_pause). */
     AIRPUCK_JUMPING_POSE,    /* The last poses cannot be the craft. */
-    AIRPUCK_BAD_INPUT        /* The last pose, or the time, is not finite. */
+    AIRPUCK_BAD_INPUT        /* A pose or time is not finite, or targets are missing. */
 } airpuck_status;
 
 /* A desired state x, y, yaw and their rates, and the acceleration to feed forward. */
@@ -173,7 +173,8 @@ void airpuck_sent(airpuck *craft, double time, const airpuck_real command[AIRPUC
  * a prediction uses targets[k] at the end of its step k after that time. There is always a
  * command: it is idle if the craft cannot be steered.
  *
- * targets may be NULL if a plan was exported: the craft then follows the plan. */
+ * targets may be NULL if a plan was exported: the craft then follows the plan. Without a plan the
+ * status is AIRPUCK_BAD_INPUT. */
 airpuck_status airpuck_step(airpuck *craft, double now,
                             const airpuck_target targets[AIRPUCK_TARGETS],
                             airpuck_real command[AIRPUCK_MOTORS]);

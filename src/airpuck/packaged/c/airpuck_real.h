@@ -8,6 +8,12 @@
 
 #include <math.h>
 
+/* Poses may be infinite or NaN. These options would remove the checks that reject them. */
+#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || \
+    (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "compile without -ffast-math and -ffinite-math-only: they remove checks of the input"
+#endif
+
 #ifdef AIRPUCK_SINGLE
 typedef float airpuck_real;
 #define AIRPUCK_R(number) number##f

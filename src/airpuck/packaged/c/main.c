@@ -14,7 +14,7 @@ int main(void)
 {
     airpuck_target targets[AIRPUCK_TARGETS], *aim = AIRPUCK_INTERVALS > 0 ? NULL : targets;
     airpuck_real command[AIRPUCK_MOTORS];
-    double time, x, y, yaw, due = -(double)INFINITY;
+    double time, x, y, yaw, last = -(double)INFINITY;
     char line[200];
 
     airpuck_init(&craft);
@@ -31,11 +31,13 @@ int main(void)
         } else if (sscanf(line, "%lf %lf %lf %lf", &time, &x, &y, &yaw) == 4) {
             airpuck_real pose[3] = {(airpuck_real)x, (airpuck_real)y, (airpuck_real)yaw};
             airpuck_pose(&craft, time, pose);
-            if (time < due)
+            /* A time long before the last one is accepted, like its pose: the last one was wrong. */
+            if (last - airpuck_tuned.longest_pause <= time &&
+                time < last + (double)airpuck_tuned.period / 2)
                 continue;
             airpuck_status status = airpuck_step(&craft, time, aim, command);
             airpuck_sent(&craft, time, command);
-            due = time + (double)airpuck_tuned.period / 2;
+            last = time;
             printf("%.4f %s", time, airpuck_status_name(status));
             for (int i = 0; i < AIRPUCK_MOTORS; i++)
                 printf(" %.4f", (double)command[i]);
