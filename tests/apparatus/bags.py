@@ -136,6 +136,27 @@ def write_mcap(
     return path
 
 
+def write_channels(
+    path: Path, *channels: tuple[str, str, str, list[tuple[int, bytes]]], encoding: str = "cdr"
+) -> Path:
+    """Write a channel for each topic, type, definition and messages; topics may repeat."""
+    from mcap.writer import Writer
+
+    schemas = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "not airpuck")
+        events = []
+        for name, msgtype, text, messages in channels:
+            schema = writer.register_schema(msgtype, schemas[encoding], text.encode())
+            channel = writer.register_channel(name, encoding, schema)
+            events += [(time, channel, message) for time, message in messages]
+        for time, channel, message in sorted(events):
+            writer.add_message(channel, time, message, time)
+        writer.finish()
+    return path
+
+
 def ros_topic(msgtype: str, messages: Iterable[Callable[[Types], object]], text: str = "") -> Topic:
     """A topic as ROS writes it, by rosbags' serialiser; messages a hundredth of a second apart."""
     store = get_typestore(Stores.ROS2_HUMBLE)

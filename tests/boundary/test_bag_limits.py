@@ -12,7 +12,13 @@ from airpuck.recording.message import definitions
 from airpuck.recording.read import read_recording
 from airpuck.recording.sqlite_file import read_sqlite
 
-from ..apparatus.bags import COMMAND_TYPE, foreign_topics, rosbags_folder, write_mcap
+from ..apparatus.bags import (
+    COMMAND_TYPE,
+    foreign_topics,
+    rosbags_folder,
+    write_channels,
+    write_mcap,
+)
 from ..apparatus.refusals import GIB, little_memory, refusal, written
 
 
@@ -114,6 +120,13 @@ def test_a_topic_with_a_message_that_is_too_long(tmp_path: Path):
     msgtype, text, messages = topics["/drone/control"]
     topics["/drone/control"] = (msgtype, text, [*messages, (messages[-1][0], bytes(2 * MIB))])
     refusal(read_recording, write_mcap(tmp_path / "a.mcap", topics), says="limit of 1 MiB")
+
+
+def test_a_topic_with_very_many_definitions(tmp_path: Path):
+    msgtype, text, messages = foreign_topics()["/drone/control"]
+    channels = [("/a", msgtype, f"{text}\n# {k}\n", messages[:1]) for k in range(200)]
+    path = write_channels(tmp_path / "a.mcap", *channels)
+    refusal(read_recording, path, says="defines a topic in too many ways")
 
 
 def test_long_messages_of_other_topics_are_passed_over(tmp_path: Path):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,10 @@ from ..apparatus.bags import (
     START_NS,
     foreign_topics,
     pose_message,
+    ros1_bag,
     rosbags_folder,
     stamped,
+    write_channels,
     write_mcap,
 )
 
@@ -454,3 +457,143 @@ def test_intervals_are_refused_for_a_bag_whose_messages_have_times(tmp_path):
     mapping = RecordingMapping(puck=PoseMapping(interval="dt"))
     with pytest.raises(InputError, match=r"puck\.interval: is a bag"):
         read_bag(tmp_path, mapping, ("pose",))
+
+
+def halves(messages):
+    return messages[: len(messages) // 2], messages[len(messages) // 2 :]
+
+
+def test_each_message_is_read_by_the_definition_of_its_channel(tmp_path: Path, topics):
+    """After an update of the firmware, the same type lists its motors in another order."""
+    whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
+    before, after = halves(topics["/drone/control"][2])
+    other = "std_msgs/Header header\n" + "".join(f"float64 {m}\n" for m in SIX[::-1]) + HEADER
+    turned = [
+        (time, data[:-48] + np.frombuffer(data[-48:], "<f8")[::-1].tobytes())
+        for time, data in after
+    ]
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("/optitrack/drone/pose", *topics["/optitrack/drone/pose"]),
+        ("/drone/control", COMMAND_TYPE, COMMAND_TEXT, before),
+        ("/drone/control", COMMAND_TYPE, other, turned),
+    )
+    recording = read_recording(path)
+    assert recording["command"] == whole["command"]
+    assert "/drone/control: has 2 definitions" in recording.warnings[0]
+
+
+def test_poses_of_two_types_on_one_topic_are_merged(tmp_path: Path, topics):
+    whole = read_recording(write_mcap(tmp_path / "whole.mcap", topics))
+    before, after = halves(topics["/optitrack/drone/pose"][2])
+    name = "geometry_msgs/msg/TransformStamped"
+    text, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(name, ros_version=2)
+    # The same fields, with the name of the body before them.
+    moved = [(time, stamped_transform(data)) for time, data in after]
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("/optitrack/drone/pose", POSE_TYPE, POSE_TEXT, before),
+        ("/optitrack/drone/pose", name, text, moved),
+        ("/drone/control", *topics["/drone/control"]),
+    )
+    assert read_recording(path).streams == whole.streams
+
+
+def stamped_transform(pose: bytes, child: bytes = b"craft") -> bytes:
+    """A pose, which ends with its numbers, as a TransformStamped."""
+    body = pose[4:12] + struct.pack("<I", 1) + b"\0"
+    body += b"\0" * (-len(body) % 4) + struct.pack("<I", len(child) + 1) + child + b"\0"
+    return pose[:4] + body + b"\0" * (-len(body) % 8) + pose[-56:]
+
+
+def test_definitions_with_other_values_are_refused(tmp_path: Path, topics):
+    before, after = halves(topics["/drone/control"][2])
+    other = COMMAND_TEXT.replace("motor_c_2", "motor_d_2")
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("/optitrack/drone/pose", *topics["/optitrack/drone/pose"]),
+        ("/drone/control", COMMAND_TYPE, COMMAND_TEXT, before),
+        ("/drone/control", COMMAND_TYPE, other, after),
+    )
+    with pytest.raises(InputError, match=r"control: its definitions name other values.*motor_d_2"):
+        read_recording(path)
+
+
+def test_messages_in_another_encoding_are_refused_by_its_name(tmp_path: Path):
+    messages = [(START_NS, b"{}")]
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("/pose", "foxglove.PoseInFrame", "{}", messages),
+        ("/command", "foxglove.Motors", "{}", messages),
+        encoding="json",
+    )
+    mapping = RecordingMapping(topics=Topics(pose="/pose", command="/command"))
+    with pytest.raises(InputError, match=r"/pose: .* encoded as json, .*export the topic as CSV"):
+        read_recording(path, mapping=mapping)
+    with pytest.raises(InputError, match=r"/command \(foxglove\.Motors, encoded as json\)"):
+        read_recording(path)
+
+
+def test_an_mcap_file_converted_from_ros_1_is_read(tmp_path: Path):
+    from rosbags.highlevel import AnyReader
+
+    whole = read_recording(ros1_bag(tmp_path / "a.bag"))
+    channels = []
+    with AnyReader([tmp_path / "a.bag"]) as bag:
+        for connection in bag.connections:
+            found = [(t, data) for _, t, data in bag.messages([connection])]
+            kind = connection.msgtype.replace("/msg", "")
+            channels.append((connection.topic, kind, connection.msgdef.data, found))
+    path = write_channels(tmp_path / "a.mcap", *channels, encoding="ros1")
+    assert read_recording(path).streams == whole.streams
+
+
+def test_topics_are_named_as_in_the_file(tmp_path: Path, topics):
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("mocap/pose", *topics["/optitrack/drone/pose"]),
+        ("motors of the craft", *topics["/drone/control"]),
+    )
+    named = Topics(pose="mocap/pose", command="motors of the craft")
+    assert_is_foreign(read_recording(path, topics=named), topics)
+
+
+def in_parts(folder: Path, topics, names, later: int = 0) -> Path:
+    """Two halves of a flight, the second one some seconds later."""
+    folder.mkdir()
+    for k, name in enumerate(names):
+        parts = {
+            topic: (msgtype, text, [(t + k * later * 10**9, d) for t, d in halves(messages)[k]])
+            for topic, (msgtype, text, messages) in topics.items()
+        }
+        write_mcap(folder / name, parts)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("names", "later"),
+    [
+        (("monday.mcap", "tuesday.mcap"), 0),
+        (("2025-03-04-10-00-00.mcap", "2025-03-04-10-00-01.mcap"), 0),
+        (("flight_0.mcap", "flight_0.mcap.zstd"), 0),
+        # Numbered flights, and flights whose clocks begin at the same time.
+        (("flight_1.mcap", "flight_2.mcap"), 3600),
+        (("flight_1.mcap", "flight_2.mcap"), -60),
+    ],
+)
+def test_two_flights_in_one_folder_are_two_recordings(tmp_path: Path, topics, names, later):
+    folder = in_parts(tmp_path / "flights", topics, names, later)
+    if names[1].endswith(".zstd"):
+        import zstandard
+
+        (folder / names[1]).write_bytes(zstandard.compress((folder / names[1]).read_bytes()))
+    with pytest.raises(InputError, match=rf"several recordings; choose one of {names[0]}"):
+        read_recording(folder)
+
+
+def test_files_that_metadata_lists_are_one_recording_whatever_their_names(tmp_path: Path, topics):
+    folder = in_parts(tmp_path / "bag", topics, ("early.mcap", "late.mcap"), later=600)
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths: [early.mcap, late.mcap]\n"
+    )
+    assert len(read_recording(folder)["pose"]) == 960

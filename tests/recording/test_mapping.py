@@ -25,7 +25,8 @@ def test_no_section_is_the_defaults(tmp_path: Path):
     ("text", "says"),
     [
         ('[topics]\nposes = "/a"', "topics.poses: is not a known key"),
-        ('[topics]\npose = "a"', "topics.pose"),
+        ('[topics]\npose = " "', "topics.pose: ' ' is not the name of a topic"),
+        ('[topics]\npose = "/a\\u0000"', "topics.pose"),
         ("[topics]\npose = 3", "topics.pose"),
         ('[topics]\npose = "/drone/control"', "named for two streams"),
         ('[topic]\npose = "/a"', "topic: is not a known key"),
@@ -126,3 +127,6 @@ def test_a_live_graph_takes_only_topics(tmp_path: Path):
         only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml")
     (tmp_path / "m.toml").write_text('[topics]\npose = "/a"\n')
     assert only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml").pose == "/a"
+    (tmp_path / "m.toml").write_text('[topics]\npose = "a"\n')
+    with pytest.raises(InputError, match=r"topics\.pose: 'a' must begin with a slash"):
+        only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml")

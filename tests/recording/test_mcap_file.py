@@ -180,7 +180,7 @@ def test_other_topics_are_counted_but_not_kept(whole: Path):
     rest = read_mcap(whole, {"/drone/control"})
     assert rest.damage == []
     assert rest.n_messages == 960 + 400 + 40
-    assert {name: len(topic.messages) for name, topic in rest.topics.items()} == {
+    assert {name: len(topic.messages) for name, (topic,) in rest.topics.items()} == {
         "/optitrack/drone/pose": 0,
         "/drone/control": 400,
         "/rosout": 0,

@@ -68,6 +68,8 @@ MESSAGE_BYTES = MIB
 INDEX_BYTES = 16 * MIB
 #: Maximum number of topics in a bag. The largest robots have a few hundred.
 TOPICS = 10_000
+#: Maximum number of definitions of one topic; each publisher may have its own.
+DEFINITIONS = 100
 
 #: Maximum size of a message definition with all nested types [bytes]. Odometry takes 3 kB.
 DEFINITION_BYTES = 32 * 1024

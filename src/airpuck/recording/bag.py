@@ -15,15 +15,18 @@ from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.mapping import RecordingMapping, refuse_csv_settings
 from airpuck.recording.mcap_file import read_mcap
-from airpuck.recording.ros1_file import read_ros1
-from airpuck.recording.sqlite_file import read_sqlite
-from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream
+from airpuck.recording.ros1_file import convert_ros1, read_ros1
+from airpuck.recording.sqlite_file import journals, read_sqlite
+from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream, joined
 from airpuck.recording.topic_stream import may_hold, topic_stream
 from airpuck.recording.unpacking import Log, TopicLog, unpacked_file, unpacked_message
 
 METADATA = "metadata.yaml"
 #: Topics listed as suggestions when one is missing.
 _MOST_LOOKED_AT = 100
+#: A recorder that splits a bag begins the next file within this time of the last message [s], and
+#: messages that it wrote late overlap by less.
+_PAUSE_S, _OVERLAP_S = 60.0, 5.0
 #: Suffixes of storage files, compressed ones included.
 STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".bag")
 
@@ -44,18 +47,29 @@ def _stored(folder: Path) -> list[Path]:
     return sorted(found, key=order)
 
 
+def _part(file: Path) -> tuple[str, str]:
+    """Return what the files of one split bag have in common: the name up to a final number."""
+    stem, dot, suffix = file.name.partition(".")
+    before, _, number = stem.rpartition("_")
+    return (before, dot + suffix) if number.isdecimal() else (stem, dot + suffix)
+
+
 def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a bag's folder, or a bare .mcap, .db3 or .bag file."""
     refuse_csv_settings(mapping, path, "a bag")
     wanted = set(mapping.topics.by_stream.values())
     metadata = _metadata(path / METADATA) if path.is_dir() else {}
-    files = [path] if path.is_file() else _in_order(_stored(path), metadata)
-    hashes = {file.name: sha256(file) for file in files}
+    files = [path] if path.is_file() else _in_order(path, metadata)
+    read = [path for file in files for path in (file, *journals(file))]
+    hashes = {file.name: sha256(file) for file in read}
     if metadata:
         hashes[METADATA] = sha256(path / METADATA)
     log = Log()
     for file in files:
-        log.extend(_read_file(file, wanted))
+        later = _read_file(file, wanted)
+        if not metadata:
+            _check_follows(log, later, files, path)
+        log.extend(later)
     if str(metadata.get("compression_mode")).lower() == "message":
         _unpack_messages(log, path)
     streams, said = _streams(log, mapping, needs, path)
@@ -73,20 +87,38 @@ def _metadata(path: Path) -> dict[str, Any]:
     return information if isinstance(information, dict) else {}
 
 
-def _in_order(files: list[Path], metadata: Mapping[str, Any]) -> list[Path]:
+def _in_order(folder: Path, metadata: Mapping[str, Any]) -> list[Path]:
     """Put storage files into recording order, and leave out those missing from the metadata.
 
     Files are matched by name alone: a bag is read from its own folder, whatever path its metadata
     states.
     """
+    files = _stored(folder)
     named = metadata.get("relative_file_paths")
     names = [PurePath(str(name)).name for name in named] if isinstance(named, list) else []
-    return [file for name in names for file in files if file.name == name] or files
+    found = [file for name in names for file in files if file.name == name]
+    if not found and len(set(map(_part, files))) > 1:
+        raise _several(files, folder)
+    return found or files
+
+
+def _several(files: Sequence[Path], folder: Path) -> InputError:
+    names = listing(file.name for file in files)
+    return InputError(f"contains several recordings; choose one of {names}", file=folder)
+
+
+def _check_follows(log: Log, later: Log, files: Sequence[Path], folder: Path) -> None:
+    """Raise InputError if a file without metadata does not continue the one before."""
+    if log.last_ns is None or later.first_ns is None:
+        return
+    pause = (later.first_ns - log.last_ns) / SECOND_NS
+    if not -_OVERLAP_S <= pause <= _PAUSE_S:
+        raise _several(files, folder)
 
 
 def _read_file(path: Path, wanted: Collection[str]) -> Log:
     """Read one storage file; of a damaged .mcap or .bag, the intact part."""
-    if path.stat().st_size == 0:
+    if path.stat().st_size == 0 and not journals(path):
         raise InputError("is empty", file=path)
     if path.suffix == ".zstd":
         with unpacked_file(path) as plain:
@@ -97,6 +129,7 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
     if path.suffix == ".db3":
         return read_sqlite(path, wanted)
     log = (read_ros1 if path.suffix == ".bag" else read_mcap)(path, wanted)
+    convert_ros1(log, path)
     if log.damage and log.n_messages == 0:
         raise InputError(f"no message can be read: {'; '.join(log.damage)}", file=path)
     log.damage = [f"{path.name} is damaged: {'; '.join(log.damage)}"] if log.damage else []
@@ -105,11 +138,12 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
 
 def _unpack_messages(log: Log, path: Path) -> None:
     """Unpack messages that the recorder compressed one by one."""
-    for name, topic in log.topics.items():
-        try:
-            topic.messages = list(map(unpacked_message, topic.messages))
-        except ValueError as error:
-            raise InputError(str(error), file=path, field=name) from error
+    for name, entries in log.topics.items():
+        for topic in entries:
+            try:
+                topic.messages = list(map(unpacked_message, topic.messages))
+            except ValueError as error:
+                raise InputError(str(error), file=path, field=name) from error
 
 
 def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
@@ -146,14 +180,15 @@ def _streams(
     """Decode the requested topics that the bag has, and warn about missing stamps."""
     streams, warnings, missing = {}, [], []
     for stream, name in mapping.topics.by_stream.items():
-        topic = log.topics.get(name)
-        if topic is not None:
+        entries = log.topics.get(name)
+        if entries is not None:
             try:
-                streams[stream], stamped = topic_stream(stream, topic, mapping)
+                streams[stream], stamped, said = _decoded(stream, entries, mapping)
             except (ValueError, OverflowError) as error:
                 problem = error.problem if isinstance(error, InputError) else shortened(str(error))
                 field = error.field if isinstance(error, InputError) else None
                 raise InputError(problem, file=source, field=field or name) from error
+            warnings += [f"{name}: {text}" for text in said]
             if not stamped and stream in (*POSES, *COMMANDS):
                 warnings.append(
                     f"messages on {name} have no time: the recorder's arrival times are used, "
@@ -167,10 +202,31 @@ def _streams(
     return streams, tuple(warnings)
 
 
+def _decoded(
+    stream: str, entries: Sequence[TopicLog], mapping: RecordingMapping
+) -> tuple[Stream, bool, list[str]]:
+    """Decode a topic, each message by its own definition; return whether all carry times."""
+    entries = [entry for entry in entries if entry.messages or entry.foreign] or entries[:1]
+    foreign = next((entry.encoding for entry in entries if entry.foreign), None)
+    if foreign is not None:
+        raise InputError(
+            f"its messages are encoded as {shortened(foreign) or 'nothing'}, and airpuck reads cdr "
+            "(ROS 2) and ros1; export the topic as CSV, and name its columns in a mapping"
+        )
+    parts = [topic_stream(stream, entry, mapping) for entry in entries]
+    whole, stamped = joined([part for part, _ in parts]), all(timed for _, timed in parts)
+    if len(parts) == 1:
+        return whole, stamped, []
+    types = listing(dict.fromkeys(entry.msgtype for entry in entries))
+    text = f"has {len(parts)} definitions ({types}); each message is read by its own"
+    return whole, stamped, [text]
+
+
 def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
     """Return the topics suggested when one is missing; their definitions must be parsed."""
     found, spent = [], 0
-    for name, topic in sorted(log.topics.items(), key=lambda item: len(item[1].definition)):
+    readable = [(name, e) for name, entries in log.topics.items() for e in entries if not e.foreign]
+    for name, topic in sorted(readable, key=lambda item: len(item[1].definition)):
         spent += len(topic.definition)
         if spent <= DEFINITION_BYTES and len(found) < _MOST_LOOKED_AT:
             found.append((name, topic))
@@ -182,14 +238,19 @@ def _no_topics(missing: list[str], log: Log) -> str:
     shown, choices = [], []
     topics = _quick_to_parse(log)
     for stream in missing:
-        found = [name for name, topic in topics if may_hold(stream, topic)]
+        found = list(dict.fromkeys(name for name, topic in topics if may_hold(stream, topic)))
         shown.append(f'{stream} = "{found[0] if found else "/..."}"')
         if len(found) != 1:
             types = found or sorted(log.topics)
-            listed = listing(f"{name} ({log.topics[name].msgtype})" for name in types)
+            listed = listing(f"{name} ({_described(log.topics[name][0])})" for name in types)
             choices.append(f"; {stream} out of {listed}" if types else "")
     damage = f" ({'; '.join(log.damage)})" if log.damage else ""
     return (
         f"there is no such topic{damage}; name topics in a file for --mapping: "
         f"topics = {{{', '.join(shown)}}}{''.join(choices)}"
     )
+
+
+def _described(topic: TopicLog) -> str:
+    """Return a topic's type, and its encoding if that is not read."""
+    return f"{topic.msgtype}, encoded as {topic.encoding}" if topic.foreign else topic.msgtype

@@ -34,7 +34,15 @@ ENTRY = re.compile(r"(.+)\[(\d{1,9})\]")
 #: Name of axes -> our x, y, z in terms of these.
 AXES = {"Z-up": ("x", "y", "z"), "Y-up": ("x", "-z", "y"), "NED": ("x", "-y", "-z")}
 
-TopicName = Annotated[str, pydantic.Field(pattern=r"^/[^\s]+$")]
+
+def _topic_name(name: str) -> str:
+    """Check that a topic has a printable name, which need not begin with a slash."""
+    if not name.strip() or name != name.strip() or not name.isprintable():
+        raise ValueError(f"{name!r} is not the name of a topic, such as /mocap/pose")
+    return name
+
+
+TopicName = Annotated[str, pydantic.AfterValidator(_topic_name)]
 #: Name of a column, or path of a field in a message.
 Name = Annotated[str, pydantic.Field(min_length=1)]
 
@@ -453,4 +461,8 @@ def only_topics(mapping: RecordingMapping, path: str | os.PathLike[str]) -> Topi
             file=path,
             field=others[0],
         )
+    for stream, name in mapping.topics.by_stream.items():
+        if not re.fullmatch(r"/[^\s]+", name):
+            problem = f"{name!r} must begin with a slash and have no spaces on a live graph"
+            raise InputError(problem, file=path, field=f"topics.{stream}")
     return mapping.topics

@@ -24,6 +24,7 @@ from airpuck.boundary.limits import (
     Unpacking,
     refused,
 )
+from airpuck.recording.ros1_file import ROS1, ros1_topic
 from airpuck.recording.unpacking import (
     Log,
     TopicLog,
@@ -96,12 +97,10 @@ class _Sink:
             self._schemas[schema.id] = schema
             return
         channel = _parsed(Channel, stream)
-        # A message in another encoding cannot be read, and is not counted.
-        if channel.id in self._channels or channel.message_encoding != "cdr":
+        if channel.id in self._channels:
             return
-        topic = self.log.topics.setdefault(
-            channel.topic, _topic_log(self._schemas.get(channel.schema_id))
-        )
+        described = _topic_log(self._schemas.get(channel.schema_id), channel.message_encoding)
+        topic = self.log.topic(channel.topic, described)
         self.log.check_topics(self.path)
         self._channels[channel.id] = topic if channel.topic in self._wanted else None
 
@@ -130,7 +129,8 @@ class _Sink:
             topic.received_ns.append(time)
             topic.messages.append(message)
             if len(message) > MESSAGE_BYTES:
-                name = next(name for name, other in self.log.topics.items() if other is topic)
+                names = self.log.topics.items()
+                name = next(name for name, all_of in names if any(e is topic for e in all_of))
                 check_message_size(len(message), self.path, name)
         if times:
             self.log.count(len(times), min(times), max(times))
@@ -156,11 +156,13 @@ def _parsed(record: Any, stream: Any) -> Any:
         raise _Damaged("a record cannot be read") from error
 
 
-def _topic_log(schema: Schema | None) -> TopicLog:
+def _topic_log(schema: Schema | None, encoding: str) -> TopicLog:
     if schema is None:
-        return TopicLog("")
-    idl = schema.encoding in ("ros2idl", "omgidl")
-    return TopicLog(schema.name, schema.data.decode(errors="replace"), idl)
+        return TopicLog("", encoding=encoding)
+    text = schema.data.decode(errors="replace")
+    if encoding == ROS1:
+        return ros1_topic(schema.name, text)
+    return TopicLog(schema.name, text, schema.encoding in ("ros2idl", "omgidl"), encoding)
 
 
 def read_mcap(path: Path, wanted: Collection[str]) -> Log:

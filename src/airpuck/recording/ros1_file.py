@@ -42,6 +42,10 @@ _TIMES = "".join(
 )
 
 
+#: Encoding of the messages, as MCAP files name it.
+ROS1 = "ros1"
+
+
 class _MalformedRecord(ValueError):
     """A record is malformed."""
 
@@ -58,15 +62,10 @@ class _BagRecords:
         """Process the description of a topic by one of its publishers."""
         described = _fields(content)
         (number,) = _LENGTH.unpack(_field(header, "conn", 4))
-        package, _, name = _text(described, "type").partition("/")
-        definition = _COUNTER.sub("", _text(described, "message_definition")) + _TIMES
-        topic = TopicLog(f"{package}/msg/{name}", definition)
         title = _text(header, "topic")
-        known = self.log.topics.setdefault(title, topic)
+        topic = ros1_topic(_text(described, "type"), _text(described, "message_definition"))
+        self._topics[number] = title, self.log.topic(title, topic)
         self.log.check_topics(self.path)
-        if known.msgtype != topic.msgtype:
-            raise _MalformedRecord("a topic has two types")
-        self._topics[number] = title, known
 
     def message(self, header: dict[str, bytes], content: bytes) -> None:
         """Process a message; one without a connection belongs to a lost chunk."""
@@ -170,7 +169,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
 
 
 def read_ros1(path: Path, wanted: Collection[str]) -> Log:
-    """Read the wanted messages up to the damage, if any, and convert them to CDR."""
+    """Read the wanted messages up to the damage, if any."""
     sink, lost = _BagRecords(path, wanted), 0
     try:
         with path.open("rb") as file:
@@ -186,20 +185,29 @@ def read_ros1(path: Path, wanted: Collection[str]) -> Log:
     if lost:
         number = f"{lost} damaged record{'s' if lost > 1 else ''}"
         sink.log.damage.append(f"{number} left out")
-    for name, topic in sink.log.topics.items():
-        if topic.messages:
-            _convert(topic, name, path)
     sink.log.sort()
     return sink.log
 
 
-def _convert(topic: TopicLog, name: str, path: Path) -> None:
-    """Turn a topic's messages into CDR."""
-    try:
-        types = definitions(topic.msgtype, topic.definition)
-        store = typestore(types, topic.msgtype)
-        topic.messages = [bytes(store.ros1_to_cdr(m, topic.msgtype)) for m in topic.messages]
-    # rosbags compiles definitions to code and checks no message: both can fail in any way.
-    except Exception as error:
-        problem = f"contains a {topic.msgtype} that cannot be decoded"
-        raise InputError(problem, file=path, field=name) from error
+def ros1_topic(kind: str, definition: str) -> TopicLog:
+    """Describe a topic by ROS 1's name and definition of its type, in the notation of ROS 2."""
+    package, _, name = kind.partition("/")
+    return TopicLog(f"{package}/msg/{name}", _COUNTER.sub("", definition) + _TIMES, encoding=ROS1)
+
+
+def convert_ros1(log: Log, path: Path) -> None:
+    """Turn messages of ROS 1 into CDR."""
+    for name, topic in [(name, one) for name, all_of in log.topics.items() for one in all_of]:
+        if topic.encoding != ROS1:
+            continue
+        topic.encoding = "cdr"
+        if not topic.messages:
+            continue
+        try:
+            types = definitions(topic.msgtype, topic.definition)
+            store = typestore(types, topic.msgtype)
+            topic.messages = [bytes(store.ros1_to_cdr(m, topic.msgtype)) for m in topic.messages]
+        # rosbags compiles definitions to code and checks no message: both can fail in any way.
+        except Exception as error:
+            problem = f"contains a {topic.msgtype} that cannot be decoded"
+            raise InputError(problem, file=path, field=name) from error

@@ -1,14 +1,20 @@
 """Reading an SQLite storage file of rosbag2 within limits.
 
+A killed recorder leaves a journal beside the file: a write-ahead log (``-wal``) with messages that
+the file lacks, or what a half-written transaction replaced (``-journal``). SQLite applies it to a
+copy, since the recording must not change.
+
 SQLite checks no types, and a database may contain code: a generated column can make blobs of any
 size, and a damaged tree can loop forever. So lengths, steps and rows are bounded.
 """
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
-from collections.abc import Collection
-from contextlib import closing
+import tempfile
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
@@ -19,31 +25,58 @@ from airpuck.recording.unpacking import Log, TopicLog
 _STEPS, _STEPS_PER_BYTE = 10**6, 20
 _STEPS_AT_ONCE = 10**5
 _IDL = "ros2idl"
+#: Columns that older versions of rosbag2 do not write.
+_SERIALIZATION, _DIGEST = "serialization_format", "type_description_hash"
 #: Maximum length of a topic's name and type.
 _LONGEST_NAME = 1000
 #: Maximum length of all definitions; requested topics come first.
 _DEFINITIONS = MIB
 
 
+def journals(path: Path) -> list[Path]:
+    """Return what an unfinished recorder left beside an SQLite file."""
+    beside = (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal"))
+    return [file for file in beside if file.is_file() and file.stat().st_size]
+
+
 def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
-    """Read the wanted messages of an SQLite file."""
+    """Read the wanted messages of an SQLite file, and of the journal beside it."""
+    left = journals(path)
+    size = sum(file.stat().st_size for file in (path, *left))
     try:
-        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-        with closing(sqlite3.connect(uri, uri=True)) as database:
+        with _opened(path, left) as database:
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MESSAGE_BYTES)
             database.execute("PRAGMA trusted_schema = OFF")
-            _limit_steps(database, path.stat().st_size)
+            _limit_steps(database, size)
             log, topics = _topics(database, path, wanted)
-            _read_messages(database, path, topics)
+            _read_messages(database, size, topics)
             _count(database, log)
     except InputError:
         raise
     # An operational error carries SQLite's own message; a damaged file can cause any of them.
-    except (sqlite3.Error, ValueError, OverflowError) as error:
+    except (sqlite3.Error, ValueError, OverflowError, OSError) as error:
         reason = "it takes too long to read" if str(error) == "interrupted" else str(error)
         raise InputError(f"is not a readable recording ({reason})", file=path) from error
     log.sort()
+    if left:
+        names = ", ".join(file.name for file in left)
+        log.damage = [f"{path.name} was not closed by its recorder: {names} is read with it"]
     return log
+
+
+@contextmanager
+def _opened(path: Path, left: Sequence[Path]) -> Iterator[sqlite3.Connection]:
+    """Open a database as it is, or a copy to which its journals are applied."""
+    if not left:
+        uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+        with closing(sqlite3.connect(uri, uri=True)) as database:
+            yield database
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for file in (path, *left):
+            shutil.copyfile(file, Path(folder, file.name))
+        with closing(sqlite3.connect(Path(folder, path.name))) as database:
+            yield database
 
 
 def _limit_steps(database: sqlite3.Connection, size: int) -> None:
@@ -67,42 +100,57 @@ def _topics(
     if not there >= {"messages", "topics"}:
         raise ValueError("it has no tables of messages and topics")
     log, numbers = Log(), {}
-    rows = database.execute(f"SELECT id, name, type FROM topics ORDER BY id LIMIT {TOPICS + 1}")
-    for number, name, msgtype in rows:
-        if not isinstance(name, str) or not isinstance(msgtype, str):
-            raise ValueError("a topic has no name or no type")
-        if len(name) + len(msgtype) > _LONGEST_NAME:
-            raise ValueError("a topic has too long a name")
-        topic = log.topics.setdefault(name, TopicLog(msgtype))
+    columns = _columns(database, "topics")
+    encoding = _SERIALIZATION if _SERIALIZATION in columns else "'cdr'"
+    digest = _DIGEST if _DIGEST in columns else "''"
+    rows = database.execute(
+        f"SELECT id, name, type, {encoding}, {digest} FROM topics ORDER BY id LIMIT {TOPICS + 1}"
+    ).fetchall()
+    if any(not isinstance(text, str) for row in rows for text in row[1:4]):
+        raise ValueError("a topic has no name or no type")
+    if any(sum(map(len, row[1:4])) > _LONGEST_NAME for row in rows):
+        raise ValueError("a topic has too long a name")
+    left = _DEFINITIONS if "message_definitions" in there else 0
+    # Requested topics first, since the definitions of others only serve suggestions.
+    for number, name, msgtype, encoding, digest in sorted(rows, key=lambda r: r[1] not in wanted):
+        described = TopicLog(msgtype, encoding=encoding)
+        if left > 0:
+            _define(database, described, digest, needed=name in wanted)
+            left -= len(described.definition)
+        topic = log.topic(name, described)
         if name in wanted:
             numbers[number] = topic
-    if "message_definitions" in there:
-        left = _DEFINITIONS
-        for topic in [*numbers.values(), *log.topics.values()]:
-            _define(database, topic)
-            left -= len(topic.definition)
-            if left < 0:
-                break
-    log.check_topics(path)
+        log.check_topics(path)
     return log, numbers
 
 
-def _define(database: sqlite3.Connection, topic: TopicLog) -> None:
-    """Add the definition embedded in the file."""
-    row = database.execute(
-        "SELECT encoded_message_definition, encoding FROM message_definitions "
-        "WHERE topic_type = ? ORDER BY id LIMIT 1",
-        [topic.msgtype],
-    ).fetchone()
-    if row is not None:
-        if not isinstance(row[0], str):
-            raise ValueError("a definition is not text")
-        topic.definition, topic.idl = row[0], row[1] == _IDL
+def _columns(database: sqlite3.Connection, table: str) -> set[str]:
+    return {name for (name,) in database.execute(f"SELECT name FROM pragma_table_info('{table}')")}
 
 
-def _read_messages(database: sqlite3.Connection, path: Path, topics: dict[int, TopicLog]) -> None:
-    """Read the messages of some topics, in the order of the file."""
-    left = path.stat().st_size
+def _define(database: sqlite3.Connection, topic: TopicLog, digest: str, *, needed: bool) -> None:
+    """Add the definition embedded in the file: of several, the one with the topic's hash."""
+    hashed = _DIGEST if _DIGEST in _columns(database, "message_definitions") else "''"
+    rows = database.execute(
+        f"SELECT DISTINCT encoded_message_definition, encoding, {hashed} = ? AS mine "
+        "FROM message_definitions WHERE topic_type = ? ORDER BY mine DESC, id LIMIT 2",
+        [digest, topic.msgtype],
+    ).fetchall()
+    if not rows:
+        return
+    (text, encoding, mine), *others = rows
+    if not isinstance(text, str):
+        raise ValueError("a definition is not text")
+    if needed and others and others[0][2] == mine and others[0][0] != text:
+        raise ValueError(
+            f"it defines {topic.msgtype} twice, and its messages do not say which they follow; "
+            "export each part as CSV where its definition is installed"
+        )
+    topic.definition, topic.idl = text, encoding == _IDL
+
+
+def _read_messages(database: sqlite3.Connection, left: int, topics: dict[int, TopicLog]) -> None:
+    """Read the messages of some topics, of this length together, in the order of the file."""
     places = ",".join("?" * len(topics))
     rows = database.execute(
         f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places})", [*topics]

@@ -273,6 +273,25 @@ def _table(
     return stamps[kept], numbers[kept], left_out(name, int((~kept).sum()))
 
 
+def joined(parts: Sequence[Stream]) -> Stream:
+    """Merge parts of a stream in order of arrival; their columns may differ in order only."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    values = []
+    for part in parts:
+        if sorted(part.columns) != sorted(first.columns):
+            raise InputError(
+                f"its definitions name other values: {', '.join(first.columns)}, and "
+                f"{', '.join(part.columns)}; name them in a mapping"
+            )
+        values.append(part.values[:, [part.columns.index(name) for name in first.columns]])
+    received = np.concatenate([part.received_ns for part in parts])
+    order = np.argsort(received, kind="stable")
+    stamps = np.concatenate([part.stamp_ns for part in parts])
+    return Stream(stamps[order], received[order], np.concatenate(values)[order], first.columns)
+
+
 def pose_stream(
     time: Shaped[np.ndarray, " N"],
     position: Float[np.ndarray, "N d"],

@@ -7,36 +7,52 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import itertools
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import CHUNK_BYTES, MESSAGE_BYTES, MIB, TOPICS, Unpacking, refused
+from airpuck.boundary.limits import (
+    CHUNK_BYTES,
+    DEFINITIONS,
+    MESSAGE_BYTES,
+    MIB,
+    TOPICS,
+    Unpacking,
+    refused,
+)
 
 
 @dataclass
 class TopicLog:
-    """The messages of one topic before they are decoded."""
+    """The messages of one topic in one definition, before they are decoded."""
 
     msgtype: str
     #: The definition embedded in the bag; empty if there is none.
     definition: str = ""
     #: Whether the definition is IDL instead of the ``.msg`` format.
     idl: bool = False
+    #: Encoding of the messages: ``cdr``, ``ros1``, or another, which is not read.
+    encoding: str = "cdr"
     #: The recorder's times [ns since the epoch].
     received_ns: list[int] = field(default_factory=list)
-    #: Messages in CDR, with encapsulation.
+    #: Messages; CDR with encapsulation.
     messages: list[bytes] = field(default_factory=list)
+
+    @property
+    def foreign(self) -> bool:
+        """Whether messages have an encoding that is not read."""
+        return self.encoding not in ("cdr", "ros1")
 
 
 @dataclass
 class Log:
     """Contents of a bag's files."""
 
-    #: Messages of the wanted topics only.
-    topics: dict[str, TopicLog] = field(default_factory=dict)
+    #: Definitions of each topic, since publishers may disagree; messages of wanted topics only.
+    topics: dict[str, list[TopicLog]] = field(default_factory=dict)
     #: Messages on all topics.
     n_messages: int = 0
     #: Earliest and latest recorder time of all messages [ns since the epoch].
@@ -51,14 +67,29 @@ class Log:
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
+    def topic(self, name: str, like: TopicLog) -> TopicLog:
+        """Return the entry of a topic with this type, encoding and definition; add it if new."""
+        entries = self.topics.setdefault(name, [])
+        for entry in entries:
+            same = (entry.msgtype, entry.encoding) == (like.msgtype, like.encoding)
+            texts = {(e.definition, e.idl) for e in (entry, like) if e.definition}
+            if same and len(texts) < 2:
+                ((entry.definition, entry.idl),) = texts or {("", False)}
+                return entry
+        entries.append(TopicLog(like.msgtype, like.definition, like.idl, like.encoding))
+        return entries[-1]
+
     def check_topics(self, path: Path) -> None:
-        """Raise InputError if there are too many topics."""
+        """Raise InputError if there are too many topics, or definitions of one."""
         if len(self.topics) > TOPICS:
             raise refused("contains too many topics", TOPICS, "split it", file=path)
+        if any(len(entries) > DEFINITIONS for entries in self.topics.values()):
+            what, remedy = "defines a topic in too many ways", "split it"
+            raise refused(what, DEFINITIONS, remedy, file=path)
 
     def sort(self) -> None:
         """Sort messages by the recorder's clock, as readers of bags do."""
-        for topic in self.topics.values():
+        for topic in itertools.chain.from_iterable(self.topics.values()):
             times = topic.received_ns
             order = sorted(range(len(times)), key=times.__getitem__)
             topic.received_ns = [times[index] for index in order]
@@ -66,12 +97,11 @@ class Log:
 
     def extend(self, later: Log) -> None:
         """Append a later file of the same recording."""
-        for name, topic in later.topics.items():
-            mine = self.topics.setdefault(name, TopicLog(topic.msgtype))
-            if not mine.definition:
-                mine.definition, mine.idl = topic.definition, topic.idl
-            mine.received_ns += topic.received_ns
-            mine.messages += topic.messages
+        for name, entries in later.topics.items():
+            for entry in entries:
+                mine = self.topic(name, entry)
+                mine.received_ns += entry.received_ns
+                mine.messages += entry.messages
         if later.first_ns is not None and later.last_ns is not None:
             self.count(later.n_messages, later.first_ns, later.last_ns)
         self.damage += later.damage
