@@ -1,6 +1,7 @@
 """Tuning files: written and read back; errors name every mistake."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.excitation import Excitation
 from airpuck.control.laws import LAWS
 from airpuck.control.lqr import point_mass, regulator
 from airpuck.control.reference import SetPoint
@@ -25,6 +27,7 @@ from airpuck.control.tuning import (
     tuning_for,
 )
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
+from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import nominal_model
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -235,15 +238,45 @@ def test_a_slowed_regulator_does_the_same_more_slowly():
 
 def test_only_a_much_slower_craft_gets_another_tuning():
     vehicle = default_vehicle()
-    assert tuning_for(vehicle) == default_tuning()
-    heavy = vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg})
+    assert tuning_for(nominal_model(vehicle)) == default_tuning()
+    heavy = nominal_model(vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg}))
     assert tuning_for(heavy).weights.speed > default_tuning().weights.speed
+
+
+def test_the_estimator_expects_the_noise_of_the_models_recordings():
+    cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3, stamp_jitter_s=1e-3)
+    model = replace(nominal_model(default_vehicle()), cameras=cameras)
+    tuned = tuning_for(model).estimation
+    # Half of a flight's largest speeds, 0.4 m/s and 2 rad/s, times a millisecond.
+    assert tuned.position_m == pytest.approx(5e-4)
+    assert tuned.yaw_rad == pytest.approx(np.hypot(4e-3, 2e-3))
+    quiet = replace(model, cameras=cameras.model_copy(update={"stamp_jitter_s": 0.0}))
+    assert tuning_for(quiet).estimation.position_m == pytest.approx(3e-4)
+    exact = Cameras(rate_hz=120, position_noise_m=1e-6, yaw_noise_rad=1e-5)
+    assert tuning_for(replace(model, cameras=exact)) == default_tuning()
+
+
+def test_every_default_is_the_tuning_for_the_model():
+    cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3)
+    model = replace(nominal_model(default_vehicle()), cameras=cameras)
+    tuning = tuning_for(model)
+    assert TrackingController(model, SetPoint(0.1, 0, 0), compiled=False).tuning == tuning
+    controller = Excitation(model).controller
+    assert controller.tuning.estimation == tuning.estimation
+
+
+def test_a_tuning_file_may_state_only_differences_from_the_tuning_for_a_model(tmp_path):
+    cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3)
+    model = replace(nominal_model(default_vehicle()), cameras=cameras)
+    (tmp_path / "mine.toml").write_text('regulator.kind = "mpc"')
+    assert read_tuning(tmp_path / "mine.toml", model) == tuning_for(model).with_regulator("mpc")
+    assert read_tuning(tmp_path / "mine.toml") == default_tuning().with_regulator("mpc")
 
 
 def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
     for name in ("atmos", "freeflyer2"):
         vehicle = read_vehicle(EXAMPLES / f"free_flyers/{name}.toml")
-        tuning = tuning_for(vehicle)
+        tuning = tuning_for(nominal_model(vehicle))
         assert tuning.period_s == 0.1
         for kind in LAWS:
             TrackingController(

@@ -140,7 +140,7 @@ def test_the_command_exports_the_controller_that_other_commands_fly(tmp_path):
     heavy = FOUR.vehicle.model_copy(update={"mass_kg": 2.0})
     nominal_model(heavy).save(tmp_path / "slow.toml")
     airpuck("export", tmp_path / "slow.toml", "--to", "c", "-o", tmp_path)
-    slowed = tuning_for(heavy)
+    slowed = tuning_for(nominal_model(heavy))
     assert slowed != default_tuning()
     gain = initializer(regulator(slowed.weights, slowed.period_s))
     assert f".gain = {gain}" in (tmp_path / "airpuck_data.c").read_text()

@@ -62,6 +62,12 @@ standard_deviation_s = 0.004
 standard_error_s = 0.001
 packets = 40
 
+[cameras]
+rate_hz = 120.0
+position_noise_m = 1.5e-4
+yaw_noise_rad = 1.8e-3
+stamp_jitter_s = 3e-4
+
 [vehicle]
 name = "two fans"
 mass_kg = 0.1
@@ -106,6 +112,7 @@ def test_a_file_with_the_delay_beside_the_parameters_is_read(older):
     assert model.uncertainty.bootstrap.upper[-1] == 0.0211
     assert model.standard_error(lambda m: m.transport_delay) == pytest.approx(1e-4)
     assert model.delay_jitter.packets == 40
+    assert model.cameras.stamp_jitter_s == 3e-4
     (inflow,) = model.dynamics.effects
     assert inflow.coefficient == 0.125
 

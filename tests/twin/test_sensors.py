@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import kstest
 
 from airpuck.twin.sensors import EPOCH_NS, Sensor
+from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.examples import examples
 
@@ -18,6 +19,12 @@ NOISE = (1e-3, 2e-3, 5e-3)
 def sensor(seed=0, kind="pose", **values):
     defaults = {"rate": 240.0, "noise": (0.0,) * 3, "latency": (0.0, 0.0)}
     return Sensor(kind, **{**defaults, "rng": np.random.default_rng(seed), **values})
+
+
+def clock(offset, drift, step=0.0):
+    camera = default_twin_settings().motion_capture
+    update = {"clock_offset_s": offset, "clock_drift": drift, "stamp_step_s": step}
+    return camera.model_copy(update=update).stamped
 
 
 def measured(one, count, truth=(0.1, 0.2, 0.3)):
@@ -115,17 +122,26 @@ def test_in_a_gap_there_is_no_sample():
 
 
 def test_the_clock_has_an_offset_and_a_drift_but_the_recorder_has_not():
-    stream = measured(sensor(clock=(5.0, 1e-4), latency=(0.001, 0.0)), 240 * 20)
+    stream = measured(sensor(stamped=clock(5.0, 1e-4), latency=(0.001, 0.0)), 240 * 20)
     time = np.arange(240 * 20) / 240
     np.testing.assert_allclose(seconds(stream.stamp_ns), 5.0 + 1.0001 * time, atol=2e-9)
     np.testing.assert_allclose(seconds(stream.received_ns), time + 0.001, atol=2e-9)
 
 
 def test_the_controller_gets_the_stamp_of_the_sensors_clock():
-    one = sensor(clock=(5.0, 0.5), rate=10.0)
+    one = sensor(stamped=clock(5.0, 0.5), rate=10.0)
     measured(one, 3)
     stamps = [measurement.stamp for _, measurement in one.arrived(1.0)]
     np.testing.assert_allclose(stamps, [5.0, 5.15, 5.3])
+
+
+def test_stamps_in_whole_milliseconds_are_off_by_half_a_millisecond_at_most():
+    stream = measured(sensor(stamped=clock(0.0, 0.0, step=1e-3), rate=120.0), 1200)
+    stamps = 1e3 * seconds(stream.stamp_ns)
+    np.testing.assert_allclose(stamps, np.rint(stamps), atol=1e-5)
+    off = stamps - 1e3 * np.arange(1200) / 120
+    assert np.abs(off).max() < 0.5
+    assert np.std(off) == pytest.approx(0.29, abs=0.03)
 
 
 def test_what_is_delivered_is_what_is_logged():

@@ -26,7 +26,7 @@ from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.campaigns.fingerprint import of_file, of_recording, program
 from airpuck.control.laws import check_law
 from airpuck.control.settings import DWELL, ControllerKind, Duration, Dwell, Hold
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, default_tuning, tuning_for
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.identification.settings import Degree, Loss, Stride
 from airpuck.model.model_file import Model, read_model
@@ -44,8 +44,6 @@ if TYPE_CHECKING:
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
 #: Figures by name.
 Row = dict[str, Figure]
-
-
 #: Longest total flight time of a fleet [s], about a gigabyte.
 _MOST_FLOWN = 100_000
 
@@ -71,7 +69,15 @@ def _known_rung(name: str) -> str:
 
 
 TwinTable = Annotated[TwinSettings, _laid_over(default_twin_settings)]
-TuningTable = Annotated[Tuning, _laid_over(default_tuning)]
+
+
+def _tuning(table: dict[str, Any], usual: Tuning) -> Tuning:
+    """Complete a table that lists only differences from the model's usual tuning."""
+    return checked(laid_over(usual.model_dump(mode="json"), table), Tuning)
+
+
+_VALID = pydantic.AfterValidator(lambda table: _tuning(table, default_tuning()) and table)
+TuningTable = Annotated[dict[str, Any], _VALID]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
@@ -185,23 +191,23 @@ class Tracking(TwinItem):
     #: ``paper``, or ``full``, which also compensates the delay and rejects disturbances: the
     #: default of ``mpc``.
     controller: ControllerKind = None
-    #: Tuning, which overrides the packaged tuning.
-    tuning: TuningTable = pydantic.Field(default_factory=default_tuning)
+    #: Tuning, which overrides the tuning for the model.
+    tuning: TuningTable = pydantic.Field(default_factory=dict)
     #: By default the law of the tuning file.
     regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
 
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""
-        truth = self.craft()
+        model = read_model(self.model)
         (flown,) = airpuck.tracking_study(
-            [read_model(self.model)],
-            truth,
+            [model],
+            self.craft(),
             dwell=self.dwell_s,
             seed=self.seed,
             controller=self.controller,
             regulators=() if self.regulator is None else (self.regulator,),
             settings=self.twin,
-            tuning=self.tuning,
+            tuning=_tuning(self.tuning, tuning_for(model)),
         )
         return [{**flight_figures(flown), "clearance_m": float(flown.clearance.min())}]
 
@@ -321,8 +327,7 @@ class Fitting(Identification):
         if self.resamplings:
             return self._resampled()
         fit = self.fit()
-        row = {**_progress(fit), "windows": float(fit.windows)}
-        row |= _labelled(fit.model, fit.model.parameters)
+        row = {**_progress(fit), "windows": float(fit.windows)} | _labelled(fit.model)
         if self.validation is not None:
             row |= named("rmse", airpuck.evaluate(fit.model, self._load(self.validation)).rmse)
         return [row]
@@ -488,7 +493,8 @@ def _progress(fit: Fit) -> Row:
     return {name: float(getattr(fit, name)) for name in ("loss", "iterations", "converged")}
 
 
-def _labelled(model: Model, parameters: Parameters) -> Row:
-    """Return the parameters by label."""
-    labels = parameters.labels(model.vehicle.propeller_names)
-    return dict(zip(labels, parameters.to_vector().tolist(), strict=True))
+def _labelled(model: Model, parameters: Parameters | None = None) -> Row:
+    """Return the parameters, by default the model's, by label."""
+    labels = model.parameters.labels(model.vehicle.propeller_names)
+    vector = (model.parameters if parameters is None else parameters).to_vector()
+    return dict(zip(labels, vector.tolist(), strict=True))

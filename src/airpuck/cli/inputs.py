@@ -127,8 +127,11 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
     from airpuck.control.lqr import regulator
     from airpuck.control.tuning import default_tuning, tuning_for
 
-    usual = tuning_for(models[0].vehicle) if models else default_tuning()
-    tuning = usual if path is None else airpuck.read_tuning(path)
+    usual = tuning_for(models[0]) if models else default_tuning()
+    tuning = usual if path is None else airpuck.read_tuning(path, *models[:1])
+    if models and models[0].fit and models[0].cameras is None:
+        words = "does not state the noise of its recordings; the controller assumes the packaged "
+        warn([f"the model {models[0].name} {words}noise: identify it again"])
     tuning = tuning if kind is None else tuning.with_regulator(kind)
     if path is not None:
         with about(path):

@@ -93,7 +93,11 @@ Span = Annotated[
 ]
 TuningFile = Annotated[
     Path | None,
-    Setting("Controller tuning; by default the packaged one.", metavar="FILE", option="--tuning"),
+    Setting(
+        "Controller tuning; by default the packaged one, adapted to the model.",
+        metavar="FILE",
+        option="--tuning",
+    ),
 ]
 PageFolder = Annotated[Path | None, output("DIR", "Also write a page with figures.")]
 NewBag = Annotated[Path, output("BAG", "New folder to record to.")]

@@ -15,7 +15,7 @@ from airpuck.control.law import Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
@@ -47,8 +47,8 @@ class Excitation(Pilot):
     reference : Reference, optional
         Reference of the controller; by default the centre of the table.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one. The law is always the LQR, whatever
-        the tuning names.
+        Tuning of the controller; by default the one for the model. The law is always the LQR,
+        whatever the tuning names.
     amplitude : float or sequence of float, default 1
         Largest signal, either one number for all or one each: first the pairs, then the propellers
         without a partner, each in the vehicle's order. Individual values may be 0.
@@ -98,7 +98,7 @@ class Excitation(Pilot):
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
             reference or SetPoint(0.0, 0.0, 0.0),
             # The signals are added to the regulator's commands, which do not foresee them.
-            (tuning or default_tuning()).with_regulator("lqr"),
+            (tuning or tuning_for(model)).with_regulator("lqr"),
             reject_disturbance=False,
             compensate_delay=False,
         )

@@ -36,7 +36,7 @@ def longest_pause(model: Model, tuning: Tuning) -> float:
     at which a pose counts as a jump. A slow craft may coast for longer, but never for more than six
     frames. Three frames are always allowed: a slower camera cannot fly the craft.
     """
-    rate = tuning.estimation.camera_hz
+    rate = tuning.estimation.camera_hz or (model.cameras and model.cameras.rate_hz)
     frame = 1 / rate if rate else float(model.fit.get("sample_period_s", 1 / _USUAL_RATE))
     pushes = np.asarray(model.dynamics.configuration)[:2]
     pushes = pushes * np.asarray(model.dynamics.thrust).sum(axis=1)

@@ -21,7 +21,7 @@ from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
 from airpuck.control.reference import Numbers, Reference, check_inside
-from airpuck.control.tuning import Estimation, Tuning, default_tuning
+from airpuck.control.tuning import Estimation, Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
@@ -46,7 +46,7 @@ class TrackingController(Pilot):
     reference : Reference
         Reference to track; may be replaced at any time.
     tuning : Tuning, optional
-        Tuning; by default the packaged one.
+        Tuning; by default the one for the model.
     table : Table, optional
         The table whose rails a predictive law avoids; by default the paper's.
     gain : array, shape (3, 6), optional
@@ -93,7 +93,7 @@ class TrackingController(Pilot):
         compensate_delay: bool = True,
         compiled: bool = True,
     ) -> None:
-        tuning = tuning or default_tuning()
+        tuning = tuning or tuning_for(model)
         vehicle = model.vehicle
         check_steerable(model)
         if gain is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from typing import Annotated, Any, Literal
 
@@ -21,8 +22,9 @@ from airpuck.boundary.files import (
 from airpuck.boundary.kinds import unknown
 from airpuck.control.laws import check_law
 from airpuck.craft.actuators import OnOff
-from airpuck.craft.vehicle import Vehicle
 from airpuck.estimate.axis_filter import Noise
+from airpuck.model.cameras import Cameras
+from airpuck.model.model_file import Model
 from airpuck.preprocessing.time_scale import patience
 
 #: Estimators by name.
@@ -30,6 +32,9 @@ ESTIMATORS = ("kalman", "actuation")
 #: A craft that takes this many times as long for the same motion needs a slower controller: one
 #: actuator accelerates it by less than 0.9 m/s².
 _SLOW = 2.0
+#: Speeds on the way to a set point, at which errors of stamps become errors of poses: half of the
+#: largest ones of the paper's flights [m/s, rad/s].
+_FLOWN_SPEED, _FLOWN_SPIN = 0.4, 2.0
 #: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
 MOST_STEPS, _MOST_DISCS = 80, 8
 
@@ -324,6 +329,27 @@ class Tuning(Section):
         estimation = self.estimation.model_copy(update=changed)
         return self.model_copy(update={"estimation": estimation})
 
+    def with_noise_of(self, cameras: Cameras) -> Tuning:
+        """Return the tuning for the noise of some cameras, if it exceeds the tuning's own.
+
+        Parameters
+        ----------
+        cameras : Cameras
+            Noise and stamp errors; the latter count at the speeds of a flight.
+
+        Returns
+        -------
+        Tuning
+            A copy.
+        """
+        own, jitter = self.estimation, cameras.stamp_jitter_s
+        changed = {
+            "position_m": math.hypot(cameras.position_noise_m, _FLOWN_SPEED * jitter),
+            "yaw_rad": math.hypot(cameras.yaw_noise_rad, _FLOWN_SPIN * jitter),
+        }
+        changed = {name: max(noise, getattr(own, name)) for name, noise in changed.items()}
+        return self.model_copy(update={"estimation": own.model_copy(update=changed)})
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the tuning as TOML.
 
@@ -336,13 +362,15 @@ class Tuning(Section):
         write_toml(path, content, header="An airpuck controller tuning.")
 
 
-def read_tuning(path: str | os.PathLike[str]) -> Tuning:
+def read_tuning(path: str | os.PathLike[str], model: Model | None = None) -> Tuning:
     """Read a tuning file.
 
     Parameters
     ----------
     path : path-like
-        A TOML file; omitted fields keep the packaged values.
+        A TOML file; omitted fields keep the values of the default tuning.
+    model : Model, optional
+        The controller's model, to which the default is adapted; without it, the packaged tuning.
 
     Returns
     -------
@@ -361,7 +389,7 @@ def read_tuning(path: str | os.PathLike[str]) -> Tuning:
     >>> airpuck.read_tuning("tuning.toml").regulator.kind
     'mpc'
     """
-    return read_toml(path, Tuning, base=default_tuning())
+    return read_toml(path, Tuning, base=default_tuning() if model is None else tuning_for(model))
 
 
 def default_tuning() -> Tuning:
@@ -369,14 +397,28 @@ def default_tuning() -> Tuning:
     return read_packaged("tuning.toml", Tuning)
 
 
-def tuning_for(vehicle: Vehicle) -> Tuning:
-    """Return the packaged tuning for a craft: slowed down if it is much slower than the paper's.
+def tuning_for(model: Model) -> Tuning:
+    """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
-    A craft that has its own PWM gets one duty cycle for each of its periods. The predictive law's
-    steps are then no shorter, and as many.
+    A craft that is much slower than the paper's gets a slower controller. A craft that has its own
+    PWM gets one duty cycle for each of its periods; the predictive law's steps are then no shorter,
+    and as many. The estimator expects the noise that the model's recordings showed, if it is
+    larger than the packaged noise.
+
+    Parameters
+    ----------
+    model : Model
+        The controller's model.
+
+    Returns
+    -------
+    Tuning
+        The tuning.
     """
-    slower, kind = patience(vehicle), vehicle.actuation.kind
+    slower, kind = patience(model.vehicle), model.vehicle.actuation.kind
     tuning = default_tuning().slowed(slower) if slower > _SLOW else default_tuning()
+    if model.cameras is not None:
+        tuning = tuning.with_noise_of(model.cameras)
     period = kind.pwm_period_s if isinstance(kind, OnOff) else None
     if period is None:
         return tuning

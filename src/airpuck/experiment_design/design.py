@@ -15,7 +15,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import plain
 from airpuck.control.settings import Criterion, ExcitationPlan, ProposedDuration, ProposedMargin
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.experiment_design.forecast import (
     HELD,
     ComparedQuantities,
@@ -155,7 +155,7 @@ def design(
     settings : TwinSettings, optional
         Settings of the twin; by default the packaged ones.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one.
+        Tuning of the controller; by default the one for the model.
     processes : int, optional
         By default one per core. The result does not depend on it.
     progress : callable, optional
@@ -188,7 +188,7 @@ def design(
         ...
     airpuck.boundary.errors.InputError: ...
     """
-    tuning, settings = tuning or default_tuning(), settings or default_twin_settings()
+    tuning, settings = tuning or tuning_for(model), settings or default_twin_settings()
     check_seed(seed)
     if not model.free.any():
         raise InputError("has no learned parameters; use an identified model", file=model.name)

@@ -37,6 +37,7 @@ _UNITS = {
 _REFUSED = (
     "radio.outages_s",
     *(f"motion_capture.{name}" for name in ("gaps_s", "clock_offset_s", "clock_drift")),
+    "motion_capture.stamp_step_s",
     "effects.battery_sag_1_s",
     "motors",
 )

@@ -126,7 +126,7 @@ def write(
     folder : path-like
         Folder for the files; created if necessary.
     tuning : Tuning, optional
-        The controller's tuning, for kinds with a controller; by default the packaged one.
+        The controller's tuning, for kinds with a controller; by default the one for the model.
     twin : TwinSettings, optional
         Table, sensors and radio, for kinds with a simulation; by default the packaged ones.
     plan : Plan, optional
@@ -144,13 +144,13 @@ def write(
     InputError
         If the kind is unknown, does not use an input that is given, or cannot represent the model.
     """
-    from airpuck.control.tuning import default_tuning
+    from airpuck.control.tuning import tuning_for
     from airpuck.twin.settings import default_twin_settings
 
     check_given(kind, tuning=tuning, twin=twin, plan=plan)
     target = Path(folder)
     check_output(target, "folder")
-    settings = tuning or default_tuning(), twin or default_twin_settings()
+    settings = tuning or tuning_for(model), twin or default_twin_settings()
     subject = Subject(model, *settings, plan)
     # Files can only be moved within one file system, and an existing folder may be the root of one.
     near = target.absolute() if target.is_dir() else target.absolute().parent

@@ -14,7 +14,7 @@ from airpuck.control.law import Status
 from airpuck.control.lqr import LQR, look_ahead, motor_lag
 from airpuck.control.reference import Target
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
 from airpuck.model.model_file import Model
@@ -159,7 +159,7 @@ def replay(
     model : Model
         The controller's model of the craft.
     tuning : Tuning, optional
-        Tuning; by default the packaged one.
+        Tuning; by default the one for the model.
     fit_gains : bool, default False
         Whether to fit the regulator's four gains to the recorded commands first.
     compensate_delay, reject_disturbance : bool, default False
@@ -183,7 +183,7 @@ def replay(
     >>> result.correlation.shape
     (6,)
     """
-    tuning = tuning or default_tuning()
+    tuning = tuning or tuning_for(model)
     if fit_gains and tuning.regulator.kind != "lqr":
         problem = "only the LQR has gains; use --regulator lqr"
         raise InputError(problem, field="--fit-gains")

@@ -19,7 +19,7 @@ from airpuck.control.mpc import MPC
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Rendezvous, SetPoint
 from airpuck.control.tracking import TrackingController, check_steerable
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, default_tuning, tuning_for
 from airpuck.craft.actuators import OnOff
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement
@@ -92,7 +92,7 @@ class Player(Pilot):
     side : {-1, 1}, default -1
         Sign of the x of its half.
     tuning : Tuning, optional
-        Tuning of the controller, whose predictive law is used; by default the packaged one.
+        Tuning of the controller, whose predictive law is used; by default the one for the model.
     seed : int, default 0
         Seed of the noise of its shots.
     opponent_radius : float, optional
@@ -151,7 +151,7 @@ class Player(Pilot):
         self.filter = PuckFilter(equipment, learns=learns)
         self._times = slower(minimal_times_of(model), level.thrust)
         self.pitch = pitch_of(model, equipment, self._times, opponent_radius)
-        controls = _predictive(tuning or default_tuning())
+        controls = _predictive(tuning or tuning_for(model))
         self._controller = TrackingController(
             weakened(model, level.thrust), SetPoint(*self.pitch.home, 0.0), controls
         )

@@ -17,6 +17,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.adam import Adam
+from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
@@ -335,6 +336,7 @@ def judge(solution: Solution, began: float) -> Fit:
         source=", ".join("/".join(Path(t.source).parts[-2:]) for t in problem.trajectories),
         delay_jitter=delay_jitter(solution.packets),
     )
+    model = replace(model, cameras=cameras_of(model, solution.trajectories))
     known = without_meaningless(_uncertainty(solution, quadratic, model), parameters)
     model = replace(model, uncertainty=known)
     return Fit(

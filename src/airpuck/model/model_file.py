@@ -23,6 +23,7 @@ from airpuck.boundary.parsing import load_toml
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import read_params_json, read_params_yaml
+from airpuck.model.cameras import Cameras
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import (
@@ -73,6 +74,8 @@ class Model:
         Uncertainty of the parameters, if they were learned here.
     delay_jitter : DelayJitter or None
         Spread of the transport delay between packets, if it was learned here.
+    cameras : Cameras or None
+        Rate, noise and stamp errors of those poses; default tunings follow them.
 
     Raises
     ------
@@ -100,6 +103,7 @@ class Model:
     source: str = ""
     uncertainty: Uncertainty | None = None
     delay_jitter: DelayJitter | None = None
+    cameras: Cameras | None = None
 
     def __post_init__(self) -> None:
         self.parameters.check(self.vehicle.n_propellers)
@@ -433,6 +437,7 @@ def _from_file(content: ModelFile) -> Model:
         uncertainty=content.uncertainty
         and read_uncertainty(content.uncertainty, parameters, content.vehicle),
         delay_jitter=content.delay_jitter,
+        cameras=content.cameras,
     )
 
 
@@ -486,11 +491,5 @@ def published_model(name: str) -> Model:
 
 def nominal_model(vehicle: Vehicle) -> Model:
     """Return the model of a craft that has not flown: the nominal values of its vehicle."""
-    parameters = nominal_parameters(vehicle)
-    return Model(
-        name="nominal",
-        vehicle=vehicle,
-        parameters=parameters,
-        free=parameters.mask(frozenset()),
-        source=f"nominal values of {vehicle.name}",
-    )
+    parameters, source = nominal_parameters(vehicle), f"nominal values of {vehicle.name}"
+    return Model("nominal", vehicle, parameters, parameters.mask(frozenset()), source=source)

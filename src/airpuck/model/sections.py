@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
+from airpuck.model.cameras import Cameras
 from airpuck.model.parameters import Parameters
 from airpuck.model.quantities import QUANTITIES, Rows
 from airpuck.model.uncertainty import Bootstrap, DelayJitter, Uncertainty
@@ -62,8 +63,9 @@ def model_content(model: Any) -> dict[str, Any]:
     if model.known is not None:
         known = uncertainty_content(model.known, model.parameters, model.vehicle)
         content["uncertainty"] = known
-    if model.delay_jitter is not None:
-        content["delay_jitter"] = model.delay_jitter.model_dump()
+    for name in ("delay_jitter", "cameras"):
+        if (section := getattr(model, name)) is not None:
+            content[name] = section.model_dump()
     content["vehicle"] = model.vehicle.model_dump(mode="json")
     return content
 
@@ -190,6 +192,8 @@ class ModelFile(Section):
     uncertainty: UncertaintySection | None = None
     #: Of a learned delay: how much it differs between packets.
     delay_jitter: DelayJitter | None = None
+    #: The poses that it was learned from; controllers are tuned to them.
+    cameras: Cameras | None = None
     #: The vehicle file.
     vehicle: Vehicle
 

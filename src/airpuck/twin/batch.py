@@ -158,8 +158,7 @@ class TwinBatch:
         there = self._arrival <= self._period * self.steps
         latest = np.where(there, self._number, -1).argmax(axis=0)
         capture = self.settings.motion_capture
-        time = self._number[latest, self._rows] / capture.rate_hz
-        stamp = (1 + capture.clock_drift) * time + capture.clock_offset_s
+        stamp = capture.stamped(self._number[latest, self._rows] / capture.rate_hz)
         return np.asarray(there.any(axis=0)), stamp, self._poses[latest, self._rows]
 
     def _measure(self, rows: Int[np.ndarray, " R"]) -> None:

@@ -16,7 +16,7 @@ from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.flight.loop import FlightLog, fly
 from airpuck.flight.pilot import PilotMaker
 from airpuck.model.model_file import Model, nominal_model
@@ -71,7 +71,7 @@ def excite(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one.
+        Tuning of the controller; by default the one for the model.
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
 
@@ -112,9 +112,9 @@ def fly_excitation(
     plant: Plant | None = None,
 ) -> Excited:
     """Fly an excitation experiment, and record its smallest distance to the rails; see `excite`."""
-    _check_duration(plan.duration_s, tuning)
     settings = settings or default_twin_settings()
-    tuning = (tuning or default_tuning()).with_camera(settings.motion_capture.rate_hz)
+    tuning = (tuning or tuning_for(model)).with_camera(settings.motion_capture.rate_hz)
+    _check_duration(plan.duration_s, tuning)
     twin = Twin(model, settings, seed=seed, plant=plant)
     pilot = Excitation(
         nominal_model(model.vehicle),
@@ -174,7 +174,7 @@ def track(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one.
+        Tuning of the controller; by default the one for the model.
     plant : Plant, optional
         From `airpuck.twin.twin.build_plant`, to compile only once.
     make_pilot : callable, optional
@@ -199,6 +199,7 @@ def track(
     >>> "reference" in recording.streams
     True
     """
+    tuning = tuning or tuning_for(model)
     _check_duration(duration, tuning)
     if gain is not None:
         gain = numbers_of(gain, (3, 6), "gain")
@@ -215,22 +216,20 @@ def track(
         pilot = TrackingController(
             model,
             reference,
-            (tuning or default_tuning()).with_camera(twin.settings.motion_capture.rate_hz),
+            tuning.with_camera(twin.settings.motion_capture.rate_hz),
             table=twin.settings.table,
             gain=gain,
             compensate_delay=compensate_delay,
             reject_disturbance=reject_disturbance,
         )
-    period = (tuning or default_tuning()).period_s
-    log = fly(pilot, twin, duration, period, on_board=on_board)
+    log = fly(pilot, twin, duration, tuning.period_s, on_board=on_board)
     source = f"{model.name} tracking on a twin of {truth.name}, seed {seed}"
     return replace(twin.recording(), source=source), log
 
 
-def _check_duration(duration: float, tuning: Tuning | None) -> None:
+def _check_duration(duration: float, tuning: Tuning) -> None:
     """Raise InputError for a flight shorter than a control period, or far too long."""
     numbers.FLIGHT_DURATION.check(duration, "duration")
-    period = (tuning or default_tuning()).period_s
-    if duration < period:
-        words = f"must be at least the controller's period, {period:g} s"
+    if duration < tuning.period_s:
+        words = f"must be at least the controller's period, {tuning.period_s:g} s"
         raise InputError(words, field="duration")

@@ -12,7 +12,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
@@ -116,7 +116,7 @@ def race(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one.
+        Tuning of the controller; by default the one for the model.
     progress : callable, optional
         Called with the number of flights done and the total.
 
@@ -138,7 +138,7 @@ def race(
         )
     _check_same_craft(planned, truth)
     settings = settings or default_twin_settings()
-    tuning = tuning or default_tuning()
+    tuning = tuning or tuning_for(planned.model)
     plant = build_plant(truth, settings)
     goal = planned.samples[1][-1]
     ends = SetPoints([0.0, _LEAD], [planned.states[0, :3], goal[:3]])

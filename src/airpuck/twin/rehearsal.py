@@ -43,7 +43,7 @@ _MOST_FRAMES = 240.0
 
 def settles(model: Model, craft: Model, settings: TwinSettings) -> bool:
     """Return whether the controller designed from a model brings a craft to rest at the goal."""
-    tuning = tuning_for(model.vehicle)
+    tuning = tuning_for(model)
     # NumPy, since compiling a program for one flight takes longer than it saves.
     pilot = TrackingController(model, SetPoint(*GOAL), tuning, table=settings.table, compiled=False)
     plant = build_plant(craft, settings, compiled=False)

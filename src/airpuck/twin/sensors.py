@@ -35,8 +35,8 @@ class Sensor:
     dropped: float = 0.0
     #: Intervals without samples [s].
     gaps: tuple[tuple[float, float], ...] = ()
-    #: Clock offset [s] and drift.
-    clock: tuple[float, float] = (0.0, 0.0)
+    #: Stamp of a sample at a time on the recorder's clock.
+    stamped: Callable[[float], float] = float
     #: Whether to store delivered samples.
     logs: bool = True
 
@@ -69,8 +69,7 @@ class Sensor:
         if self.kind in POSES:
             values[2] = (values[2] + math.pi) % (2 * math.pi) - math.pi
         arrival = self._last_arrival = max(time + self.latency[0] + late, self._last_arrival)
-        stamp = (1 + self.clock[1]) * time + self.clock[0]
-        self._logged.append((stamp, arrival, values))
+        self._logged.append((self.stamped(time), arrival, values))
 
     def arrived(self, now: float) -> list[tuple[float, Measurement]]:
         """Return the measurements that have arrived since the last call."""
@@ -146,7 +145,7 @@ def pose_sensor(
         rng=np.random.default_rng([seed, number]),
         dropped=capture.dropped,
         gaps=capture.gaps_s,
-        clock=(capture.clock_offset_s, capture.clock_drift),
+        stamped=capture.stamped,
         logs=logs,
     )
 

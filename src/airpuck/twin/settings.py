@@ -66,6 +66,14 @@ class MotionCapture(Section):
     #: Stamps are (1 + drift) t + offset, where t is the recorder's time.
     clock_offset_s: float = 0.0
     clock_drift: float = 0.0
+    #: Stamps are rounded to multiples of this; 0: exact.
+    stamp_step_s: NonNegative = 0.0
+
+    def stamped(self, time: Any) -> Any:
+        """Return the stamps of frames at these times on the recorder's clock."""
+        stamp = (1 + self.clock_drift) * time + self.clock_offset_s
+        step = self.stamp_step_s
+        return np.rint(stamp / step) * step if step else stamp
 
 
 class OnBoard(Section):

@@ -16,7 +16,7 @@ from airpuck.control.laws import law_label
 from airpuck.control.lqr import regulator
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.settings import DWELL, ControllerKind, Dwell
-from airpuck.control.tuning import Tuning, default_tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import FlightLog
@@ -180,7 +180,7 @@ def tracking_study(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the packaged ones.
     tuning : Tuning, optional
-        Tuning of the controller; by default the packaged one.
+        Tuning of the controller; by default the one for the model.
     make_pilot : callable, optional
         Factory of a user's pilot from (model, reference), which replaces the controller.
 
@@ -201,12 +201,12 @@ def tracking_study(
     >>> bool(0 < flown.clearance.min() < 0.55)  # [m] from the rails
     True
     """
-    tuning = tuning or default_tuning()
     settings = settings or default_twin_settings()
     border = settings.table.reach(truth.vehicle.radius_m)
     if set_points is not None:
         check_inside(set_points, border, "the rails")
-    laws = regulators or (tuning.regulator.kind,)
+    tunings = [tuning or tuning_for(model) for model in models]
+    laws = regulators or tuple({one.regulator.kind: None for one in tunings})
     beyond_paper = set(laws) != {"lqr"}
     fly = partial(
         _flown,
@@ -218,13 +218,13 @@ def tracking_study(
     )
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
-    for model, flight in zip(models, padded, strict=True):
+    for model, flight, tuned in zip(models, padded, tunings, strict=True):
         task = _Task.planned(set_points, dwell)
         if flight is not None:
             task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
             label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
-            own, controls = make_pilot or pilot_named(kind), tuning.with_regulator(kind)
+            own, controls = make_pilot or pilot_named(kind), tuned.with_regulator(kind)
             found.append(fly(model, flight, task, label, tuning=controls, make_pilot=own))
     return found
 
