@@ -43,13 +43,13 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.flight.loop import fly
+from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
-from airpuck.twin.verdict import verdict
 
 #: Length of a recording and of a flight [s]; camera rate [Hz], half of the usual to halve the cost.
 RECORDED, FLOWN, RATE = 24.0, 3.0, 120.0

@@ -88,8 +88,8 @@ def pytest_runtest_setup() -> None:
 
 @pytest.fixture(autouse=True)
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let verdicts skip flights in simulation, which tests/twin/test_rehearsal.py tests."""
-    monkeypatch.setattr("airpuck.twin.verdict.failures", lambda *_: [])
+    """Let verdicts skip flights in simulation, which tests/judgement/test_rehearsal.py tests."""
+    monkeypatch.setattr("airpuck.judgement.verdict.failures", lambda *_: [])
 
 
 @pytest.fixture

@@ -35,6 +35,7 @@ ORDER = (
     "planning",
     "flight",
     "twin",
+    "judgement",
     "hockey",
     "experiment_design",
     "live",

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
+from airpuck.judgement.verdict import missed_motion, verdict
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
-from airpuck.twin.verdict import missed_motion, verdict
 
 from ..apparatus.examples import examples
 from ..apparatus.synthetic_flights import edited, record

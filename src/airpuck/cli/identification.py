@@ -233,7 +233,7 @@ def _judged(
     found: Evaluation | None,
 ) -> tuple[list[str], list[Table], dict[str, Any]]:
     """Assess a fit: return lines, tables, and figures for JSON."""
-    from airpuck.twin.verdict import verdict
+    from airpuck.judgement.verdict import verdict
 
     judged = verdict(fit.model, other or training[0], found)
     said = [*judged.sentences, *strengths.sentences]

@@ -55,7 +55,7 @@ def evaluate(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.coasting import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
-    from airpuck.twin.verdict import verdict
+    from airpuck.judgement.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
@@ -167,7 +167,7 @@ def faults(
 @app.command(rich_help_panel=PANEL)
 def present(model: options.ModelName, json_file: options.Json = None) -> None:
     """Present a model: structure, parameters with errors, derived quantities, fit details."""
-    from airpuck.twin.verdict import verdict
+    from airpuck.judgement.verdict import verdict
 
     read = airpuck.read_model(model)
     presentation, said = airpuck.present(read), verdict(read)
@@ -197,7 +197,7 @@ def compare(
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
-    from airpuck.twin.verdict import verdict
+    from airpuck.judgement.verdict import verdict
 
     chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)

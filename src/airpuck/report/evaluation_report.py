@@ -16,6 +16,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.coasting import coasting
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.fit_measures import FitMeasures, fit_text
+from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.fit_figures import thrust_figure
@@ -32,7 +33,6 @@ from airpuck.report.prediction_figures import (
     touched_by,
     worst_windows,
 )
-from airpuck.twin.verdict import Verdict, verdict
 
 #: Headings of errors in tables.
 _CHANNELS = ("x mm", "y mm", "γ rad")

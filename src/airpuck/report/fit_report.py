@@ -24,6 +24,7 @@ from airpuck.identification.selection import (
     selection_title,
     selection_words,
 )
+from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.report.craft import actuator_words, craft_section
@@ -52,7 +53,6 @@ from airpuck.report.page import (
     write_page,
 )
 from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
-from airpuck.twin.verdict import verdict
 
 #: Footnote on the standard errors in tables of parameters.
 _INTERVALS = (

@@ -18,6 +18,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
+from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import published_model
 from airpuck.report.craft import craft_section
 from airpuck.report.evaluation_report import (
@@ -38,7 +39,6 @@ from airpuck.report.page import (
 )
 from airpuck.report.parameter_table import ladder_table
 from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
-from airpuck.twin.verdict import verdict
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"

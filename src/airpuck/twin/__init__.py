@@ -1,4 +1,4 @@
 """The simulated table.
 
-Entry points: `plant.build_plant`, `twin.Twin`, `verdict.verdict`.
+Entry points: `plant.build_plant`, `twin.Twin`.
 """

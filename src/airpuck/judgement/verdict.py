@@ -22,10 +22,10 @@ from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect
+from airpuck.judgement.rehearsal import failures
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.parameters import LAG
 from airpuck.preprocessing.time_scale import patience
-from airpuck.twin.rehearsal import failures
 
 #: Largest relative standard error of an acceleration that control may request, and of the response
 #: time [s]: within both, all controllers of studies/verdicts.py settle. Times are for the paper's

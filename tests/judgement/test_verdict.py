@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from airpuck.evaluation.evaluate import evaluate
+from airpuck.judgement.verdict import missed_motion, verdict
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.twin.verdict import missed_motion, verdict
 
 from ..apparatus.synthetic_flights import fly
 
@@ -196,7 +196,7 @@ def test_numbers_have_the_digits_that_their_errors_allow(flight):
 
 
 def test_a_model_whose_controller_does_not_settle_is_not_trusted(flight, monkeypatch):
-    monkeypatch.setattr("airpuck.twin.verdict.failures", lambda *_: ["It does not settle."])
+    monkeypatch.setattr("airpuck.judgement.verdict.failures", lambda *_: ["It does not settle."])
     found = judged(MODEL, flight)
     assert found.outcome == "not_trusted"
     assert found.sentences[1] == "It does not settle."

@@ -8,8 +8,8 @@ import pytest
 
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
+from airpuck.judgement.rehearsal import as_seen, failures, like, settles
 from airpuck.model.model_file import Model, nominal_model, published_model
-from airpuck.twin.rehearsal import as_seen, failures, like, settles
 from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.synthetic_flights import fly
@@ -89,7 +89,7 @@ def test_a_controller_does_not_settle_without_a_motor():
 def test_what_is_said_names_the_cause(flight, monkeypatch, settled, told):
     """Flights: as seen; with good cameras; of the model itself."""
     outcomes = iter(settled)
-    monkeypatch.setattr("airpuck.twin.rehearsal.settles", lambda *_: next(outcomes))
+    monkeypatch.setattr("airpuck.judgement.rehearsal.settles", lambda *_: next(outcomes))
     said = failures(MODEL, flight, shown(MODEL, flight))
     assert next(outcomes, "no more flights") == "no more flights"
     assert len(said) == bool(told)
@@ -98,7 +98,7 @@ def test_what_is_said_names_the_cause(flight, monkeypatch, settled, told):
 
 def test_a_craft_that_settles_only_by_luck_is_not_trusted(flight, monkeypatch):
     """Without a motor nothing turns it one way: it drifts away again."""
-    monkeypatch.setattr("airpuck.twin.rehearsal.settles", lambda *_: True)
+    monkeypatch.setattr("airpuck.judgement.rehearsal.settles", lambda *_: True)
     motor = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
     [said] = failures(scaled(motor), flight, shown(MODEL, flight))
     assert said.startswith("No controller can hold the modelled craft")
