@@ -20,6 +20,7 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.preprocessing.window_regression import regress_windows
 from airpuck.twin.experiments import excite
 
+from ..apparatus.boats import boat, sail, zigzag
 from ..apparatus.examples import examples
 from ..apparatus.public_recordings import BLUE
 from ..apparatus.synthetic_flights import edited as with_edit
@@ -360,3 +361,39 @@ def test_an_effect_like_none_is_said_to_be():
 @pytest.mark.parametrize("angle", [-2.5, 0.0, 1.0])
 def test_a_rotation_is_found(angle):
     assert rotation(turned(EFFECTS, angle), EFFECTS) == pytest.approx(angle)
+
+
+def steady_turn(duration: float = 60.0):
+    """A voyage in which the propellers never change; the boat turns since one is faster."""
+    vehicle = boat()
+    return preprocess(sail(lambda *_: (0.45, 0.5), duration), vehicle), vehicle
+
+
+def test_commands_that_never_change_tell_nothing():
+    flight, vehicle = steady_turn()
+    check = check_layout(flight, vehicle)
+    assert not check.conclusive and not check.agrees
+    assert {one.verdict for one in check.propellers} == {"not judged"}
+    (remark,) = check.remarks
+    assert "the commands never change" in remark
+
+
+@pytest.mark.slow
+def test_a_zigzag_course_determines_neither_floor_nor_strengths():
+    vehicle = boat()
+    flight = preprocess(sail(zigzag(), 60.0), vehicle)
+    assert not [said for said in flight.warnings if "precedes" in said]
+    check = check_layout(flight, vehicle)
+    # The table is level and smooth, and the layout right, but drag explains the motion as well.
+    assert not check.floor and not check.remarks and not check.wrong
+    assert {one.verdict for one in check.propellers} == {layout_check.UNDETERMINED}
+
+
+@pytest.mark.slow
+def test_separate_changes_of_the_commands_determine_the_propellers():
+    levels = np.random.default_rng(3).uniform(0.2, 0.9, (120, 2))
+    vehicle = boat()
+    flight = preprocess(sail(lambda t, _: levels[int(t)], 120.0), vehicle)
+    check = check_layout(flight, vehicle)
+    assert check.agrees and not check.remarks
+    assert [one.strength for one in check.propellers] == pytest.approx([1.0, 1.0], abs=0.05)

@@ -42,6 +42,17 @@ def rotation(measured: Float[np.ndarray, "3 m"], expected: Float[np.ndarray, "3 
     return float(np.angle(np.vdot(_forces(expected), _forces(measured))))
 
 
+def rotation_error(
+    measured: Float[np.ndarray, "3 m"],
+    error: Float[np.ndarray, "3 m"],
+    expected: Float[np.ndarray, "3 m"],
+) -> float:
+    """Return the standard error of `rotation` [rad]."""
+    along = abs(np.vdot(_forces(expected), _forces(measured)))
+    across = np.abs(_forces(expected)) * np.hypot(*error[:2]) / np.sqrt(2)
+    return float(np.linalg.norm(across) / along) if along > 0 else np.inf
+
+
 def turned(effects: Float[np.ndarray, "3 m"], angle: float) -> Float[np.ndarray, "3 m"]:
     """Rotate forces; moments do not change."""
     cos, sin = np.cos(angle), np.sin(angle)

@@ -27,6 +27,7 @@ from airpuck.faults.effect_match import (
     match_effects,
     may_agree,
     rotation,
+    rotation_error,
     turned,
     unit_columns,
 )
@@ -44,6 +45,8 @@ _AS_GOOD = 0.8
 _LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
 #: Rotation of the whole layout that is worth mentioning [rad].
 _TURNED = 0.3
+#: Standard error above which that rotation counts as unknown [rad].
+_KNOWN_TURN = 0.15
 #: Standard error of the effect of a motor that never ran [1/kg].
 _UNKNOWN = 1e9
 #: If a verdict would need this multiple of the flight's length, the motors were barely used.
@@ -75,6 +78,9 @@ _DEAD = 0.5
 _NOTHING = 0.15
 #: Verdicts on propellers without thrust, and on propellers whose effect is still uncertain.
 DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
+#: Verdict on propellers whose thrust never changes on its own.
+UNDETERMINED = "undetermined: change its command independently of the others and of the motion"
+OPEN = UNCLEAR, UNDETERMINED
 
 
 @dataclass(frozen=True)
@@ -120,6 +126,8 @@ class LayoutCheck(Result):
     length_ratio: float = 1.0
     #: Inertia at which forces and moments agree, relative to the vehicle file's; 1 if it is close.
     inertia_ratio: float = 1.0
+    #: Whether no motor's thrust ever changes.
+    still: bool = False
     #: Usable time of poses and commands together [s].
     usable: float = np.inf
     #: Our x, y, z in terms of the file's axes, as in the mapping.
@@ -186,7 +194,7 @@ class LayoutCheck(Result):
             *self.signs.names,
             *(("the unit of length",) if self.length_ratio != 1 else ()),
             *(("the yaw's zero",) if any(p.verdict == _TURNS for p in self.propellers) else ()),
-            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS, UNCLEAR)),
+            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS, *OPEN)),
         )
 
     @property
@@ -196,6 +204,11 @@ class LayoutCheck(Result):
             return (
                 f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
                 f" s, but {_SHORTEST:g} s are needed; check the clocks and gaps of both",
+            )
+        if self.still:
+            return (
+                "too little to judge: the commands never change; use a recording in which every "
+                "motor was excited",
             )
         if not self.conclusive and 1 < self.longer < _TOO_LONG:
             return (
@@ -240,7 +253,7 @@ class LayoutCheck(Result):
             )
         verdicts = {p.verdict for p in self.propellers}
         # Swapped motors can look like a rotation, but the others would be turned, too.
-        swapped = "agrees" in verdicts and not verdicts <= {"agrees", UNCLEAR}
+        swapped = "agrees" in verdicts and not verdicts <= {"agrees", *OPEN}
         if abs(self.rotation) > _TURNED and not swapped:
             remarks.append(
                 f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
@@ -324,12 +337,13 @@ def _with_signs(
     inertia = forces_to_moments if ratio == 1 else 1.0
     measured[:2] /= ratio
     error[:2] /= ratio
+    turn, turn_error = rotation(measured, stated), rotation_error(measured, error, stated)
     check = LayoutCheck(
         propellers=(),
         explained=found.explained,
         p_value=found.p_value,
         delay=found.delay,
-        rotation=rotation(measured, stated),
+        rotation=turn if turn_error < _KNOWN_TURN else 0.0,
         signs=signs,
         length_ratio=ratio,
         inertia_ratio=inertia if max(inertia, 1 / inertia) > _POOR_INERTIA else 1.0,
@@ -339,7 +353,15 @@ def _with_signs(
         window=found.length,
     )
     check = replace(check, **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
-    return replace(check, propellers=_propeller_checks(measured, error, stated, names, check))
+    checks = _propeller_checks(measured, error, stated, names, check)
+    return replace(
+        check,
+        propellers=tuple(
+            replace(one, verdict=UNDETERMINED) if one.verdict == UNCLEAR and not known else one
+            for one, known in zip(checks, found.independent, strict=True)
+        ),
+        still=not np.isfinite(found.error).any(),
+    )
 
 
 def _floor(
@@ -433,6 +455,7 @@ def _unclear(
     reach = CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
     usual = float(np.median(along))
     verdicts = {}
+    usual = usual or 1.0
     for k, (middle, half) in enumerate(zip(along / usual, reach / abs(usual), strict=True)):
         dead = middle + half < _DEAD and middle - half < _NOTHING
         verdicts[k] = DEAD if dead else agrees if middle - half > 0 else UNCLEAR

@@ -12,12 +12,14 @@ from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.time_scale import smoothed_as_measured
-from airpuck.preprocessing.window_regression import LEVEL, regress_windows
+from airpuck.preprocessing.window_regression import LEVEL, WindowRegression, regress_windows
 
 #: Longest delay that the search covers.
 LONGEST_S = numbers.DELAY.high
 #: Correlation of modelled and measured accelerations above which commands cause the motion.
 _CAUSED = 0.5
+#: Least lead of the motion, in lengths of the windows whose mean accelerations show it.
+_EARLY = 0.25
 
 
 def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
@@ -28,15 +30,36 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
     shift, correlation = estimate_delay(trajectory, dynamics)
     if correlation < _CAUSED or not trajectory.delay_known:
         return None
+    if trajectory.delay + shift * trajectory.sample_period < 0 and not motion_precedes(
+        trajectory, dynamics
+    ):
+        return None
     return trajectory.delay + shift * trajectory.sample_period
 
 
 def commands_explain(trajectory: Trajectory, dynamics: Dynamics) -> bool:
     """Return whether commands explain the motion beyond chance, however small the fraction."""
+    return _explained(trajectory, dynamics) is not None
+
+
+def motion_precedes(trajectory: Trajectory, dynamics: Dynamics) -> bool:
+    """Return whether motion seems to begin before the commands that cause it.
+
+    Unlike in `estimate_delay`, drag may explain part of the motion. Where feedback makes commands
+    follow the motion, drag would otherwise look like an early effect of the next command.
+    """
+    found = _explained(trajectory, dynamics, before=True)
+    return found is not None and found.delay < -_EARLY * found.length
+
+
+def _explained(
+    trajectory: Trajectory, dynamics: Dynamics, *, before: bool = False
+) -> WindowRegression | None:
+    """Return the regression on thrusts; None if they explain no more than chance."""
     speed = motor_speeds(trajectory.time, trajectory.input, dynamics.lag)
     forces, effects = thrust(dynamics.thrust, speed.T), np.asarray(dynamics.configuration)
-    found = regress_windows(trajectory, forces, effects, LONGEST_S)
-    return found is not None and found.p_value < LEVEL
+    found = regress_windows(trajectory, forces, effects, LONGEST_S, before=before)
+    return found if found is not None and found.p_value < LEVEL else None
 
 
 def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, float]:

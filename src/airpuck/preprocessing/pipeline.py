@@ -18,7 +18,7 @@ from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.clock import Aligned, align_clocks
-from airpuck.preprocessing.delay import commands_explain, estimate_delay
+from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
 from airpuck.preprocessing.derivative import (
     acceleration,
     shortest_stretch,
@@ -249,7 +249,7 @@ def _compensate_delay(
     if delay is None:
         samples, correlation = estimate_delay(trajectory, nominal)
         found = correlation >= _NO_DELAY_BELOW
-        if samples < 0 and found:
+        if samples < 0 and found and motion_precedes(trajectory, nominal):
             warnings.append(
                 f"the motion precedes the commands by {-samples * trajectory.sample_period:.2g} s; "
                 "no delay was compensated: check the clocks of both streams"

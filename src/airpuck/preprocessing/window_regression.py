@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.physics.effects import CREEP, GRAVITY
@@ -34,6 +34,11 @@ _PER_MOTOR = 4
 _DELAYS = 7
 #: Eigenvalue of XᵀX, relative to the largest, below which a direction is undetermined.
 _RANK = 1e-12
+#: Fraction of a column's direction that may be undetermined by rounding.
+_WHOLE = 1e-6
+#: Fraction of a regressor's square that others must leave: what a model lacks would otherwise be
+#: taken for it, magnified. Excitations leave 13 % or more; a boat on a zigzag course, under 2 %.
+_INDEPENDENT = 0.04
 #: Probability of a wrong claim that commands explain the motion, over all delays and windows tried.
 LEVEL = 1e-3
 #: All windows but the last, and all but the first.
@@ -53,6 +58,8 @@ class _FTest:
     log_p: float
     #: Noncentrality of F if the slopes are as stated.
     stated: float
+    #: Fraction of each column's square that neither nuisance nor other columns reproduce.
+    alone: Float[np.ndarray, " k"]
 
     @classmethod
     def of(
@@ -65,11 +72,12 @@ class _FTest:
     ) -> _FTest:
         """Regress values of `count` windows on columns and nuisance columns; test the columns."""
         basis, axes = np.linalg.qr(nuisance)[0], len(nuisance) // count
+        squares = np.square(columns).sum(axis=0)
         columns = columns - basis @ (basis.T @ columns)
         values = values - basis @ (basis.T @ values)
-        size, directions = np.linalg.eigh(columns.T @ columns)
-        known = size > _RANK * max(size[-1], np.finfo(float).tiny)
-        rank, directions = int(known.sum()), directions[:, known] / np.sqrt(size[known])
+        size, axes_of = np.linalg.eigh(columns.T @ columns)
+        known = size > _RANK * max(squares.sum(), np.finfo(float).tiny)
+        rank, directions = int(known.sum()), axes_of[:, known] / np.sqrt(size[known])
         slope = directions @ (directions.T @ (columns.T @ values))
         left = values - columns @ slope
         fitted = columns @ slope
@@ -81,13 +89,20 @@ class _FTest:
         variance = max(rest / max(degrees, 1.0), np.finfo(float).tiny)
         ratio = float(max(total - rest, 0.0) / max(rank, 1) / variance) if degrees > 0 else 0.0
         spread = variance * np.sum(directions**2, axis=1)
-        # A motor that never ran has no effect to estimate.
-        error = np.where(np.abs(columns).max(axis=0) > 0, np.sqrt(spread), np.inf)
+        # An effect is unknown if the data miss any part of its direction, as of idle motors.
+        seen = np.sum(axes_of[:, known] ** 2, axis=1)
+        error = np.where(seen > 1 - _WHOLE, np.sqrt(spread), np.inf)
+        alone = np.where(np.isfinite(error), 1 / np.maximum(squares * spread / variance, 1.0), 0.0)
         free = len(values) - basis.shape[1]
         share = 1 - rest / max(free - rank, 1) / (total / free) if total > 0 else 0.0
         log_p = _log_p(ratio, rank, degrees) if rank and degrees > 0 else 0.0
         size = float(np.sum((columns @ stated) ** 2)) / variance
-        return cls(slope, error, max(share, 0.0), log_p, size)
+        return cls(slope, error, max(share, 0.0), log_p, size, alone)
+
+    @property
+    def independent_error(self) -> Float[np.ndarray, " k"]:
+        """Standard errors, infinite where other regressors explain nearly the same."""
+        return np.where(self.alone > _INDEPENDENT, self.error, np.inf)
 
 
 def _alike(values: Float[np.ndarray, " N"], axes: int) -> float:
@@ -130,7 +145,10 @@ class WindowRegression:
     length: float
     #: Logarithm of the probability that chance explains forces and moments as well.
     evidence: float
-    #: Coefficients of `tilt`, `dish` and `friction` in SI units, and standard errors.
+    #: Whether thrusts of each motor change independently of the others, and of the motion.
+    independent: Bool[np.ndarray, " n"]
+    #: Coefficients of `tilt`, `dish` and `friction` in SI units, and standard errors, infinite if
+    #: thrusts or drag can explain nearly the same.
     floor: dict[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]
     #: Size of the accelerations that each of them causes [m/s²].
     pulls: dict[str, float]
@@ -145,14 +163,18 @@ def regress_windows(
     forces: Float[np.ndarray, "n N"],
     stated: Float[np.ndarray, "3 n"],
     longest_delay: float,
+    *,
+    before: bool = False,
 ) -> WindowRegression | None:
     """Regress the motion on thrusts, with the delay and windows that explain it most clearly.
 
-    Returns None if the recording has too few windows.
+    Delays are also negative, as between disagreeing clocks, if motion `before` its cause is
+    possible. Returns None if the recording has too few windows.
     """
     period = trajectory.sample_period
     last = round(longest_delay / period)
     step = -(-(last + 1) // _DELAYS)
+    first = -last if before else 0
 
     def of(lengths: list[int], shifts: list[int]) -> list[WindowRegression]:
         return [
@@ -161,12 +183,14 @@ def regress_windows(
             for found in _of_length(trajectory, forces, stated, samples, shifts, last)
         ]
 
-    tried = of(_window_lengths(period), list(range(0, last + 1, step)))
+    tried = of(_window_lengths(period), list(range(first, last + 1, step)))
     if not tried:
         return None
     best = min(tried, key=lambda one: one.evidence)
     near = round(best.delay / period)
-    tried += of([round(best.length / period)], list(range(max(near - step + 1, 0), near + step)))
+    tried += of(
+        [round(best.length / period)], list(range(max(near - step + 1, first), near + step))
+    )
     best = min(tried, key=lambda one: one.evidence)
     longer = _longer(best.clearer, LEVEL / len(tried))
     return replace(best, p_value=min(1.0, best.p_value * len(tried)), longer=longer)
@@ -190,6 +214,8 @@ def _of_length(
     starts = trajectory.window_starts(samples, samples)
     # The same windows for all delays, up to the last, and one step beyond.
     starts = starts[starts >= 2 * last]
+    if shifts[0] < 0:
+        starts = starts[starts + samples + 2 * last <= len(trajectory)]
     count, n, period = len(starts), len(forces), trajectory.sample_period
     if count < _PER_MOTOR * n + 1:
         return
@@ -200,8 +226,12 @@ def _of_length(
     yaw = trajectory.state[index, 2]
     cos, sin, constant = weight * np.cos(yaw), weight * np.sin(yaw), np.ones((count, 1))
     table = np.kron(np.eye(2), constant)
-    # Drag and the propellers' inflow grow with the speed, unlike dry friction.
-    moving = np.einsum("mwi,w->im", trajectory.state[index, 3:5], weight).reshape(-1, 1)
+    # What a recording cannot tell from thrusts is no evidence of them: constant forces along the
+    # body, and drag, which grows with the speed, in a feedback loop also commands that follow it.
+    axes, velocity = _body_axes(yaw), trajectory.state[index, 3:5]
+    pushes = *axes, *(axes * np.sum(axes * velocity, axis=-1)[..., None])
+    body = np.stack([np.einsum("mwi,w->im", one, weight).reshape(-1) for one in pushes], axis=1)
+    spinning = np.hstack([constant, trajectory.state[index, 5] @ weight[:, None]])
     under = {"tilt": GRAVITY * table} | _floor_columns(trajectory.state[index], weight)
     for shift in shifts:
         force = forces[:, index - shift]
@@ -209,14 +239,19 @@ def _of_length(
         linear = np.block([[along, -across], [across, along]])
         turning = np.einsum("nmw,w->mn", force, weight)
         both = measured[:, :2].T.reshape(-1)
-        forward = _FTest.of(linear, both, table, stated[:2].reshape(-1), count)
-        spin = _FTest.of(turning, measured[:, 2], constant, stated[2], count)
-        causes = {"tilt": linear, "dish": np.hstack([linear, table])}
-        causes["friction"] = np.hstack([linear, table, moving])
+        forward = _FTest.of(linear, both, np.hstack([table, body]), stated[:2].reshape(-1), count)
+        spin = _FTest.of(turning, measured[:, 2], spinning, stated[2], count)
+        causes = {"tilt": np.hstack([linear, body]), "dish": np.hstack([linear, body, table])}
+        causes["friction"] = causes["dish"]
         tested = {
-            name: _FTest.of(under[name], both, nuisance, np.zeros(under[name].shape[1]), count)
-            for name, nuisance in causes.items()
+            name: _FTest.of(under[name], both, cause, np.zeros(under[name].shape[1]), count)
+            for name, cause in causes.items()
         }
+        floor = {name: (one.slope, one.independent_error) for name, one in tested.items()}
+        # Without drag a slope is known better, unless drag explains it as well.
+        tilt, error = floor["tilt"]
+        steep = _FTest.of(under["tilt"], both, linear, np.zeros(2), count).slope
+        floor["tilt"] = steep, error + np.abs(steep - tilt)
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
             error=np.vstack([forward.error.reshape(2, n), spin.error]),
@@ -225,10 +260,19 @@ def _of_length(
             delay=shift * period,
             length=samples * period,
             evidence=forward.log_p + spin.log_p,
-            floor={name: (one.slope, one.error) for name, one in tested.items()},
-            pulls={name: _size(under[name] @ one.slope, count) for name, one in tested.items()},
+            independent=np.isfinite(
+                np.vstack([forward.independent_error.reshape(2, n), spin.independent_error])
+            ).any(axis=0),
+            floor=floor,
+            pulls={name: _size(under[name] @ value, count) for name, (value, _) in floor.items()},
             clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
         )
+
+
+def _body_axes(yaw: Float[np.ndarray, "M W"]) -> Float[np.ndarray, "2 M W 2"]:
+    """Return the unit vectors forward and to the left."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)])
 
 
 def _floor_columns(
