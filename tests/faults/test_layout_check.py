@@ -79,6 +79,17 @@ def test_a_wrong_sign_is_named(flight):
     assert "other way" in wrong[0].verdict
 
 
+def test_directions_of_the_air_are_one_mistake(flight):
+    check = check_layout(
+        flight, edited(lambda _, p: p.model_copy(update={"direction_deg": p.direction_deg + 180}))
+    )
+    assert check.wrong == ("all directions",)
+    (remark,) = check.remarks
+    assert "not of the air" in remark
+    # Their strengths are those along the true direction.
+    assert min(one.strength for one in check.propellers) > 0.8
+
+
 @pytest.mark.parametrize(("first", "second"), [(0, 3), (1, 5), (2, 4)])
 def test_swapped_motors_are_named(flight, first, second):
     propellers = default_vehicle().propellers

@@ -19,17 +19,14 @@ from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory, check_propellers, hold
 from airpuck.faults.axis_signs import AxisSigns, find_axis_signs
-from airpuck.faults.effect_match import (
-    CERTAIN,
-    EffectMatch,
-    cosines,
-    force_to_moment,
-    match_effects,
-    may_agree,
-    rotation,
-    rotation_error,
-    turned,
-    unit_columns,
+from airpuck.faults.effect_match import force_to_moment, rotation, rotation_error
+from airpuck.faults.propeller_check import (
+    HARMLESS,
+    REVERSED,
+    TURNED,
+    TURNS,
+    PropellerCheck,
+    judge_propellers,
 )
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
@@ -43,8 +40,6 @@ AXES = ("x", "y", "z")
 _AS_GOOD = 0.8
 #: Longest transport delay to try: absolute [s], or as a multiple of the vehicle file's.
 _LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
-#: Rotation of the whole layout that is worth mentioning [rad].
-_TURNED = 0.3
 #: Standard error above which that rotation counts as unknown [rad].
 _KNOWN_TURN = 0.15
 #: Standard error of the effect of a motor that never ran [1/kg].
@@ -64,40 +59,6 @@ _SHORTEST = 2.0
 _WRONG_UNIT = 5.0
 #: Error of the inertia that is remarked, and corrected before directions are judged: a ratio.
 _POOR_INERTIA = 2.0
-#: Least increase of the mean cosine by rotating the layout back; below it, swapped motors are the
-#: better explanation.
-_BETTER = 0.02
-#: Verdict on a propeller that agrees once the layout is rotated back.
-_TURNS = "turned with the whole layout"
-#: Effect, relative to the others, above which a propeller's direction is judged, and standard error
-#: up to which the direction is known, relative to the effect.
-_SEEN, _DIRECTION_LIMIT = 0.3, 0.25
-#: Effect relative to the others that a propeller without thrust stays below.
-_DEAD = 0.5
-#: Effect relative to the others below which a propeller may give nothing, beside errors of curves.
-_NOTHING = 0.15
-#: Verdicts on propellers without thrust, and on propellers whose effect is still uncertain.
-DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
-#: Verdict on propellers whose thrust never changes on its own.
-UNDETERMINED = "undetermined: change its command independently of the others and of the motion"
-OPEN = UNCLEAR, UNDETERMINED
-
-
-@dataclass(frozen=True)
-class PropellerCheck:
-    """Comparison of one propeller's measured effect with the stated one."""
-
-    #: The propeller.
-    name: str
-    #: Cosine between the measured and the stated effect, 1: the same, -1: the opposite.
-    agreement: float
-    #: The propeller of the vehicle file with the most similar effect.
-    behaves_like: str
-    #: ``agrees``, or the problem in words.
-    verdict: str
-    #: Its force along the stated direction, over the nominal one, and the standard error.
-    strength: float = np.nan
-    strength_error: float = np.nan
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,10 +135,15 @@ class LayoutCheck(Result):
         return self.conclusive and not self.wrong
 
     @property
+    def reversed(self) -> bool:
+        """Whether all propellers push the other way."""
+        return any(one.verdict == REVERSED for one in self.propellers)
+
+    @property
     def untouched(self) -> int:
         """Number of propellers that agree, less the number of axes with the wrong sign."""
-        fine = sum(one.verdict in ("agrees", _TURNS) for one in self.propellers)
-        return fine - len(self.signs.flipped)
+        fine = sum(one.verdict in ("agrees", TURNS, REVERSED) for one in self.propellers)
+        return fine - len(self.signs.flipped) - self.reversed
 
     @property
     def floor(self) -> dict[str, Float[np.ndarray, " k"]]:
@@ -193,8 +159,9 @@ class LayoutCheck(Result):
         return (
             *self.signs.names,
             *(("the unit of length",) if self.length_ratio != 1 else ()),
-            *(("the yaw's zero",) if any(p.verdict == _TURNS for p in self.propellers) else ()),
-            *(p.name for p in self.propellers if p.verdict not in ("agrees", _TURNS, *OPEN)),
+            *(("all directions",) if self.reversed else ()),
+            *(("the yaw's zero",) if any(p.verdict == TURNS for p in self.propellers) else ()),
+            *(p.name for p in self.propellers if p.verdict not in HARMLESS),
         )
 
     @property
@@ -221,6 +188,39 @@ class LayoutCheck(Result):
                 "the clocks of poses and commands, and the unit of the yaw",
             )
         remarks = [self.signs.remark(self.axes)] if self.mirrored else []
+        remarks += self._floor_remarks
+        if self.length_ratio != 1:
+            remarks.append(
+                f"the craft moves {self.length_ratio:g} times as far as its turns imply: correct "
+                'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
+            )
+        if self.inertia_ratio != 1:
+            remarks.append(
+                f"forces and moments agree if the inertia is about {self.inertia_ratio:.1g} times "
+                "the vehicle file's: correct inertia_kg_m2, mass_kg or the propellers' positions"
+            )
+        if self.reversed:
+            remarks.append(
+                "all propellers push the other way: direction_deg is the direction of the thrust, "
+                "not of the air; add 180 to each in the vehicle file"
+            )
+        verdicts = {p.verdict for p in self.propellers}
+        # Swapped motors can look like a rotation, but the others would be turned, too.
+        swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
+        if abs(self.rotation) > TURNED and not swapped and not self.reversed:
+            remarks.append(
+                f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
+                "the measured yaw: align the rigid body of the motion capture with the craft"
+            )
+            if np.pi - abs(self.rotation) < TURNED:
+                both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
+                remarks.append(f"or {both.remark(self.axes)}")
+        return tuple(remarks)
+
+    @property
+    def _floor_remarks(self) -> list[str]:
+        """Sentences about the floor."""
+        remarks = []
         if self.tilt is not None and self.tilt_error is not None:
             x, y = (
                 f"{1e3 * slope:.1f} ± {1e3 * error:.1f} mrad"
@@ -241,28 +241,7 @@ class LayoutCheck(Result):
                 f"the floor is rough: dry friction of {self.friction:.2g} m/s²; clean it, or "
                 "identify a model with +drag+friction"
             )
-        if self.length_ratio != 1:
-            remarks.append(
-                f"the craft moves {self.length_ratio:g} times as far as its turns imply: correct "
-                'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
-            )
-        if self.inertia_ratio != 1:
-            remarks.append(
-                f"forces and moments agree if the inertia is about {self.inertia_ratio:.1g} times "
-                "the vehicle file's: correct inertia_kg_m2, mass_kg or the propellers' positions"
-            )
-        verdicts = {p.verdict for p in self.propellers}
-        # Swapped motors can look like a rotation, but the others would be turned, too.
-        swapped = "agrees" in verdicts and not verdicts <= {"agrees", *OPEN}
-        if abs(self.rotation) > _TURNED and not swapped:
-            remarks.append(
-                f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
-                "the measured yaw: align the rigid body of the motion capture with the craft"
-            )
-            if np.pi - abs(self.rotation) < _TURNED:
-                both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
-                remarks.append(f"or {both.remark(self.axes)}")
-        return tuple(remarks)
+        return remarks
 
 
 def check_layout(
@@ -351,17 +330,14 @@ def _with_signs(
         axes=axes,
         longer=found.longer,
         window=found.length,
+        still=not bool(np.isfinite(found.error).any()),
     )
     check = replace(check, **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
-    checks = _propeller_checks(measured, error, stated, names, check)
-    return replace(
-        check,
-        propellers=tuple(
-            replace(one, verdict=UNDETERMINED) if one.verdict == UNCLEAR and not known else one
-            for one, known in zip(checks, found.independent, strict=True)
-        ),
-        still=not np.isfinite(found.error).any(),
-    )
+    layout = check.rotation, check.inertia_ratio
+    checks = judge_propellers(measured, error, stated, names, found.independent, layout)
+    if not check.conclusive:
+        checks = tuple(replace(one, verdict="not judged") for one in checks)
+    return replace(check, propellers=checks)
 
 
 def _floor(
@@ -391,87 +367,6 @@ def _length_ratio(forces_to_moments: float) -> float:
     return 10.0 ** round(np.log10(forces_to_moments)) if wrong else 1.0
 
 
-def _propeller_checks(
-    measured: Float[np.ndarray, "3 n"],
-    error: Float[np.ndarray, "3 n"],
-    stated: Float[np.ndarray, "3 n"],
-    names: tuple[str, ...],
-    found: LayoutCheck,
-) -> tuple[PropellerCheck, ...]:
-    """Judge each propeller, in a rotated layout if that explains more."""
-    agreement = np.diag(cosines(measured, stated))
-    # A poor guess of the inertia changes all moments alike.
-    moments = np.array([1.0, 1.0, found.inertia_ratio])[:, None]
-    measured, error = moments * measured, moments * error
-    likeness = seen = cosines(measured, stated)
-    back, agrees = measured, "agrees"
-    size, spread = np.linalg.norm(measured, axis=0), np.linalg.norm(error, axis=0)
-    usual = float(np.median(size))
-    clear = np.flatnonzero((size > _SEEN * usual) & (spread < _DIRECTION_LIMIT * size))
-    matches = match_effects(measured[:, clear], stated, clear)
-    if abs(found.rotation) > _TURNED:
-        back = turned(measured, -found.rotation)
-        others, upright = match_effects(back[:, clear], stated, clear), cosines(back, stated)
-        if _worth(others, upright) > _worth(matches, likeness) + _BETTER:
-            matches, seen, agrees = others, upright, _TURNS
-        else:
-            back = measured
-    verdicts = _unclear(back, error, stated, agrees)
-    verdicts |= {
-        k: UNCLEAR
-        if match.acts_as is None and may_agree(back[:, k], error[:, k], stated[:, k])
-        else _verdict(match, k, names, agrees)
-        for k, match in matches.items()
-    }
-    # Forces depend only on the mass, which is known; a wheel has only a moment.
-    along, pushes = stated.copy(), np.linalg.norm(stated[:2], axis=0) > 0
-    along[2, pushes] = 0.0
-    full = np.linalg.norm(along, axis=0)
-    strength = np.sum(along * back / moments, axis=0) / full**2
-    deviation = np.sqrt(np.sum((along * error / moments) ** 2, axis=0)) / full**2
-    return tuple(
-        PropellerCheck(
-            name=name,
-            agreement=float(agreement[k]),
-            behaves_like=names[int(np.argmax(seen[k]))],
-            verdict=verdicts[k] if found.conclusive else "not judged",
-            strength=float(strength[k]),
-            strength_error=float(deviation[k]),
-        )
-        for k, name in enumerate(names)
-    )
-
-
-def _unclear(
-    measured: Float[np.ndarray, "3 n"],
-    error: Float[np.ndarray, "3 n"],
-    stated: Float[np.ndarray, "3 n"],
-    agrees: str,
-) -> dict[int, str]:
-    """Judge propellers by their effect along the stated direction alone."""
-    unit = unit_columns(stated)
-    size = np.linalg.norm(stated, axis=0)
-    along = np.sum(unit * measured, axis=0) / size
-    reach = CERTAIN * np.sqrt(np.sum((unit * error) ** 2, axis=0)) / size
-    usual = float(np.median(along))
-    verdicts = {}
-    usual = usual or 1.0
-    for k, (middle, half) in enumerate(zip(along / usual, reach / abs(usual), strict=True)):
-        dead = middle + half < _DEAD and middle - half < _NOTHING
-        verdicts[k] = DEAD if dead else agrees if middle - half > 0 else UNCLEAR
-    return verdicts
-
-
-def _worth(matches: dict[int, EffectMatch], likeness: Float[np.ndarray, "n n"]) -> float:
-    """Return the mean cosine of matched effects; unmatched ones count as 0."""
-    found = [
-        match.sign * likeness[k, match.acts_as]
-        for k, match in matches.items()
-        if match.acts_as is not None
-    ]
-    return float(np.sum(found) / max(len(matches), 1))
-
-
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
     """Return the thrusts of nominal motors without a transport delay."""
     # Pulses shorter than a sample are averaged over it.
@@ -497,15 +392,3 @@ def _parts(trajectory: Trajectory) -> int:
     if not len(pace) or np.mean(pace) >= trajectory.sample_period:
         return 1
     return _PARTS
-
-
-def _verdict(match: EffectMatch, k: int, names: tuple[str, ...], agrees: str) -> str:
-    """Describe how a propeller's measured effect compares."""
-    if match.acts_as is None:
-        return "has no such effect: check its position, direction and wiring"
-    if match.acts_as != k:
-        reversed_ = "" if match.sign > 0 else " the other way round"
-        return f"behaves like {names[match.acts_as]}{reversed_}: motors are swapped"
-    if match.sign < 0:
-        return "pushes the other way: its direction is wrong by 180 degrees"
-    return agrees

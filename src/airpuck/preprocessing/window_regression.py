@@ -223,35 +223,20 @@ def _of_length(
     measured = _curvatures(trajectory.time[index], trajectory.state[index, :3])
     weight = (1 - np.linspace(-1, 1, samples) ** 2) ** 2
     weight /= weight.sum()
-    yaw = trajectory.state[index, 2]
-    cos, sin, constant = weight * np.cos(yaw), weight * np.sin(yaw), np.ones((count, 1))
-    table = np.kron(np.eye(2), constant)
-    # What a recording cannot tell from thrusts is no evidence of them: constant forces along the
-    # body, and drag, which grows with the speed, in a feedback loop also commands that follow it.
-    axes, velocity = _body_axes(yaw), trajectory.state[index, 3:5]
-    pushes = *axes, *(axes * np.sum(axes * velocity, axis=-1)[..., None])
-    body = np.stack([np.einsum("mwi,w->im", one, weight).reshape(-1) for one in pushes], axis=1)
-    spinning = np.hstack([constant, trajectory.state[index, 5] @ weight[:, None]])
-    under = {"tilt": GRAVITY * table} | _floor_columns(trajectory.state[index], weight)
+    yaw, both = trajectory.state[index, 2], measured[:, :2].T.reshape(-1)
+    cos, sin = weight * np.cos(yaw), weight * np.sin(yaw)
+    others = _other_columns(trajectory.state[index], weight)
+    spinning = np.hstack([np.ones((count, 1)), trajectory.state[index, 5] @ weight[:, None]])
     for shift in shifts:
         force = forces[:, index - shift]
         along, across = (np.einsum("nmw,mw->mn", force, by) for by in (cos, sin))
         linear = np.block([[along, -across], [across, along]])
         turning = np.einsum("nmw,w->mn", force, weight)
-        both = measured[:, :2].T.reshape(-1)
-        forward = _FTest.of(linear, both, np.hstack([table, body]), stated[:2].reshape(-1), count)
+        steady = np.hstack([others["tilt"], others["body"]])
+        forward = _FTest.of(linear, both, steady, stated[:2].reshape(-1), count)
         spin = _FTest.of(turning, measured[:, 2], spinning, stated[2], count)
-        causes = {"tilt": np.hstack([linear, body]), "dish": np.hstack([linear, body, table])}
-        causes["friction"] = causes["dish"]
-        tested = {
-            name: _FTest.of(under[name], both, cause, np.zeros(under[name].shape[1]), count)
-            for name, cause in causes.items()
-        }
-        floor = {name: (one.slope, one.independent_error) for name, one in tested.items()}
-        # Without drag a slope is known better, unless drag explains it as well.
-        tilt, error = floor["tilt"]
-        steep = _FTest.of(under["tilt"], both, linear, np.zeros(2), count).slope
-        floor["tilt"] = steep, error + np.abs(steep - tilt)
+        floor = _floor(others, linear, both, count)
+        apart = np.vstack([forward.independent_error.reshape(2, n), spin.independent_error])
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
             error=np.vstack([forward.error.reshape(2, n), spin.error]),
@@ -260,30 +245,51 @@ def _of_length(
             delay=shift * period,
             length=samples * period,
             evidence=forward.log_p + spin.log_p,
-            independent=np.isfinite(
-                np.vstack([forward.independent_error.reshape(2, n), spin.independent_error])
-            ).any(axis=0),
+            independent=np.isfinite(apart.min(axis=0)),
             floor=floor,
-            pulls={name: _size(under[name] @ value, count) for name, (value, _) in floor.items()},
+            pulls={name: _size(others[name] @ value, count) for name, (value, _) in floor.items()},
             clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
         )
 
 
-def _body_axes(yaw: Float[np.ndarray, "M W"]) -> Float[np.ndarray, "2 M W 2"]:
-    """Return the unit vectors forward and to the left."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.stack([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)])
+def _floor(
+    columns: dict[str, Float[np.ndarray, "M2 _"]],
+    thrusts: Float[np.ndarray, "M2 n2"],
+    values: Float[np.ndarray, " M2"],
+    count: int,
+) -> dict[str, tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]]:
+    """Return the floor's coefficients and their errors."""
+    body, table = columns["body"], columns["tilt"]
+
+    def tested(name: str, *nuisance: Float[np.ndarray, "M2 _"]) -> _FTest:
+        none = np.zeros(columns[name].shape[1])
+        return _FTest.of(columns[name], values, np.hstack([thrusts, *nuisance]), none, count)
+
+    causes = {"tilt": (body,), "dish": (body, table), "friction": (body, table)}
+    found = {name: tested(name, *causes[name]) for name in causes}
+    floor = {name: (one.slope, one.independent_error) for name, one in found.items()}
+    # Without drag a slope is known better, unless drag explains it as well.
+    (tilt, error), steep = floor["tilt"], tested("tilt").slope
+    return floor | {"tilt": (steep, error + np.abs(steep - tilt))}
 
 
-def _floor_columns(
+def _other_columns(
     state: Float[np.ndarray, "M W 6"], weight: Float[np.ndarray, " W"]
-) -> dict[str, Float[np.ndarray, "M2 k"]]:
-    """Return the mean accelerations in x, then y, per coefficient of the dish and of friction."""
+) -> dict[str, Float[np.ndarray, "M2 _"]]:
+    """Return mean accelerations in x, then y, that are not thrusts, per coefficient.
+
+    Constant forces along the body, and its drag, are no evidence of thrusts: in a feedback loop
+    commands follow the motion.
+    """
     x, y = np.einsum("mwi,w->im", state[..., :2], weight)
-    velocity = state[..., 3:5]
+    cos, sin, velocity = np.cos(state[..., 2]), np.sin(state[..., 2]), state[..., 3:5]
+    axes = np.array([np.stack([cos, sin], axis=-1), np.stack([-sin, cos], axis=-1)])
+    pushes = *axes, *(axes * np.sum(axes * velocity, axis=-1)[..., None])
     direction = velocity / np.sqrt(np.sum(velocity**2, axis=-1) + CREEP**2)[..., None]
     none = np.zeros_like(x)
     return {
+        "body": np.stack([np.einsum("mwi,w->im", p, weight).reshape(-1) for p in pushes], axis=1),
+        "tilt": GRAVITY * np.kron(np.eye(2), np.ones((len(x), 1))),
         "dish": GRAVITY * np.hstack([[x, none, y], [none, y, x]]).T,
         "friction": -np.einsum("mwi,w->im", direction, weight).reshape(-1, 1),
     }
