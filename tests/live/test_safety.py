@@ -94,6 +94,13 @@ def test_a_frozen_pose(guard):
     )
 
 
+def test_a_pose_that_is_not_finite_does_not_count_as_frozen(guard):
+    frozen, until = np.array([0.1, 0.2, 0.3]), LIMITS.frozen - 1
+    for k in range(2 * until + 1):
+        guard.pose(0.5 + k * FRAME, frozen if k != until else np.full(3, np.nan))
+    assert guard.refusal(0.6) == "pose is not finite"
+
+
 def test_the_geofence():
     guard = Guard(LIMITS)
     last = poses(guard, 0.0, 0.5, at=(0.99, 0.49, 0))
@@ -116,21 +123,100 @@ def test_a_stop_holds_until_it_is_taken_back(guard):
     assert guard.refusal(last) is None
 
 
-NUMBER = st.floats(-2, 2) | st.just(math.nan)
+PLACES = st.tuples(st.floats(-1.05, 1.05), st.floats(-0.52, 0.52), st.floats(-4, 4))
+#: A wait and a move, both within ±1, and what happens: in most cases nothing special.
+EVENTS = st.lists(st.tuples(*[st.floats(-1, 1)] * 4, st.integers(0, 40)), min_size=20, max_size=60)
 
 
-@given(st.lists(st.tuples(st.floats(0, 0.1), st.tuples(NUMBER, NUMBER, NUMBER)), min_size=1))
-def test_whatever_comes_motors_run_only_on_a_fresh_pose_inside_the_fence(entries):
-    guard, now, last = Guard(LIMITS), 0.0, (-math.inf, [math.nan] * 3)
-    for wait, pose in entries:
-        now += wait
-        guard.pose(now, np.array(pose))
-        last = now, pose
-        later = now + 0.02
-        if guard.refusal(later) is None:
-            assert later - last[0] <= LIMITS.pose_timeout
-            assert abs(last[1][0]) <= 1.0
-            assert abs(last[1][1]) <= 0.5
+def happened(event: tuple[float, ...]) -> tuple[float, np.ndarray]:
+    """Return the wait [s] and the move of the next pose: like a camera's, or a fault."""
+    wait, *move, kind = event
+    wait, moved = 0.023 + 0.022 * wait, 0.02 * np.array(move)
+    match kind:
+        case 20:
+            wait *= 4
+        case 21:
+            moved *= 50
+        case 22:
+            moved[0] = math.nan
+        case 23 | 24:
+            moved *= 0
+    return wait, moved
+
+
+def plausible(history: list[tuple[float, np.ndarray]], k: int) -> bool:
+    """Whether pose k is finite, inside the fence, no jump and not one of many equal ones."""
+    time, pose = history[k]
+    x, y, _ = pose
+    if not (np.isfinite(pose).all() and -1.0 <= x <= 1.0 and -0.5 <= y <= 0.5):
+        return False
+    if k == 0 or not np.isfinite(history[k - 1][1]).all():
+        return True
+    before, last = history[k - 1]
+    moved, turned = pose[:2] - last[:2], math.remainder(pose[2] - last[2], math.tau)
+    equal = [np.array_equal(pose, other) for _, other in history[max(k - 11, 0) : k]]
+    return (
+        math.hypot(*moved) <= 0.05 + 3 * (time - before)
+        and abs(turned) <= 0.5 + 40 * (time - before)
+        and not (len(equal) == 11 and all(equal))
+    )
+
+
+def test_motors_run_if_all_poses_were_plausible_for_a_while_and_never_otherwise():
+    """Against the whole history of poses, whereas the guard remembers only the last one."""
+    ran = []
+
+    @given(PLACES, EVENTS)
+    def check(place, events):
+        guard, history = Guard(LIMITS), []
+        begun = [(0.02, np.full(3, 1e-5 * (-1) ** k)) for k in range(20)]
+        time, pose = 0.0, np.array(place)
+        #: Since when nothing was wrong; None: something is.
+        since = None
+        for wait, move in [*begun, *map(happened, events)]:
+            time, pose = time + wait, pose + move
+            # The loop asks more often than the camera measures.
+            allowed = guard.refusal(time) is None
+            if history and time - history[-1][0] > LIMITS.pose_timeout:
+                assert not allowed
+                since = None
+            history.append((time, pose))
+            guard.pose(time, pose.copy())
+            if not plausible(history, len(history) - 1):
+                since = None
+            elif since is None:
+                since = time
+            settled = since is not None and time + 0.02 - since >= LIMITS.settle
+            assert (guard.refusal(time + 0.02) is None) == settled
+            ran.append(settled)
+            if not np.isfinite(pose).all():
+                pose = np.array(place)
+
+    check()
+    assert 0.15 < np.mean(ran) < 0.8
+
+
+@pytest.mark.parametrize("x", [-0.99, 0.99])
+@pytest.mark.parametrize("y", [-0.49, 0.49])
+def test_the_geofence_has_four_sides(x, y):
+    for outside in ((1.03 * x, y), (x, 1.04 * y)):
+        guard = Guard(LIMITS)
+        last = poses(guard, 0.0, 0.5, at=(x, y, 0.0))
+        assert guard.refusal(last) is None
+        guard.pose(last + FRAME, np.array([*outside, 0.0]))
+        assert guard.refusal(last + FRAME) == "the craft is outside the geofence"
+
+
+@pytest.mark.parametrize("passed", [-0.4, 0.0])
+def test_an_old_stamp_does_not_excuse_a_jump(passed, guard):
+    # 0.4 s later the craft could be there.
+    guard.pose(0.5 + passed, np.array([0.4, 0.2, 0.3]))
+    assert guard.refusal(0.5) == "pose jumped by 0.30 m and 0.00 rad"
+
+
+def test_a_fast_craft_after_a_gap_is_no_jump(guard):
+    guard.pose(0.5 - FRAME + 0.04, np.array([0.1 + 0.16, 0.2, 0.3 + 2.0]))
+    assert guard.position is not None
 
 
 @pytest.mark.parametrize("side", [-1, 1])

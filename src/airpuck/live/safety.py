@@ -112,6 +112,7 @@ class Guard:
     def _fault_of(self, time: float, pose: Float[np.ndarray, " 3"]) -> str | None:
         """Return the problem with a pose that follows the last one; None if there is none."""
         if not np.isfinite(pose).all():
+            self._equal = 1
             return "pose is not finite"
         x, y, yaw = pose.tolist()
         if self._last is not None:
