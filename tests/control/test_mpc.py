@@ -215,6 +215,39 @@ def test_it_stops_before_rails_that_a_target_is_beyond():
     assert "rail" in steps[-1].prediction.active
 
 
+@pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])
+def test_it_keeps_the_margin_to_the_rails(axis, side):
+    margin = 0.03
+    goal, start = np.zeros(3), at_rest(0.0, 0.0, 0.0)
+    border = Table().reach(MODEL.vehicle.radius_m)[axis] - margin
+    goal[axis], start[axis] = 3.0 * side, (border - 0.1) * side
+    states, steps = closed_loop(law(margin_m=margin), SetPoint(*goal), 0.8, start)
+    outwards = side * states[:, axis]
+    assert outwards.max() < border + 1e-3
+    assert outwards[-1] > border - 0.01
+    assert "rail" in steps[-1].prediction.active
+
+
+@pytest.mark.parametrize("after", [0.1, 0.5, 0.7])
+def test_an_arrival_between_two_steps_is_weighted_by_how_near_they_are(after):
+    """As if the error at the arrival were interpolated: the nearer end of a step counts more."""
+    precision = np.array([0.01, 0.02, 0.1, 0.5, 0.4, 1.0])
+    regulator, delay, count = law().tuning.regulator, 0.03, 4
+    step, efforts = regulator.step_s, np.tile(regulator.weights.efforts, 2)
+    meeting = Rendezvous(delay + (count + after) * step, np.zeros(6), precision=precision)
+    controller = law().law
+    assert isinstance(controller, MPC)
+    (_, _, _, _, weights, terminal, *_), _ = controller.posed(
+        controller.init(), meeting, 0.0, delay
+    )
+    expected = np.zeros_like(weights)
+    # Row k belongs to the end of step k, counted from 0.
+    expected[count - 1] = (1 - after) * efforts / precision**2
+    expected[count] = after * efforts / precision**2
+    np.testing.assert_allclose(weights, expected, rtol=1e-9, atol=1e-9)
+    assert not terminal.any()
+
+
 @pytest.mark.slow
 def test_limits_of_speed_spin_fence_and_discs_are_kept():
     ours = law(

@@ -151,6 +151,20 @@ def test_a_pose_outside_the_gate_leaves_no_trace(make):
     assert ours.pose(0.26, np.array([0, 0, 2 * np.pi]), gate)
 
 
+@pytest.mark.parametrize("jump", [[0.3, 0, 0], [0, -0.3, 0], [0, 0, 1.5]])
+def test_a_late_pose_outside_the_gate_leaves_no_trace(make, jump):
+    ours, fresh = (make() for _ in range(2))
+    gate = 0.1, 0.1, 1.0
+    for one in (ours, fresh):
+        one.pose(0.0, np.zeros(3), gate)
+        for k in range(1, 8):
+            one.imu(k / 100, np.zeros(2), 0.0, (0.35, 0.015))
+    assert not ours.pose(0.045, np.array(jump), gate)
+    np.testing.assert_array_equal(ours.predict(0.1).state, fresh.predict(0.1).state)
+    assert ours.pose(0.045, np.array(jump) / 4, gate)
+    assert np.abs(ours.predict(0.1).state[:3] - fresh.predict(0.1).state[:3]).max() > 1e-3
+
+
 def test_before_the_first_pose_nothing_is_known(make):
     ours = make()
     ours.command(0.0, IDLE)

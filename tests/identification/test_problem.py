@@ -100,6 +100,20 @@ def test_where_most_looks_faulty_the_model_is_doubted(clean, monkeypatch):
         assert (found.share == 0) is doubted
 
 
+def test_a_fault_is_left_out_until_the_motors_have_settled(clean, monkeypatch):
+    """With the speeds that they had during a fault, the motors still push afterwards."""
+    span = Span(2.0, 2.5, "radio out", 0.9)
+    monkeypatch.setattr(problem, "find_faults", lambda *_: (span,))
+    slower = replace(MODEL.parameters, motor_time_constant=0.08)
+    for model in (MODEL, replace(MODEL, parameters=slower)):
+        (kept,) = problem.exclude_faults([clean], model, 90, 7).trajectories
+        (excluded,) = set(kept.excluded) - set(clean.excluded)
+        lag = float(model.parameters.motor_time_constant)
+        assert excluded.start == span.start
+        # After three lags, 5 % of a change of speed are left; after six, 0.2 %.
+        assert span.stop + 3 * lag <= excluded.stop <= span.stop + 6 * lag
+
+
 @pytest.mark.slow
 def test_one_window_over_the_whole_flight_is_not_cut(clean):
     short = clean.slice(0, 0.1)
