@@ -95,7 +95,8 @@ def test_the_likelihood_finds_densities():
     restart = np.arange(n) == 0
     used = np.arange(n) > 1
     period = np.where(restart, 0.0, h)
-    noise, counts = most_likely_noise(pose, np.zeros((n, 3, 2)), period, restart, used, h)
+    given = pose, np.zeros((n, 3, 2)), period, restart, np.ones(n, dtype=bool), used
+    noise, counts = most_likely_noise(*given, h)
     np.testing.assert_allclose(noise.pose, pose_noise, rtol=0.05)
     np.testing.assert_allclose(noise.acceleration, density, rtol=0.2)
     assert min(counts) >= 2
@@ -143,6 +144,7 @@ def test_starts_are_the_earliest_that_keep_their_distance(seed):
         time=period * np.arange(n),
         values=empty,
         deviation=empty,
+        follows=used,
         used=used,
         restart=~used,
         added=np.zeros((n, 3, 2)),

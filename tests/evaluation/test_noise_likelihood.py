@@ -26,7 +26,8 @@ def flight():
         poses.append(place + rng.normal(size=3) * POSE)
     restart = np.arange(COUNT) == 0
     period = np.where(restart, 0.0, PERIOD)
-    return np.array(poses), added, period, restart, np.arange(COUNT) > 1
+    measured, used = np.ones(COUNT, dtype=bool), np.arange(COUNT) > 1
+    return np.array(poses), added, period, restart, measured, used
 
 
 def cost(axis, pose, added, noise):

@@ -54,8 +54,8 @@ def test_beyond_least_is_a_noncentral_test():
 
 
 def test_no_product_reaches_across_a_pause():
-    values = np.array([1.0, 2.0, 7.0, 3.0, 4.0])
-    used = np.array([True, True, False, True, True])
+    values = np.array([1.0, 2.0, 7.0, 8.0, 3.0, 4.0])
+    used = np.array([True, True, False, False, True, True])
     test = ljung_box("x", values, used, 3, 0)
     np.testing.assert_allclose(test.autocorrelation, [(2 + 12) / 30, 0, 0], atol=1e-15)
 

@@ -76,8 +76,8 @@ def test_without_jitter_nothing_moves():
 
 
 def test_stretches_too_short_to_smooth_are_left_alone():
-    """Two frames lost, five samples apart: preprocessing excludes the samples in between."""
-    time = np.delete(np.arange(120), [60, 66]) / 240
+    """Two long pauses, five samples apart: preprocessing excludes the samples in between."""
+    time = np.delete(np.arange(190), [*range(60, 96), *range(101, 137)]) / 240
     state = np.zeros((118, 6))
     state[60:65, 3:] = 7.0
     trajectory = Trajectory(

@@ -165,8 +165,8 @@ def test_neighbours_are_those_of_a_running_median(count):
 
 def test_a_thinned_stream_has_no_gaps_but_those_of_lost_poses():
     time = np.rint(np.arange(0, 10, 0.01) * RATE) / RATE
-    assert find_gaps(time) == ()
-    (gap,) = find_gaps(np.delete(time, 500))
+    assert find_gaps(time, 0.015) == ()
+    (gap,) = find_gaps(np.delete(time, 500), 0.015)
     assert gap.start < 5.0 < gap.stop
 
 

@@ -18,7 +18,7 @@ _NOUNS = {
 
 
 def left_out_words(trajectory: Trajectory) -> str:
-    """Describe which fraction of a trajectory must not be used, and why.
+    """Describe which fraction of the time must not be used, and why.
 
     Parameters
     ----------
@@ -38,15 +38,15 @@ def left_out_words(trajectory: Trajectory) -> str:
     counted = ", ".join(_counted(cause, count) for cause, count in causes.items())
     longest = max(spans, key=lambda span: span.stop - span.start)
     return (
-        f"left out: {100 * (1 - trajectory.usable.mean()):.1f} % ({counted}; longest "
+        f"left out: {100 * (1 - trajectory.usable_share):.1f} % ({counted}; longest "
         f"{longest.stop - longest.start:.2f} s at {longest.start:.1f} s)"
     )
 
 
 def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
-    """Return the usable fraction of a trajectory, and all excluded spans."""
+    """Return the usable fraction of the time, and all excluded spans."""
     return {
-        "usable": float(trajectory.usable.mean()),
+        "usable": trajectory.usable_share,
         "excluded": [vars(span) for span in trajectory.excluded],
     }
 

@@ -27,6 +27,11 @@ FORMAT = "airpuck trajectory 1"
 #: Steps below this multiple of the median are not pauses; they alternate if their mean differs by
 #: this fraction.
 _NO_PAUSE, _ALTERNATES = 1.75, 0.05
+#: Longest pause between poses across which velocities are known [s], or in sample periods: the
+#: motors' thrust changes in 28 ms.
+_BRIDGED_S, _BRIDGED_PERIODS = 6.5 / 240, 3.5
+#: Time beside a longer pause in which smoothing is one-sided, so that velocities are noisy [s].
+_ONE_SIDED = 5.5 / 240
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,9 @@ class Trajectory:
         Problems found by preprocessing that do not prevent the use of the data.
     vehicle : Vehicle or None
         The craft that it was preprocessed for; None if it was prepared elsewhere.
+    lost : array of float64, shape (L,)
+        Times of the samples whose frames the cameras lost [s]. The state is interpolated there and
+        counts nowhere as a measurement.
 
     Examples
     --------
@@ -123,6 +131,7 @@ class Trajectory:
     hashes: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     vehicle: Vehicle | None = None
+    lost: Float[np.ndarray, " L"] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         samples, commands = np.size(self.time), np.size(self.command_time)
@@ -137,6 +146,7 @@ class Trajectory:
             "acceleration": (samples, 3),
             "command_time": (commands,),
             "command": (commands, len(self.propellers)),
+            "lost": np.shape(self.lost)[:1],
         }
         for name, shape in shapes.items():
             array = np.asarray(getattr(self, name))
@@ -259,11 +269,43 @@ class Trajectory:
         return usable
 
     @cached_property
+    def measured(self) -> np.ndarray:
+        """Shape (N,): False at samples whose frames were lost."""
+        return ~np.isin(self.time, self.lost)
+
+    @cached_property
+    def usable_share(self) -> float:
+        """Fraction of the time outside excluded spans."""
+        first, last = self.time[[0, -1]].tolist()
+        lost, reached = 0.0, first
+        for span in sorted(self.excluded, key=lambda span: span.start):
+            stop = min(span.stop, last)
+            lost += max(stop - max(span.start, reached), 0.0)
+            reached = max(reached, stop)
+        return 1 - lost / (last - first)
+
+    @cached_property
+    def determined(self) -> np.ndarray:
+        """Shape (N,): False where so many frames are lost that velocities are noisy or unknown."""
+        determined = bridged(self.time, self.measured)
+        for first, last in runs(~determined):
+            begin, end = self.time[[first, last - 1]] + np.array([-_ONE_SIDED, _ONE_SIDED])
+            determined[slice(*np.searchsorted(self.time, [begin, end]))] = False
+        return determined
+
+    @cached_property
+    def bridged(self) -> np.ndarray:
+        """Shape (N,): False at lost frames in longer pauses than smoothing bridges."""
+        return bridged(self.time, self.measured)
+
+    @cached_property
     def segments(self) -> tuple[tuple[int, int], ...]:
         """Index ranges [first, last) of consecutive usable samples."""
         return tuple(runs(self.usable))
 
-    def window_starts(self, length: int, stride: int = 1) -> Int[np.ndarray, " windows"]:
+    def window_starts(
+        self, length: int, stride: int = 1, allowed: Bool[np.ndarray, " N"] | None = None
+    ) -> Int[np.ndarray, " windows"]:
         """Return where windows of `length` samples can begin.
 
         Parameters
@@ -272,6 +314,8 @@ class Trajectory:
             Samples in a window.
         stride : int, default 1
             Samples from one start to the next; the count restarts after every excluded span.
+        allowed : array of bool, shape (N,), optional
+            Where windows may begin; a start that is not allowed moves to the next that is.
 
         Returns
         -------
@@ -288,6 +332,8 @@ class Trajectory:
                 raise InputError(f"must be at least 1, not {count}", field=name)
         starts = [
             np.arange(first, last - length + 1, stride)
+            if allowed is None or allowed[first : last - length + 1].all()
+            else _spaced(first + np.flatnonzero(allowed[first : last - length + 1]), stride)
             for first, last in self.segments
             if last - first >= length
         ]
@@ -355,7 +401,7 @@ class Trajectory:
         path : path-like
             The .npz file to write. It holds ``t`` [s], ``state`` (N, 6), ``input`` (N, n) (the
             delayed, held command at each sample), ``acceleration`` (N, 3), ``command_time`` [s],
-            ``command`` (K, n) and, as JSON in ``about``, everything else.
+            ``command`` (K, n), ``lost`` (L,) [s] and, as JSON in ``about``, everything else.
         """
         about = {
             "format": FORMAT,
@@ -377,6 +423,7 @@ class Trajectory:
                 acceleration=self.acceleration,
                 command_time=self.command_time,
                 command=self.command,
+                lost=self.lost,
                 about=np.array(json.dumps(about)),
             )
 
@@ -391,6 +438,31 @@ def usual_period(time: Float[np.ndarray, " N"]) -> float:
     median = float(np.median(steps))
     mean = float(np.mean(steps[steps < _NO_PAUSE * median]))
     return mean if abs(mean - median) > _ALTERNATES * median else median
+
+
+def longest_bridge(period: float) -> float:
+    """Return the longest pause between poses across which velocities are known [s]."""
+    return max(_BRIDGED_S, _BRIDGED_PERIODS * period)
+
+
+def bridged(
+    time: Float[np.ndarray, " N"], measured: Bool[np.ndarray, " N"]
+) -> Bool[np.ndarray, " N"]:
+    """Return where few enough frames are lost in a row for smoothing to bridge them."""
+    found, longest = measured.copy(), longest_bridge(usual_period(time))
+    for first, last in runs(~measured):
+        before, after = max(first - 1, 0), min(last, len(time) - 1)
+        found[first:last] = time[after] - time[before] <= longest
+    return found
+
+
+def _spaced(places: Int[np.ndarray, " M"], stride: int) -> Int[np.ndarray, " K"]:
+    """Choose places at least `stride` apart, each the first possible one."""
+    chosen, k = [], 0
+    while k < len(places):
+        chosen.append(int(places[k]))
+        k = int(np.searchsorted(places, places[k] + stride))
+    return np.array(chosen, dtype=int)
 
 
 def runs(marked: Bool[np.ndarray, " N"]) -> list[tuple[int, int]]:

@@ -86,6 +86,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             hashes=known.hashes,
             warnings=known.warnings,
             vehicle=known.vehicle,
+            lost=arrays["lost"],
         )
     except InputError as error:
         # The file is at fault, not the recording that it was made from.
@@ -126,7 +127,11 @@ def _read_archive(
     """Return the arrays of the file, and its metadata."""
     with Archive(path) as archive:
         text = str(_array(archive, "about", ABOUT_BYTES))
-        return {name: _array(archive, name) for name in _ARRAYS}, parse_json(text, file=path)
+        arrays = {name: _array(archive, name) for name in _ARRAYS}
+        # Earlier versions left out what is around a lost frame.
+        known = "lost.npy" in archive.names
+        arrays["lost"] = _array(archive, "lost") if known else np.zeros(0)
+        return arrays, parse_json(text, file=path)
 
 
 def _array(archive: Archive, name: str, most: int = ARCHIVE_BYTES) -> np.ndarray:
@@ -152,6 +157,7 @@ def _check(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
         ("acceleration", t.acceleration, (n, 3)),
         ("command_time", t.command_time, (k,)),
         ("command", t.command, (k, len(t.propellers))),
+        ("lost", t.lost, t.lost.shape[:1]),
     )
     for name, values, shape in shapes:
         if values.shape != shape or values.dtype != np.float64:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory, as_trajectories
@@ -46,6 +47,11 @@ class Windows:
     #: Integration steps from one pose to the next; only the last of them ends at a pose.
     parts: int = 1
 
+    @cached_property
+    def measured(self) -> Bool[np.ndarray, " N"]:
+        """Where there is a measured pose: neither a lost frame nor a step between two poses."""
+        return np.concatenate([trajectory.measured for trajectory in self.trajectories])
+
     def __len__(self) -> int:
         return len(self.starts)
 
@@ -53,6 +59,12 @@ class Windows:
     def present(self) -> Int[np.ndarray, " W"]:
         """Index of the sample that each prediction starts from."""
         return self.starts + self.encoder_length - 1
+
+    @cached_property
+    def poses(self) -> Int[np.ndarray, " W"]:
+        """Number of measured poses that each window predicts."""
+        count = np.concatenate([[0], np.cumsum(self.measured)])
+        return count[self.present + 1 + self.prediction_length] - count[self.present + 1]
 
     def refined(self, parts: int) -> Windows:
         """Return the same windows with every step cut into equal parts."""
@@ -135,6 +147,7 @@ def make_windows(
     encoder_length: int = 20,
     prediction_length: int | None = 50,
     stride: int = 1,
+    judged: int | None = None,
 ) -> Windows:
     """Cut trajectories into windows.
 
@@ -149,11 +162,13 @@ def make_windows(
         longest usable stretches.
     stride : int, default 1
         Samples from one window's start to the next.
+    judged : int, optional
+        Step of the prediction whose pose must have been measured.
 
     Returns
     -------
     Windows
-        All windows that touch no excluded span.
+        All windows that touch no excluded span, and whose velocity is known at the present.
 
     Raises
     ------
@@ -174,7 +189,10 @@ def make_windows(
                 f"({', '.join(trajectory.propellers)}); identify each craft separately",
                 file=trajectory.source,
             )
-        found = trajectory.window_starts(length, stride)
+        allowed = np.roll(trajectory.determined, 1 - encoder_length)
+        if judged is not None:
+            allowed = allowed & np.roll(trajectory.measured, 1 - encoder_length - judged)
+        found = trajectory.window_starts(length, stride, allowed)
         if len(found) == 0:
             raise InputError(
                 f"is too short: a window needs {length} samples in a row "
@@ -218,7 +236,15 @@ def refined(trajectory: Trajectory, parts: int) -> Trajectory:
         return np.stack(between, axis=-1).reshape(len(number), *values.shape[1:])
 
     times, states = at(trajectory.time), at(trajectory.state)
-    return replace(trajectory, time=times, state=states, acceleration=at(trajectory.acceleration))
+    measured = np.zeros(len(number), dtype=bool)
+    measured[::parts] = trajectory.measured
+    return replace(
+        trajectory,
+        time=times,
+        state=states,
+        acceleration=at(trajectory.acceleration),
+        lost=times[~measured],
+    )
 
 
 def _longest_stretch(trajectory: Trajectory) -> int:

@@ -22,6 +22,7 @@ def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
         lasted = (trajectory.time[later] - trajectory.time[first])[..., None]
         state = trajectory.state
         moved = state[first, 3:] * lasted - (state[later, :3] - state[first, :3])
+        moved[~trajectory.measured[later]] = np.nan
         return np.swapaxes(moved, 1, 2)
 
     start, every = evaluation.start, evaluation.every_start.start
@@ -77,6 +78,11 @@ def better_from(evaluation: Evaluation, trajectory: Trajectory) -> BetterFrom:
         return np.where(last < steps, (last + 1) * period, np.inf)
 
     together = np.concatenate(squares)
+    lost = np.isnan(together)
+    if lost.any():
+        # The mean of the others takes the place of a pose that was not measured.
+        mean = np.nansum(together, axis=1) / np.maximum((~lost).sum(axis=1), 1)
+        together = np.where(lost, mean[:, None], together)
     drawn = redrawn_means(together, evaluation.start)
     since = _finite(float(first(together.mean(axis=1, keepdims=True))[0]))
     interval = None

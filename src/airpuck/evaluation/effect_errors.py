@@ -123,15 +123,22 @@ def _estimated(model: Model, windows: Windows, moved: float, block: float) -> Ef
     estimate, covariance = estimate * units, covariance * np.outer(units, units)
     left = (values - columns @ estimate).reshape(len(windows), -1, 3)
     found = _in_words_of_control(model, curves, estimate, covariance)
-    return replace(found, noise=_white(left))
+    real = windows.measured[windows.present[:, None] + np.arange(left.shape[1])]
+    return replace(found, noise=_white(left, real))
 
 
-def _white(left: Float[np.ndarray, "W T 3"]) -> Float[np.ndarray, " 3"]:
+def _white(
+    left: Float[np.ndarray, "W T 3"], real: Bool[np.ndarray, "W T"]
+) -> Float[np.ndarray, " 3"]:
     """Return the standard deviation of white noise, beside errors that change slowly."""
     order = min(_DIFFERENCES, left.shape[1] - 1)
     # Differences raise the variance of white noise by this factor.
     grown = math.comb(2 * order, order)
-    return np.sqrt(np.mean(np.diff(left, n=order, axis=1) ** 2, axis=(0, 1)) / grown)
+    steps = np.diff(left, n=order, axis=1)
+    whole = np.lib.stride_tricks.sliding_window_view(real, order + 1, axis=1).all(axis=2)
+    if not whole.any():
+        return np.zeros(3)
+    return np.sqrt(np.mean(steps[whole] ** 2, axis=0) / grown)
 
 
 def _in_words_of_control(
@@ -252,8 +259,9 @@ def _regression(
     added[..., n : n + len(curves)] *= _graded(windows)
     columns = np.concatenate([added[..., :n], timing, added[..., n:]], axis=3)
     time = np.concatenate([np.zeros((1, len(held))), np.cumsum(durations, axis=0)])[::parts]
-    values = _without_start((measured[..., :3] - driven)[::parts, ..., None], time)[..., 0]
-    columns = _without_start(columns[::parts], time)
+    real = held.measured[samples[::parts]]
+    values = _without_start((measured[..., :3] - driven)[::parts, ..., None], time, real)[..., 0]
+    columns = _without_start(columns[::parts], time, real)
     return columns.reshape(-1, *columns.shape[2:]), values.reshape(-1, 3)
 
 
@@ -337,11 +345,13 @@ def _twice_integrated(
 
 
 def _without_start(
-    values: Float[np.ndarray, "T W 3 m"], time: Float[np.ndarray, "T W"]
+    values: Float[np.ndarray, "T W 3 m"],
+    time: Float[np.ndarray, "T W"],
+    real: Bool[np.ndarray, "T W"],
 ) -> Float[np.ndarray, "W T 3 m"]:
-    """Remove constants and linear trends from each window; windows in their order."""
-    trend = np.stack([np.ones_like(time), time], axis=-1).swapaxes(0, 1)
-    basis = np.linalg.qr(trend)[0]
-    windows = np.swapaxes(values, 0, 1)
+    """Remove constants and linear trends from the measured poses of each window, in their order."""
+    trend = np.stack([np.ones_like(time), time], axis=-1) * real[..., None]
+    basis = np.linalg.qr(trend.swapaxes(0, 1))[0]
+    windows = np.swapaxes(values * real[..., None, None], 0, 1)
     flat = windows.reshape(*windows.shape[:2], -1)
     return (flat - basis @ (basis.swapaxes(1, 2) @ flat)).reshape(windows.shape)

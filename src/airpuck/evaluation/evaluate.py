@@ -157,7 +157,8 @@ class Evaluation(Result):
     encoder : str
         Encoder that gives the initial state of predictions.
     errors : array, shape (T, 3, W)
-        Predicted minus measured x, y [m], γ [rad], for every step and window.
+        Predicted minus measured x, y [m], γ [rad], for every step and window; NaN where a frame was
+        lost, but never at the reported step.
     start : array, shape (W,)
         Start time of each prediction [s].
     sample_period : float
@@ -212,7 +213,9 @@ class Evaluation(Result):
     @cached_property
     def rmse_over_horizon(self) -> Float[np.ndarray, "T 3"]:
         """Root mean square over the windows, at every step."""
-        return np.sqrt(np.mean(self.errors**2, axis=2))
+        known = ~np.isnan(self.errors)
+        squares = np.sum(np.where(known, self.errors, 0.0) ** 2, axis=2)
+        return np.sqrt(squares / np.maximum(known.sum(axis=2), 1))
 
     @property
     def rmse(self) -> Float[np.ndarray, " 3"]:
@@ -326,7 +329,8 @@ def _predicted(
 ) -> tuple[Windows, Float[np.ndarray, "T 3 W"]]:
     """Predict from one start in every `stride` samples."""
     before, ahead = _samples(trajectory, protocol)
-    windows = make_windows(trajectory, before, ahead, stride=stride)
+    judged = min(trajectory.steps(protocol.horizon), ahead)
+    windows = make_windows(trajectory, before, ahead, stride=stride, judged=judged)
     past = _past(trajectory, windows, protocol)
     if isinstance(encoder, StateEncoder):
         windows = hold_for(model, windows)
@@ -417,7 +421,7 @@ def prediction_errors(
     Returns
     -------
     array, shape (T, 3, W)
-        Predicted minus measured x, y [m], γ [rad], at the poses.
+        Predicted minus measured x, y [m], γ [rad], at the poses; NaN where frames were lost.
     """
     poses = slice(windows.parts - 1, None, windows.parts)
     errors = np.empty((windows.prediction_length // windows.parts, 3, len(windows)))
@@ -432,4 +436,8 @@ def prediction_errors(
             commands, durations, measured = windows.future(starts)
             predicted = rollout(np, now, state, commands, durations)
             errors[:, :, part] = (predicted[:, :3] - measured[:, :3])[poses]
+    if not windows.measured.all():
+        step = np.arange(1, windows.prediction_length + 1)[poses]
+        lost = ~windows.measured[windows.present + step[:, None]]
+        errors[np.broadcast_to(lost[:, None], errors.shape)] = np.nan
     return errors

@@ -53,6 +53,7 @@ def most_likely_noise(
     added: Float[np.ndarray, "N 3 2"],
     period: Float[np.ndarray, " N"],
     restart: Bool[np.ndarray, " N"],
+    measured: Bool[np.ndarray, " N"],
     used: Bool[np.ndarray, " N"],
     typical: float,
     near: Noise | None = None,
@@ -62,7 +63,7 @@ def most_likely_noise(
     `added` is the model's contribution to position and velocity of each axis from one sample to the
     next; `typical` is the sample period [s]; `near` is an initial guess, if known.
     """
-    given = pose, added, period, restart, used.astype(float)
+    given = pose, added, period, restart, measured, used.astype(float)
     point, step = _begin(near, typical, given)
     axis = np.arange(3)
     around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
@@ -148,7 +149,7 @@ def _compiled() -> Any:
 
     def advance(known: Any, carry: Any, now: Any) -> Any:
         (acceleration, disturbance, start), (mean, covariance, squares, logs) = known, carry
-        pose, added, h, restart, used = now
+        pose, added, h, restart, measured, used = now
         count, one = len(acceleration) // 3, jnp.ones_like(acceleration)
         pose, added = jnp.tile(pose, count), jnp.tile(added, (count, 1))
         p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
@@ -156,6 +157,7 @@ def _compiled() -> Any:
         mean = jnp.stack([p, v + h * d + added[:, 1], d], axis=1)
         covariance = spread(jnp, covariance, h, acceleration, disturbance)
         innovation, variance = pose - p, covariance[:, 0, 0] + 1.0
+        one = jnp.where(measured, one, jnp.inf)
         mean, covariance = correct(mean, covariance, 0, innovation, one)
         squares = squares + used * innovation**2 / variance
         logs = logs + used * jnp.log(variance)
@@ -185,8 +187,10 @@ class Innovations:
     values: Float[np.ndarray, "N 3"]
     #: Standard deviations according to the filter.
     deviation: Float[np.ndarray, "N 3"]
-    #: False in excluded spans, and at the first two samples of every stretch, which only determine
+    #: False in excluded spans, and at the first two poses of every stretch, which only determine
     #: position and speed of the craft.
+    follows: Bool[np.ndarray, " N"]
+    #: The measured poses among them.
     used: Bool[np.ndarray, " N"]
     #: Samples at which the filter restarts.
     restart: Bool[np.ndarray, " N"]
@@ -217,11 +221,12 @@ class Innovations:
     def starts(self, ahead: int, apart: int) -> Int[np.ndarray, " M"]:
         """Choose samples to predict from, each after 0.25 s of used poses.
 
-        All `ahead` samples after each are used, and starts are at least `apart` samples apart.
+        None of the `ahead` samples after each is excluded, and starts are at least `apart` samples
+        apart.
         """
         settle = max(2, round(_SETTLE_S / float(np.median(np.diff(self.time)))))
         length = settle + ahead
-        runs = np.convolve(self.used, np.ones(length))[length - 1 : len(self.used)] >= length
+        runs = np.convolve(self.follows, np.ones(length))[length - 1 : len(self.used)] >= length
         able = np.flatnonzero(runs) + settle - 1
         chosen = able[:1].tolist()
         while chosen and (k := np.searchsorted(able, chosen[-1] + apart)) < len(able):
@@ -252,9 +257,12 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
         If the trajectory is of another craft, or has too few usable samples in a row.
     """
     check_propellers(model.vehicle, trajectory)
-    usable = trajectory.usable
-    restart = ~(usable & np.concatenate([[False], usable[:-1]]))
-    used = ~restart & ~np.concatenate([[True], restart[:-1]])
+    restart, follows = np.ones(len(trajectory), dtype=bool), np.zeros(len(trajectory), dtype=bool)
+    for first, last in trajectory.segments:
+        known = first + np.flatnonzero(trajectory.measured[first:last])
+        if len(known) > 1:
+            restart[known[0] + 1 : last], follows[known[1] + 1 : last] = False, True
+    used = follows & trajectory.measured
     if used.sum() < _FEWEST:
         raise InputError(
             f"has only {used.sum()} poses whose predecessors are usable; at least {_FEWEST} are "
@@ -270,11 +278,12 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
             # Accelerations depend on the noise only through the estimated yaw: two passes suffice.
             added = _run_filter(model, trajectory, noise, restart, begin)[2]
             period = np.diff(time, prepend=time[0])
-            given = pose, added, period, restart, used, trajectory.sample_period
-            noise, counts = most_likely_noise(*given, noise if near else None)
+            given = pose, added, period, restart, trajectory.measured, used
+            near_by = noise if near else None
+            noise, counts = most_likely_noise(*given, trajectory.sample_period, near_by)
     filtered = _run_filter(model, trajectory, noise, restart, begin)
     values, variance, added, mean, covariance, speed = filtered
-    found = values, np.sqrt(variance), used, restart, added, mean, covariance, speed
+    found = values, np.sqrt(variance), follows, used, restart, added, mean, covariance, speed
     return Innovations(time, *found, noise, counts)
 
 
@@ -325,7 +334,8 @@ def _run_filter(
     lag = model.dynamics.lag, model.dynamics.idle_lag
     speed = speed_before(float(time[0]), acts, trajectory.command, *lag)
     pieces = cut_at_commands(time, acts, trajectory.command)
-    inputs = (trajectory.state[:, :3], restart, begin, np.diff(time, prepend=time[0]), *pieces)
+    steps = np.diff(time, prepend=time[0])
+    inputs = (trajectory.state[:, :3], trajectory.measured, restart, begin, steps, *pieces)
     known, begun = (model.dynamics, *squares, covariance), (np.zeros((3, 3)), covariance, speed)
     return _compiled_filter()(known, begun, inputs)[1]
 
@@ -340,7 +350,7 @@ def _compiled_filter() -> Any:
     def advance(known: Any, carry: Any, given: Any) -> Any:
         dynamics, pose_variance, acceleration, disturbance, start = known
         mean, covariance, speed = carry
-        pose, restart, begin, h, durations, commands = given
+        pose, measured, restart, begin, h, durations, commands = given
         p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
         state = jnp.concatenate([p, v, speed])
         end = rollout(jnp, dynamics, state, commands, durations)[-1]
@@ -349,7 +359,8 @@ def _compiled_filter() -> Any:
         covariance = spread(jnp, covariance, h, acceleration, disturbance)
         innovation = pose - mean[:, 0]
         variance = covariance[:, 0, 0] + pose_variance
-        mean, covariance = correct(mean, covariance, 0, innovation, pose_variance)
+        noise = jnp.where(measured, pose_variance, jnp.inf)
+        mean, covariance = correct(mean, covariance, 0, innovation, noise)
         mean = jnp.where(restart, begin, mean)
         covariance = jnp.where(restart, start, covariance)
         carry = mean, covariance, end[6:]

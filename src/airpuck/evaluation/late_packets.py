@@ -73,7 +73,7 @@ def late_packets(
     steps = np.diff(time, prepend=time[0])
     lag = max(float(model.dynamics.motor_time_constant), _LEAST_LAG)
     pose, directions = trajectory.state[:, :3], _directions(model, trajectory, found)
-    per_sample = kicks, steps, found.restart, found.used.astype(float)
+    per_sample = kicks, steps, found.restart, trajectory.measured, found.used.astype(float)
     one = pose, found.added[:, :, None], *per_sample
     known = 1 + directions.shape[2]
     added = np.concatenate(
@@ -201,7 +201,7 @@ def _compiled() -> Any:
 
     def advance(known: Any, carry: Any, now: Any) -> Any:
         (ratios, lag, start), (mean, covariance, squares, logs) = known, carry
-        pose, added, kicks, h, restart, used = now
+        pose, added, kicks, h, restart, measured, used = now
         (count, signals, _), (acceleration, disturbance, lateness) = mean.shape, ratios.T
         pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
         # The first signal is the measured pose; for the others only their contribution matters.
@@ -224,7 +224,7 @@ def _compiled() -> Any:
         innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
         squares = squares + used * innovation[:, 0] ** 2 / variance
         logs = logs + used * jnp.log(variance)
-        gain = covariance[:, :, 0] / variance[:, None]
+        gain = measured * covariance[:, :, 0] / variance[:, None]
         mean = mean + gain[:, None] * innovation[..., None]
         covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
         fresh = jnp.zeros_like(mean).at[..., 0].set(pose)

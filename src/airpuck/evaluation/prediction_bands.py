@@ -58,7 +58,7 @@ class PredictionBands(Result):
     time : array, shape (T, W)
         Times predicted [s].
     predicted, measured : array, shape (T, 3, W)
-        x, y [m], γ [rad].
+        x, y [m], γ [rad]; measured: NaN where a frame was lost.
     by_parameters : array, shape (T, 3, W), or None
         Half the band due to the uncertainty of the parameters: quantile of Student's t times the
         standard error. None if the model has no uncertainty; nan where the prediction depends on
@@ -102,9 +102,9 @@ class PredictionBands(Result):
     def coverage(self) -> Float[np.ndarray, " 3"]:
         """Percentage of the windows whose pose at the horizon is within its total band.
 
-        Among those with a known band.
+        Among those with a known band and a measured pose.
         """
-        known = np.isfinite(self.total[-1]).sum(axis=1)
+        known = np.isfinite(self.total[-1] + self.measured[-1]).sum(axis=1)
         share = np.full(3, np.nan)
         return np.divide(100.0 * self.covered[-1].sum(axis=1), known, out=share, where=known > 0)
 
@@ -189,12 +189,13 @@ def prediction_bands(
         by_parameters = uncertainty.quantile * error
         squares = squares + by_parameters**2
     ahead = starts + np.arange(1, steps + 1)[:, None]
+    poses = np.where(trajectory.measured[:, None], trajectory.state[:, :3], np.nan)
     return PredictionBands(
         model=model.name,
         start=trajectory.time[starts],
         time=trajectory.time[ahead],
         predicted=predicted,
-        measured=np.moveaxis(trajectory.state[ahead, :3], 2, 1),
+        measured=np.moveaxis(poses[ahead], 2, 1),
         by_parameters=by_parameters,
         total=np.sqrt(squares),
     )

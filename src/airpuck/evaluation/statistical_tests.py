@@ -142,9 +142,13 @@ def block_regression(
 def with_pauses(
     values: Float[np.ndarray, "N C"], used: Bool[np.ndarray, " N"], lags: int
 ) -> Float[np.ndarray, "L C"]:
-    """Put zeros between stretches, so that no product of two samples spans a gap."""
+    """Put zeros between stretches, so that no product of two samples spans a gap.
+
+    A single sample that is not used is a lost frame, not a gap.
+    """
     values = np.where(used[:, None], values, 0.0)
-    begins = np.flatnonzero(used & ~np.concatenate([[True], used[:-1]]))
+    before = np.concatenate([[True, True], used])
+    begins = np.flatnonzero(used & ~before[1:-1] & ~before[:-2])
     return np.insert(values, np.repeat(begins, lags), 0.0, axis=0)
 
 

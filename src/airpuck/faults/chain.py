@@ -131,8 +131,10 @@ def _stopping_steps(lag: float, length: float) -> int:
 
 
 def usable_steps(trajectory: Trajectory, knots: Int[np.ndarray, " K1"]) -> Bool[np.ndarray, " K"]:
-    """Return which steps touch no excluded span."""
-    return np.logical_and.reduceat(trajectory.usable, knots[:-1]) & trajectory.usable[knots[1:]]
+    """Return which steps touch no excluded span, and have velocities at both ends."""
+    usable, known = trajectory.usable, trajectory.determined[knots]
+    whole = np.logical_and.reduceat(usable, knots[:-1]) & usable[knots[1:]]
+    return whole & known[:-1] & known[1:]
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,8 @@ def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, A
     windows, encoder, before = loss.windows, loss.encoder, loss.windows.encoder_length
     time, state, command = map(jnp.asarray, (windows.time, windows.state, windows.input))
     weights = jnp.asarray(loss.weights)[:, None]
-    steps = jnp.arange(windows.prediction_length + 1)[:, None]
+    steps, real = jnp.arange(windows.prediction_length + 1)[:, None], windows.measured
+    counts = None if real.all() else jnp.asarray(real.astype(float))
 
     def error(vector: Any, starts: Any) -> Any:
         dynamics = parameters.with_vector(vector).dynamics(jnp, loss.vehicle, loss.frame)
@@ -160,7 +161,10 @@ def batch_loss(loss: PredictionLoss, parameters: Parameters) -> Callable[[Any, A
             jnp.diff(time[index], axis=0),
         )
         measured = jnp.moveaxis(state[index[1:], :3], -1, 1)
-        return jnp.mean((weights * (predicted[:, :3] - measured)) ** 2)
+        squares = (weights * (predicted[:, :3] - measured)) ** 2
+        if counts is None:
+            return jnp.mean(squares)
+        return jnp.mean(squares * (some := counts[index[1:]])[:, None]) / jnp.mean(some)
 
     return error
 

@@ -125,7 +125,7 @@ def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.nda
     windows = loss.windows_at(parameters)
     errors = prediction_errors(dynamics, windows, loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
-    return student_weights(np.mean(scaled**2, axis=(0, 1)), loss.multiplicity)
+    return student_weights(np.nanmean(scaled**2, axis=(0, 1)), loss.multiplicity)
 
 
 def student_weights(

@@ -61,6 +61,7 @@ def normal_equations(
     basis: tuple[Any, Any],
     time: Any,
     state: Any,
+    measured: Any,
     command: Any,
     command_slope: Any,
     starts: Any,
@@ -68,12 +69,12 @@ def normal_equations(
     channel_weights: Any,
     *,
     encoder: StateEncoder,
-    lengths: tuple[int, int, int],
+    lengths: tuple[int, int],
     frame: CenterOfMassFrame,
 ) -> tuple[Any, Any, Any]:
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
-    `lengths` are E, T, and the number of steps from one pose to the next. Local coordinates are the
+    `lengths` are E and T; poses count where `measured` is one, not zero. Local coordinates are the
     thrust coefficients, K directions of Π and the effects, the centre of mass if it acts beside Π,
     τ and its increase at standstill, and the transport delay.
 
@@ -84,7 +85,7 @@ def normal_equations(
     tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
     # The lag does not depend on the delay, the last local coordinate.
-    by_lag, (before, ahead, parts) = jnp.eye(lags + 1, lags), lengths
+    by_lag, (before, ahead) = jnp.eye(lags + 1, lags), lengths
 
     past = gather_past(jnp, time, state, command, starts, before)
     past_slope = gather_past(jnp, time, state, command_slope, starts, before).command
@@ -183,9 +184,7 @@ def normal_equations(
         d_position, d_yaw = d_position + d_pose[:2], d_yaw + d_pose[2]
         d_velocity += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
 
-        scale = channel_weights[:, None] * jnp.sqrt(multiplicity)
-        if parts > 1:
-            scale = scale * ((k + 1) % parts == 0)
+        scale = channel_weights[:, None] * jnp.sqrt(multiplicity * measured[now + 1])
         predicted = jnp.concatenate([position, motion[:1]])
         residual = scale * (predicted - state[now + 1, :3].T)
         square, score, curvature = sums
@@ -340,7 +339,7 @@ class PredictionLoss:
             Derivatives are with respect to ``parameters.to_vector()``.
         """
         square, score, curvature, owner, local = self._passed(parameters)
-        scale = 1 / (3 * self.windows.prediction_length * self._counted.sum())
+        scale = 1 / (3 * self._counted @ self.windows.poses)
         return Quadratic(
             cluster_losses=scale * _summed([part.sum() for part in square], owner),
             scores=2 * scale * _summed([part.sum(axis=1) for part in score], owner) @ local,
@@ -366,8 +365,8 @@ class PredictionLoss:
         """
         alike = replace(self, multiplicity=None, clusters=None)
         square, score, _, _, local = alike._passed(parameters)
-        count, scale = len(self.windows), 1 / (3 * self.windows.prediction_length)
-        gradients = 2 * scale * np.concatenate(score, axis=1)[:, :count].T @ local
+        count, scale = len(self.windows), 1 / (3 * self.windows.poses)
+        gradients = 2 * scale[:, None] * (np.concatenate(score, axis=1)[:, :count].T @ local)
         return scale * np.concatenate(square)[:count], gradients
 
     def _passed(
@@ -383,7 +382,7 @@ class PredictionLoss:
             lag = np.append(lag, parameters.idle_lag)
         own_lag = self.vehicle.actuation.own_lag
         dynamics = (parameters.thrust, values, parameters.center_of_mass, lag, own_lag)
-        samples = (windows.time, windows.state, windows.input, slope)
+        samples = windows.time, windows.state, windows.measured.astype(float), windows.input, slope
         with double_precision():
             # Copy to the device; creating the array with jax.numpy would compile a program for each
             # shape.
@@ -398,7 +397,7 @@ class PredictionLoss:
         normal_equations = partial(
             compiled_normal_equations(),
             encoder=self.encoder,
-            lengths=(windows.encoder_length, windows.prediction_length, windows.parts),
+            lengths=(windows.encoder_length, windows.prediction_length),
             frame=self.frame,
         )
         batches, owner = self._batches()

@@ -126,7 +126,11 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
     if trajectory.steps(_LENGTH) < _FEWEST:
         return None
     first = np.searchsorted(trajectory.time, arrival[packet]) - trajectory.steps(_LEAD)
-    whole = np.isin(first, trajectory.window_starts(trajectory.steps(_LENGTH)))
+    length = trajectory.steps(_LENGTH)
+    whole = np.isin(first, trajectory.window_starts(length))
+    # Poses that are interpolated across many lost frames tell of no packet.
+    lost = np.concatenate([[0], np.cumsum(~trajectory.bridged)])
+    whole[whole] = lost[first[whole] + length] == lost[first[whole]]
     if not whole.any():
         return None
     return _Surroundings(trajectory, model, arrival, change, packet[whole], first[whole])

@@ -30,7 +30,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import smooth_stretches
-from airpuck.preprocessing.time_scale import is_slow, smoothing_time
+from airpuck.preprocessing.time_scale import is_slow, measured_positions, smoothing_time
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9
@@ -96,14 +96,20 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     fine = refined(trajectory, parts)
     modelled = modelled_acceleration(fine, model)
     fewest = shortest_stretch(trajectory.sample_period)
-    duration = smoothing_time(time, state[:, :2], model.vehicle)
-    for part in smooth_stretches(time, duration, trajectory.excluded):
+    duration = smoothing_time(*measured_positions(trajectory), model.vehicle)
+    for part in smooth_stretches(time, trajectory.bridged, duration, trajectory.excluded):
         if len(time[part]) < fewest:
             continue  # excluded by preprocessing, which has no velocities there either
         within = slice(part.start * parts, (part.stop - 1) * parts + 1)
         steps = np.diff(fine.time[within])[:, None]
         gained, moved = (one[::parts] for one in integrated(modelled[within], steps))
-        smoothed = velocity(time[part], state[part, :3] - moved, trajectory.sample_period, duration)
+        smoothed = velocity(
+            time[part],
+            state[part, :3] - moved,
+            trajectory.sample_period,
+            duration,
+            trajectory.measured[part],
+        )
         state[part, 3:] = gained + smoothed
     return replace(trajectory, state=state)
 

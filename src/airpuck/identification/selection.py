@@ -318,7 +318,7 @@ class _HeldOut:
         # A slow craft is predicted for longer, to see the models' differences.
         horizon = max(_HORIZON, showing_time(trajectories, vehicle))
         ahead = min(steps(horizon), ahead or 1)
-        windows = make_windows(trajectories, before, ahead, steps(_SPACING))
+        windows = make_windows(trajectories, before, ahead, steps(_SPACING), judged=ahead)
         cuts = np.arange(1, folds) * len(windows) // folds
         edges = np.concatenate([[0], windows.starts[cuts], [len(windows.time)]])
         block = np.searchsorted(edges, windows.starts, side="right") - 1

@@ -75,7 +75,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
     speed = motor_speeds(time, trajectory.input, lag, None if idle is None else float(idle))
     limit = round(LONGEST_S / trajectory.sample_period)
     shift, correlation = 0, 0.0
-    visited: set[int] = set()
+    visited, known = set[int](), trajectory.usable & trajectory.determined
     # Shifts cannot oscillate forever: the search ends when a shift recurs.
     while shift not in visited:
         visited.add(shift)
@@ -87,7 +87,7 @@ def estimate_delay(trajectory: Trajectory, dynamics: Dynamics) -> tuple[int, flo
         caused[motion] = np.stack(model_acceleration(np, dynamics, state.T, speed[cause].T), axis=1)
         modelled = smoothed_as_measured(trajectory, caused)[motion].T
         # Mask only one of the two: gaps common to both would correlate at zero lag.
-        measured = trajectory.acceleration[motion].T * trajectory.usable[motion]
+        measured = trajectory.acceleration[motion].T * known[motion]
         best = [_best_lag(a, b, limit) for a, b in zip(measured, modelled, strict=True)]
         lag, correlation = np.mean(best, axis=0)
         shift = int(np.clip(shift + np.rint(lag), -limit, limit))

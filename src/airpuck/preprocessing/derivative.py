@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from airpuck.data.trajectory import usual_period
 
@@ -18,6 +18,10 @@ VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
 _FEWEST = 5
 #: Number of samples in windows that are processed at once, which bounds memory.
 _AT_ONCE = 1 << 20
+#: Deviation of a step from the period, relative to it, above which smoothing uses actual times.
+_UNEVEN = 0.1
+#: Weight of an interpolated pose, which only keeps local polynomials determined.
+_INTERPOLATED = 1e-6
 
 
 def window_length(duration: float, period: float) -> int:
@@ -42,20 +46,23 @@ def smooth(
     values: Float[np.ndarray, "N k"],
     duration: float,
     period: float | None = None,
+    measured: Bool[np.ndarray, " N"] | None = None,
 ) -> Float[np.ndarray, "N k"]:
     """Smooth with local cubic polynomials (Savitzky-Golay).
 
     If a window has no more poses than a cubic has coefficients, poses are not smoothed: their
     differences contain little noise. If `time` is a stretch between gaps, `period` is the usual
-    sample period of the whole recording, which a few samples may not show.
+    sample period of the whole recording, which a few samples may not show. Values that are not
+    `measured` do not count.
     """
     own = usual_period(time)
     window = window_length(duration, own if period is None else period)
     window = min(window, len(time) - 1 + len(time) % 2)
     if window <= POLYNOMIAL_ORDER + 1:
         return values
-    if own != np.median(np.diff(time)):
-        return _smooth_unevenly(time, values, window)
+    values, steps = _filled(time, values, window, measured), np.diff(time)
+    if own != np.median(steps) or np.abs(steps / own - 1).max() > _UNEVEN:
+        return _smooth_unevenly(time, values, window, np.ones_like(time), np.arange(len(time)))
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
     # filter gives the same result, but importing scipy.signal takes longer than all of
     # preprocessing.
@@ -67,16 +74,44 @@ def smooth(
     return np.concatenate([ends[0], inner, ends[1]])
 
 
-def _smooth_unevenly(
-    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], window: int
+def _filled(
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    window: int,
+    measured: Bool[np.ndarray, " N"] | None,
 ) -> Float[np.ndarray, "N k"]:
-    """Smooth with local cubic polynomials at the actual times of samples."""
-    each = np.arange(len(time))
-    first = np.clip(each - window // 2, 0, len(time) - window)
-    index = first[:, None] + np.arange(window)
-    offset = (time[index] - time[:, None]) / (time[index[:, -1:]] - time[index[:, :1]])
-    basis, _ = np.linalg.qr(offset[..., None] ** np.arange(POLYNOMIAL_ORDER + 1))
-    return np.einsum("np,nwp,nwk->nk", basis[each, each - first], basis, values[index])
+    """Replace lost poses by local cubics through the measured ones around them.
+
+    Smoothing is then the same at all samples, so that its errors remain alike at neighbours.
+    """
+    if measured is None or measured.all():
+        return values
+    values, lost = values.copy(), np.flatnonzero(~measured)
+    weight = np.where(measured, 1.0, _INTERPOLATED)
+    values[lost] = _smooth_unevenly(time, values, window, weight, lost)
+    return values
+
+
+def _smooth_unevenly(
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    window: int,
+    weight: Float[np.ndarray, " N"],
+    places: Int[np.ndarray, " M"],
+) -> Float[np.ndarray, "M k"]:
+    """Smooth at some samples with local cubic polynomials in the actual times."""
+    found, root = np.empty((len(places), values.shape[1])), np.sqrt(weight)
+    size = max(_AT_ONCE // window, 1)
+    for part in np.split(np.arange(len(places)), range(size, len(places), size)):
+        each = places[part]
+        first = np.clip(each - window // 2, 0, len(time) - window)
+        index = first[:, None] + np.arange(window)
+        offset = (time[index] - time[each, None]) / (time[index[:, -1:]] - time[index[:, :1]])
+        powers = offset[..., None] ** np.arange(POLYNOMIAL_ORDER + 1)
+        basis, _ = np.linalg.qr(root[index][..., None] * powers)
+        own = basis[np.arange(len(each)), each - first] / root[each, None]
+        found[part] = np.einsum("np,nwp,nw,nwk->nk", own, basis, root[index], values[index])
+    return found
 
 
 def acceleration_time(duration: float) -> float:
@@ -89,14 +124,16 @@ def velocity(
     values: Float[np.ndarray, "N k"],
     period: float | None = None,
     duration: float = VELOCITY_TIME,
+    measured: Bool[np.ndarray, " N"] | None = None,
 ) -> Float[np.ndarray, "N k"]:
     """Differentiate once: smooth over 46 ms, then take second-order differences.
 
     For longer smoothing, return the slopes of local polynomials, which contain less noise.
     """
     if duration > VELOCITY_TIME:
-        return _local_derivative(time, values, duration, period, 1)
-    return np.gradient(smooth(time, values, duration, period), time, axis=0, edge_order=2)
+        return _local_derivative(time, values, duration, period, 1, measured)
+    smoothed = smooth(time, values, duration, period, measured)
+    return np.gradient(smoothed, time, axis=0, edge_order=2)
 
 
 def acceleration(
@@ -104,14 +141,15 @@ def acceleration(
     values: Float[np.ndarray, "N k"],
     period: float | None = None,
     duration: float = VELOCITY_TIME,
+    measured: Bool[np.ndarray, " N"] | None = None,
 ) -> Float[np.ndarray, "N k"]:
     """Differentiate twice: smooth over 62 ms, then take the second divided difference.
 
     If velocities are smoothed for longer, return the curvatures of local polynomials.
     """
     if duration > VELOCITY_TIME:
-        return _local_derivative(time, values, acceleration_time(duration), period, 2)
-    smoothed = smooth(time, values, ACCELERATION_TIME, period)
+        return _local_derivative(time, values, acceleration_time(duration), period, 2, measured)
+    smoothed = smooth(time, values, ACCELERATION_TIME, period, measured)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (
         2
@@ -131,12 +169,13 @@ def _local_derivative(
     duration: float,
     period: float | None,
     order: int,
+    measured: Bool[np.ndarray, " N"] | None,
 ) -> Float[np.ndarray, "N k"]:
     """Return a derivative of cubic polynomials through the neighbours of each sample."""
     window = window_length(duration, usual_period(time) if period is None else period)
     # In a stretch shorter than the window, the window shrinks.
     window = min(max(window, _FEWEST), len(time) - 1 + len(time) % 2)
-    found = np.empty_like(values)
+    found, values = np.empty_like(values), _filled(time, values, window, measured)
     size = max(_AT_ONCE // window, 1)
     for each in np.split(np.arange(len(time)), range(size, len(time), size)):
         first = np.clip(each - window // 2, 0, len(time) - window)

@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.data.trajectory import Span, Trajectory, usual_period
+from airpuck.data.trajectory import Span, Trajectory, bridged, usual_period
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
@@ -24,6 +24,12 @@ from airpuck.preprocessing.derivative import (
     shortest_stretch,
     unwrap_yaw,
     velocity,
+)
+from airpuck.preprocessing.missing import (
+    interpolated,
+    longest_pause,
+    lost_frames_words,
+    with_lost_frames,
 )
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
@@ -158,19 +164,16 @@ def preprocess(
     kept = _crop_to_commands(poses.time, commands, begins_above, recording.source)
     time, values = poses.time[kept], poses.values[kept]
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
-    jumps = find_jumps(time, values)
-    rates, accelerations, short = _velocity_and_acceleration(time, values, jumps, vehicle)
-    unusable = (
-        *find_gaps(time),
-        *find_frozen(time, values),
-        *jumps,
-        *find_gaps(commands.time, _NO_COMMANDS, COMMAND_GAP_PERIODS),
-        *short,
-    )
+    jumps, frozen = find_jumps(time, values), find_frozen(time, values)
+    pauses = find_gaps(time, longest_pause(usual_period(time)))
+    time, values, measured = with_lost_frames(time, values)
+    state, accelerations, short = _differentiated(time, values, measured, jumps, vehicle)
+    longest = COMMAND_GAP_PERIODS * usual_period(commands.time) if len(commands.time) > 1 else 0.0
+    unusable = (*pauses, *frozen, *jumps, *find_gaps(commands.time, longest, _NO_COMMANDS), *short)
     driven, drive = vehicle.actuation.drive(commands.time, commands.values)
     trajectory = Trajectory(
         time=time,
-        state=np.concatenate([values, rates], axis=1),
+        state=state,
         acceleration=accelerations,
         command_time=driven,
         command=drive,
@@ -178,8 +181,13 @@ def preprocess(
         excluded=unusable,
         source=recording.source,
         hashes=recording.hashes,
-        warnings=recording.warnings + aligned.warnings + poses.warnings + commands.warnings,
+        warnings=recording.warnings
+        + aligned.warnings
+        + poses.warnings
+        + lost_frames_words(time, measured)
+        + commands.warnings,
         vehicle=vehicle,
+        lost=time[~measured],
     )
     nominal = nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
     usual = vehicle.nominal.transport_delay_s
@@ -221,24 +229,33 @@ def _crop_to_commands(
     return slice(first, last)
 
 
-def _velocity_and_acceleration(
+def _differentiated(
     time: Float[np.ndarray, " N"],
     values: Float[np.ndarray, "N 3"],
+    measured: Bool[np.ndarray, " N"],
     jumps: Sequence[Span],
     vehicle: Vehicle,
-) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], list[Span]]:
-    """Differentiate each stretch between gaps separately; mark those that are too short."""
+) -> tuple[Float[np.ndarray, "N 6"], Float[np.ndarray, "N 3"], list[Span]]:
+    """Differentiate each stretch between long pauses separately; mark those that are too short."""
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
-    short, period = [], usual_period(time)
-    fewest, duration = shortest_stretch(period), smoothing_time(time, values[:, :2], vehicle)
-    for part in smooth_stretches(time, duration, jumps):
-        within = time[part]
+    short, period = [], usual_period(time[measured])
+    fewest = shortest_stretch(period)
+    duration = smoothing_time(time[measured], values[measured, :2], vehicle)
+    known = bridged(time, measured)
+    for part in smooth_stretches(time, known, duration, jumps):
+        within, real = time[part], measured[part]
         if len(within) >= fewest:
-            rates[part] = velocity(within, values[part], period, duration)
-            accelerations[part] = acceleration(within, values[part], period, duration)
+            rates[part] = velocity(within, values[part], period, duration, real)
+            accelerations[part] = acceleration(within, values[part], period, duration, real)
         elif not any(jump.start <= within[0] and within[-1] <= jump.stop for jump in jumps):
             short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
-    return rates, accelerations, short
+    if measured.all():
+        return np.concatenate([values, rates], axis=1), accelerations, short
+    values, between = interpolated(time, values, rates, measured)
+    rates[~known] = between[~known]
+    for column in accelerations.T:
+        column[~known] = np.interp(time[~known], time[known], column[known])
+    return np.concatenate([values, rates], axis=1), accelerations, short
 
 
 def _compensate_delay(
@@ -281,6 +298,7 @@ def _compensate_delay(
         time=trajectory.time[first:] - start,
         state=trajectory.state[first:],
         acceleration=trajectory.acceleration[first:],
+        lost=trajectory.lost - start,
         command_time=trajectory.command_time - start,
         delay=float(delay),
         excluded=tuple(excluded),

@@ -8,15 +8,13 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span, runs, usual_period
+from airpuck.data.trajectory import Span, longest_bridge, runs, usual_period
 from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, window_length
 from airpuck.recording.stream import Stream
 
-#: A pause longer than this many sample periods is a gap.
-GAP_PERIODS = 1.5
 #: A pose that repeats exactly for this long [s] and this many times is frozen: real measurements
 #: have noise.
 _FROZEN_TIME, _FROZEN_LEAST = 5 / 240, 3
@@ -170,34 +168,33 @@ def drop_disorder(
 
 
 def find_gaps(
-    time: Float[np.ndarray, " N"], cause: str = "gap", periods: float = GAP_PERIODS
+    time: Float[np.ndarray, " N"], longest: float, cause: str = "gap"
 ) -> tuple[Span, ...]:
-    """Find pauses in a stream."""
-    pause = np.diff(time)
-    if len(pause) == 0:
-        return ()
-    before = np.flatnonzero(pause > periods * usual_period(time))
+    """Find pauses in a stream that are longer than `longest` [s]."""
+    before = np.flatnonzero(np.diff(time) > longest)
     return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
 
 
-def stretches(time: Float[np.ndarray, " N"], cuts: Sequence[float] = ()) -> list[slice]:
-    """Cut a stream at its gaps, and at additional times."""
-    cuts = sorted({*(gap.stop for gap in find_gaps(time)), *cuts})
-    inside = [k for k in np.searchsorted(time, cuts).tolist() if 0 < k < len(time)]
-    return [slice(first, last) for first, last in pairwise([0, *inside, len(time)])]
-
-
 def smooth_stretches(
-    time: Float[np.ndarray, " N"], duration: float, spans: Sequence[Span]
+    time: Float[np.ndarray, " N"],
+    bridged: Bool[np.ndarray, " N"],
+    duration: float,
+    spans: Sequence[Span],
 ) -> list[slice]:
-    """Cut a stream where smoothing must not reach across: gaps, and jumps among excluded spans.
+    """Cut a stream where smoothing must not reach across.
 
-    The usual smoothing affects no poses beyond the span of a jump.
+    These are pauses that leave velocities unknown and, for longer smoothing than usual, jumps among
+    excluded spans: the usual smoothing affects no poses beyond the span of a jump.
     """
-    if duration <= VELOCITY_TIME:
-        return stretches(time)
-    jumps = [span for span in spans if span.cause == _JUMP]
-    return stretches(time, [edge for jump in jumps for edge in (jump.start, jump.stop)])
+    cuts = set((np.flatnonzero(np.diff(time) > longest_bridge(usual_period(time))) + 1).tolist())
+    if duration > VELOCITY_TIME:
+        jumps = [edge for span in spans if span.cause == _JUMP for edge in (span.start, span.stop)]
+        cuts.update(np.searchsorted(time, jumps).tolist())
+    found = []
+    for first, last in runs(bridged):
+        inside = sorted(cut for cut in cuts if first < cut < last)
+        found += [slice(a, b) for a, b in pairwise([first, *inside, last])]
+    return found
 
 
 def find_frozen(
@@ -226,8 +223,10 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     rate = np.diff(values, axis=0) / pause[:, None]
     leap = np.abs(rate - _running_median(rate, neighbours))
     limit = np.maximum(_JUMP_RATIO * np.median(leap, axis=0) / 0.6745, _JUMP_SPEED)
-    # Motion during a gap does not count as a jump.
-    jumps = (leap > limit).any(axis=1) & (pause <= GAP_PERIODS * period)
+    # Beside a lost frame, a jump changes the rate half as much. Motion during a longer pause does
+    # not count as a jump.
+    leap *= np.clip(pause / period, 1, 2)[:, None]
+    jumps = (leap > limit).any(axis=1) & (pause <= longest_bridge(period))
     spoilt = np.zeros(len(time), dtype=bool)
     # Smoothing also spoils its neighbours.
     reach = window_length(ACCELERATION_TIME, period) // 2

@@ -53,7 +53,7 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     A craft of acceleration a moves by a t²/2. At most 3; 0 if recordings are too short.
     """
     push = usual_push(vehicle)
-    noise = (pose_noise(one.time, one.state[:, :2], push) for one in trajectories)
+    noise = (pose_noise(*measured_positions(one), push) for one in trajectories)
     return min(math.sqrt(2 * _CLEAR * max(noise) / push), _LONGEST) if push > 0 else 0.0
 
 
@@ -80,8 +80,8 @@ def smoothing_time(
 
 def is_slow(trajectory: Trajectory) -> bool:
     """Return whether the poses of a recording were smoothed for longer than usual."""
-    position, vehicle = trajectory.state[:, :2], vehicle_of([trajectory])
-    return smoothing_time(trajectory.time, position, vehicle) > VELOCITY_TIME
+    vehicle = vehicle_of([trajectory])
+    return smoothing_time(*measured_positions(trajectory), vehicle) > VELOCITY_TIME
 
 
 def smoothed_as_measured(
@@ -91,13 +91,13 @@ def smoothed_as_measured(
 
     The usual smoothing is too short to matter.
     """
-    time, position = trajectory.time, trajectory.state[:, :2]
-    duration = smoothing_time(time, position, vehicle_of([trajectory]))
+    time = trajectory.time
+    duration = smoothing_time(*measured_positions(trajectory), vehicle_of([trajectory]))
     if duration <= VELOCITY_TIME:
         return modelled
     smoothed = modelled.copy()
     period = trajectory.sample_period
-    for part in smooth_stretches(time, duration, trajectory.excluded):
+    for part in smooth_stretches(time, trajectory.bridged, duration, trajectory.excluded):
         if len(time[part]) >= shortest_stretch(period):
             lasting = acceleration_time(duration)
             smoothed[part] = smooth(time[part], modelled[part], lasting, period)
@@ -120,6 +120,13 @@ def usual_push(vehicle: Vehicle) -> float:
     full = np.abs(np.asarray(model.dynamics.thrust).sum(axis=1))
     each = np.hypot(*np.asarray(model.dynamics.configuration)[:2]) * full
     return float(np.median(each[each > 0])) if each.any() else 0.0
+
+
+def measured_positions(
+    trajectory: Trajectory,
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 2"]]:
+    """Return times and positions of the measured poses."""
+    return trajectory.time[trajectory.measured], trajectory.state[trajectory.measured, :2]
 
 
 def pose_noise(

@@ -94,7 +94,9 @@ class FitStudy:
                 continue
             windows, encoder = loss.windows_at(model.parameters), PaperEncoder(model.indexing)
             errors = prediction_errors(model.dynamics, windows, encoder)
-            losses[fit.model.name] = float(np.mean((np.array(loss.weights)[:, None] * errors) ** 2))
+            losses[fit.model.name] = float(
+                np.nanmean((np.array(loss.weights)[:, None] * errors) ** 2)
+            )
         return losses
 
 
