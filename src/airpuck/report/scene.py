@@ -20,7 +20,6 @@ from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
-    GAP_PERIODS,
     check_commands,
     check_poses,
     drop_disorder,
@@ -39,8 +38,8 @@ SHAFT, HEAD_WIDTH, HEAD_LENGTH = 0.07, 0.21, 0.42
 PLAN_LASTS = 0.15
 #: Duration of the trail [s].
 TRAIL = 2.5
-#: Longest gap between connected poses [s].
-_LONGEST_PAUSE = 0.05
+#: Longest gap between connected poses [s], or in sample periods.
+_LONGEST_PAUSE, _PAUSE_PERIODS = 0.05, 1.5
 #: Distance that a flight on the table may reach beyond the rails, because the origin of motion
 #: capture is only roughly the table's centre [m].
 _BEYOND_RAILS = 0.05
@@ -238,7 +237,7 @@ def _period(time: Float[np.ndarray, " K"]) -> float:
 
 def _longest_pause(time: Float[np.ndarray, " N"]) -> float:
     """Return the longest gap between connected poses [s]."""
-    return max(_LONGEST_PAUSE, GAP_PERIODS * _period(time))
+    return max(_LONGEST_PAUSE, _PAUSE_PERIODS * _period(time))
 
 
 def _surroundings(
