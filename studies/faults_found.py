@@ -23,7 +23,7 @@ from recovery import truth
 from airpuck import Loss, Span, find_faults, identify, preprocess
 from airpuck.compute.process import usable_cores
 from airpuck.control.excitation import Excitation
-from airpuck.data.trajectory import hold, runs
+from airpuck.data.sampling import hold, runs
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds

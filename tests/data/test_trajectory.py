@@ -12,13 +12,8 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import (
-    Span,
-    as_trajectories,
-    hold,
-    mean_hold,
-    vehicle_of,
-)
+from airpuck.data.sampling import hold, mean_hold
+from airpuck.data.trajectory import Span, as_trajectories, vehicle_of
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.data.windows import make_windows
 from airpuck.model.model_file import published_model

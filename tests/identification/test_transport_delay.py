@@ -7,7 +7,8 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.data.trajectory import Trajectory, mean_hold
+from airpuck.data.sampling import mean_hold
+from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import savgol_filter
 
-from airpuck.data.trajectory import usual_period
+from airpuck.data.sampling import usual_period
 from airpuck.preprocessing.derivative import (
     ACCELERATION_TIME,
     VELOCITY_TIME,

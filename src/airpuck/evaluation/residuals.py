@@ -23,7 +23,8 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
-from airpuck.data.trajectory import Trajectory, hold
+from airpuck.data.sampling import hold
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import Innovations, innovations
 from airpuck.evaluation.late_packets import LatePackets, late_packets

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import gammaln
 
-from airpuck.data.trajectory import Span, Trajectory, check_propellers, runs
+from airpuck.data.sampling import runs
+from airpuck.data.trajectory import Span, Trajectory, check_propellers
 from airpuck.faults.chain import (
     RADIO_OUT,
     STEP,

@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, check_propellers, hold
+from airpuck.data.sampling import hold
+from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.faults.axis_signs import AxisSigns, find_axis_signs
 from airpuck.faults.effect_match import force_to_moment, rotation, rotation_error
 from airpuck.faults.propeller_check import (

@@ -12,7 +12,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.control.reference import SetPoints
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import hold
+from airpuck.data.sampling import hold
 from airpuck.physics.angle import pose_difference, wrapped
 from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.derivative import unwrap_yaw

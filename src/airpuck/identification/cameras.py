@@ -59,7 +59,9 @@ def _differences(
     fine = refined(trajectory, parts)
     modelled = modelled_acceleration(fine, model)
     time, period = trajectory.time, trajectory.sample_period
-    first = trajectory.window_starts(_SAMPLES)
+    known = np.append(trajectory.measured, np.zeros(_SAMPLES - 1, dtype=bool))
+    whole = np.lib.stride_tricks.sliding_window_view(known, _SAMPLES).all(axis=1)
+    first = trajectory.window_starts(_SAMPLES, 1, whole)
     index = first + np.arange(_SAMPLES)[:, None]
     inner = parts * first + np.arange((_SAMPLES - 1) * parts + 1)[:, None]
     acceleration = np.moveaxis(modelled[inner], 2, 1)

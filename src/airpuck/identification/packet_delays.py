@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.data.trajectory import Trajectory, mean_hold
+from airpuck.data.sampling import mean_hold
+from airpuck.data.trajectory import Trajectory
 from airpuck.estimate.motor_regression import (
     accelerations_by_motor,
     normal_equations,

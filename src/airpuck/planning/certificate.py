@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.data.trajectory import runs
+from airpuck.data.sampling import runs
 from airpuck.physics.angle import wrapped
 from airpuck.planning.attainable import gravity, has_bounds, largest_moment
 from airpuck.planning.request import Goal, Request

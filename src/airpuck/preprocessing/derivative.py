@@ -7,7 +7,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.data.trajectory import usual_period
+from airpuck.data.sampling import usual_period
 
 #: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
 #: and 15 samples at 240 Hz [s]. Both grow in proportion for a slow craft

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.data.trajectory import longest_bridge, usual_period
+from airpuck.data.sampling import longest_bridge, usual_period
 
 #: Longest pause that is no gap [s]: 0.1 s of lost frames. Longer ones hide what the craft does.
 _LONGEST = 0.125

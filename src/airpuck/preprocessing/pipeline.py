@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
-from airpuck.data.trajectory import Span, Trajectory, bridged, usual_period
+from airpuck.data.sampling import bridged, usual_period
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.data.trajectory import Span, longest_bridge, runs, usual_period
+from airpuck.data.sampling import longest_bridge, runs, usual_period
+from airpuck.data.trajectory import Span
 from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, window_length
 from airpuck.recording.stream import Stream
 

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, usual_period, vehicle_of
+from airpuck.data.sampling import usual_period
+from airpuck.data.trajectory import Trajectory, vehicle_of
 from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.derivative import (
     VELOCITY_TIME,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from airpuck.control.lqr import rotation_error
-from airpuck.data.trajectory import runs
+from airpuck.data.sampling import runs
 from airpuck.flight.replay import Replay
 from airpuck.flight.track import TOLERANCE, SetPointResult, Track
 from airpuck.model.model_file import Model
