@@ -89,7 +89,13 @@ def pytest_runtest_setup() -> None:
 @pytest.fixture(autouse=True)
 def grounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let verdicts skip flights in simulation, which tests/judgement/test_rehearsal.py tests."""
-    monkeypatch.setattr("airpuck.judgement.verdict.failures", lambda *_: [])
+
+    def settles(*_: object) -> object:
+        from airpuck.judgement.rehearsal import Rehearsal
+
+        return Rehearsal(2.0)
+
+    monkeypatch.setattr("airpuck.judgement.verdict.rehearse", settles)
 
 
 @pytest.fixture

@@ -17,4 +17,4 @@ def test_an_inertia_is_compared_with_a_ring_around_all_propellers():
     assert unit_suspect(model) == []
     inertia = 3 * model.parameters.inertia
     (said,) = unit_suspect(replace(model, parameters=replace(start.parameters, inertia=inertia)))
-    assert "larger than a ring's" in said
+    assert said.kind == "units" and "larger than a ring's" in said.cause

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.judgement.verdict import missed_motion, verdict
+from airpuck.judgement.findings import missed_motion
+from airpuck.judgement.verdict import verdict
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 

@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.boundary.finding import Finding
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.judgement.verdict import missed_motion, verdict
+from airpuck.judgement.findings import missed_motion
+from airpuck.judgement.rehearsal import Rehearsal
+from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.uncertainty import Uncertainty
 
@@ -66,7 +69,7 @@ def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
 def test_an_error_within_the_limit_counts_together_with_chance(flight):
     sure = known(**{f"thrust {one} φ^3": 0.165 for one in MODEL.vehicle.propeller_names})
     assert sure.uncertainty is not None
-    model = scaled(0.85)
+    model = scaled(0.76)
     uncertainty = replace(sure.uncertainty, estimate=model.parameters.to_vector())
     found = judged(replace(model, uncertainty=uncertainty), flight)
     assert found.outcome == "not_trusted"
@@ -196,10 +199,35 @@ def test_numbers_have_the_digits_that_their_errors_allow(flight):
 
 
 def test_a_model_whose_controller_does_not_settle_is_not_trusted(flight, monkeypatch):
-    monkeypatch.setattr("airpuck.judgement.verdict.failures", lambda *_: ["It does not settle."])
+    failed = Rehearsal(0.5, "It does not settle. Check it.")
+    monkeypatch.setattr("airpuck.judgement.verdict.rehearse", lambda *_: failed)
     found = judged(MODEL, flight)
     assert found.outcome == "not_trusted"
-    assert found.sentences[1] == "It does not settle."
+    assert found.sentences[1] == "It does not settle. Check it."
+    assert found.controller["lqr"].settles is False
+    assert found.to_json()["controller"]["lqr"]["margin"] == 0.5
+
+
+def test_a_model_may_fly_although_its_parameters_are_wrong(flight):
+    model = known()
+    assert model.uncertainty is not None
+    off = scaled(0.85)
+    uncertainty = replace(model.uncertainty, estimate=off.parameters.to_vector())
+    assert judged(model, flight).parameters.right
+    found = judged(replace(off, uncertainty=uncertainty), flight)
+    assert found.trusted
+    assert found.parameters.right is False
+    assert any("forward is 18 % smaller" in one for one in found.parameters.why)
+    # Without errors there is nothing to be right within.
+    assert judged(MODEL, flight).parameters.right is None
+
+
+def test_a_cause_that_another_check_found_comes_first(flight):
+    cause = Finding("axes", "y points the wrong way", "6 of 6 motors", "Set axes.y.")
+    found = verdict(MODEL, flight, causes=[cause])
+    assert found.outcome == "suspect_recording"
+    assert found.sentences[1] == "y points the wrong way (6 of 6 motors). Set axes.y."
+    assert found.findings == (cause,)
 
 
 def test_a_response_time_whose_parts_trade_off_is_known(flight):

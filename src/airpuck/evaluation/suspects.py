@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from airpuck.boundary.finding import Finding
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.model.model_file import Model
@@ -26,7 +27,9 @@ _DIRECTION_LIMIT = 0.2
 _SEEN = 0.3
 
 
-def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = True) -> list[str]:
+def clock_suspect(
+    model: Model, trajectory: Trajectory, *, determined: bool = True
+) -> list[Finding]:
     """Report commands that act implausibly late or early: the clocks of the recording disagree.
 
     A learned delay counts only if the model is `determined` by its data: with undetermined
@@ -43,22 +46,30 @@ def clock_suspect(model: Model, trajectory: Trajectory, *, determined: bool = Tr
     # The recording determines the delay in whole samples.
     if learned <= 0 or seen < -trajectory.sample_period:
         return [
-            "The motion seems to begin before, or as soon as, the commands that cause it. The "
-            "poses are probably stamped early: check that the clocks of cameras and controller are "
-            "synchronised."
+            Finding(
+                "clock",
+                "The motion seems to begin before, or as soon as, the commands that cause it",
+                f"commands act {1e3 * min(learned, seen):.0f} ms after their time stamps",
+                "The poses are probably stamped early: check that the clocks of cameras and "
+                "controller are synchronised.",
+            )
         ]
     certain = seen - 2 * trajectory.sample_period
     if max(certain, learned if counts else certain) <= longest:
         return []
     return [
-        f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps; up to "
-        f"{1e3 * longest:.0f} ms are plausible. The poses are probably stamped late: check that "
-        "the clocks of cameras and controller are synchronised. If the radio is that slow, say so "
-        "in the vehicle file (nominal.transport_delay_s)."
+        Finding(
+            "clock",
+            f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps",
+            f"up to {1e3 * longest:.0f} ms are plausible",
+            "The poses are probably stamped late: check that the clocks of cameras and controller "
+            "are synchronised. If the radio is that slow, say so in the vehicle file "
+            "(nominal.transport_delay_s).",
+        )
     ]
 
 
-def order_suspect(model: Model, effects: EffectErrors | None) -> list[str]:
+def order_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
     """Report motors that act like others, or in the opposite direction."""
     if effects is None:
         return []
@@ -81,12 +92,11 @@ def order_suspect(model: Model, effects: EffectErrors | None) -> list[str]:
         )  # fmt: skip
     if not said:
         return []
-    return [
-        f"{'; '.join(said)}: check the motors' order, wiring and directions with `airpuck check`."
-    ]
+    remedy = "Check the motors' order, wiring and directions with `airpuck check`."
+    return [Finding("order", "; ".join(said), f"{len(said)} of {len(names)} motors", remedy)]
 
 
-def unit_suspect(model: Model) -> list[str]:
+def unit_suspect(model: Model) -> list[Finding]:
     """Report an impossible learned inertia: lengths are in a wrong unit."""
     vehicle = model.vehicle
     learned = bool(model.free[model.parameters.mask(frozenset({"inertia"}))].any())
@@ -97,6 +107,11 @@ def unit_suspect(model: Model) -> list[str]:
         return []
     what = "larger than a ring's" if ratio > 1 else "smaller than any craft's"
     return [
-        f"The moment of inertia is {what} of the craft's mass and radius ({ratio:.2g} m R²): check "
-        "the unit of the positions, and radius and propeller positions in the vehicle file."
+        Finding(
+            "units",
+            f"The moment of inertia is {what} of the craft's mass and radius",
+            f"{ratio:.2g} m R²",
+            "Check the unit of the positions, and radius and propeller positions in the vehicle "
+            "file.",
+        )
     ]

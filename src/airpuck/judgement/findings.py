@@ -1,0 +1,237 @@
+"""Causes of a verdict: what a recording shows to be wrong with itself, its craft or a model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.boundary.finding import Finding, by_cause
+from airpuck.boundary.numbers import percent
+from airpuck.data.trajectory import Trajectory
+from airpuck.evaluation.coasting import coasting
+from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
+from airpuck.evaluation.evaluate import Evaluation
+from airpuck.evaluation.presentation import WAYS, largest_acceleration
+from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.parameters import LAG
+from airpuck.preprocessing.time_scale import patience
+
+#: Largest relative standard error of an acceleration that control may request, and of the response
+#: time [s]: within both, all controllers of studies/verdicts.py settle. Times are for the paper's
+#: craft; for a slow craft they are multiplied by its `patience`.
+ACCELERATION_LIMIT = 0.3
+RESPONSE_LIMIT = 0.015
+#: Largest systematic error of those accelerations, relative to the model's: a craft with 0.6 times
+#: the modelled thrust settles. Below, flights in simulation decide.
+WRONG_LIMIT = 0.4
+#: Errors of parameters count beyond this many standard errors, and beyond a share of the largest
+#: Largest error of the accelerations with motors at `LOW_SPEED`, relative to the model's: between
+#: 30 % (M2 with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
+LOW_LIMIT = 0.35
+#: Standard error of a recording's timing above which it is not informative enough [s].
+_JUDGED_RESPONSE = 0.006
+#: Lowest acceptable maximum of each motor's commands, relative to the largest: thrusts beyond are
+#: an extrapolation of the curve.
+_REACHED = 0.6
+#: Directions count only if the nominal acceleration exceeds this fraction of the largest one.
+_ABLE = 0.05
+#: Remedy for too little excitation.
+_FLY = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
+
+
+def missed_motion(evaluation: Evaluation, trajectory: Trajectory) -> Float[np.ndarray, " 3"]:
+    """Return errors of x, y and yaw relative to a craft that coasts, for a typical window."""
+    return evaluation.median_abs / np.maximum(coasting(evaluation, trajectory).median_abs, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Known errors of a model."""
+
+    model: Model
+    trajectory: Trajectory | None
+    evaluation: Evaluation | None
+
+    @cached_property
+    def effects(self) -> EffectErrors | None:
+        """Systematic errors that the recording reveals."""
+        return None if self.trajectory is None else effect_errors(self.model, self.trajectory)
+
+    @cached_property
+    def able(self) -> Bool[np.ndarray, " 6"]:
+        """The directions in which the craft is built to accelerate; others are not judged."""
+        most = largest_acceleration(nominal_model(self.model.vehicle))
+        best = np.repeat([most[:4].max(), most[4:].max()], [4, 2])
+        return most > _ABLE * best
+
+    @cached_property
+    def by_chance(self) -> tuple[Float[np.ndarray, " 6"], float]:
+        """Standard errors of the fit: of the largest accelerations, and the response time [s]."""
+        if self.model.known is None:
+            return np.zeros(len(WAYS)), 0.0
+        error = self.model.standard_error(largest_acceleration)
+        relative = np.where(np.isfinite(error), error, np.inf)
+        relative /= np.maximum(largest_acceleration(self.model), 1e-12)
+        response = float(self.model.standard_error(response_time))
+        relative = np.where(self.able, relative, 0.0)
+        return relative, response if np.isfinite(response) else np.inf
+
+    @cached_property
+    def total(self) -> tuple[Float[np.ndarray, " 6"], float]:
+        """Standard errors including systematic errors."""
+        (chance, response), effects = self.by_chance, self.effects
+        if effects is None:
+            return chance, response
+        push = np.where(self.able, effects.push, 0.0)
+        return np.hypot(chance, push), float(np.hypot(response, effects.later))
+
+    @cached_property
+    def missed(self) -> Float[np.ndarray, " 3"] | None:
+        """Errors relative to a craft that coasts."""
+        if self.evaluation is None or self.trajectory is None:
+            return None
+        return missed_motion(self.evaluation, self.trajectory)
+
+
+def incomplete(model: Model) -> list[Finding]:
+    """Describe what the model or its fit lacks."""
+    found = []
+    if model.fit.get("converged") is False:
+        remedy = "Run it again, with more data or a closer start."
+        found.append(Finding("physics", "The fit did not converge", remedy=remedy))
+    if not float(model.parameters.motor_time_constant) > 0 and not _learned_lag(model):
+        cause = "The model has no motor lag, so it expects every thrust too early"
+        found.append(Finding("physics", cause, remedy="Use M3."))
+    return found
+
+
+def _learned_lag(model: Model) -> bool:
+    """Return whether a model's motor lag is learned."""
+    return bool(model.free[model.parameters.mask(LAG)].any())
+
+
+def too_quiet(evidence: Evidence) -> list[Finding]:
+    """Report if a recording excites the craft too little to judge a model by it."""
+    effects, trajectory = evidence.effects, evidence.trajectory
+    if effects is None or trajectory is None:
+        return [
+            Finding("excitation", "The recording is too short to judge a model by it", "", _FLY)
+        ]
+    error = np.where(evidence.able, effects.push_error, 0.0)
+    worst = int(np.argmax(error))
+    found = []
+    if error[worst] > ACCELERATION_LIMIT:
+        found.append(
+            f"The recording determines the largest acceleration {_way(worst)} only to "
+            f"{percent(float(error[worst]))}; {percent(ACCELERATION_LIMIT)} is needed"
+        )
+    judged = patience(evidence.model.vehicle) * _JUDGED_RESPONSE
+    if effects.later_error > judged:
+        found.append(
+            f"The recording determines when commands take effect only to "
+            f"{1e3 * effects.later_error:.0f} ms; {1e3 * judged:.0f} ms is needed"
+        )
+    vehicle = evidence.model.vehicle
+    reached = trajectory.command.max(axis=0, initial=0.0) / vehicle.command_max
+    lazy = int(np.argmin(reached))
+    if reached[lazy] < _REACHED:
+        found.append(
+            f"The commands of {vehicle.propeller_names[lazy]} reach only "
+            f"{percent(float(reached[lazy]))} of the range; thrusts beyond are a guess, and "
+            f"{percent(_REACHED)} are needed. If the commands were larger than this, check the "
+            "unit in which they were logged; if no motor may go further, say so in the vehicle "
+            "file (command_max)"
+        )
+    return [
+        Finding("excitation", cause, remedy=_FLY if cause is found[-1] else "") for cause in found
+    ]
+
+
+def too_uncertain(
+    model: Model, relative: Float[np.ndarray, " 6"], response: float
+) -> list[Finding]:
+    """Report accelerations, and a response time, that are too uncertain."""
+    found = []
+    if relative.max() > ACCELERATION_LIMIT:
+        cause = f"The largest acceleration {_ways(relative)}"
+        needed = f"control needs {percent(ACCELERATION_LIMIT)}"
+        remedy = "Use the whole range of all motors."
+        found.append(Finding("excitation", cause, needed, remedy))
+    needed = patience(model.vehicle) * RESPONSE_LIMIT
+    if response > needed:
+        known = f"uncertain by {1e3 * response:.0f} ms" if np.isfinite(response) else "unknown"
+        remedy = "Fly an excitation, whose commands switch: `airpuck excite`."
+        limit = f"control needs {1e3 * needed:.0f} ms"
+        found.append(Finding("excitation", f"The response time τ + d is {known}", limit, remedy))
+    return found
+
+
+def too_wrong(
+    model: Model, relative: Float[np.ndarray, " 6"], response: float, effects: EffectErrors
+) -> list[Finding]:
+    """Report accelerations, and a response time, that are systematically wrong."""
+    found = []
+    if relative.max() > WRONG_LIMIT:
+        off = []
+        for (way, *_), share, total in zip(WAYS, effects.push, relative, strict=True):
+            chance = math.sqrt(max(total**2 - share**2, 0.0))
+            if total > WRONG_LIMIT:
+                off.append(f"{way} {percent(abs(share))} too {'large' if share > 0 else 'small'}")
+                if abs(share) <= WRONG_LIMIT:
+                    off[-1] += f" and uncertain by another {percent(chance)}"
+        cause = f"The modelled largest acceleration is wrong: {', '.join(off)}"
+        remedy = (
+            "A richer model may help (`--model auto`), or a check of mass, inertia and motors in "
+            "the vehicle file."
+        )
+        found.append(Finding("physics", cause, remedy=remedy))
+    if abs(low := float(np.median(effects.low))) > LOW_LIMIT:
+        cause = (
+            f"With motors at {percent(LOW_SPEED)} of full speed, the modelled accelerations are "
+            f"{percent(abs(low))} too {'large' if low > 0 else 'small'}: the thrust curves have "
+            "the wrong shape"
+        )
+        remedy = "Use a richer model (`--model auto`)."
+        found.append(Finding("physics", cause, remedy=remedy))
+    if response > patience(model.vehicle) * RESPONSE_LIMIT:
+        when = "later" if effects.later > 0 else "earlier"
+        cause = f"Commands take effect {1e3 * abs(effects.later):.0f} ms {when} than modelled"
+        remedy = "Use a model with a motor lag, and learn the delay (`--delay fit`)."
+        found.append(Finding("physics", cause, remedy=remedy))
+    return found
+
+
+def _way(number: int) -> str:
+    """Name a direction of acceleration."""
+    return WAYS[number][0]
+
+
+def _ways(relative: Float[np.ndarray, " 6"]) -> str:
+    """Describe in which directions an acceleration is uncertain."""
+    return ", ".join(
+        f"{way} is uncertain by {percent(float(r))}" if np.isfinite(r) else f"{way} is unknown"
+        for (way, *_), r in zip(WAYS, relative, strict=True)
+        if r > ACCELERATION_LIMIT
+    )
+
+
+def response_time(model: Model) -> Any:
+    """Return the response time of the motors to a command: lag and delay together [s]."""
+    return model.parameters.motor_time_constant + model.transport_delay
+
+
+def first_causes(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the findings that no other one explains, in the order of causes.
+
+    The consequences of a suspect recording look like anything else, so only its first cause counts.
+    """
+    ordered = by_cause(findings)
+    if ordered and ordered[0].suspect:
+        return tuple(one for one in ordered if one.kind == ordered[0].kind)
+    return ordered
