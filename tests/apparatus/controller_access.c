@@ -97,7 +97,7 @@ int access_limits(const airpuck *craft, int *active)
 #if AIRPUCK_STEPS > 0
     int count = AIRPUCK_COMMANDS + AIRPUCK_ROWS;
     for (int i = 0; i < count; i++)
-        active[i] = craft->plan.sense[i] & 1;
+        active[i] = craft->plan.active[i] != 0;
     return count;
 #else
     (void)craft;

@@ -46,6 +46,8 @@ _NOWHERE = 1e-9
 _DAMPING = 0.5
 #: DAQP's codes for the kinds of limits.
 _HARD, _SOFT = 0, 8
+#: The default, 1e-6, leaves commands up to 1e-4 from the solution.
+_FEASIBLE = 1e-9
 #: DAQP's exit flags for a solution within all limits, and for one beyond soft limits.
 _OPTIMAL, _SOFTENED = 1, 2
 
@@ -371,7 +373,7 @@ class Condensed(Sizes):
         one = np.ones(self.m + rows)
         self._model = daqp.Model()
         self._model.setup(*empty, one, -one, self._senses)
-        self._model.settings = {"iter_limit": self.most}
+        self._model.settings = {"iter_limit": self.most, "primal_tol": _FEASIBLE}
         self._astray = False
         # A violation s costs w s + w s²/2. DAQP's own setting for all rows applies to scaled rows.
         linear, curved = self.penalty * one, one / self.penalty

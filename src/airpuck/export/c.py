@@ -43,21 +43,20 @@ _SOURCES = (
     "airpuck.c",
     "airpuck_laws.h",
     "airpuck_lqr.c",
-    "airpuck_qp.h",
-    "airpuck_qp.c",
-    "airpuck_daqp.c",
+    "airpuck_least_norm.h",
+    "airpuck_least_norm.c",
 )
 #: Additional sources for the predictive law.
-_PREDICTIVE = ("airpuck_mpc.h", "airpuck_mpc.c", "airpuck_slopes.h", "airpuck_slopes.c")
+_PREDICTIVE = (
+    "airpuck_mpc.h",
+    "airpuck_mpc.c",
+    "airpuck_qp.h",
+    "airpuck_qp.c",
+    "airpuck_slopes.h",
+    "airpuck_slopes.c",
+)
 #: Additional sources for a planned flight.
 _FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_slopes.c")
-#: DAQP's sources, which these include.
-_DAQP = (
-    "LICENSE",
-    "types.h",
-    "constants.h",
-    *(f"{name}{end}" for name in ("daqp", "auxiliary", "factorization") for end in (".h", ".c")),
-)
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
@@ -93,8 +92,6 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         facts["planned flight, numbers in flash"] = flight["states"].size + plan.commands.size
     write_model(model, folder, sizes=sizes, data={"airpuck.h": "\n\n".join(numbers)})
     copy_sources(_SOURCES, folder)
-    (folder / "daqp").mkdir()
-    copy_sources([f"daqp/{name}" for name in _DAQP], folder / "daqp")
     golden = "\n".join(golden_flight(model, tuning, plan))
     (folder / "golden.csv").write_text(f"{golden}\n")
     n = model.vehicle.n_propellers
@@ -105,35 +102,22 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     }
 
 
-def _most_active(variables: int, soft: int) -> int:
-    """Return the C macro AIRPUCK_QP_ACTIVE."""
-    return variables + soft + 1
-
-
-def _program_numbers(n: int, rows: int, soft: int) -> int:
-    """Return the C macro AIRPUCK_QP_NUMBERS."""
-    active = _most_active(n, soft)
-    own = n * (n + 1) // 2 + rows * n + 5 * (n + rows) + 3 * n + rows
-    return own + active * (active + 11) // 2
-
-
 def _memory(sizes: Mapping[str, int], n: int) -> tuple[int, int]:
-    """Return the C macros AIRPUCK_NUMBERS and AIRPUCK_ACTIVE, for n motors."""
-    allocation = _program_numbers(n + 2, 3, 0)
+    """Return the C macros AIRPUCK_NUMBERS and AIRPUCK_WORKING, for n motors."""
     if not sizes["AIRPUCK_STEPS"]:
-        corrections = 8 * n * sizes.get("AIRPUCK_PERIODS", 0)
-        return max(allocation, corrections), _most_active(n + 2, 0)
+        return 8 * n * sizes.get("AIRPUCK_PERIODS", 0), 0
     commands, rows = n * sizes["AIRPUCK_BLOCKS"], sizes["AIRPUCK_STEPS"] * sizes["AIRPUCK_LIMITS"]
-    active = _most_active(commands, rows)
+    active = commands + rows + 1
     factor = active * (active + 1) // 2
-    scratch = sizes["AIRPUCK_STEPS"] * (6 + 2 * n) + (6 + n) * commands + allocation
-    return _program_numbers(commands, rows, rows) + max(scratch, factor) - factor, active
+    scratch = sizes["AIRPUCK_STEPS"] * (6 + 2 * n) + (6 + n) * commands
+    program = commands * (commands + 1) // 2 + rows * commands + 6 * commands + 3 * rows
+    return program + 3 * active + max(scratch, factor), active
 
 
 def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
     """Return the size of the C struct `airpuck`; its layout is repeated here."""
     whole, time = ctypes.c_int, ctypes.c_double
-    numbers, active = _memory(sizes, n)
+    numbers, working = _memory(sizes, n)
 
     class Held(ctypes.Structure):
         _fields_: ClassVar = [("begins", time), ("command", number * n)]
@@ -146,7 +130,7 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
             ("limits", whole),
             ("borders", number * (4 + 3 * (sizes.get("AIRPUCK_DISCS", 0) + 1))),
             ("astray", whole),
-            ("sense", whole * (active - 1)),
+            ("active", ctypes.c_byte * max(working - 1, 0)),
         ]
 
     class Craft(ctypes.Structure):
@@ -165,7 +149,7 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
             *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),
             *([("departs", time)] if sizes["AIRPUCK_INTERVALS"] else []),
             ("numbers", number * numbers),
-            ("active", whole * active),
+            ("working", whole * working),
         ]
 
     return ctypes.sizeof(Craft)
@@ -183,9 +167,6 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     if tuning.estimation.estimator != "kalman":
         problem = f"{tuning.estimation.estimator!r} cannot be exported to c; choose 'kalman'"
         raise InputError(problem, field="estimation.estimator")
-    if tuning.allocation.solver != "daqp":
-        problem = f"{tuning.allocation.solver!r} cannot be exported to c; choose 'daqp'"
-        raise InputError(problem, field="allocation.solver")
     refuse_actuators(model, "c")
     # Raises InputError for a craft that cannot be steered.
     TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)
@@ -268,8 +249,7 @@ def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
     sizes, h = Sizes(model.vehicle, blocks, regulator), blocks.step
     weights = regulator.weights.errors * h
     terminal = cost_to_go(*point_mass(h), np.diag(weights), np.diag(sizes.effort))
-    n, rows = model.vehicle.n_propellers, _prediction_sizes(regulator)["AIRPUCK_LIMITS"]
-    penalty = np.full(sizes.m + rows * len(blocks.owner), sizes.penalty)
+    n = model.vehicle.n_propellers
     return {
         "step": h,
         "owner": blocks.owner,
@@ -291,6 +271,5 @@ def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
         "fence": law.fence,
         "keep_out": np.concatenate([law.keep_out, np.zeros((1, 3))]),
         "iterations": sizes.most,
-        "penalty": penalty,
-        "softness": 1 / penalty,
+        "penalty": sizes.penalty,
     }

@@ -19,7 +19,8 @@
 #define AIRPUCK_H
 
 #include "airpuck_model.h"
-#include "airpuck_qp.h"
+
+#include <stddef.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -27,8 +28,6 @@ extern "C" {
 
 /* Number of targets for a control step: one for the allocation, and one for each predicted step. */
 #define AIRPUCK_TARGETS (1 + AIRPUCK_STEPS)
-/* Variables of the thrust allocation: thrusts and two slacks. */
-#define AIRPUCK_ALLOCATED (AIRPUCK_MOTORS + 2)
 
 /* Outcome of a control step. Up to AIRPUCK_FALLBACK the craft flies; all others idle the motors. */
 typedef enum {
@@ -91,33 +90,25 @@ extern const airpuck_tuning airpuck_tuned;
 
 #if AIRPUCK_STEPS > 0
 #include "airpuck_mpc.h"
+#include "airpuck_qp.h"
 #endif
 #if AIRPUCK_INTERVALS > 0
 #include "airpuck_flight.h"
 #endif
 
-/* Memory for the quadratic programs: the larger of allocation and prediction. */
+/* Memory of a law that it uses only within a step. */
 #if AIRPUCK_STEPS > 0
-#define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_COMMANDS, AIRPUCK_ROWS)
+#define AIRPUCK_WORKING AIRPUCK_QP_ACTIVE(AIRPUCK_COMMANDS, AIRPUCK_ROWS)
 #define AIRPUCK_NUMBERS                                                                           \
     (AIRPUCK_QP_NUMBERS(AIRPUCK_COMMANDS, AIRPUCK_ROWS, AIRPUCK_ROWS) +                           \
      (AIRPUCK_SCRATCH > AIRPUCK_FACTOR ? AIRPUCK_SCRATCH : AIRPUCK_FACTOR) - AIRPUCK_FACTOR)
-/* States, curvatures and changes of a prediction; they share memory with a factor of DAQP. */
+/* States, curvatures and changes of a prediction; they share memory with a factor of the solver. */
 #define AIRPUCK_SCRATCH                                                                           \
-    (AIRPUCK_STEPS * (AIRPUCK_STATES + AIRPUCK_MOTORS) + AIRPUCK_STATES * AIRPUCK_COMMANDS +      \
-     AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0))
-#define AIRPUCK_FACTOR (AIRPUCK_ACTIVE * (AIRPUCK_ACTIVE + 1) / 2)
-#else
-#define AIRPUCK_ACTIVE AIRPUCK_QP_ACTIVE(AIRPUCK_ALLOCATED, 0)
-#define AIRPUCK_LEAST_NUMBERS AIRPUCK_QP_NUMBERS(AIRPUCK_ALLOCATED, 3, 0)
-#if AIRPUCK_INTERVALS > 0
+    (AIRPUCK_STEPS * (AIRPUCK_STATES + AIRPUCK_MOTORS) + AIRPUCK_STATES * AIRPUCK_COMMANDS)
+#define AIRPUCK_FACTOR (AIRPUCK_WORKING * (AIRPUCK_WORKING + 1) / 2)
+#elif AIRPUCK_INTERVALS > 0
 /* Corrections of a planned flight: six numbers and two bounds each. */
-#define AIRPUCK_NUMBERS                                                                           \
-    (8 * AIRPUCK_CORRECTIONS > AIRPUCK_LEAST_NUMBERS ? 8 * AIRPUCK_CORRECTIONS                    \
-                                                     : AIRPUCK_LEAST_NUMBERS)
-#else
-#define AIRPUCK_NUMBERS AIRPUCK_LEAST_NUMBERS
-#endif
+#define AIRPUCK_NUMBERS (8 * AIRPUCK_CORRECTIONS)
 #endif
 
 /* A controller. The first fields describe the last step; the rest is its memory. */
@@ -149,8 +140,12 @@ typedef struct {
 #if AIRPUCK_INTERVALS > 0
     double departs; /* When the planned flight begins. */
 #endif
-    airpuck_real numbers[AIRPUCK_NUMBERS]; /* Used only within a step. */
-    int active[AIRPUCK_ACTIVE];
+#if AIRPUCK_STEPS > 0 || AIRPUCK_INTERVALS > 0
+    airpuck_real numbers[AIRPUCK_NUMBERS];
+#endif
+#if AIRPUCK_STEPS > 0
+    int working[AIRPUCK_WORKING];
+#endif
 } airpuck;
 
 /* Initialise: motors idle, no pose received. */

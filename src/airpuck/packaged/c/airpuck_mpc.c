@@ -6,10 +6,9 @@
 
 #if AIRPUCK_STEPS > 0
 
-#define N AIRPUCK_MOTORS
-#define S AIRPUCK_STATES
-#define V AIRPUCK_COMMANDS
-#define PI AIRPUCK_R(3.14159265358979323846)
+enum { MOTORS = AIRPUCK_MOTORS, STATES = AIRPUCK_STATES, COMMANDS = AIRPUCK_COMMANDS };
+
+#define FULL_TURN AIRPUCK_R(6.28318530717958647693)
 /* Below this speed, or distance, a direction is undefined [m/s, m]. */
 #define NOWHERE AIRPUCK_R(1e-9)
 
@@ -19,7 +18,7 @@ static const airpuck_horizon *const horizon = &airpuck_predicted;
 typedef struct {
     const airpuck_real *state;
     airpuck_real onward[6][AIRPUCK_STEERED];
-    airpuck_real by_speed[N], by_command[N];
+    airpuck_real by_speed[MOTORS], by_command[MOTORS];
     airpuck_real felt[3][AIRPUCK_MOVING];
     airpuck_real error[6], excess[3]; /* Errors of state and accelerations. */
     airpuck_real weighted[6];         /* The error times its weight. */
@@ -29,32 +28,26 @@ typedef struct {
 typedef struct {
     const airpuck *craft;
     const airpuck_target *targets;
-    airpuck_real start[S];
+    airpuck_real start[STATES];
     airpuck_real whole_turns; /* Between the yaw and the target's. */
     airpuck_real apart;       /* Yaw still to turn. */
-    airpuck_real (*states)[S], (*bend)[N], (*moved)[V];
+    airpuck_real (*states)[STATES], (*bend)[MOTORS], (*moved)[COMMANDS];
 } prediction;
 
 static void begin_commands(airpuck_plan *plan)
 {
     for (int b = 0; b < AIRPUCK_BLOCKS; b++)
-        for (int i = 0; i < N; i++)
+        for (int i = 0; i < MOTORS; i++)
             plan->commands[b][i] = horizon->first;
     plan->since = 0;
     plan->answered = -(double)INFINITY;
     plan->way = 0;
 }
 
-static void begin_senses(int sense[AIRPUCK_COMMANDS + AIRPUCK_ROWS])
-{
-    for (int i = 0; i < V + AIRPUCK_ROWS; i++)
-        sense[i] = i < V ? 0 : DAQP_SOFT;
-}
-
 void airpuck_plan_begin(airpuck_plan *plan)
 {
     begin_commands(plan);
-    begin_senses(plan->sense);
+    memset(plan->active, AIRPUCK_QP_INACTIVE, sizeof plan->active);
     memcpy(plan->fence, horizon->fence, sizeof plan->fence);
     memcpy(plan->keep_out, horizon->keep_out, sizeof plan->keep_out);
 }
@@ -62,7 +55,7 @@ void airpuck_plan_begin(airpuck_plan *plan)
 /* Shift a plan in time: the mean of the old commands over each block; the last is held. */
 static void shift(airpuck_plan *plan, airpuck_real elapsed)
 {
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         airpuck_real edge = 0, means[AIRPUCK_BLOCKS];
         for (int b = 0; b < AIRPUCK_BLOCKS; b++) {
             airpuck_real from = edge + elapsed, to = from + horizon->lasting[b], begins = 0;
@@ -91,13 +84,13 @@ static void choose_direction(prediction *p)
     p->apart = airpuck_wrapped(left);
     if (p->apart * way < 0 && AIRPUCK_F(fabs)(way) > horizon->undecided &&
         AIRPUCK_F(fabs)(p->apart) > horizon->undecided)
-        p->apart += way > 0 ? 2 * PI : -2 * PI;
+        p->apart += way > 0 ? FULL_TURN : -FULL_TURN;
     p->whole_turns = left - p->apart;
 }
 
 static void predict_states(prediction *p)
 {
-    airpuck_real h = horizon->step, state[S];
+    airpuck_real h = horizon->step, state[STATES];
     memcpy(state, p->start, sizeof state);
     for (int k = 0; k < AIRPUCK_STEPS; k++) {
         airpuck_model_step(&airpuck_identified, state, p->craft->plan.commands[horizon->owner[k]],
@@ -155,10 +148,10 @@ static airpuck_real curvature(int motor, airpuck_real speed)
  * to the state. */
 static void add_curvature(prediction *p)
 {
-    airpuck_real costate[S + 1] = {0}, later[S], h = horizon->step;
+    airpuck_real costate[STATES + 1] = {0}, later[STATES], h = horizon->step;
     stage at;
     for (int k = AIRPUCK_STEPS - 1; k >= 0; k--) {
-        airpuck_real before[S] = {0}, price[3], pushed[3];
+        airpuck_real before[STATES] = {0}, price[3], pushed[3];
         memcpy(later, costate, sizeof later);
         if (k < AIRPUCK_STEPS - 1) {
             linearise_step(p, k + 1, &at);
@@ -167,13 +160,13 @@ static void add_curvature(prediction *p)
             for (int q = 0; q < AIRPUCK_MOVING; q++)
                 for (int i = 0; i < 6; i++)
                     before[2 + q] += at.onward[i][q] * later[i];
-            for (int i = 0; i < N; i++)
+            for (int i = 0; i < MOTORS; i++)
                 before[6 + i] += at.by_speed[i] * later[6 + i];
         }
         look_at(p, k, &at);
         for (int axis = 0; axis < 3; axis++)
             pushed[axis] = horizon->effort[axis] * at.excess[axis];
-        for (int i = 0; i < S; i++) {
+        for (int i = 0; i < STATES; i++) {
             costate[i] = before[i] + (i < 6 ? at.weighted[i] : 0);
             for (int axis = 0; axis < 3 && i >= 2; axis++)
                 costate[i] += at.felt[axis][i - 2] * pushed[axis];
@@ -182,9 +175,9 @@ static void add_curvature(prediction *p)
         for (int axis = 0; axis < 3; axis++)
             price[axis] = h / 2 * (costate[3 + axis] + later[3 + axis]) +
                           h * h / 4 * (costate[axis] + later[axis]) + pushed[axis];
-        const airpuck_real(*turn)[N] = airpuck_identified.configuration;
+        const airpuck_real(*turn)[MOTORS] = airpuck_identified.configuration;
         airpuck_real cosine = AIRPUCK_F(cos)(at.state[2]), sine = AIRPUCK_F(sin)(at.state[2]);
-        for (int i = 0; i < N; i++) {
+        for (int i = 0; i < MOTORS; i++) {
             airpuck_real by_thrust = price[0] * (cosine * turn[0][i] - sine * turn[1][i]) +
                                      price[1] * (sine * turn[0][i] + cosine * turn[1][i]) +
                                      price[2] * turn[2][i];
@@ -251,10 +244,10 @@ static void limit_state(const prediction *p, const airpuck_real state[6],
 static void move_columns(const prediction *p, int k, const stage *at)
 {
     int block = horizon->owner[k];
-    for (int j = 0; j < (block + 1) * N; j++) {
-        airpuck_real before[S];
-        int chosen = j - block * N;
-        for (int i = 0; i < S; i++)
+    for (int j = 0; j < (block + 1) * MOTORS; j++) {
+        airpuck_real before[STATES];
+        int chosen = j - block * MOTORS;
+        for (int i = 0; i < STATES; i++)
             before[i] = p->moved[i][j];
         for (int i = 0; i < 6; i++) {
             airpuck_real sum = i < 2 ? before[i] : 0;
@@ -262,7 +255,7 @@ static void move_columns(const prediction *p, int k, const stage *at)
                 sum += at->onward[i][q] * before[2 + q];
             p->moved[i][j] = sum + (chosen >= 0 ? at->onward[i][AIRPUCK_MOVING + chosen] : 0);
         }
-        for (int i = 0; i < N; i++)
+        for (int i = 0; i < MOTORS; i++)
             p->moved[6 + i][j] =
                 at->by_speed[i] * before[6 + i] + (i == chosen ? at->by_command[i] : 0);
     }
@@ -271,10 +264,10 @@ static void move_columns(const prediction *p, int k, const stage *at)
 /* Add the sum of weights[q] * a[q] b[q]' to the upper triangle of the Hessian, for columns before
  * `count`. Three at once, because reading and writing the Hessian takes most of the time. */
 static void add_products(airpuck_qp *qp, int count, const airpuck_real weights[3],
-                         airpuck_real (*a)[V], airpuck_real (*b)[V])
+                         airpuck_real (*a)[COMMANDS], airpuck_real (*b)[COMMANDS])
 {
     for (int i = 0; i < count; i++) {
-        airpuck_real *row = qp->hessian + DAQP_R_OFFSET(i, V);
+        airpuck_real *row = qp->hessian + airpuck_qp_row(COMMANDS, i) - i;
         airpuck_real x = weights[0] * a[0][i], y = weights[1] * a[1][i], z = weights[2] * a[2][i];
         for (int j = i; j < count; j++)
             row[j] += x * b[0][j] + y * b[1][j] + z * b[2][j];
@@ -283,14 +276,14 @@ static void add_products(airpuck_qp *qp, int count, const airpuck_real weights[3
 
 /* Add weight * a a' for the speed of motor i, which only its own commands change. */
 static void add_speed(airpuck_qp *qp, int count, airpuck_real weight, int motor,
-                      const airpuck_real a[V])
+                      const airpuck_real a[COMMANDS])
 {
-    for (int i = motor; i < count && weight != 0; i += N)
-        for (int j = i; j < count; j += N)
-            qp->hessian[DAQP_R_OFFSET(i, V) + j] += weight * a[i] * a[j];
+    for (int i = motor; i < count && weight != 0; i += MOTORS)
+        for (int j = i; j < count; j += MOTORS)
+            qp->hessian[airpuck_qp_row(COMMANDS, i) + j - i] += weight * a[i] * a[j];
 }
 
-static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const airpuck_real a[V])
+static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const airpuck_real a[COMMANDS])
 {
     for (int j = 0; j < count; j++)
         qp->gradient[j] += weight * a[j];
@@ -300,8 +293,8 @@ static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const a
 static void add_costs(const prediction *p, int k, const stage *at, airpuck_qp *qp)
 {
     static const airpuck_real ones[3] = {1, 1, 1};
-    int count = (horizon->owner[k] + 1) * N;
-    airpuck_real scaled[3][V];
+    int count = (horizon->owner[k] + 1) * MOTORS;
+    airpuck_real scaled[3][COMMANDS];
     for (int half = 0; half < 6; half += 3) {
         for (int i = 0; i < 3; i++) {
             for (int j = 0; j < count; j++) {
@@ -325,7 +318,7 @@ static void add_costs(const prediction *p, int k, const stage *at, airpuck_qp *q
         add_gradient(qp, count, horizon->effort[axis] * at->excess[axis], scaled[axis]);
     }
     add_products(qp, count, horizon->effort, scaled, scaled);
-    for (int i = 0; i < N; i++)
+    for (int i = 0; i < MOTORS; i++)
         add_speed(qp, count, p->bend[k][i], i, p->moved[6 + i]);
 }
 
@@ -333,25 +326,25 @@ static void add_limits(const prediction *p, int k, const stage *at, airpuck_qp *
 {
     airpuck_real rows[AIRPUCK_LIMITS][6];
     int first = k * AIRPUCK_LIMITS;
-    limit_state(p, at->state, rows, qp->lower + V + first, qp->upper + V + first);
+    limit_state(p, at->state, rows, qp->lower + COMMANDS + first, qp->upper + COMMANDS + first);
     for (int row = 0; row < AIRPUCK_LIMITS; row++)
-        for (int j = 0; j < V; j++) {
-            airpuck_real *entry = &qp->work.M[(first + row) * V + j];
+        for (int j = 0; j < COMMANDS; j++) {
+            airpuck_real *entry = &qp->matrix[(first + row) * COMMANDS + j];
             *entry = 0;
             for (int i = 0; i < 6; i++)
                 *entry += rows[row][i] * p->moved[i][j];
         }
 }
 
-/* Write the program in the changes of the commands; return whether its numbers are finite. */
-static int form(prediction *p, airpuck_qp *qp)
+/* Write the program in the changes of the commands. */
+static void form(prediction *p, airpuck_qp *qp)
 {
-    memset(qp->hessian, 0, sizeof(airpuck_real) * V * (V + 1) / 2);
-    memset(p->moved, 0, sizeof(airpuck_real) * S * V);
-    for (int j = 0; j < V; j++) {
-        airpuck_real used = horizon->used[j / N], command = p->craft->plan.commands[j / N][j % N];
+    memset(qp->hessian, 0, sizeof(airpuck_real) * COMMANDS * (COMMANDS + 1) / 2);
+    memset(p->moved, 0, sizeof(airpuck_real) * STATES * COMMANDS);
+    for (int j = 0; j < COMMANDS; j++) {
+        airpuck_real used = horizon->used[j / MOTORS], command = p->craft->plan.commands[j / MOTORS][j % MOTORS];
         airpuck_real above = command - airpuck_tuned.command_min;
-        qp->hessian[DAQP_R_OFFSET(j, V) + j] = used + horizon->damping;
+        qp->hessian[airpuck_qp_row(COMMANDS, j) + j - j] = used + horizon->damping;
         qp->gradient[j] = used * above;
         qp->lower[j] = -above;
         qp->upper[j] = airpuck_tuned.command_max - command;
@@ -364,44 +357,51 @@ static int form(prediction *p, airpuck_qp *qp)
         add_costs(p, k, &at, qp);
         add_limits(p, k, &at, qp);
     }
-    return airpuck_finite(qp->hessian, V * (V + 1) / 2) && airpuck_finite(qp->gradient, V) &&
-           airpuck_finite(qp->work.M, AIRPUCK_ROWS * V);
 }
 
 /* Return which limits are active at the solution. */
 static int active_limits(const airpuck_qp *qp)
 {
-    int found = 0;
-    for (int i = 0; i < qp->work.n_active; i++) {
-        int row = qp->work.WS[i] - V, kind = row < 0 ? 0 : row % AIRPUCK_LIMITS;
-        if (qp->work.lam_star[i] == 0)
+    int limits = 0;
+    for (int i = 0; i < qp->active; i++) {
+        int row = qp->working[i] - COMMANDS, kind = row < 0 ? 0 : row % AIRPUCK_LIMITS;
+        if (qp->dual[i] == 0)
             continue;
         if (row < 0)
-            found |= AIRPUCK_MOTOR_ACTIVE;
+            limits |= AIRPUCK_MOTOR_ACTIVE;
         else if (kind < 2)
-            found |= AIRPUCK_RAIL_ACTIVE;
+            limits |= AIRPUCK_RAIL_ACTIVE;
         else if (AIRPUCK_LIMITS_SPEED && kind == 2)
-            found |= AIRPUCK_SPEED_ACTIVE;
+            limits |= AIRPUCK_SPEED_ACTIVE;
         else if (AIRPUCK_LIMITS_SPIN && kind == 2 + AIRPUCK_LIMITS_SPEED)
-            found |= AIRPUCK_SPIN_ACTIVE;
+            limits |= AIRPUCK_SPIN_ACTIVE;
         else
-            found |= AIRPUCK_DISC_ACTIVE;
+            limits |= AIRPUCK_DISC_ACTIVE;
     }
-    return found;
+    return limits;
+}
+
+/* Whether the solver found a plan. */
+static int found(airpuck_qp_status status)
+{
+    return status == AIRPUCK_QP_SOLVED || status == AIRPUCK_QP_SOFTENED;
 }
 
 /* Solve the program and update the plan. Start from the last active set, or from an empty one if
- * the last one failed. Return DAQP's exit flag; 0 if the result is unusable. */
-static int improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS])
+ * the last one failed. Return the outcome. */
+static airpuck_qp_status improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS])
 {
     airpuck_plan *plan = &craft->plan;
     airpuck_qp qp;
-    prediction p = {.craft = craft, .targets = targets};
-    airpuck_qp_begin(&qp, V, AIRPUCK_ROWS, AIRPUCK_ROWS, NULL, craft->numbers, craft->active,
-                     plan->sense);
-    p.states = (airpuck_real(*)[S])qp.scratch;
-    p.bend = (airpuck_real(*)[N])(qp.scratch + AIRPUCK_STEPS * S);
-    p.moved = (airpuck_real(*)[V])(qp.scratch + AIRPUCK_STEPS * (S + N));
+    prediction p;
+    airpuck_qp_begin(&qp, COMMANDS, AIRPUCK_ROWS, AIRPUCK_ROWS, craft->numbers, craft->working,
+                     plan->active);
+    /* The solver's factor is free until the program is solved. */
+    p.craft = craft;
+    p.targets = targets;
+    p.states = (airpuck_real(*)[STATES])qp.factor;
+    p.bend = (airpuck_real(*)[MOTORS])(qp.factor + AIRPUCK_STEPS * STATES);
+    p.moved = (airpuck_real(*)[COMMANDS])(qp.factor + AIRPUCK_STEPS * (STATES + MOTORS));
     memcpy(p.start, craft->state, sizeof craft->state);
     memcpy(p.start + 6, craft->motor_speed, sizeof craft->motor_speed);
     choose_direction(&p);
@@ -411,31 +411,24 @@ static int improve(airpuck *craft, const airpuck_target targets[AIRPUCK_TARGETS]
     for (int axis = 0; axis < 3; axis++)
         craft->request[axis] += craft->disturbance[axis];
     add_curvature(&p);
-    if (!form(&p, &qp))
-        return 0;
-    qp.settings.iter_limit = horizon->iterations;
-    /* The cast is safe: DAQP only reads these weights. */
-    qp.work.w_ls = qp.work.w_us = (airpuck_real *)horizon->penalty;
-    qp.work.rho_ls = qp.work.rho_us = (airpuck_real *)horizon->softness;
+    form(&p, &qp);
+    qp.most = horizon->iterations;
+    qp.penalty = horizon->penalty;
     if (plan->astray)
-        begin_senses(plan->sense);
-    int flag = airpuck_qp_factor(&qp) ? airpuck_qp_solve(&qp) : DAQP_EXIT_NONCONVEX;
-    craft->iterations = qp.work.iterations;
-    if (flag != DAQP_EXIT_OPTIMAL && flag != DAQP_EXIT_SOFT_OPTIMAL) {
-        plan->astray = !plan->astray;
-        return flag;
-    }
-    plan->astray = 0;
-    if (!airpuck_finite(qp.work.x, V))
-        return 0;
+        memset(plan->active, AIRPUCK_QP_INACTIVE, sizeof plan->active);
+    airpuck_qp_status status = airpuck_qp_solve(&qp);
+    craft->iterations = qp.iterations;
+    plan->astray = !found(status) && !plan->astray;
+    if (!found(status))
+        return status;
     plan->limits = active_limits(&qp);
     plan->way = p.apart;
-    for (int j = 0; j < V; j++) {
-        airpuck_real *changed = &plan->commands[j / N][j % N];
-        *changed = airpuck_clipped(*changed + qp.work.x[j], airpuck_tuned.command_min,
+    for (int j = 0; j < COMMANDS; j++) {
+        airpuck_real *changed = &plan->commands[j / MOTORS][j % MOTORS];
+        *changed = airpuck_clipped(*changed + qp.x[j], airpuck_tuned.command_min,
                                    airpuck_tuned.command_max);
     }
-    return flag;
+    return status;
 }
 
 airpuck_status airpuck_mpc(airpuck *craft, double now,
@@ -450,11 +443,11 @@ airpuck_status airpuck_mpc(airpuck *craft, double now,
         shift(plan, (airpuck_real)elapsed);
     plan->since = now;
     plan->limits = 0;
-    int flag = improve(craft, targets);
-    if (flag == DAQP_EXIT_OPTIMAL || flag == DAQP_EXIT_SOFT_OPTIMAL) {
+    airpuck_qp_status solved = improve(craft, targets);
+    if (found(solved)) {
         plan->answered = now;
         memcpy(command, plan->commands[0], sizeof plan->commands[0]);
-        return flag == DAQP_EXIT_OPTIMAL ? AIRPUCK_OPTIMAL : AIRPUCK_SOFTENED;
+        return solved == AIRPUCK_QP_SOLVED ? AIRPUCK_OPTIMAL : AIRPUCK_SOFTENED;
     }
     if (now - plan->answered <= horizon->flown_on) {
         memcpy(command, plan->commands[0], sizeof plan->commands[0]);

@@ -39,9 +39,7 @@ typedef struct {
     airpuck_real fence[2][2];           /* Lowest and highest x, y of the craft's centre [m]. */
     airpuck_real keep_out[AIRPUCK_DISCS + 1][3]; /* Discs: x, y, distance [m]; one spare. */
     int iterations;                     /* Iteration limit of the solver. */
-    /* Cost of exceeding limits: linear weight, and reciprocal of the quadratic weight. */
-    airpuck_real penalty[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
-    airpuck_real softness[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
+    airpuck_real penalty;               /* Weight of exceeding limits of the motion. */
 } airpuck_horizon;
 
 extern const airpuck_horizon airpuck_predicted;
@@ -54,7 +52,7 @@ typedef struct {
     int limits;             /* Active limits; a sum of AIRPUCK_..._ACTIVE. */
     airpuck_real fence[2][2], keep_out[AIRPUCK_DISCS + 1][3];
     int astray; /* Whether the solver failed from the last active set. */
-    int sense[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
+    signed char active[AIRPUCK_COMMANDS + AIRPUCK_ROWS]; /* States of constraints; see airpuck_qp.h. */
 } airpuck_plan;
 
 #endif

@@ -4,339 +4,569 @@
 #include <float.h>
 #include <string.h>
 
-/* The steps of daqp_update_ldp (DAQP 0.11, utils.c; copyright (c) 2022 Daniel Arnstrom, MIT
- * licence in daqp/LICENSE) that form a least-distance problem
- * from a quadratic program with a positive definite Hessian, in the same order of operations:
- * H = R'R, M = A inv(R) with rows of unit length, v = inv(R)'f, d = b + M v. */
-
 #ifdef AIRPUCK_SINGLE
 #define ROUNDING FLT_EPSILON
-#define SMALLEST_PIVOT AIRPUCK_R(1e-7)
+/* Violations, relative to the numbers they are computed from, that count as none. */
+#define FEASIBLE AIRPUCK_R(2e-6)
+/* Squared distance of a unit normal from the span of the others below which it depends on them. */
+#define DEPENDENT AIRPUCK_R(1e-6)
 #else
 #define ROUNDING DBL_EPSILON
-#define SMALLEST_PIVOT AIRPUCK_R(1e-11)
+#define FEASIBLE AIRPUCK_R(1e-12)
+#define DEPENDENT AIRPUCK_R(1e-14)
 #endif
-/* Condition of H from which DAQP refines a solution. */
-#define REFINED AIRPUCK_R(1e6)
+/* Squared distance below which cancellation has cost it digits; it is then computed again. */
+#define CANCELLED AIRPUCK_R(1e-2)
+/* Relative error of an active limit that remains after refinement, and is reported. */
+#define INEXACT (1000 * FEASIBLE)
+/* Iterations, for each constraint, that suggest a cycle. */
+#define CYCLING 10
+/* Steps of iterative refinement, at most, for one active set. */
+#define REFINEMENTS 3
 
-static airpuck_real *taken(airpuck_real **memory, int count)
+static airpuck_real dot(int count, const airpuck_real *a, const airpuck_real *b)
 {
-    airpuck_real *array = *memory;
-    *memory += count;
-    return array;
+    airpuck_real sum = 0;
+    for (int i = 0; i < count; i++)
+        sum += a[i] * b[i];
+    return sum;
 }
 
-static void default_settings(DAQPSettings *settings)
+static airpuck_real larger(airpuck_real a, airpuck_real b)
 {
-    memset(settings, 0, sizeof *settings);
-    settings->iter_limit = DAQP_DEFAULT_ITER_LIMIT;
-    settings->cycle_tol = DAQP_DEFAULT_CYCLE_TOL;
-    settings->fval_bound = DAQP_INF;
-    settings->eps_prox = AIRPUCK_R(-1e-6);
-    settings->eta_prox = -1;
-    settings->rho_soft = AIRPUCK_R(1e-6);
-#ifdef AIRPUCK_SINGLE
-    /* DAQP's tolerances lie below the rounding of a float. */
-    settings->primal_tol = 2e-5f;
-    settings->dual_tol = 1e-6f;
-    settings->zero_tol = 1e-7f;
-    settings->pivot_tol = 1e-4f;
-    settings->progress_tol = 1e-6f;
-    settings->sing_tol = 1e-6f;
-    settings->refactor_tol = 1e-5f;
-#else
-    settings->primal_tol = DAQP_DEFAULT_PRIM_TOL;
-    settings->dual_tol = DAQP_DEFAULT_DUAL_TOL;
-    settings->zero_tol = DAQP_DEFAULT_ZERO_TOL;
-    settings->pivot_tol = DAQP_DEFAULT_PIVOT_TOL;
-    settings->progress_tol = DAQP_DEFAULT_PROG_TOL;
-    settings->sing_tol = DAQP_DEFAULT_SING_TOL;
-    settings->refactor_tol = DAQP_DEFAULT_REFACTOR_TOL;
-#endif
+    return a > b ? a : b;
 }
 
-void airpuck_qp_begin(airpuck_qp *qp, int n, int r, int s, airpuck_real *rows,
-                      airpuck_real *numbers, int *active, int *sense)
+/* Add a multiple of a to b. */
+static void accumulate(int count, airpuck_real factor, const airpuck_real *a, airpuck_real *b)
 {
-    DAQPWorkspace *work = &qp->work;
+    for (int i = 0; i < count; i++)
+        b[i] += factor * a[i];
+}
+
+static int all_finite(int count, const airpuck_real *numbers)
+{
+    airpuck_real sum = 0;
+    for (int i = 0; i < count; i++)
+        sum += numbers[i] - numbers[i];
+    return sum == 0;
+}
+
+int airpuck_qp_row(int n, int i)
+{
+    return i * (2 * n - i + 1) / 2;
+}
+
+void airpuck_qp_begin(airpuck_qp *qp, int n, int r, int s, airpuck_real *numbers, int *working,
+                      signed char *state)
+{
     int m = n + r, k = AIRPUCK_QP_ACTIVE(n, s);
     memset(qp, 0, sizeof *qp);
-    default_settings(&qp->settings);
-    qp->hessian = taken(&numbers, n * (n + 1) / 2);
-    work->M = taken(&numbers, r * n);
-    qp->lower = taken(&numbers, m);
-    qp->upper = taken(&numbers, m);
-    work->dlower = taken(&numbers, m);
-    work->dupper = taken(&numbers, m);
-    work->scaling = taken(&numbers, m);
-    qp->gradient = taken(&numbers, n);
-    work->v = taken(&numbers, n);
-    work->x = work->u = taken(&numbers, n);
-    work->Mu = taken(&numbers, r);
-    work->lam = taken(&numbers, k);
-    work->lam_star = taken(&numbers, k);
-    work->D = taken(&numbers, k);
-    work->xldl = taken(&numbers, k);
-    work->zldl = taken(&numbers, k);
-    work->L = qp->scratch = taken(&numbers, k * (k + 1) / 2);
-    work->WS = active;
-    work->sense = sense;
-    work->settings = &qp->settings;
-    work->qp = &qp->problem;
-    work->n = qp->problem.n = n;
-    work->m = qp->problem.m = m;
-    work->ms = qp->problem.ms = n;
-    qp->problem.A = rows != NULL ? rows : work->M;
-    qp->problem.blower = qp->lower;
-    qp->problem.bupper = qp->upper;
-    qp->problem.f = qp->gradient;
-    qp->problem.sense = sense;
-    work->outer_iter = 1;
-    reset_daqp_workspace(work);
+    qp->n = n;
+    qp->rows = r;
+    qp->soft = s;
+    qp->working = working;
+    qp->state = state;
+    qp->hessian = numbers;
+    qp->matrix = qp->hessian + n * (n + 1) / 2;
+    qp->lower = qp->matrix + r * n;
+    qp->upper = qp->lower + m;
+    qp->scale = qp->upper + m;
+    qp->gradient = qp->scale + m;
+    qp->x = qp->gradient + n;
+    qp->residual = qp->x + n;
+    qp->dual = qp->residual + n;
+    qp->target = qp->dual + k;
+    qp->column = qp->target + k;
+    qp->factor = qp->column + k;
+    memset(qp->x, 0, (size_t)n * sizeof *qp->x);
 }
 
-void airpuck_qp_factor_twice_identity(airpuck_qp *qp)
-{
-    DAQPWorkspace *work = &qp->work;
-    airpuck_real root = AIRPUCK_F(sqrt)(AIRPUCK_R(2.0));
-    work->RinvD = qp->hessian;
-    for (int i = 0; i < work->n; i++) {
-        work->RinvD[i] = 1 / root;
-        work->scaling[i] = root;
-        work->v[i] = 0;
-    }
-}
+/* ---- The least-distance problem: u = Rx + v with H = R'R and v = inv(R)'f, so that the cost is
+ * u'u/2 and constraint i is lower <= m'u <= upper with a unit normal m. */
 
-int airpuck_qp_factor(airpuck_qp *qp)
+/* Replace H by the upper triangular R; return whether H is positive definite. */
+static int factor_hessian(airpuck_qp *qp)
 {
-    DAQPWorkspace *work = &qp->work;
-    int n = work->n;
-    airpuck_real *factor = qp->hessian;
-    airpuck_real largest = 0;
-    for (int i = 0, at = 0; i < n; at += n - i, i++)
-        largest = factor[at] > largest ? factor[at] : largest;
-    /* Cholesky's factor, with reciprocals on the diagonal. */
+    int n = qp->n;
     for (int i = 0; i < n; i++) {
-        airpuck_real *row = factor + DAQP_R_OFFSET(i, n);
-        if (!(row[i] > SMALLEST_PIVOT))
+        airpuck_real *row = qp->hessian + airpuck_qp_row(n, i), diagonal = row[0];
+        for (int k = 0; k < i; k++) {
+            const airpuck_real *before = qp->hessian + airpuck_qp_row(n, k) + i - k;
+            accumulate(n - i, -before[0], before, row);
+        }
+        if (!(row[0] > (airpuck_real)n * ROUNDING * diagonal))
             return 0;
-        airpuck_real reciprocal = 1 / AIRPUCK_F(sqrt)(row[i]);
-        for (int j = i + 1; j < n; j++)
+        airpuck_real reciprocal = 1 / AIRPUCK_F(sqrt)(row[0]);
+        for (int j = 0; j < n - i; j++)
             row[j] *= reciprocal;
-        for (int k = i + 1; k < n; k++) {
-            airpuck_real *later = factor + DAQP_R_OFFSET(k, n), entry = row[k];
-            for (int j = k; j < n; j++)
-                later[j] -= entry * row[j];
-        }
-        row[i] = reciprocal;
     }
-    work->Rinv = factor;
-    /* Used again by airpuck_qp_solve. */
-    work->fval = largest;
     return 1;
 }
 
-int airpuck_qp_unconstrained(airpuck_qp *qp)
+/* Multiply a row vector by inv(R), of which the rows from `first` on are known; the vector begins
+ * with the entry `first`. Commands of late steps leave early limits alone, hence the zeros. */
+static void multiply_by_inverse(const airpuck_qp *qp, int first, airpuck_real *vector)
 {
-    DAQPWorkspace *work = &qp->work;
-    int n = work->n, met = 1;
-    const airpuck_real *factor = work->Rinv;
-    airpuck_real *v = work->v, *x = work->x;
-    for (int i = 0; i < n; i++)
-        v[i] = qp->gradient[i];
-    for (int i = 0, at = 0; i < n; i++) {
-        v[i] *= factor[at++];
-        for (int j = i + 1; j < n; j++)
-            v[j] -= factor[at++] * v[i];
+    for (int k = qp->n - 1; k >= first; k--) {
+        const airpuck_real *inverse = qp->hessian + airpuck_qp_row(qp->n, k);
+        airpuck_real entry = vector[k - first];
+        if (entry == 0)
+            continue;
+        vector[k - first] = entry * inverse[0];
+        accumulate(qp->n - k - 1, entry, inverse + 1, vector + k - first + 1);
     }
-    for (int i = n - 1, at = n * (n + 1) / 2; i >= 0; i--) {
-        airpuck_real sum = -v[i];
-        at -= n - i;
-        for (int j = i + 1; j < n; j++)
-            sum -= factor[at + j - i] * x[j];
-        x[i] = sum * factor[at];
-        if (!(qp->upper[i] - x[i] >= -qp->settings.primal_tol &&
-              qp->lower[i] - x[i] <= qp->settings.primal_tol))
-            met = 0;
-    }
-    return met;
 }
 
-static void invert_factor(airpuck_real *factor, int n)
+/* Replace R by its inverse. */
+static void invert_factor(airpuck_qp *qp)
 {
-    for (int k = 0, at = 0; k < n; k++) {
-        int other = at + 1;
-        for (int j = k + 1; j < n; j++)
-            factor[other++] *= -factor[at];
-        at++;
-        for (int i = k + 1; i < n; i++, at++) {
-            factor[at] *= factor[other++];
-            for (int j = 1; j < n - i; j++)
-                factor[at + j] -= factor[other++] * factor[at];
+    int n = qp->n;
+    for (int i = n - 1; i >= 0; i--) {
+        airpuck_real *row = qp->hessian + airpuck_qp_row(n, i);
+        multiply_by_inverse(qp, i + 1, row + 1);
+        row[0] = 1 / row[0];
+        for (int j = 1; j < n - i; j++)
+            row[j] *= -row[0];
+    }
+}
+
+/* Return the normal of a constraint, from its entry `first` on; those before are zero. */
+static airpuck_real *normal(const airpuck_qp *qp, int i, int *first)
+{
+    *first = i < qp->n ? i : 0;
+    return i < qp->n ? qp->hessian + airpuck_qp_row(qp->n, i) : qp->matrix + (i - qp->n) * qp->n;
+}
+
+/* Return the product of a constraint's normal with a vector. */
+static airpuck_real along(const airpuck_qp *qp, int i, const airpuck_real *vector)
+{
+    int first;
+    const airpuck_real *m = normal(qp, i, &first);
+    return dot(qp->n - first, m, vector + first);
+}
+
+/* Add a multiple of a constraint's normal to a vector. */
+static void add_normal(const airpuck_qp *qp, int i, airpuck_real factor, airpuck_real *vector)
+{
+    int first;
+    const airpuck_real *m = normal(qp, i, &first);
+    accumulate(qp->n - first, factor, m, vector + first);
+}
+
+static int is_soft(const airpuck_qp *qp, int i)
+{
+    return i >= qp->n + qp->rows - qp->soft;
+}
+
+/* Scale normal and bounds of a constraint, and decide whether it is an equality. Return whether any
+ * u can satisfy it. */
+static int transform_constraint(airpuck_qp *qp, int i)
+{
+    int first, count;
+    airpuck_real *m = normal(qp, i, &first), largest = 0;
+    count = qp->n - first;
+    for (int j = 0; j < count; j++)
+        largest = larger(largest, AIRPUCK_F(fabs)(m[j]));
+    int soft = is_soft(qp, i), equal = !soft && qp->lower[i] == qp->upper[i];
+    if (qp->lower[i] > qp->upper[i])
+        return 0;
+    if (largest == 0) {
+        /* The row is zero and constrains nothing. */
+        qp->scale[i] = 0;
+        qp->state[i] = AIRPUCK_QP_INACTIVE;
+        return soft || (qp->lower[i] <= 0 && qp->upper[i] >= 0);
+    }
+    for (int j = 0; j < count; j++)
+        m[j] /= largest;
+    airpuck_real length = AIRPUCK_F(sqrt)(dot(count, m, m));
+    for (int j = 0; j < count; j++)
+        m[j] /= length;
+    qp->scale[i] = 1 / largest / length;
+    airpuck_real shift = dot(count, m, qp->gradient + first);
+    qp->lower[i] = qp->lower[i] * qp->scale[i] + shift;
+    qp->upper[i] = qp->upper[i] * qp->scale[i] + shift;
+    /* Whatever state the caller left is a start, if it makes sense. */
+    int side = qp->state[i] > 0 ? 1 : -1;
+    if (equal)
+        qp->state[i] = AIRPUCK_QP_EQUALITY;
+    else if (qp->state[i] < AIRPUCK_QP_BEYOND_UPPER || qp->state[i] > AIRPUCK_QP_BEYOND_LOWER ||
+             !isfinite(side > 0 ? qp->lower[i] : qp->upper[i]))
+        qp->state[i] = AIRPUCK_QP_INACTIVE;
+    else if (qp->state[i] != AIRPUCK_QP_INACTIVE && !soft)
+        qp->state[i] = (signed char)side;
+    return 1;
+}
+
+/* Transform the problem to the least-distance problem. */
+static airpuck_qp_status transform(airpuck_qp *qp)
+{
+    int n = qp->n, m = qp->n + qp->rows;
+    if (!all_finite(n * (n + 1) / 2, qp->hessian) || !all_finite(n, qp->gradient) ||
+        !all_finite(qp->rows * n, qp->matrix))
+        return AIRPUCK_QP_NOT_FINITE;
+    for (int i = 0; i < m; i++)
+        if (!(qp->lower[i] < INFINITY) || !(qp->upper[i] > -INFINITY))
+            return AIRPUCK_QP_NOT_FINITE;
+    if (!factor_hessian(qp))
+        return AIRPUCK_QP_NOT_CONVEX;
+    invert_factor(qp);
+    multiply_by_inverse(qp, 0, qp->gradient);
+    for (int r = 0; r < qp->rows; r++)
+        multiply_by_inverse(qp, 0, qp->matrix + r * n);
+    for (int i = 0; i < m; i++)
+        if (!transform_constraint(qp, i))
+            return AIRPUCK_QP_INFEASIBLE;
+    return AIRPUCK_QP_SOLVED;
+}
+
+/* ---- The active constraints. A soft row beyond its limit has multiplier penalty + e/yield; its
+ * normal is extended by an entry sqrt(yield) in a dimension of its own. The upper triangular F
+ * satisfies F'F = N'N for the extended normals N; it is stored column by column. */
+
+static int is_beyond(const airpuck_qp *qp, int i)
+{
+    return qp->state[i] == AIRPUCK_QP_BEYOND_LOWER || qp->state[i] == AIRPUCK_QP_BEYOND_UPPER;
+}
+
+static airpuck_real sign(const airpuck_qp *qp, int i)
+{
+    return qp->state[i] < 0 ? AIRPUCK_R(-1.0) : AIRPUCK_R(1.0);
+}
+
+/* Multiplier at which a row gives way, without its sign. */
+static airpuck_real price(const airpuck_qp *qp, int i)
+{
+    return is_soft(qp, i) ? qp->penalty / qp->scale[i] : INFINITY;
+}
+
+static airpuck_real yield(const airpuck_qp *qp, int i)
+{
+    return is_beyond(qp, i) ? qp->scale[i] * qp->scale[i] / qp->penalty : 0;
+}
+
+static airpuck_real *factor_column(const airpuck_qp *qp, int j)
+{
+    return qp->factor + j * (j + 1) / 2;
+}
+
+/* Solve F'y = y in place. */
+static void solve_transposed(const airpuck_qp *qp, airpuck_real *y)
+{
+    for (int j = 0; j < qp->active; j++) {
+        const airpuck_real *column = factor_column(qp, j);
+        y[j] = (y[j] - dot(j, column, y)) / column[j];
+    }
+}
+
+/* Solve Fy = y in place. */
+static void solve_factor(const airpuck_qp *qp, airpuck_real *y)
+{
+    for (int j = qp->active - 1; j >= 0; j--) {
+        const airpuck_real *column = factor_column(qp, j);
+        y[j] /= column[j];
+        accumulate(j, -y[j], column, y);
+    }
+}
+
+/* Improve the column of F for constraint i, and return the squared distance of its normal from the
+ * others' span. The distance is computed from the residual of the projection, which is projected
+ * again, so neither has suffered cancellation. `column` gets the coefficients of the projection. */
+static airpuck_real project_again(airpuck_qp *qp, int i, airpuck_real *added)
+{
+    airpuck_real square = 0;
+    memcpy(qp->column, added, (size_t)qp->active * sizeof *added);
+    solve_factor(qp, qp->column);
+    for (int pass = 0;; pass++) {
+        memset(qp->residual, 0, (size_t)qp->n * sizeof *qp->residual);
+        add_normal(qp, i, 1, qp->residual);
+        for (int j = 0; j < qp->active; j++)
+            add_normal(qp, qp->working[j], -qp->column[j], qp->residual);
+        square = dot(qp->n, qp->residual, qp->residual) + yield(qp, i);
+        for (int j = 0; j < qp->active; j++)
+            square += yield(qp, qp->working[j]) * qp->column[j] * qp->column[j];
+        if (pass == 1)
+            return square;
+        for (int j = 0; j < qp->active; j++)
+            qp->target[j] = along(qp, qp->working[j], qp->residual) -
+                            yield(qp, qp->working[j]) * qp->column[j];
+        solve_transposed(qp, qp->target);
+        accumulate(qp->active, 1, qp->target, added);
+        solve_factor(qp, qp->target);
+        accumulate(qp->active, 1, qp->target, qp->column);
+    }
+}
+
+/* Append constraint i with a multiplier to the active ones. Return 0 if its normal depends on
+ * theirs; `column` then has the coefficients. */
+static int append(airpuck_qp *qp, int i, airpuck_real multiplier)
+{
+    int first, other, count = qp->active;
+    const airpuck_real *m = normal(qp, i, &first);
+    airpuck_real *added = factor_column(qp, count);
+    for (int j = 0; j < count; j++) {
+        const airpuck_real *before = normal(qp, qp->working[j], &other);
+        int from = other > first ? other : first;
+        added[j] = dot(qp->n - from, m + from - first, before + from - other);
+    }
+    solve_transposed(qp, added);
+    airpuck_real square = 1 + yield(qp, i) - dot(count, added, added);
+    if (square < CANCELLED || count >= qp->n + qp->soft)
+        square = project_again(qp, i, added);
+    if (!(square > DEPENDENT) || count >= qp->n + qp->soft)
+        return 0;
+    added[count] = AIRPUCK_F(sqrt)(square);
+    qp->working[count] = i;
+    qp->dual[count] = multiplier;
+    qp->active++;
+    return 1;
+}
+
+/* Remove the active constraint at a position; rotations restore the triangle. */
+static void take_out(airpuck_qp *qp, int position)
+{
+    int last = qp->active - 1;
+    for (int i = position; i < last; i++) {
+        airpuck_real *next = factor_column(qp, i + 1);
+        airpuck_real length = AIRPUCK_F(sqrt)(next[i] * next[i] + next[i + 1] * next[i + 1]);
+        airpuck_real cosine = next[i] / length, sine = next[i + 1] / length;
+        for (int j = i + 1; j <= last; j++) {
+            airpuck_real *column = factor_column(qp, j), above = column[i], below = column[i + 1];
+            column[i] = cosine * above + sine * below;
+            column[i + 1] = cosine * below - sine * above;
+        }
+        memcpy(factor_column(qp, i), next, (size_t)(i + 1) * sizeof *next);
+        qp->working[i] = qp->working[i + 1];
+        qp->dual[i] = qp->dual[i + 1];
+    }
+    qp->active = last;
+}
+
+/* ---- The method. Multipliers stay in their ranges and move towards those that solve the problem
+ * with the active constraints as equations. */
+
+/* Return how far the multiplier of constraint i can move along a direction, in units of it. */
+static airpuck_real reach(const airpuck_qp *qp, int i, airpuck_real value, airpuck_real direction)
+{
+    airpuck_real s = sign(qp, i), size = s * value, rate = s * direction, w = price(qp, i);
+    if (qp->state[i] == AIRPUCK_QP_EQUALITY || rate == 0)
+        return INFINITY;
+    if (rate < 0)
+        return larger(size - (is_beyond(qp, i) ? w : 0), 0) / -rate;
+    return is_beyond(qp, i) || !is_soft(qp, i) ? INFINITY : larger(w - size, 0) / rate;
+}
+
+/* Move along the direction in `target`, at most to `limit`. Return the position of the multiplier
+ * that stops the move, or -1; set the distance. */
+static int advance(airpuck_qp *qp, airpuck_real limit, airpuck_real *distance)
+{
+    int stopped = -1;
+    airpuck_real fastest = 0;
+    *distance = limit;
+    for (int j = 0; j < qp->active; j++) {
+        airpuck_real t = reach(qp, qp->working[j], qp->dual[j], qp->target[j]);
+        airpuck_real rate = AIRPUCK_F(fabs)(qp->target[j]);
+        /* Of several that stop it at once, the fastest is the safest to take out. */
+        if (t < *distance || (t == *distance && stopped >= 0 && rate > fastest)) {
+            *distance = t;
+            stopped = j;
+            fastest = rate;
         }
     }
+    if (*distance < INFINITY)
+        accumulate(qp->active, *distance, qp->target, qp->dual);
+    return stopped;
 }
 
-/* Return whether a row of zeros contradicts its bounds. */
-static int zero_row_infeasible(const airpuck_qp *qp, int i)
+/* Change the state of a constraint whose multiplier has reached an end of its range and moves in a
+ * direction; return the multiplier. */
+static airpuck_real change_state(airpuck_qp *qp, int i, airpuck_real direction)
 {
-    int sense = DAQP_ZERO_ROW_SENSE(qp->work.sense[i]);
-    airpuck_real upper = qp->upper[i], lower = qp->lower[i];
-    if (upper - lower < -qp->settings.primal_tol && !(sense & DAQP_IMMUTABLE))
-        return 1;
-    return (upper < -qp->settings.zero_tol || lower > qp->settings.zero_tol) &&
-           (sense & (DAQP_IMMUTABLE | DAQP_ACTIVE)) != DAQP_IMMUTABLE && !(sense & DAQP_SOFT);
+    airpuck_real s = sign(qp, i), w = price(qp, i);
+    if (s * direction > 0)
+        qp->state[i] = s > 0 ? AIRPUCK_QP_BEYOND_LOWER : AIRPUCK_QP_BEYOND_UPPER;
+    else if (is_beyond(qp, i))
+        qp->state[i] = s > 0 ? AIRPUCK_QP_AT_LOWER : AIRPUCK_QP_AT_UPPER;
+    else
+        qp->state[i] = AIRPUCK_QP_INACTIVE;
+    return qp->state[i] == AIRPUCK_QP_INACTIVE ? 0 : s * w;
 }
 
-/* Check the bounds, and mark equal ones as equalities; return whether they are consistent. */
-static int check_bounds(airpuck_qp *qp)
+/* Leave out a constraint that depends on the active ones. */
+static void leave_out(airpuck_qp *qp, int i)
 {
-    int *sense = qp->work.sense;
-    for (int i = 0; i < qp->work.m; i++) {
-        if ((sense[i] & DAQP_IMMUTABLE) && !(sense[i] & DAQP_AUTO_EQUALITY))
-            continue;
-        airpuck_real between = qp->upper[i] - qp->lower[i];
-        if (between < -qp->settings.primal_tol)
+    qp->state[i] =
+        qp->state[i] == AIRPUCK_QP_EQUALITY ? AIRPUCK_QP_REDUNDANT : AIRPUCK_QP_INACTIVE;
+}
+
+/* Make constraint i active, with a multiplier that is going to move in a direction. As long as its
+ * normal depends on the active ones, multipliers can move without changing u, until one of them
+ * reaches the end of its range. Return whether that happens; otherwise the problem is infeasible,
+ * or the iterations are spent. */
+static int enter(airpuck_qp *qp, int i, airpuck_real value, airpuck_real direction)
+{
+    while (!append(qp, i, value)) {
+        airpuck_real own = reach(qp, i, value, direction), distance;
+        for (int j = 0; j < qp->active; j++)
+            qp->target[j] = -direction * qp->column[j];
+        int stopped = advance(qp, own, &distance);
+        if (!(distance < INFINITY) || ++qp->iterations > qp->most)
             return 0;
-        if (between < qp->settings.zero_tol && !(sense[i] & DAQP_SOFT))
-            sense[i] |= DAQP_ACTIVE | DAQP_IMMUTABLE | DAQP_AUTO_EQUALITY;
-        else if (sense[i] & DAQP_AUTO_EQUALITY)
-            sense[i] &= ~(DAQP_ACTIVE | DAQP_IMMUTABLE | DAQP_AUTO_EQUALITY);
+        value += distance * direction;
+        if (stopped < 0) {
+            value = change_state(qp, i, direction);
+            if (qp->state[i] == AIRPUCK_QP_INACTIVE)
+                return 1;
+            continue;
+        }
+        int other = qp->working[stopped];
+        airpuck_real moved = qp->target[stopped], edge = change_state(qp, other, moved);
+        take_out(qp, stopped);
+        if (qp->state[other] == AIRPUCK_QP_INACTIVE || append(qp, other, edge))
+            continue;
+        /* A soft row has come back to its limit, where its normal depends on the others'. */
+        if (!append(qp, i, value))
+            leave_out(qp, i);
+        i = other;
+        value = edge;
+        direction = moved > 0 ? AIRPUCK_R(1.0) : AIRPUCK_R(-1.0);
     }
     return 1;
 }
 
-/* M = A inv(R), in place if they are the same array, with rows of unit length. */
-static int form_rows(airpuck_qp *qp)
+/* Right-hand side of the equation of an active constraint. */
+static airpuck_real wanted(const airpuck_qp *qp, int i)
 {
-    DAQPWorkspace *work = &qp->work;
-    int n = work->n;
-    for (int i = n; i < work->m; i++) {
-        const airpuck_real *row = qp->problem.A + (i - n) * n;
-        airpuck_real *m = work->M + (i - n) * n, square = 0;
-        for (int k = n - 1; k >= 0; k--) {
-            airpuck_real entry = row[k];
-            if (work->Rinv == NULL) {
-                m[k] = entry * work->RinvD[k];
+    airpuck_real s = sign(qp, i), limit = s > 0 ? qp->lower[i] : qp->upper[i];
+    return is_beyond(qp, i) ? limit + s * price(qp, i) * yield(qp, i) : limit;
+}
+
+/* Start with the constraints that the caller marked as active; equalities come first. */
+static void begin_active(airpuck_qp *qp)
+{
+    qp->active = 0;
+    for (int equalities = 1; equalities >= 0; equalities--)
+        for (int i = 0; i < qp->n + qp->rows; i++) {
+            if (qp->state[i] == AIRPUCK_QP_INACTIVE ||
+                (qp->state[i] == AIRPUCK_QP_EQUALITY) != equalities)
                 continue;
-            }
-            const airpuck_real *inverse = work->Rinv + DAQP_R_OFFSET(k, n);
-            m[k] = entry * inverse[k];
-            /* Early steps do not depend on late commands. */
-            for (int j = k + 1; j < n && entry != 0; j++)
-                m[j] += entry * inverse[j];
+            airpuck_real value = is_beyond(qp, i) ? sign(qp, i) * price(qp, i) : 0;
+            if (!append(qp, i, value))
+                leave_out(qp, i);
         }
-        for (int j = 0; j < n; j++)
-            square += m[j] * m[j];
-        if (square < qp->settings.zero_tol) {
-            /* The row constrains nothing: leave it out until it is no longer zero. */
-            work->scaling[i] = 1;
-            if (zero_row_infeasible(qp, i))
-                return 0;
-            int sense = DAQP_ZERO_ROW_SENSE(work->sense[i]);
-            if (sense & DAQP_AUTO_EQUALITY)
-                sense &= ~(DAQP_ACTIVE | DAQP_IMMUTABLE);
-            work->sense[i] = DAQP_ZERO_ROW_MARK(sense);
-            continue;
-        }
-        work->scaling[i] = 1 / AIRPUCK_F(sqrt)(square);
-        for (int j = 0; j < n; j++)
-            m[j] *= work->scaling[i];
-    }
-    return 1;
 }
 
-/* Scale the rows of inv(R) that are bounds of variables to unit length. */
-static void scale_bounds(DAQPWorkspace *work)
+/* Move the multipliers to those of the active constraints as equations, or until one reaches the
+ * end of its range and changes its state. To refine multipliers, `target` has the equations' errors.
+ * Return whether they arrived. */
+static int solve_active(airpuck_qp *qp, int refine)
 {
-    for (int i = 0, at = 0; i < work->n; at += work->n - i, i++) {
-        airpuck_real square = 0;
-        for (int j = 0; j < work->n - i; j++)
-            square += work->Rinv[at + j] * work->Rinv[at + j];
-        work->scaling[i] = 1 / AIRPUCK_F(sqrt)(square);
-        for (int j = 0; j < work->n - i; j++)
-            work->Rinv[at + j] *= work->scaling[i];
-    }
-}
-
-static void form_bounds(airpuck_qp *qp)
-{
-    DAQPWorkspace *work = &qp->work;
-    int n = work->n;
-    for (int i = 0, at = 0; i < work->m; i++) {
-        airpuck_real sum = 0;
-        if (i >= n)
-            for (int j = 0; j < n; j++)
-                sum += work->M[(i - n) * n + j] * work->v[j];
-        else if (work->Rinv != NULL)
-            for (int j = i; j < n; j++)
-                sum += work->Rinv[at++] * work->v[j];
-        work->dupper[i] = qp->upper[i] * work->scaling[i] + sum;
-        work->dlower[i] = qp->lower[i] * work->scaling[i] + sum;
-    }
-}
-
-static int violates_hard(const airpuck_qp *qp)
-{
-    const DAQPWorkspace *work = &qp->work;
-    int n = work->n;
-    for (int i = 0; i < work->m; i++) {
-        int sense = work->sense[i];
-        if ((sense & DAQP_SOFT) || ((sense & DAQP_IMMUTABLE) && !(sense & DAQP_ACTIVE)))
-            continue;
-        airpuck_real value = i < n ? work->x[i] : 0;
-        if (i >= n)
-            for (int j = 0; j < n; j++)
-                value += qp->problem.A[(i - n) * n + j] * work->x[j];
-        if (value > qp->upper[i] + qp->settings.primal_tol ||
-            value < qp->lower[i] - qp->settings.primal_tol)
-            return 1;
-    }
+    airpuck_real distance;
+    for (int j = 0; j < qp->active && !refine; j++)
+        qp->target[j] = wanted(qp, qp->working[j]);
+    solve_transposed(qp, qp->target);
+    solve_factor(qp, qp->target);
+    if (!refine)
+        accumulate(qp->active, -1, qp->dual, qp->target);
+    int stopped = advance(qp, 1, &distance);
+    if (stopped < 0)
+        return 1;
+    int i = qp->working[stopped];
+    airpuck_real moved = qp->target[stopped], value = change_state(qp, i, moved);
+    take_out(qp, stopped);
+    if (qp->state[i] != AIRPUCK_QP_INACTIVE)
+        enter(qp, i, value, moved > 0 ? AIRPUCK_R(1.0) : AIRPUCK_R(-1.0));
     return 0;
 }
 
-int airpuck_qp_solve(airpuck_qp *qp)
+/* Set u from the multipliers. Return the largest error of the equations that the active constraints
+ * are, relative to `size`, and put the errors into `target`. */
+static airpuck_real set_point(airpuck_qp *qp, airpuck_real *size)
 {
-    DAQPWorkspace *work = &qp->work;
-    int n = work->n;
-    for (int i = n; i < work->m; i++)
-        work->sense[i] = DAQP_ZERO_ROW_SENSE(work->sense[i]);
-    if (!check_bounds(qp))
-        return DAQP_EXIT_INFEASIBLE;
-    if (work->Rinv != NULL) {
-        invert_factor(work->Rinv, n);
-        airpuck_real largest = 0;
-        for (int i = 0, at = 0; i < n; i++) {
-            airpuck_real square = 0;
-            for (int j = i; j < n; j++, at++)
-                square += work->Rinv[at] * work->Rinv[at];
-            largest = square > largest ? square : largest;
-        }
-        if (largest * work->fval > REFINED)
-            work->state |= DAQP_STATE_ILL_CONDITIONED;
-        for (int j = 0; j < n; j++) {
-            work->v[j] = 0;
-            for (int i = 0; i <= j; i++)
-                work->v[j] += work->Rinv[DAQP_R_OFFSET(i, n) + j] * qp->gradient[i];
+    airpuck_real largest = 0;
+    memset(qp->x, 0, (size_t)qp->n * sizeof *qp->x);
+    for (int j = 0; j < qp->active; j++)
+        add_normal(qp, qp->working[j], qp->dual[j], qp->x);
+    *size = AIRPUCK_F(sqrt)(dot(qp->n, qp->x, qp->x)) +
+            AIRPUCK_F(sqrt)(dot(qp->n, qp->gradient, qp->gradient));
+    for (int j = 0; j < qp->active; j++) {
+        int i = qp->working[j];
+        airpuck_real right = wanted(qp, i);
+        qp->target[j] = right - along(qp, i, qp->x) - yield(qp, i) * qp->dual[j];
+        airpuck_real relative = AIRPUCK_F(fabs)(qp->target[j]) / (*size + AIRPUCK_F(fabs)(right));
+        largest = larger(largest, relative);
+    }
+    return largest;
+}
+
+/* Return the most violated constraint, or the first if the iterations suggest a cycle; -1: none. Set the direction in which its multiplier will move. */
+static int violated(const airpuck_qp *qp, airpuck_real size, airpuck_real *direction)
+{
+    int worst = -1, cycling = qp->iterations > CYCLING * (qp->n + qp->rows);
+    airpuck_real most = 0;
+    for (int i = 0; i < qp->n + qp->rows && !(cycling && worst >= 0); i++) {
+        int out = qp->state[i] == AIRPUCK_QP_INACTIVE || qp->state[i] == AIRPUCK_QP_REDUNDANT;
+        if (!out || qp->scale[i] == 0)
+            continue;
+        airpuck_real value = along(qp, i, qp->x);
+        airpuck_real below = qp->lower[i] - value, above = value - qp->upper[i];
+        airpuck_real by = larger(below, above), limit = below > above ? qp->lower[i] : qp->upper[i];
+        if (by > most && by > FEASIBLE * (size + AIRPUCK_F(fabs)(limit))) {
+            most = by;
+            worst = i;
+            *direction = below > above ? AIRPUCK_R(1.0) : AIRPUCK_R(-1.0);
         }
     }
-    if (!form_rows(qp))
-        return DAQP_EXIT_INFEASIBLE;
-    if (work->Rinv != NULL)
-        scale_bounds(work);
-    work->state |= DAQP_STATE_RINV_NORMALIZED;
-    form_bounds(qp);
-    for (int i = 0; i < n; i++)
-        work->u[i] = 0;
-    int flag = daqp_reactivate_constraints(work);
-    if (flag < 0)
-        return flag;
-    flag = daqp_ldp(work);
-    if (flag > 0) {
-        ldp2qp_solution(work);
-        daqp_refine_primal(work);
-        if ((work->state & DAQP_STATE_NOISE_FLOOR) && violates_hard(qp))
-            return DAQP_EXIT_OPTIMAL_INEXACT;
+    return worst;
+}
+
+/* Transform u back to x; return what was found. */
+static airpuck_qp_status finish(airpuck_qp *qp, airpuck_real error)
+{
+    int softened = 0;
+    accumulate(qp->n, -1, qp->gradient, qp->x);
+    for (int i = 0; i < qp->n; i++)
+        qp->x[i] = along(qp, i, qp->x) / qp->scale[i];
+    for (int j = 0; j < qp->active; j++)
+        softened |= is_beyond(qp, qp->working[j]);
+    if (!all_finite(qp->n, qp->x))
+        return AIRPUCK_QP_NOT_FINITE;
+    if (!(error <= INEXACT))
+        return AIRPUCK_QP_INEXACT;
+    return softened ? AIRPUCK_QP_SOFTENED : AIRPUCK_QP_SOLVED;
+}
+
+airpuck_qp_status airpuck_qp_solve(airpuck_qp *qp)
+{
+    int refined = 0;
+    airpuck_real size, direction = 1;
+    airpuck_qp_status status = transform(qp);
+    if (status != AIRPUCK_QP_SOLVED)
+        return status;
+    begin_active(qp);
+    while (qp->iterations++ < qp->most) {
+        if (!solve_active(qp, refined > 0)) {
+            refined = 0;
+            continue;
+        }
+        airpuck_real error = set_point(qp, &size);
+        if (error > FEASIBLE && refined < REFINEMENTS) {
+            refined++;
+            continue;
+        }
+        refined = 0;
+        int i = violated(qp, size, &direction);
+        if (i < 0)
+            return finish(qp, error);
+        if (qp->state[i] == AIRPUCK_QP_REDUNDANT)
+            qp->state[i] = AIRPUCK_QP_EQUALITY;
+        else
+            qp->state[i] = direction > 0 ? AIRPUCK_QP_AT_LOWER : AIRPUCK_QP_AT_UPPER;
+        if (!enter(qp, i, 0, direction)) {
+            /* The next problem must not start from a constraint that is not active. */
+            qp->state[i] = AIRPUCK_QP_INACTIVE;
+            break;
+        }
     }
-    return flag;
+    return qp->iterations > qp->most ? AIRPUCK_QP_ITERATION_LIMIT : AIRPUCK_QP_INFEASIBLE;
 }
