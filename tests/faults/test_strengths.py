@@ -91,6 +91,36 @@ def test_a_weak_actuator_is_named(count, scale, verdict):
     assert found.name in strengths.sentences[0]
 
 
+@pytest.mark.parametrize("count", [3, 4, 6, 8])
+def test_a_motor_somewhat_below_the_others_is_named_with_its_factor(count):
+    # The vehicle file is 16 % optimistic; the motors' curves are known to half a percent.
+    model = fitted(truth(craft(count), 0.84 * 0.85, *[0.84] * (count - 1)), 0.84 * 0.005)
+    strengths = actuator_strengths(model)
+    (found,) = strengths.remarkable
+    assert (found.name, found.of_others) == (craft(count).propeller_names[0], pytest.approx(0.85))
+    (sentence,) = strengths.sentences
+    assert sentence.startswith(f"Throughout the recording: {found.name} gives 85 ± 0.")
+    # The others' median has an error, too.
+    assert 0.005 <= found.of_others_error < 0.009
+
+
+@pytest.mark.parametrize(
+    ("share", "spread", "named"), [(0.96, 0.05, 0), (0.96, 0.02, 1), (0.9, 0.2, 0)]
+)
+def test_less_than_the_usual_spread_is_not_named(share, spread, named):
+    model = fitted(truth(craft(6), share), 0.004)
+    nominal = model.vehicle.nominal.model_copy(update={"thrust_spread": spread})
+    vehicle = model.vehicle.model_copy(update={"nominal": nominal})
+    strengths = actuator_strengths(replace(model, vehicle=vehicle))
+    assert len(strengths.remarkable) == named
+    assert strengths.actuators[0].of_others == pytest.approx(share)
+
+
+def test_an_uncertain_motor_is_not_named_weak():
+    """Ten percent below the others, at three standard errors."""
+    assert not actuator_strengths(fitted(truth(craft(6), 0.9), 0.03)).remarkable
+
+
 def test_a_common_error_is_one_finding():
     strengths = actuator_strengths(fitted(truth(craft(6), *[0.7] * 6), 0.02))
     assert not strengths.remarkable

@@ -69,6 +69,10 @@ class Propeller(Section):
     reverse: Annotated[float, pydantic.Field(gt=0, le=_REVERSE)] | None = None
 
 
+#: Propellers of one make whose thrusts were identified differ by up to 5 % (docs/results.md).
+THRUST_SPREAD = 0.05
+
+
 class Nominal(Section):
     """Starting values for an identification; rough ones are enough."""
 
@@ -81,6 +85,8 @@ class Nominal(Section):
     motor_time_constant_s: NonNegative = 0.03
     #: Delay from a command's time stamp to the motors.
     transport_delay_s: NonNegative = 0.0
+    #: Largest difference between sound motors' full thrusts, relative: more makes one weak.
+    thrust_spread: Fraction = THRUST_SPREAD
 
 
 class Vehicle(Section):
@@ -141,6 +147,8 @@ class Vehicle(Section):
         content["actuators"] = _without_null(content["actuators"])
         if not self.wheels:
             del content["wheels"]
+        if self.nominal.thrust_spread == THRUST_SPREAD:
+            del content["nominal"]["thrust_spread"]
         if self.actuators == Propellers():
             del content["actuators"]
         return content

@@ -9,12 +9,11 @@ all strengths alike and is no actuator's fault.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
@@ -25,8 +24,10 @@ from airpuck.faults.layout_check import LayoutCheck, PropellerCheck, check_layou
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.thrust import thrust
 
-#: Strength relative to the others below which an actuator is weak, and above which it is strong.
-#: Propellers and valves of one make differ by 10 %.
+#: Standard errors by which a weak actuator is below the others, apart from the usual spread.
+_CERTAIN = 4.0
+#: Strength relative to the vehicle file below which an actuator without others is weak, and
+#: strength above which any is strong.
 _WEAK, _STRONG = 0.8, 1.25
 #: An actuator that may give nothing, and certainly gives less than this, is dead.
 _DEAD = 0.5
@@ -34,10 +35,11 @@ _DEAD = 0.5
 _VAGUE = 0.5
 #: An effect that is certainly below this fraction of the nominal one is reversed.
 _REVERSED = -0.2
-#: Deviation of all strengths alike that is worth mentioning.
-_SCALE = 0.1
+#: Deviation of all strengths alike that is worth mentioning: data sheets are 20 % optimistic.
+_SCALE = 0.25
 #: Fewest actuators whose median distinguishes a common error from one actuator's.
 _FEWEST = 3
+_TINY = float(np.finfo(float).tiny)
 #: Half the 95 % interval of a normal distribution, in standard deviations.
 _NORMAL = 1.96
 #: Level of all verdicts on a craft together.
@@ -48,7 +50,10 @@ _LEVEL = 0.05
 class Strength(Result):
     """Strength of one actuator over a whole recording."""
 
-    JSON = "name nominal_N=nominal strength_N=value interval_95 of_nominal verdict"
+    JSON = (
+        "name nominal_N=nominal strength_N=value interval_95 of_nominal of_others "
+        "of_others_interval_95 verdict"
+    )
 
     name: str
     #: Full thrust in the vehicle file, and as identified along the stated direction [N].
@@ -56,6 +61,12 @@ class Strength(Result):
     value: float
     #: Ends of the 95 % interval; None if unknown.
     interval_95: tuple[float, float] | None
+    #: Strength relative to the median of the others, each over its nominal one, and its standard
+    #: error; relative to the nominal one for wheels, and for craft of one or two propellers.
+    of_others: float
+    of_others_error: float
+    #: Ends of the 95 % interval of that; None if unknown.
+    of_others_interval_95: tuple[float, float] | None
     #: ``sound``, ``weak``, ``dead``, ``strong``, ``reversed``, ``acts like NAME`` or ``unknown``.
     verdict: str
 
@@ -76,6 +87,9 @@ class Strength(Result):
             return f"{self.name} {self.verdict}"
         if self.interval_95 is None:
             return f"{self.name} is {self.verdict}"
+        if self.verdict in ("weak", "strong"):
+            share, error = 100 * self.of_others, 100 * self.of_others_error
+            return f"{self.name} gives {share:.0f} ± {error:.1g} % of the others"
         return f"{self.name} is {self.verdict} ({self._range} of its nominal strength)"
 
     @property
@@ -143,26 +157,37 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     Strengths
         Each actuator's strength, interval and verdict, and the median of all.
     """
-    vehicle = model.vehicle
+    vehicle, wrong = model.vehicle, {}
     stated = _full_thrust(nominal_model(vehicle))
     value, error = _full_thrust(model), np.asarray(model.standard_error(_full_thrust))
-    quantile, wrong = (model.known.quantile if model.known else _NORMAL), {}
+    quantile = model.known.quantile if model.known else _NORMAL
+    held = np.full(len(value), False)
     if trajectory is not None:
         check = _layout(trajectory, vehicle)
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
-        # Strengths that a constraint holds have no error of their own.
-        held = np.isfinite(error) & (error <= 0) if not wrong else np.full(len(value), True)
-        if any(getattr(model.parameters, name) is None for name in check.floor):
-            held = np.full(len(value), True)  # the fit attributed the floor to thrusts
-        if check.conclusive:
+        # Strengths that a constraint holds have no error of their own; with a wrong layout, or a
+        # floor that the fit attributed to thrusts, none is right.
+        lacks = any(getattr(model.parameters, name) is None for name in check.floor)
+        held = (np.isfinite(error) & (error <= 0)) | bool(wrong or lacks)
+        if held.any() and check.conclusive:
             seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
-            value, error = (
-                np.where(held, stated * seen, value),
-                np.where(held, stated * spread, error),
-            )
-    ratio, deviation = value / stated, error / stated
-    common, reference = _references(vehicle, ratio, wrong)
-    verdicts = _verdicts(ratio / reference, deviation / reference, quantile)
+            value = np.where(held, stated * seen, value)
+            error = np.where(held, stated * spread, error)
+    among = np.array([not channel.is_wheel for channel in vehicle.actuation.channels])
+    # An error of the mass, or of one supply, is common to all propellers, but not to wheels.
+    alone = ~among | (np.count_nonzero(among) < _FEWEST)
+    among[list(wrong)] = False
+
+    def of_others(strength: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        ratio = strength / stated
+        return ratio / np.where(alone, 1.0, _medians_of_others(ratio, among))
+
+    relative = of_others(value)
+    by_fit = np.asarray(model.standard_error(lambda one: of_others(_full_thrust(one))))
+    spread = np.where(held, np.abs(relative) * error / np.maximum(np.abs(value), _TINY), by_fit)
+    verdicts = _verdicts(
+        relative, spread, quantile, np.where(alone, np.nan, vehicle.nominal.thrust_spread)
+    )
     return Strengths(
         tuple(
             Strength(
@@ -170,28 +195,26 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
                 float(stated[k]),
                 float(value[k]),
                 _interval(float(value[k]), float(quantile * error[k])),
+                float(relative[k]),
+                float(spread[k]),
+                _interval(float(relative[k]), float(quantile * spread[k])),
                 wrong.get(k, verdicts[k]),
             )
             for k, name in enumerate(vehicle.propeller_names)
         ),
-        common,
+        float(np.median((value / stated)[among if among.any() else slice(None)])),
     )
 
 
-def _references(
-    vehicle: Vehicle, ratio: Float[np.ndarray, " n"], wrong: Collection[int]
-) -> tuple[float, Float[np.ndarray, " n"]]:
-    """Return the median of the propellers' ratios, and what each ratio is compared with.
-
-    An error of the mass, or of the thrust on one supply, is common to all propellers, but not to
-    wheels: these are compared with the vehicle file.
-    """
-    wheel = np.array([channel.is_wheel for channel in vehicle.actuation.channels])
-    among = ~wheel
-    among[list(wrong)] = False
-    common = float(np.median(ratio[among] if among.any() else ratio))
-    compared = np.count_nonzero(~wheel) >= _FEWEST and common > 0
-    return common, np.where(wheel | (not compared), 1.0, common)
+def _medians_of_others(
+    ratio: Float[np.ndarray, " n"], among: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Return for each actuator the median over those of the others that can be compared."""
+    # Beside one that hardly works, a sound one is not strong.
+    works = ratio >= _DEAD * np.median(ratio[among]) if among.any() else among
+    others = among & works & ~np.eye(len(ratio), dtype=bool)
+    medians = [np.median(ratio[row]) if row.any() else 1.0 for row in others]
+    return np.where(np.array(medians) > 0, medians, 1.0)
 
 
 #: The latest check of each recording, and the vehicle file that it was checked against.
@@ -248,17 +271,25 @@ def _simultaneous(count: int, degrees: float) -> float:
 
 
 def _verdicts(
-    relative: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], quantile: float
+    relative: Float[np.ndarray, " n"],
+    error: Float[np.ndarray, " n"],
+    quantile: float,
+    usual: Float[np.ndarray, " n"],
 ) -> list[str]:
-    """Judge strengths relative to their reference."""
+    """Judge strengths relative to the others, whose `usual` spread is NaN if there are none."""
     reach = _simultaneous(len(relative), _degrees(quantile)) * error
     judged = []
-    for middle, half in zip(relative, reach, strict=True):
+    for middle, half, single, spread in zip(relative, reach, error, usual, strict=True):
+        below = (
+            middle + half < _WEAK
+            if np.isnan(spread)
+            else (1 - middle > max(_CERTAIN * single, spread))
+        )
         if not half > 0:
             judged.append("unknown")
         elif middle + half < _DEAD and middle - half <= 0:
             judged.append("dead")
-        elif middle + half < _WEAK:
+        elif below:
             judged.append("weak")
         elif half > _VAGUE:
             judged.append("unknown")
@@ -280,7 +311,15 @@ def _interval(value: float, reach: float) -> tuple[float, float] | None:
 
 
 #: Headings of `strength_rows`.
-STRENGTH_HEADINGS = ("actuator", "nominal [N]", "identified [N]", "95 %", "of nominal", "verdict")
+STRENGTH_HEADINGS = (
+    "actuator",
+    "nominal [N]",
+    "identified [N]",
+    "95 %",
+    "of nominal",
+    "of the others",
+    "verdict",
+)
 
 
 def strength_rows(strengths: Strengths) -> list[list[str]]:
@@ -292,5 +331,6 @@ def strength_rows(strengths: Strengths) -> list[list[str]]:
     for one in strengths.actuators:
         ends = one.interval_95 and " … ".join(f"{end:.{digits}f}" for end in one.interval_95)
         numbers = [f"{one.nominal:.{digits}f}", f"{one.value:.{digits}f}", ends or "unknown"]
-        rows.append([one.name, *numbers, f"{100 * one.of_nominal:.0f} %", one.verdict])
+        shares = [f"{100 * share:.0f} %" for share in (one.of_nominal, one.of_others)]
+        rows.append([one.name, *numbers, *shares, one.verdict])
     return rows

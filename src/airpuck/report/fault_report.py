@@ -88,8 +88,9 @@ def strength_section(strengths: Strengths) -> PageSection:
     """Set the strength of each actuator beside the vehicle file's."""
     caption = (
         "Thrust at the largest command, with 95 % intervals. An actuator is judged in comparison "
-        "with the others: it is weak if it certainly gives less than 80 % of the median, over all "
-        "actuators, of identified over nominal strength."
+        "with the median of the others, each relative to its nominal strength: it is weak if it is "
+        "below by more than four standard errors, and by more than sound motors differ "
+        "(nominal.thrust_spread in the vehicle file)."
     )
     table = PageTable(caption, STRENGTH_HEADINGS, strength_rows(strengths))
     words = [Text(list(strengths.sentences))] if strengths.sentences else []
