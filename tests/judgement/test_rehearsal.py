@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
-from airpuck.judgement.rehearsal import as_seen, flown_margin, like, rehearse
+from airpuck.judgement.rehearsal import GOAL, NEAR, as_seen, flown_margin, like, rehearse
 from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model, nominal_model, published_model
 from airpuck.twin.settings import default_twin_settings
@@ -41,6 +41,25 @@ def test_the_craft_of_a_recording_has_the_strength_that_it_shows(flight):
     full = np.asarray(weaker.parameters.thrust).sum(axis=1)
     true = MODEL.dynamics.configuration * np.asarray(MODEL.parameters.thrust).sum(axis=1)
     np.testing.assert_allclose(seen.dynamics.configuration * full, true, rtol=0.02, atol=0.1)
+
+
+@pytest.mark.parametrize("delay", [0.015, 0.03, 0.045])
+def test_the_craft_of_a_recording_has_the_delay_that_it_shows(flight, delay):
+    true = 0.03
+    sent = flight.command_time - true
+    recorded = replace(flight, command_time=sent, delay=true, delay_known=True)
+    model = MODEL.with_delay(delay)
+    assert as_seen(model, shown(model, recorded)).transport_delay == pytest.approx(true, abs=2e-4)
+
+
+@pytest.mark.slow
+def test_a_craft_that_leans_on_a_rail_at_the_goal_does_not_settle():
+    """A rail 5 mm before the goal stops it within the tolerance."""
+    settings = default_twin_settings().without_on_board()
+    length = 2 * (GOAL[0] - 0.005 + MODEL.vehicle.radius_m)
+    table = settings.table.model_copy(update={"length_m": length})
+    assert NEAR[0] > 0.01
+    assert flown_margin(MODEL, MODEL, settings.model_copy(update={"table": table})) == 0
 
 
 def test_the_simulated_cameras_are_those_of_the_recording():

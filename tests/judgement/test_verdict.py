@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.finding import Finding
+from airpuck.evaluation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.judgement.findings import missed_motion
+from airpuck.judgement.findings import LOW_LIMIT, missed_motion
 from airpuck.judgement.rehearsal import Rehearsal
 from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, published_model
@@ -138,6 +139,23 @@ def test_curves_of_a_wrong_shape_are_told_at_low_speed(flight):
     found = judged(replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves)), flight)
     assert found.outcome == "not_trusted"
     assert "wrong shape" in " ".join(found.sentences)
+
+
+@pytest.mark.parametrize(("right", "told"), [([0], True), ([0, 1, 2, 3], False)])
+def test_curves_count_as_wrong_only_if_most_motions_are(flight, right, told, monkeypatch):
+    """Motors with the right curves leave some motions right, and others wrong."""
+    monkeypatch.setattr("airpuck.judgement.verdict.rehearse", lambda *_: Rehearsal(2.0))
+    speed = np.linspace(0, 1, 101)[:, None]
+    true = np.asarray(MODEL.parameters.thrust)
+    curves = np.zeros((6, 3))
+    curves[:, 1] = (speed**2 * (speed ** np.arange(1, 4) @ true.T)).sum(axis=0) / (speed**4).sum()
+    curves[right] = true[right]
+    model = replace(MODEL, parameters=replace(MODEL.parameters, thrust=curves))
+    effects = effect_errors(model, flight)
+    assert effects is not None
+    low = np.abs(effects.low)
+    assert low.min() < LOW_LIMIT < low.max()
+    assert ("wrong shape" in " ".join(judged(model, flight).sentences)) is told
 
 
 def test_commands_that_reach_half_of_their_range_leave_the_rest_to_guess():
