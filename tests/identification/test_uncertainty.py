@@ -11,7 +11,7 @@ from airpuck.evaluation.main_quantities import physical_thrust
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import prediction_loss
-from airpuck.identification.settings import Loss
+from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import (
     binding_constraints,
     grown,
@@ -526,6 +526,39 @@ def test_intervals_of_a_short_lag_and_of_the_delay_hold():
             assert both[0] == pytest.approx(2e-4, rel=0.2)
     assert np.mean(linear) < 0.88
     assert np.mean(held, axis=0).min() > 0.93
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.8])
+def test_the_interval_of_a_short_lag_covers_a_symmetric_one_of_its_square(share):
+    """± 2 τ times the error of τ, for the variance τ² of a step response; never below zero."""
+    found = nominal_parameters(default_vehicle())
+    tau, lag = float(found.motor_time_constant), found.mask(frozenset({"motor_time_constant"}))
+    delay = found.mask(frozenset({"transport_delay"}))
+    change = lag.astype(float) - 0.9 * delay
+    reach = share * tau
+    covariance = (reach / 2.0) ** 2 * np.outer(change, change)
+    errors = np.sqrt(np.diag(covariance))
+    known = Uncertainty(
+        found.to_vector(), covariance, np.where(errors > 0, errors, np.nan),
+        np.zeros((0, len(errors))), 100, 2.0,
+    )  # fmt: skip
+    widened_errors = with_lag_squared(known, found).standard_errors
+    lowest = np.sqrt(tau**2 - 2 * tau * reach) if share < 0.5 else 0.0
+    far = max(tau - lowest, np.sqrt(tau**2 + 2 * tau * reach) - tau)
+    assert 2.0 * widened_errors[lag][0] == pytest.approx(far, rel=1e-9)
+    assert 2.0 * widened_errors[delay][0] == pytest.approx(0.9 * far, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_fit_widens_the_interval_of_a_lag_that_it_hardly_knows(monkeypatch):
+    flight, stated = noisy(noise=0.006), []
+    given = {"loss": Loss(spacing=29 / 240), "preparation": Preparation(faults="keep", delay="fit")}
+    for widening in (with_lag_squared, lambda known, _: known):
+        monkeypatch.setattr("airpuck.identification.fit.with_lag_squared", widening)
+        fit = identify(flight, "M2", **given)
+        lag = fit.model.parameters.mask(frozenset({"motor_time_constant"}))
+        stated.append(float(fit.uncertainty.standard_errors[lag][0]))
+    assert stated[0] > 1.1 * stated[1]
 
 
 def test_a_well_known_lag_keeps_its_interval():

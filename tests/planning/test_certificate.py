@@ -239,6 +239,20 @@ def test_a_figure_of_eight_has_a_bound_though_its_legs_are_curved():
     assert bound < 0.7 + 0.7
 
 
+@pytest.mark.slow
+def test_a_flight_with_a_velocity_at_the_goal_is_not_refuted_by_its_legs():
+    """Full thrust to the point, then full braking: flown backwards, the last leg begins slowly."""
+    fast, slow = 1.0, 0.2  # [m/s], at the point and at the goal
+    times = np.array([fast, fast - slow]) / ACCELERATION
+    legs = times * [fast / 2, (fast + slow) / 2]
+    goal = Goal(float(legs.sum()), 0.0, 0.0, velocity=(slow, 0.0, 0.0), turn="exact")
+    nowhere, limits = np.zeros((0, 3)), Limits(spin=0.1, speed=1.05 * fast)
+    via = np.array([[legs[0], 0.0]])
+    asked = Request(one_axis(), np.zeros(12), goal, via, (np.inf,) * 2, nowhere, limits)
+    bound = lower_bound_through(asked, times)
+    assert 0.9 * times.sum() < bound <= times.sum()
+
+
 def drifting(time, motion, yaw=0.4, frame="body", offset=(0.05, 0.02), free=(), tilt=None, **more):
     """Return the request of a flight with hardly any thrust, and its states.
 
