@@ -1,6 +1,7 @@
 """Clocks: offsets, drifts and epochs of made-up streams, known to the nanosecond."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,3 +131,64 @@ def test_seconds_are_those_of_ros():
     stamp = np.array([1_700_000_000_123_456_789, 5, -1], dtype=np.int64)
     expected = [1_700_000_000 + 123_456_789 * 1e-9, 5e-9, -1e-9]
     np.testing.assert_allclose(seconds(stamp), expected, rtol=0, atol=1e-16)
+
+
+def stepped(made: Stream, after: float, step: float) -> Stream:
+    """Let the sender's clock step."""
+    late = made.received_ns - made.received_ns[0] > 1e9 * after
+    return replace(made, stamp_ns=made.stamp_ns + np.rint(1e9 * step * late).astype(np.int64))
+
+
+@pytest.mark.parametrize("step", [-0.05, -0.02, 0.02, 0.05])
+@pytest.mark.parametrize("latency", [1e-4, 1.5e-3])
+@pytest.mark.parametrize("name", ["pose", "command"])
+def test_a_step_of_a_clock_is_measured_and_removed(name, step, latency):
+    streams = {
+        "pose": stream(2400, 240.0, jitter=latency),
+        "command": stream(1000, 100.0, latency=1e-4, jitter=1e-4),
+    }
+    whole = align_clocks(*streams.values())
+    streams[name] = stepped(streams[name], 6.0, step)
+    aligned = align_clocks(*streams.values())
+    [warning] = aligned.warnings
+    assert f"the clock of the {name} stream steps by {1e3 * step:.0f}" in warning.replace(".0", "")
+    assert "after 6.0 s" in warning
+    for found, true in (
+        (aligned.pose_time, whole.pose_time),
+        (aligned.command_time, whole.command_time),
+    ):
+        np.testing.assert_allclose(found - found[0], true - true[0], atol=4e-4)
+
+
+def test_the_part_with_the_usual_latency_is_right():
+    # The cameras' clock is 50 ms late until it is synchronised.
+    early = stepped(stream(2400, 240.0, offset=0.05), 6.0, -0.05)
+    aligned = align_clocks(early, COMMANDS)
+    np.testing.assert_allclose(aligned.pose_time, np.arange(2400) / 240, atol=1e-6)
+
+
+@pytest.mark.parametrize("held", [0.03, 0.3])
+def test_neither_a_busy_recorder_nor_its_own_clock_is_a_step_of_the_sender(held):
+    pose = stream(2400, 240.0, jitter=5e-4)
+    # The recorder stores nothing for a while, and then all at once.
+    received = pose.received_ns.copy()
+    for begin in (2.0, 5.0, 7.0):
+        since = (received - received[0]) / 1e9 - begin
+        received[(since > 0) & (since < held)] += np.rint(
+            1e9 * (held - since[(since > 0) & (since < held)])
+        ).astype(np.int64)
+    assert align_clocks(replace(pose, received_ns=received), COMMANDS).warnings == ()
+    # The recorder's clock steps by 50 ms: both senders seem to, but keep their rhythm.
+    both = [
+        replace(one, received_ns=one.received_ns + 50_000_000 * (np.arange(len(one)) > half))
+        for one, half in ((pose, 1200), (COMMANDS, 500))
+    ]
+    assert not any("steps" in warning for warning in align_clocks(*both).warnings)
+
+
+@pytest.mark.parametrize("drift", [-2e-3, 2e-3])
+def test_a_drift_is_removed(drift):
+    aligned = align_clocks(stream(2400, 240.0, drift=drift), COMMANDS)
+    np.testing.assert_allclose(
+        aligned.pose_time - aligned.pose_time[0], np.arange(2400) / 240, atol=3e-4
+    )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -12,9 +13,16 @@ from airpuck.recording.stream import Stream
 
 #: Difference between two senders' clocks that latency cannot explain [s].
 _CLOCKS_DIFFER = 0.1
-#: Drift of a clock that is reported [s], and the number of messages needed to detect it.
+#: Drift or step of a clock that is removed [s], and the number of messages needed to detect it.
 _DRIFTS = 5e-3
 _ENOUGH_FOR_DRIFT = 400
+#: Relative drift that no clock has: another unit of time, for example.
+_IMPOSSIBLE = 0.01
+#: Change of the latency from one message to the next at which a step is looked for [s]; messages
+#: on either side that show its size, and the quantile of their latencies that does.
+_SUDDEN, _BESIDE, _LEAST, _SHORT = 2.5e-3, 120, 20, 0.1
+#: Share of a step that other latencies may add to the change at its message, or their size [s].
+_BLURRED, _BLUR = 0.5, 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +56,20 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     Header stamps are used unchanged if both senders' clocks agree. The recorder saw both: the
     smallest difference between its time of arrival and a sender's stamp is that clock's offset plus
     the shortest latency. Offsets more than 0.1 s apart mean different clocks, and the commands are
-    moved to the poses' clock.
+    moved to the poses' clock. A clock that steps or drifts against the recorder's is set right.
     """
+    warnings: list[str] = []
+    latency = float(np.quantile(command.received_ns - command.stamp_ns, 0.01)) / SECOND_NS
+    pose, said = _steady(pose, "pose", latency)
+    warnings += said
+    command, said = _steady(command, "command", latency)
+    warnings += said
     pose_time, command_time = seconds(pose.stamp_ns), seconds(command.stamp_ns)
-    offsets = {
-        "pose": seconds(pose.received_ns) - pose_time,
-        "command": seconds(command.received_ns) - command_time,
+    base = {
+        "pose": _lowest(seconds(pose.received_ns) - pose_time),
+        "command": _lowest(seconds(command.received_ns) - command_time),
     }
-    base = {name: _lowest(offset) for name, offset in offsets.items()}
     correction = base["command"] - base["pose"]
-    warnings = []
     if abs(correction) > _CLOCKS_DIFFER:
         warnings.append(
             f"the clocks of poses and commands differ by {correction:.3f} s; "
@@ -65,19 +77,76 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
         )
     else:
         correction = 0.0
-    for name, offset in offsets.items():
-        first, *_, last = np.array_split(offset, 4)
-        drift = _lowest(last) - _lowest(first) if len(offset) >= _ENOUGH_FOR_DRIFT else 0.0
-        if abs(drift) > _DRIFTS:
-            warnings.append(
-                f"the clock of the {name} stream drifts against the recorder's by "
-                f"{1e3 * drift:.1f} ms over the recording"
-            )
     command_time = command_time + correction
     epoch = float(min(pose_time[0], command_time[0]))
     # The axis is the poses' clock; shifted commands are on the recorder's clock up to latency.
     ahead = base["pose"] if correction or abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
     return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
+
+
+def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]:
+    """Remove steps and drift of a sender's clock against the recorder's; return warnings.
+
+    What is right is the part of the recording whose latency is closest to the `usual` one [s].
+    """
+    if len(stream) < _ENOUGH_FOR_DRIFT or (stream.stamp_ns == stream.received_ns).all():
+        return stream, []
+    offset, warnings = (stream.received_ns - stream.stamp_ns) / SECOND_NS, []
+    steps = _clock_steps(stream, offset)
+    late = np.zeros(len(stream))
+    for k, size in steps:
+        late[k:] += size
+        when = (stream.received_ns[k] - stream.received_ns[0]) / SECOND_NS
+        warnings.append(
+            f"the clock of the {name} stream steps by {-1e3 * size:.1f} ms after {when:.1f} s, as "
+            "times of arrival show; the step was removed"
+        )
+    if steps:
+        edges = [0, *(k for k, _ in steps), len(stream)]
+        parts = [slice(*ends) for ends in pairwise(edges)]
+        right = min(parts, key=lambda part: abs(_lowest(offset[part]) - usual))
+        late -= late[right.start]
+    first, *_, last = np.array_split(offset - late, 4)
+    drift = _lowest(last) - _lowest(first)
+    elapsed = (stream.received_ns - stream.received_ns[0]) / SECOND_NS
+    # From the middle of the first quarter to the middle of the last.
+    begin, *_, end = (float(np.median(quarter)) for quarter in np.array_split(elapsed, 4))
+    if _DRIFTS < abs(drift) < _IMPOSSIBLE * (end - begin):
+        warnings.append(
+            f"the clock of the {name} stream drifts against the recorder's by "
+            f"{1e3 * drift:.1f} ms over the recording; the drift was removed"
+        )
+        late += drift * (elapsed - begin) / (end - begin)
+        begun, ended = (abs(_lowest(part) - usual) for part in (first, last))
+        late -= late[-1] if ended < begun else late[0]
+    moved = np.rint(late * SECOND_NS).astype(np.int64)
+    return replace(stream, stamp_ns=stream.stamp_ns + moved), warnings
+
+
+def _clock_steps(stream: Stream, offset: Float[np.ndarray, " N"]) -> list[tuple[int, float]]:
+    """Return the messages from which on latencies seem longer, and by how much [s].
+
+    The sender's clock stepped if its stamps break their rhythm there, and the recorder's do not.
+    """
+    sudden = np.diff(offset)
+    sent, received = (np.diff(s) / SECOND_NS for s in (stream.stamp_ns, stream.received_ns))
+    usual = float(np.median(received))
+    broken = np.abs(sent - usual) > np.abs(received - usual)
+    found: list[tuple[int, float]] = []
+    for k in (np.flatnonzero((np.abs(sudden) > _SUDDEN) & broken) + 1).tolist():
+        before, after = offset[max(k - _BESIDE, 0) : k], offset[k : k + _BESIDE]
+        if min(len(before), len(after)) < _LEAST:
+            continue
+        size = float(np.quantile(after, _SHORT) - np.quantile(before, _SHORT))
+        blur = max(_BLURRED * abs(size), _BLUR)
+        if abs(size) < _DRIFTS or abs(sudden[k - 1] - size) > blur:
+            continue
+        if found and k - found[-1][0] < _BESIDE:
+            if abs(size) <= abs(found[-1][1]):
+                continue
+            found.pop()
+        found.append((k, size))
+    return found
 
 
 def _lowest(offset: Float[np.ndarray, " N"]) -> float:

@@ -18,6 +18,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
+from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import Aligned, align_clocks
 from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
 from airpuck.preprocessing.derivative import (
@@ -199,7 +200,9 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
     """Return poses and commands on one time axis, checked, sorted, and in the vehicle's order."""
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
+    pose, said = at_exposure(pose)
     aligned = align_clocks(pose, command)
+    aligned = replace(aligned, warnings=said + aligned.warnings)
     check_poses(pose, aligned.pose_time, recording.source)
     lowest = np.where(vehicle.actuation.two_way, -1.0, 0.0)[np.argsort(order)]
     check_commands(command, aligned.command_time, recording.source, lowest)

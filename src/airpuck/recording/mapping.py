@@ -224,6 +224,11 @@ class PoseMapping(_Times):
         Centre of the table in these coordinates, along our x and y [m].
     body : str
         Rigid body, if an export contains several.
+    rate_hz : float, optional
+        The cameras' rate. Poses are then placed at this rate, whatever their stamps vary; by
+        default only if they were stamped on arrival, in bursts.
+    stamps : str
+        ``exact`` if stamps are the times of exposure and must not be changed; empty: judged.
 
     Examples
     --------
@@ -237,6 +242,14 @@ class PoseMapping(_Times):
     axes: str | tuple[str, ...] = AXES["Z-up"]
     origin_m: tuple[float, float] = (0.0, 0.0)
     body: str = ""
+    rate_hz: Annotated[float, pydantic.Field(gt=0, le=10_000)] | None = None
+    stamps: Literal["", "exact"] = ""
+
+    @pydantic.model_validator(mode="after")
+    def _one_time(self) -> PoseMapping:
+        if self.rate_hz and self.stamps:
+            raise ValueError("rate_hz and stamps exclude each other")
+        return self
 
     @pydantic.field_validator("position")
     @classmethod

@@ -16,7 +16,7 @@ from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
 from airpuck.recording.mapping import RecordingMapping, Topics
-from airpuck.recording.stream import Recording, Stream
+from airpuck.recording.stream import POSES, Recording, Stream, of_cameras
 from airpuck.recording.ulog_file import ULOG, read_ulog
 
 _FORMS = "a rosbag2 folder, an .mcap, .db3, .bag or .ulg file, a CSV file or a folder of CSV files"
@@ -68,7 +68,12 @@ def read_recording(
     """
     with within_means(path):
         wanted = mapping or RecordingMapping(topics=topics or Topics())
-        return _with_wheels(_read(Path(path), wanted, needs))
+        recording = _with_wheels(_read(Path(path), wanted, needs))
+    streams = {
+        name: of_cameras(stream, wanted.of_poses(name)) if name in POSES else stream
+        for name, stream in recording.streams.items()
+    }
+    return replace(recording, streams=streams)
 
 
 def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:

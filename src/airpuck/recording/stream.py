@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
 
@@ -59,6 +59,10 @@ class Stream:
         The numbers, in SI units and our axes.
     columns : tuple of str
         Names of the k columns.
+    rate_hz : float, optional
+        The cameras' rate, if the mapping states it.
+    exact : bool, default False
+        Whether the mapping states that the stamps are the times of exposure.
 
     Examples
     --------
@@ -73,6 +77,8 @@ class Stream:
     received_ns: Int64[np.ndarray, " N"]
     values: Float[np.ndarray, "N k"]
     columns: tuple[str, ...]
+    rate_hz: float | None = None
+    exact: bool = False
 
     def __post_init__(self) -> None:
         if np.ndim(self.values) != 2 or np.asarray(self.values).dtype.kind not in "fiu":
@@ -233,6 +239,7 @@ class Recording:
             )
         except InputError as error:
             raise InputError(error.problem, file=source, field=error.field) from error
+        made = of_cameras(made, mapping.pose)
         return cls({"pose": made, "command": commanded}, source, warnings=lost + gone)
 
     def __repr__(self) -> str:
@@ -290,6 +297,11 @@ def joined(parts: Sequence[Stream]) -> Stream:
     order = np.argsort(received, kind="stable")
     stamps = np.concatenate([part.stamp_ns for part in parts])
     return Stream(stamps[order], received[order], np.concatenate(values)[order], first.columns)
+
+
+def of_cameras(poses: Stream, mapping: PoseMapping) -> Stream:
+    """Return poses with what a mapping states of their stamps."""
+    return replace(poses, rate_hz=mapping.rate_hz, exact=mapping.stamps == "exact")
 
 
 def pose_stream(

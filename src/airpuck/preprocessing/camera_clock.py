@@ -1,0 +1,170 @@
+"""The cameras' clock behind time stamps that were made on arrival.
+
+A client stamps poses when it gets them: in bursts, and later by whatever the network took. Cameras
+expose at a constant rate, so the exposures are a line through the earliest arrivals, and a pose is
+on the frame that its number says. A lost frame is one number more: later poses are late by a period
+for good.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from airpuck.recording.conversion import SECOND_NS
+from airpuck.recording.stream import Stream
+
+#: A step below this fraction of the mean step, and the fraction of such steps, from which stamps
+#: are times of arrival.
+_FAR_BELOW, _MANY = 0.3, 0.01
+#: Fewest poses from which a clock is estimated.
+_FEWEST = 200
+#: Poses at the end that are too few to show a lost frame.
+_LAST = 5
+#: Time in which some pose arrives early [s], and the time of a point of the line [s].
+_SOON, _BLOCK = 0.25, 0.5
+#: Poses in a row that count towards the period, and the quantile of their mean steps: few are lost.
+_COUNTED, _QUANTILE = 100, 0.1
+#: Rates that cameras have [1/s], tried if many frames are lost, and the smallest fraction kept.
+_RATES = (30, 50, 60, 90, 100, 120, 150, 180, 200, 240, 250, 300, 330, 360, 400, 500, 1000)
+_KEPT = 0.8
+#: Step of the earliest arrivals that is a lost frame, and speed at which the reference follows the
+#: clocks' drift, per pose.
+_LOST, _FOLLOWS = 0.6, 0.02
+#: Spread of the earliest arrivals about the line, in periods, above which frames were miscounted.
+_SPREAD = 0.45
+#: Repeats of a pose, as a fraction of all poses, that a logger must have made. A run of repeats
+#: this long is a frozen pose instead [periods, s].
+_REPEATS, _FROZEN_PERIODS, _FROZEN_S = 0.005, 3, 5 / 240
+
+
+def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
+    """Return poses with the times of their exposures, and what was wrong with their stamps.
+
+    Repeated poses are dropped. Good stamps are returned as they are.
+    """
+    stream, warnings = _without_repeats(stream)
+    time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
+    steps = np.diff(time)
+    if stream.exact or len(time) < _FEWEST or (steps < 0).any() or not time[-1] > 0:
+        return stream, warnings
+    share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
+    if not (share > _MANY or stream.rate_hz or warnings):
+        return stream, warnings
+    found = _exposures(time, stream.rate_hz)
+    if share > _MANY:
+        said = f"poses are stamped on arrival ({100 * share:.0f} % of the steps are far too short)"
+    else:
+        said = "poses are spaced evenly"
+    if found is None:
+        if stream.rate_hz:
+            usual = 1 / float(np.median(steps[steps > 0]))
+            said = f"rate_hz = {stream.rate_hz:g} does not fit the stamps ({usual:.1f} per second)"
+            warnings += (f"{said}; they are used as they are",)
+        elif share > _MANY:
+            remedy = "state it in the mapping: pose = {rate_hz = 120}, or pose = {stamps = "
+            warnings += (f'{said}, and the cameras\' rate is unclear; {remedy}"exact"}}',)
+        return stream, warnings
+    exposed, period = found
+    remedy = "" if stream.rate_hz else '; if the stamps are right: pose = {stamps = "exact"}'
+    warnings += (f"{said}; they are placed at the cameras' {1 / period:.2f} Hz{remedy}",)
+    moved = np.rint((exposed - time) * SECOND_NS).astype(np.int64)
+    return replace(stream, stamp_ns=stream.stamp_ns + moved), warnings
+
+
+def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
+    """Keep the first of equal poses, if a logger faster than the cameras repeated them."""
+    same = np.concatenate([[False], np.all(stream.values[1:] == stream.values[:-1], axis=1)])
+    if stream.exact or same.mean() < _REPEATS or len(stream) < _FEWEST:
+        return stream, ()
+    time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
+    first = np.flatnonzero(~same)
+    if len(first) < 2:
+        return stream, ()
+    changes = np.diff(time[first])
+    period = float(np.mean(changes[changes <= 2.5 * np.median(changes)]))
+    ends = np.append(first[1:], len(time))
+    run = np.repeat(np.arange(len(first)), ends - first)
+    since = time - time[first][run]
+    lasted = np.append(time[first[1:]], time[-1]) - time[first]
+    frozen = lasted > max(_FROZEN_PERIODS * period, _FROZEN_S)
+    # A frozen pose, or a craft at rest, keeps the cameras' rate.
+    frame = np.floor(since / max(period, 1e-9) + 0.5)
+    new = frozen[run] & np.concatenate([[True], frame[1:] > frame[:-1]])
+    kept = ~same | new
+    dropped = int((~kept).sum())
+    if dropped < _REPEATS * len(time):
+        return stream, ()
+    kept_stream = replace(
+        stream,
+        stamp_ns=stream.stamp_ns[kept],
+        received_ns=stream.received_ns[kept],
+        values=stream.values[kept],
+    )
+    return kept_stream, (
+        f"{100 * dropped / len(time):.0f} % of the poses repeat the one before, because they were "
+        f"logged faster than they change ({1 / period:.0f} Hz); the first of equal poses is used",
+    )
+
+
+def _exposures(
+    time: Float[np.ndarray, " N"], rate: float | None
+) -> tuple[Float[np.ndarray, " N"], float] | None:
+    """Return the times of the exposures and the cameras' period; None if they are unclear."""
+    mean = float(time[-1] / (len(time) - 1))
+    if rate is not None:
+        periods = [1 / rate]
+    else:
+        count = min(_COUNTED, len(time) - 1)
+        counted = np.quantile((time[count:] - time[:-count]) / count, _QUANTILE)
+        nominal = [1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean]
+        periods = sorted([float(counted), *nominal], reverse=True)
+    # The longest period that fits: shorter ones explain any arrivals, with more losses.
+    for period in periods:
+        fitted, exposed, spread = period, time, np.inf
+        for _ in range(3):
+            frame = _frames(time, fitted)
+            line, spread = _earliest(time, frame, fitted)
+            fitted, exposed = float(line[0]), np.polyval(line, frame)
+            if not 0.9 * period < fitted < 1.1 * period:
+                spread = np.inf
+                break
+        if spread < _SPREAD * fitted:
+            return exposed, fitted
+    return None
+
+
+def _frames(time: Float[np.ndarray, " N"], period: float) -> Int[np.ndarray, " N"]:
+    """Return the number of each pose's frame: a lost one delays all later poses by a period."""
+    late = time - period * np.arange(len(time))
+    soon = max(round(_SOON / period), 20)
+    padded = np.append(late, np.full(soon - 1, np.inf))
+    earliest = np.lib.stride_tricks.sliding_window_view(padded, soon).min(axis=1)
+    # The last few poses are too few to tell a lost frame from a late arrival.
+    earliest[-_LAST:] = earliest[-_LAST - 1]
+    lost = np.zeros(len(time), dtype=int)
+    reference, number = float(earliest[0]), 0
+    for k, value in enumerate(earliest.tolist()):
+        off = value - reference - number * period
+        if off > _LOST * period:
+            more = max(round(off / period), 1)
+            number, off = number + more, off - more * period
+        reference += _FOLLOWS * off
+        lost[k] = number
+    return np.arange(len(time)) + lost
+
+
+def _earliest(
+    time: Float[np.ndarray, " N"], frame: Int[np.ndarray, " N"], period: float
+) -> tuple[Float[np.ndarray, " 2"], float]:
+    """Fit a line to the earliest arrivals; return period and start, and the spread about it."""
+    late = time - period * frame
+    size = max(round(_BLOCK / period), 20)
+    blocks = np.array_split(np.arange(len(time)), max(len(time) // size, 2))
+    least = np.array([block[np.argmin(late[block])] for block in blocks])
+    slope, start = np.polyfit(frame[least], late[least], 1)
+    rest = late[least] - slope * frame[least] - start
+    low, high = np.quantile(rest, [0.1, 0.9])
+    return np.array([period + slope, start]), float(high - low)

@@ -1,0 +1,128 @@
+"""The cameras' clock behind stamps made on arrival: frames of a known clock."""
+
+import numpy as np
+import pytest
+
+from airpuck.boundary.errors import InputError
+from airpuck.preprocessing.camera_clock import at_exposure
+from airpuck.recording.mapping import PoseMapping, RecordingMapping
+from airpuck.recording.stream import COLUMNS, Recording, Stream
+
+
+def exposures(rate: float, share_lost: float = 0.0, seconds: float = 20.0) -> np.ndarray:
+    """Times of the frames that were not lost [s]."""
+    frames = np.arange(round(rate * seconds))
+    return frames[np.random.default_rng(5).random(len(frames)) >= share_lost] / rate
+
+
+def polled(time: np.ndarray) -> np.ndarray:
+    """Arrivals at a client that looks every 10 ms, and stamps each pose when it gets it."""
+    return np.ceil((time + 5e-4) / 0.01) * 0.01
+
+
+def held_up(time: np.ndarray) -> np.ndarray:
+    """Arrivals over a network that holds packets back ten times a second, for up to 30 ms."""
+    rng = np.random.default_rng(6)
+    arrival = time + 1e-3 + rng.exponential(5e-4, len(time))
+    for begin in np.arange(0.05, time[-1], 0.1) + rng.uniform(0, 0.05):
+        end = begin + rng.uniform(0, 0.03)
+        arrival[(arrival > begin) & (arrival < end)] = end
+    return arrival
+
+
+def stamped(arrival: np.ndarray, values: np.ndarray | None = None, **stated) -> Stream:
+    arrival = np.maximum.accumulate(arrival) + 3e-5 * np.arange(len(arrival)) / len(arrival)
+    stamp = np.rint(1e9 * arrival).astype(np.int64)
+    if values is None:
+        values = np.random.default_rng(7).normal(size=(len(stamp), 3))
+    return Stream(stamp, stamp, values, COLUMNS["pose"], **stated)
+
+
+def off(stream: Stream, time: np.ndarray) -> np.ndarray:
+    """Errors of the times, up to a common latency [s]."""
+    late = stream.stamp_ns / 1e9 - time
+    return late - np.median(late)
+
+
+@pytest.mark.parametrize("arrive", [polled, held_up])
+@pytest.mark.parametrize("rate", [120.0, 240.0])
+@pytest.mark.parametrize("share_lost", [0.0, 0.02])
+def test_stamps_made_on_arrival_become_times_of_exposure(arrive, rate, share_lost):
+    time = exposures(rate, share_lost)
+    raw = stamped(arrive(time))
+    found, warnings = at_exposure(raw)
+    assert "stamped on arrival" in warnings[0] and f"{rate:.0f}" in warnings[0]
+    error = off(found, time)
+    # Beside a lost frame, arrivals do not always tell which one it was.
+    assert np.mean(np.abs(error) > 0.1 / rate) < (0.002 if not share_lost else 0.03)
+    assert error.std() < 0.4 * off(raw, time).std()
+
+
+def test_a_stated_rate_is_used_where_many_frames_are_lost():
+    time = exposures(120.0, 0.1)
+    found, _ = at_exposure(stamped(held_up(time), rate_hz=120.0))
+    assert np.mean(np.abs(off(found, time)) > 3e-4) < 0.05
+    wrong, warnings = at_exposure(raw := stamped(held_up(time), rate_hz=77.0))
+    assert wrong == raw
+    assert "rate_hz = 77 does not fit" in warnings[-1]
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        exposures(240.0),
+        exposures(240.0, 0.2),
+        np.rint(np.arange(0, 20, 0.01) * 240) / 240,
+        exposures(120.0) + np.random.default_rng(0).uniform(-1e-3, 1e-3, 2400),
+    ],
+)
+def test_the_cameras_own_stamps_are_left_alone(stamps):
+    stream = stamped(np.sort(stamps))
+    assert at_exposure(stream) == (stream, ())
+
+
+def test_stamps_that_are_stated_to_be_exact_are_left_alone():
+    stream = stamped(polled(exposures(120.0)), exact=True)
+    assert at_exposure(stream) == (stream, ())
+
+
+def test_arrivals_that_reveal_no_rate_are_said_to():
+    arrival = np.cumsum(np.random.default_rng(1).pareto(1.1, 3000) * 1e-3)
+    stream = stamped(arrival)
+    found, warnings = at_exposure(stream)
+    assert found == stream
+    assert "state it in the mapping: pose = {rate_hz = 120}" in warnings[0]
+
+
+@pytest.mark.parametrize("faster", [1.25, 2.0, 4.0])
+def test_the_first_of_poses_that_a_logger_repeats_is_kept(faster):
+    time = exposures(240.0)
+    values = np.cumsum(np.random.default_rng(2).normal(size=(len(time), 3)), axis=0)
+    logged = np.arange(0.001, time[-1], 1 / (faster * 240.0))
+    held = np.searchsorted(time, logged, side="right") - 1
+    found, warnings = at_exposure(stamped(logged, values[held]))
+    assert "repeat the one before" in warnings[0]
+    order = np.argsort(values[:, 0])
+    kept = time[order[np.searchsorted(values[order, 0], found.values[:, 0])]]
+    assert len(kept) == len(set(held.tolist()))
+    # The logger was late by up to a step.
+    assert np.abs(off(found, kept)).max() < 0.6 / (faster * 240.0)
+
+
+def test_a_frozen_pose_keeps_its_repeats():
+    time = exposures(240.0)
+    values = np.random.default_rng(2).normal(size=(len(time), 3))
+    values[1000:1050] = values[1000]
+    stream = stamped(time, values)
+    assert at_exposure(stream) == (stream, ())
+
+
+def test_a_mapping_states_rate_or_stamps():
+    time = exposures(120.0, seconds=2.0)
+    poses, commands = np.zeros((240, 3)), np.zeros((240, 6))
+    for stated, field in (({"rate_hz": 120.0}, "rate_hz"), ({"stamps": "exact"}, "exact")):
+        mapping = RecordingMapping(pose=PoseMapping(**stated))
+        made = Recording.from_arrays(time, poses, time, commands, mapping=mapping)
+        assert getattr(made["pose"], field) == next(iter(stated.values())) or made["pose"].exact
+    with pytest.raises((InputError, ValueError), match="exclude each other"):
+        PoseMapping(rate_hz=120.0, stamps="exact")
