@@ -1,6 +1,7 @@
 """The controller in C against the controller in Python."""
 
 import os
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from airpuck.flight.loop import fly
 from airpuck.planning.plan import Plan
 from airpuck.twin.twin import Twin
 
-from ..apparatus.c_programs import SANITIZED, SINGLE, build, compiler
+from ..apparatus.c_programs import SANITIZED, SINGLE, STRICT, build, compiler
 from ..apparatus.compiled_controllers import CompiledController, compare, library
 from ..apparatus.export_crafts import ALL_EFFECTS, FOUR, ON_OFF, PAPER
 
@@ -139,6 +140,27 @@ def test_no_compiler_warns(exported, using):
         program(exported, "main.c", *options, using=using)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
+def test_the_sources_compile_as_c_plus_plus(regulator, tmp_path):
+    tuning = predictive() if regulator == "mpc" else default_tuning()
+    airpuck.export.write(M4, "c", tmp_path, tuning=tuning)
+    strict = [option for option in STRICT if not option.startswith("-std")]
+    words = [compiler("clang"), "-x", "c++", "-std=c++20", *strict, "-c", "-fsyntax-only"]
+    for source in tmp_path.glob("airpuck*.c"):
+        done = subprocess.run([*words, source], capture_output=True, text=True, check=False)
+        assert not done.stderr, done.stderr
+
+
+def test_no_macro_has_a_short_name(exported):
+    """Headers of microcontrollers define many; one letter would collide."""
+    defined = re.findall(
+        r"#define (\w+)", "\n".join(p.read_text() for p in exported.glob("*.[ch]"))
+    )
+    assert "AIRPUCK_MOTORS" in defined
+    assert not [name for name in defined if len(name) < 3]
+
+
 def test_a_program_in_c_plus_plus_can_call_the_controller(exported, tmp_path):
     (tmp_path / "main.cpp").write_text(
         '#include "airpuck.h"\nstatic airpuck craft;\n'
@@ -161,6 +183,14 @@ def test_single_precision_decides_alike(single):
     found = compare(TrackingController(M4, HOME, compiled=False), c, 300)
     assert found.same > 0.99
     assert np.quantile([step.command for step in found.steps], 0.99) < 2e-5
+
+
+def test_single_precision_finds_the_nearest_acceleration_of_four_propellers(tmp_path):
+    c = CompiledController(library(FOUR, tmp_path / "c", "-DAIRPUCK_SINGLE"), FOUR)
+    found = compare(TrackingController(FOUR, HOME, compiled=False), c, 400)
+    nearest = [s for s in found.steps if s.statuses == ("nearest", "nearest") and s.state < 1e-3]
+    assert len(nearest) >= 5
+    assert max(step.command for step in nearest) < 2e-5
 
 
 @pytest.mark.parametrize("fault", ["poses at nearly the same time", "an absurd command"])

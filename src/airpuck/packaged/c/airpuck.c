@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-#define N AIRPUCK_MOTORS
+enum { MOTORS = AIRPUCK_MOTORS };
 /* A time before all others. */
 #define NEVER (-(double)INFINITY)
 /* In a shorter time covariances do not change; its powers would underflow in a float [s]. */
@@ -58,7 +58,7 @@ static void turn_motors(airpuck *craft, double time)
     drop_commands(craft, time);
 }
 
-static void hold(airpuck *craft, double begins, const airpuck_real command[N])
+static void hold(airpuck *craft, double begins, const airpuck_real command[MOTORS])
 {
     /* Commands received before, but with later times, had wrong times. */
     while (craft->held > 0 && craft->commands[craft->held - 1].begins >= begins)
@@ -88,10 +88,11 @@ static void move(airpuck_real mean[4], airpuck_real change)
 
 /* Advance a mean and motor speeds through an interval with one command, using the acceleration at
  * its middle. */
-static void propagate(airpuck_real mean[3][4], airpuck_real speed[N], const airpuck_real command[N],
+static void propagate(airpuck_real mean[3][4], airpuck_real speed[MOTORS],
+                      const airpuck_real command[MOTORS],
                       airpuck_real h)
 {
-    airpuck_real middle[N], rate[3];
+    airpuck_real middle[MOTORS], rate[3];
     memcpy(middle, speed, sizeof middle);
     airpuck_motors(&airpuck_identified, middle, command, h / 2);
     airpuck_real motion[4] = {mean[2][0] + h / 2 * mean[2][1], mean[0][1], mean[1][1], mean[2][1]};
@@ -105,7 +106,7 @@ static void propagate(airpuck_real mean[3][4], airpuck_real speed[N], const airp
 }
 
 static void advance(const airpuck *craft, double time, airpuck_real mean[3][4],
-                    airpuck_real speed[N])
+                    airpuck_real speed[MOTORS])
 {
     double now = craft->filtered, duration;
     const airpuck_real *command;
@@ -200,7 +201,7 @@ static int is_far(const airpuck_real apart[3])
 /* Use a pose unless it is too far from its prediction; return whether it was used. */
 static int use_pose(airpuck *craft, double time, const airpuck_real pose[3])
 {
-    airpuck_real mean[3][4], speed[N], innovation[3];
+    airpuck_real mean[3][4], speed[MOTORS], innovation[3];
     if (!(craft->filtered > NEVER) || craft->motors_at > NEVER) {
         restart(craft, time, pose);
         return 1;
@@ -238,7 +239,7 @@ void airpuck_init(airpuck *craft)
     craft->filtered = craft->motors_at = NEVER;
     craft->held = 1;
     craft->commands[0].begins = NEVER;
-    for (int i = 0; i < N; i++)
+    for (int i = 0; i < MOTORS; i++)
         craft->commands[0].command[i] = craft->belief.motor_speed[i] = airpuck_tuned.command_min;
 #if AIRPUCK_STEPS > 0
     airpuck_plan_begin(&craft->plan);
@@ -285,9 +286,9 @@ void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
     restart(craft, stamp, pose);
 }
 
-void airpuck_sent(airpuck *craft, double time, const airpuck_real command[N])
+void airpuck_sent(airpuck *craft, double time, const airpuck_real command[MOTORS])
 {
-    if (!airpuck_finite(command, N))
+    if (!airpuck_finite(command, MOTORS))
         return;
     if (isfinite(craft->clock) &&
         !(time > NEVER && time <= craft->clock + airpuck_tuned.longest_pause))
@@ -320,7 +321,8 @@ static airpuck_status refusal(airpuck *craft, double now)
 }
 
 airpuck_status airpuck_step(airpuck *craft, double now,
-                            const airpuck_target targets[AIRPUCK_TARGETS], airpuck_real command[N])
+                            const airpuck_target targets[AIRPUCK_TARGETS],
+                            airpuck_real command[MOTORS])
 {
     airpuck_real mean[3][4];
     craft->status = refusal(craft, now);
@@ -330,7 +332,7 @@ airpuck_status airpuck_step(airpuck *craft, double now,
         craft->status = AIRPUCK_BAD_INPUT;
 #endif
     if (craft->status != AIRPUCK_EXACT) {
-        for (int i = 0; i < N; i++)
+        for (int i = 0; i < MOTORS; i++)
             command[i] = airpuck_tuned.command_min;
         memset(craft->request, 0, sizeof craft->request);
         return craft->status;

@@ -6,8 +6,7 @@
 
 #if AIRPUCK_INTERVALS > 0
 
-#define N AIRPUCK_MOTORS
-#define S AIRPUCK_STATES
+enum { MOTORS = AIRPUCK_MOTORS, STATES = AIRPUCK_STATES };
 #ifdef AIRPUCK_SINGLE
 /* Limits of a float: remaining slope, relative rounding of the function that is minimised, rounding
  * of a number of periods. */
@@ -42,21 +41,22 @@ static int interval_at(double time)
 }
 
 /* Set the planned state at a time; before the beginning and after the end the craft waits. */
-static void state_at(double time, airpuck_real state[S])
+static void state_at(double time, airpuck_real state[STATES])
 {
     double inside = within(time, 0, plan->duration);
     int node = interval_at(inside);
     airpuck_real lasting = (airpuck_real)(plan->times[node + 1] - plan->times[node]);
     airpuck_real past = (airpuck_real)(inside - plan->times[node]) / lasting * AIRPUCK_PARTS;
     int part = past < AIRPUCK_PARTS ? (int)past : AIRPUCK_PARTS - 1;
-    const airpuck_real *before = plan->states[node * AIRPUCK_PARTS + part], *after = before + S;
-    for (int i = 0; i < S; i++)
+    const airpuck_real *before = plan->states[node * AIRPUCK_PARTS + part];
+    const airpuck_real *after = before + STATES;
+    for (int i = 0; i < STATES; i++)
         state[i] = before[i] + (past - (airpuck_real)part) * (after[i] - before[i]);
 }
 
 void airpuck_flight_target(double time, airpuck_target *target)
 {
-    airpuck_real state[S];
+    airpuck_real state[STATES];
     state_at(time, state);
     memset(target, 0, sizeof *target);
     memcpy(target->state, state, 3 * sizeof *state);
@@ -76,37 +76,37 @@ typedef struct {
 } corrections;
 
 /* Set the state to track; after the end the craft rests and its motors spin down. */
-static void tracked_at(double time, airpuck_real state[S])
+static void tracked_at(double time, airpuck_real state[STATES])
 {
     state_at(time, state);
     airpuck_real late = (airpuck_real)(time - plan->duration), idle = airpuck_tuned.command_min;
     airpuck_real lag = airpuck_identified.motor_time_constant;
     airpuck_real left = late > 0 ? AIRPUCK_F(exp)(-late / lag) : 1;
-    for (int i = 6; i < S; i++)
+    for (int i = 6; i < STATES; i++)
         state[i] = idle + left * (state[i] - idle);
     for (int i = 3; i < 6 && late > 0; i++)
         state[i] = 0;
 }
 
 /* Set the mean thrusts that are asked of the motors over a period. */
-static void asked_over(double begin, airpuck_real asked[N])
+static void asked_over(double begin, airpuck_real asked[MOTORS])
 {
-    memset(asked, 0, sizeof(airpuck_real) * N);
+    memset(asked, 0, sizeof(airpuck_real) * MOTORS);
     for (int k = 0; k < plan->samples; k++) {
         double time = begin + (double)airpuck_tuned.period * (k + 0.5) / plan->samples;
-        airpuck_real command[N], force[N];
+        airpuck_real command[MOTORS], force[MOTORS];
         int flying = time >= 0 && time < plan->duration;
-        for (int i = 0; i < N; i++)
+        for (int i = 0; i < MOTORS; i++)
             command[i] =
                 flying ? plan->commands[interval_at(time)][i] : airpuck_tuned.command_min;
         airpuck_thrust(&airpuck_identified, command, force);
-        for (int i = 0; i < N; i++)
+        for (int i = 0; i < MOTORS; i++)
             asked[i] += force[i] / (airpuck_real)plan->samples;
     }
 }
 
 /* Set the derivatives of the accelerations with respect to yaw, vx, vy and yaw rate. */
-static void accelerations_change(const airpuck_real state[S], airpuck_real slopes[3][4])
+static void accelerations_change(const airpuck_real state[STATES], airpuck_real slopes[3][4])
 {
 #ifdef AIRPUCK_SINGLE
     airpuck_real rates[3], all[3][AIRPUCK_MOVING];
@@ -142,36 +142,37 @@ static int periods(double time)
 /* Set the bounds of the corrections in one period: commands have limits. */
 static void bound(corrections *p, int period, double time)
 {
-    airpuck_real asked[N], least[N], most[N];
-    for (int i = 0; i < N; i++) {
+    airpuck_real asked[MOTORS], least[MOTORS], most[MOTORS];
+    for (int i = 0; i < MOTORS; i++) {
         least[i] = airpuck_tuned.command_min;
         most[i] = airpuck_tuned.command_max;
     }
     airpuck_thrust(&airpuck_identified, least, least);
     airpuck_thrust(&airpuck_identified, most, most);
     asked_over(time, asked);
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         airpuck_real low = least[i] - asked[i], high = most[i] - asked[i];
-        p->low[period * N + i] = (low < 0 ? low : 0) / plan->correction;
-        p->high[period * N + i] = (high > 0 ? high : 0) / plan->correction;
+        p->low[period * MOTORS + i] = (low < 0 ? low : 0) / plan->correction;
+        p->high[period * MOTORS + i] = (high > 0 ? high : 0) / plan->correction;
     }
 }
 
 /* What follows from the end of a period: how errors, and a motor's thrust, change the errors where
  * the craft rejoins the plan. */
 typedef struct {
-    airpuck_real onward[6][6], running[6][N];
-    airpuck_real state[S], force[N];
+    airpuck_real onward[6][6], running[6][MOTORS];
+    airpuck_real state[STATES], force[MOTORS];
 } outlook;
 
 /* Move the outlook to the beginning of a period, and set the effect of corrections in it. */
 static void look_back(const airpuck *craft, corrections *p, int period, double time, outlook *to)
 {
     airpuck_real h = airpuck_tuned.period, lag = airpuck_tuned.motor_lag;
-    airpuck_real state[S], middle[S], force[N], matrix[3][N], offset[3], slopes[3][4], moved[6][3];
+    airpuck_real state[STATES], middle[STATES], force[MOTORS], matrix[3][MOTORS];
+    airpuck_real offset[3], slopes[3][4], moved[6][3];
     tracked_at(time, state);
     airpuck_thrust(&airpuck_identified, state + 6, force);
-    for (int i = 0; i < S; i++)
+    for (int i = 0; i < STATES; i++)
         middle[i] = (state[i] + to->state[i]) / 2;
     airpuck_acceleration_map(middle[2], 0, matrix, offset);
     accelerations_change(middle, slopes);
@@ -183,11 +184,11 @@ static void look_back(const airpuck *craft, corrections *p, int period, double t
             moved[i][axis] = h * h / 2 * to->onward[i][axis] + h * to->onward[i][3 + axis];
             p->missed[i] += moved[i][axis] * fading * craft->disturbance[axis];
         }
-        for (int j = 0; j < N; j++) {
+        for (int j = 0; j < MOTORS; j++) {
             airpuck_real push = moved[i][0] * matrix[0][j] + moved[i][1] * matrix[1][j] +
                                 moved[i][2] * matrix[2][j];
             p->missed[i] += push * (1 - flying) * (to->force[j] + force[j]) / 2;
-            p->columns[period * N + j][i] = plan->correction / plan->precision[i] *
+            p->columns[period * MOTORS + j][i] = plan->correction / plan->precision[i] *
                                             airpuck_tuned.motor_drive *
                                             (push / 2 + to->running[i][j]);
             to->running[i][j] = (1 + lag) / 2 * push + lag * to->running[i][j];
@@ -301,8 +302,8 @@ airpuck_status airpuck_track(airpuck *craft, double time, airpuck_real command[A
 {
     const airpuck_tuning *tuning = &airpuck_tuned;
     airpuck_target target;
-    airpuck_real first[S], planned[N], following[N], now[N], price[6];
-    airpuck_real coasting[N], least[N], most[N];
+    airpuck_real first[STATES], planned[MOTORS], following[MOTORS], now[MOTORS], price[6];
+    airpuck_real coasting[MOTORS], least[MOTORS], most[MOTORS];
     corrections p = {.columns = (airpuck_real(*)[6])craft->numbers};
     outlook to;
     if (!(0 <= time && time < plan->given_up)) {
@@ -312,7 +313,7 @@ airpuck_status airpuck_track(airpuck *craft, double time, airpuck_real command[A
     p.low = craft->numbers + 6 * AIRPUCK_CORRECTIONS;
     p.high = p.low + AIRPUCK_CORRECTIONS;
     int count = periods(time);
-    p.count = count * N;
+    p.count = count * MOTORS;
     memset(&to, 0, sizeof to);
     for (int i = 0; i < 6; i++)
         to.onward[i][i] = 1;
@@ -332,22 +333,22 @@ airpuck_status airpuck_track(airpuck *craft, double time, airpuck_real command[A
     for (int i = 0; i < 6; i++) {
         for (int j = 0; j < 6; j++)
             p.missed[i] += to.onward[i][j] * error[j];
-        for (int j = 0; j < N; j++)
+        for (int j = 0; j < MOTORS; j++)
             p.missed[i] += to.running[i][j] * (now[j] - planned[j]);
         p.missed[i] /= plan->precision[i];
     }
     find_price(&p, price);
     airpuck_thrust_range(craft, coasting, least, most);
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         airpuck_real force = following[i] + tuning->motor_lag * (now[i] - planned[i]) +
                              tuning->motor_drive * plan->correction * corrected(&p, i, price);
         force = airpuck_clipped(force, least[i], most[i]);
         command[i] = airpuck_driven(i, force, coasting[i]);
     }
     memset(craft->request, 0, sizeof craft->request);
-    if (airpuck_finite(command, N))
+    if (airpuck_finite(command, MOTORS))
         return AIRPUCK_EXACT;
-    for (int i = 0; i < N; i++)
+    for (int i = 0; i < MOTORS; i++)
         command[i] = tuning->command_min;
     return AIRPUCK_FAILED;
 }

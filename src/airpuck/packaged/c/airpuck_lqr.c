@@ -82,7 +82,8 @@ static void request(airpuck *craft, const airpuck_real following[6], const airpu
     }
 }
 
-void airpuck_thrust_range(const airpuck *craft, airpuck_real coasting[MOTORS], airpuck_real least[MOTORS],
+void airpuck_thrust_range(const airpuck *craft, airpuck_real coasting[MOTORS],
+                          airpuck_real least[MOTORS],
                           airpuck_real most[MOTORS])
 {
     const airpuck_tuning *tuning = &airpuck_tuned;

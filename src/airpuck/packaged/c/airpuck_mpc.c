@@ -283,7 +283,8 @@ static void add_speed(airpuck_qp *qp, int count, airpuck_real weight, int motor,
             qp->hessian[airpuck_qp_row(COMMANDS, i) + j - i] += weight * a[i] * a[j];
 }
 
-static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight, const airpuck_real a[COMMANDS])
+static void add_gradient(airpuck_qp *qp, int count, airpuck_real weight,
+                         const airpuck_real a[COMMANDS])
 {
     for (int j = 0; j < count; j++)
         qp->gradient[j] += weight * a[j];
@@ -342,7 +343,8 @@ static void form(prediction *p, airpuck_qp *qp)
     memset(qp->hessian, 0, sizeof(airpuck_real) * COMMANDS * (COMMANDS + 1) / 2);
     memset(p->moved, 0, sizeof(airpuck_real) * STATES * COMMANDS);
     for (int j = 0; j < COMMANDS; j++) {
-        airpuck_real used = horizon->used[j / MOTORS], command = p->craft->plan.commands[j / MOTORS][j % MOTORS];
+        airpuck_real used = horizon->used[j / MOTORS];
+        airpuck_real command = p->craft->plan.commands[j / MOTORS][j % MOTORS];
         airpuck_real above = command - airpuck_tuned.command_min;
         qp->hessian[airpuck_qp_row(COMMANDS, j) + j - j] = used + horizon->damping;
         qp->gradient[j] = used * above;

@@ -52,7 +52,8 @@ typedef struct {
     int limits;             /* Active limits; a sum of AIRPUCK_..._ACTIVE. */
     airpuck_real fence[2][2], keep_out[AIRPUCK_DISCS + 1][3];
     int astray; /* Whether the solver failed from the last active set. */
-    signed char active[AIRPUCK_COMMANDS + AIRPUCK_ROWS]; /* States of constraints; see airpuck_qp.h. */
+    /* States of the constraints; see airpuck_qp.h. */
+    signed char active[AIRPUCK_COMMANDS + AIRPUCK_ROWS];
 } airpuck_plan;
 
 #endif

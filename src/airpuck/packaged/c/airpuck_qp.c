@@ -457,8 +457,8 @@ static void begin_active(airpuck_qp *qp)
 }
 
 /* Move the multipliers to those of the active constraints as equations, or until one reaches the
- * end of its range and changes its state. To refine multipliers, `target` has the equations' errors.
- * Return whether they arrived. */
+ * end of its range and changes its state. To refine multipliers, `target` has the errors of the
+ * equations. Return whether they arrived. */
 static int solve_active(airpuck_qp *qp, int refine)
 {
     airpuck_real distance;
@@ -499,7 +499,8 @@ static airpuck_real set_point(airpuck_qp *qp, airpuck_real *size)
     return largest;
 }
 
-/* Return the most violated constraint, or the first if the iterations suggest a cycle; -1: none. Set the direction in which its multiplier will move. */
+/* Return the most violated constraint, or the first if iterations suggest a cycle; -1: none. Set
+ * the direction in which its multiplier will move. */
 static int violated(const airpuck_qp *qp, airpuck_real size, airpuck_real *direction)
 {
     int worst = -1, cycling = qp->iterations > CYCLING * (qp->n + qp->rows);
@@ -555,6 +556,8 @@ airpuck_qp_status airpuck_qp_solve(airpuck_qp *qp)
             continue;
         }
         refined = 0;
+        if (!(size < INFINITY))
+            return AIRPUCK_QP_NOT_FINITE;
         int i = violated(qp, size, &direction);
         if (i < 0)
             return finish(qp, error);

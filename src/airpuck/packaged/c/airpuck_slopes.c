@@ -3,9 +3,7 @@
 
 #include <string.h>
 
-#define N AIRPUCK_MOTORS
-#define Q AIRPUCK_MOVING
-#define P AIRPUCK_STEERED
+enum { MOTORS = AIRPUCK_MOTORS, MOVING = AIRPUCK_MOVING, STEERED = AIRPUCK_STEERED };
 
 /* Velocity in the body frame, and its derivatives with respect to yaw, vx, vy and yaw rate. */
 typedef struct {
@@ -14,32 +12,32 @@ typedef struct {
 } body_motion;
 
 /* Multiply each force by a factor whose derivatives are given. */
-static void scale(airpuck_real *force, airpuck_real slopes[Q], airpuck_real factor,
-                  const airpuck_real factor_slopes[Q])
+static void scale(airpuck_real *force, airpuck_real slopes[MOVING], airpuck_real factor,
+                  const airpuck_real factor_slopes[MOVING])
 {
-    for (int q = 0; q < Q; q++)
+    for (int q = 0; q < MOVING; q++)
         slopes[q] = slopes[q] * factor + *force * factor_slopes[q];
     *force *= factor;
 }
 
-static void thrusts(const airpuck_model *model, const airpuck_real speed[N],
-                    airpuck_real force[N], airpuck_real slopes[N][Q])
+static void thrusts(const airpuck_model *model, const airpuck_real speed[MOTORS],
+                    airpuck_real force[MOTORS], airpuck_real slopes[MOTORS][MOVING])
 {
     airpuck_thrust(model, speed, force);
-    memset(slopes, 0, sizeof(airpuck_real) * N * Q);
-    for (int i = 0; i < N; i++)
+    memset(slopes, 0, sizeof(airpuck_real) * MOTORS * MOVING);
+    for (int i = 0; i < MOTORS; i++)
         for (int power = AIRPUCK_DEGREE - 1; power >= 0; power--)
             slopes[i][4 + i] = slopes[i][4 + i] * speed[i] +
                                (airpuck_real)(power + 1) * model->thrust[i][power];
 }
 
 static void reduce_by_inflow(const airpuck_model *model, const body_motion *felt,
-                             airpuck_real force[N], airpuck_real slopes[N][Q])
+                             airpuck_real force[MOTORS], airpuck_real slopes[MOTORS][MOVING])
 {
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         const airpuck_real *axis = model->inflow_axes[i];
         airpuck_real axial = axis[0] * felt->forward + axis[1] * felt->left + axis[2] * felt->spin;
-        airpuck_real by[Q] = {0};
+        airpuck_real by[MOVING] = {0};
         for (int q = 0; q < 4; q++)
             by[q] = -model->inflow *
                     (axis[0] * felt->forward_slopes[q] + axis[1] * felt->left_slopes[q]);
@@ -48,46 +46,46 @@ static void reduce_by_inflow(const airpuck_model *model, const body_motion *felt
     }
 }
 
-static void reduce_by_twins(const airpuck_model *model, airpuck_real force[N],
-                            airpuck_real slopes[N][Q])
+static void reduce_by_twins(const airpuck_model *model, airpuck_real force[MOTORS],
+                            airpuck_real slopes[MOTORS][MOVING])
 {
-    airpuck_real alone[N], alone_slopes[N][Q];
-    for (int i = 0; i < N; i++) {
+    airpuck_real alone[MOTORS], alone_slopes[MOTORS][MOVING];
+    for (int i = 0; i < MOTORS; i++) {
         alone[i] = model->newtons[i] * force[i];
-        for (int q = 0; q < Q; q++)
+        for (int q = 0; q < MOVING; q++)
             alone_slopes[i][q] = model->newtons[i] * slopes[i][q];
     }
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         int twin = model->twin[i];
         if (twin < 0)
             continue;
-        airpuck_real factor = 1 / (1 + model->pair_interaction * alone[twin]), by[Q];
-        for (int q = 0; q < Q; q++)
+        airpuck_real factor = 1 / (1 + model->pair_interaction * alone[twin]), by[MOVING];
+        for (int q = 0; q < MOVING; q++)
             by[q] = -factor * factor * model->pair_interaction * alone_slopes[twin][q];
         scale(&force[i], slopes[i], factor, by);
     }
 }
 
-static void reduce_by_voltage(const airpuck_model *model, airpuck_real force[N],
-                              airpuck_real slopes[N][Q])
+static void reduce_by_voltage(const airpuck_model *model, airpuck_real force[MOTORS],
+                              airpuck_real slopes[MOTORS][MOVING])
 {
-    airpuck_real total = 0, total_slopes[Q] = {0}, by[Q];
-    for (int i = 0; i < N; i++) {
+    airpuck_real total = 0, total_slopes[MOVING] = {0}, by[MOVING];
+    for (int i = 0; i < MOTORS; i++) {
         total += model->newtons[i] * force[i];
-        for (int q = 0; q < Q; q++)
+        for (int q = 0; q < MOVING; q++)
             total_slopes[q] += model->newtons[i] * slopes[i][q];
     }
     airpuck_real root = AIRPUCK_F(sqrt)(1 + 4 * model->voltage_sag * total);
     airpuck_real left = 2 / (1 + root);
     /* The factor is left^2, and left' = -left^2 / 2 * root', root' = 2 sag total' / root. */
-    for (int q = 0; q < Q; q++)
+    for (int q = 0; q < MOVING; q++)
         by[q] = -2 * left * left * left * model->voltage_sag * total_slopes[q] / root;
-    for (int i = 0; i < N; i++)
+    for (int i = 0; i < MOTORS; i++)
         scale(&force[i], slopes[i], left * left, by);
 }
 
 static void resist(const airpuck_model *model, const body_motion *felt, airpuck_real body[3],
-                   airpuck_real slopes[3][Q])
+                   airpuck_real slopes[3][MOVING])
 {
     const airpuck_real *drag = model->drag;
     airpuck_real velocity =
@@ -106,15 +104,16 @@ static void resist(const airpuck_model *model, const body_motion *felt, airpuck_
 }
 
 void airpuck_acceleration_slopes(const airpuck_model *model, const airpuck_real motion[4],
-                                 const airpuck_real speed[N], airpuck_real rates[3],
-                                 airpuck_real slopes[3][Q])
+                                 const airpuck_real speed[MOTORS], airpuck_real rates[3],
+                                 airpuck_real slopes[3][MOVING])
 {
     airpuck_real cosine = AIRPUCK_F(cos)(motion[0]), sine = AIRPUCK_F(sin)(motion[0]);
     airpuck_real forward = cosine * motion[1] + sine * motion[2];
     airpuck_real left = cosine * motion[2] - sine * motion[1];
     const body_motion felt = {
         forward, left, motion[3], {left, cosine, sine, 0}, {-forward, -sine, cosine, 0}};
-    airpuck_real force[N], force_slopes[N][Q], body[3] = {0}, body_slopes[3][Q] = {{0}};
+    airpuck_real force[MOTORS], force_slopes[MOTORS][MOVING];
+    airpuck_real body[3] = {0}, body_slopes[3][MOVING] = {{0}};
     thrusts(model, speed, force, force_slopes);
     if (model->inflow != 0)
         reduce_by_inflow(model, &felt, force, force_slopes);
@@ -123,9 +122,9 @@ void airpuck_acceleration_slopes(const airpuck_model *model, const airpuck_real 
     if (model->voltage_sag != 0)
         reduce_by_voltage(model, force, force_slopes);
     for (int axis = 0; axis < 3; axis++)
-        for (int i = 0; i < N; i++) {
+        for (int i = 0; i < MOTORS; i++) {
             body[axis] += model->configuration[axis][i] * force[i];
-            for (int q = 0; q < Q; q++)
+            for (int q = 0; q < MOVING; q++)
                 body_slopes[axis][q] += model->configuration[axis][i] * force_slopes[i][q];
         }
     resist(model, &felt, body, body_slopes);
@@ -135,7 +134,7 @@ void airpuck_acceleration_slopes(const airpuck_model *model, const airpuck_real 
     rates[0] = cosine * body[0] - sine * body[1] + ry * body[2] + rx * square + model->slope[0];
     rates[1] = sine * body[0] + cosine * body[1] - rx * body[2] + ry * square + model->slope[1];
     rates[2] = body[2];
-    for (int q = 0; q < Q; q++) {
+    for (int q = 0; q < MOVING; q++) {
         airpuck_real *by = body_slopes[0], *across = body_slopes[1], *turned = body_slopes[2];
         slopes[0][q] = cosine * by[q] - sine * across[q] + ry * turned[q];
         slopes[1][q] = sine * by[q] + cosine * across[q] - rx * turned[q];
@@ -183,46 +182,46 @@ static airpuck_real follow(const airpuck_model *model, airpuck_real speed, airpu
 
 /* Motor speeds at one stage of a step, with their derivatives. */
 typedef struct {
-    airpuck_real speed[N], by_speed[N], by_command[N];
+    airpuck_real speed[MOTORS], by_speed[MOTORS], by_command[MOTORS];
 } motor_stage;
 
 /* Rates of yaw, vx, vy, yaw rate at one stage, and their derivatives. */
 typedef struct {
-    airpuck_real rates[4], slopes[4][P];
+    airpuck_real rates[4], slopes[4][STEERED];
 } body_stage;
 
 /* Evaluate the rates at a motion with given derivatives. */
 static void evaluate(const airpuck_model *model, const airpuck_real motion[4],
-                     airpuck_real motion_slopes[4][P], const motor_stage *motors,
+                     airpuck_real motion_slopes[4][STEERED], const motor_stage *motors,
                      body_stage *result)
 {
-    airpuck_real slopes[3][Q];
+    airpuck_real slopes[3][MOVING];
     result->rates[0] = motion[3];
     airpuck_acceleration_slopes(model, motion, motors->speed, result->rates + 1, slopes);
     memcpy(result->slopes[0], motion_slopes[3], sizeof result->slopes[0]);
     for (int axis = 0; axis < 3; axis++) {
         airpuck_real *row = result->slopes[1 + axis];
-        for (int p = 0; p < P; p++) {
+        for (int p = 0; p < STEERED; p++) {
             row[p] = 0;
             for (int q = 0; q < 4; q++)
                 row[p] += slopes[axis][q] * motion_slopes[q][p];
         }
-        for (int i = 0; i < N; i++) {
+        for (int i = 0; i < MOTORS; i++) {
             row[4 + i] += slopes[axis][4 + i] * motors->by_speed[i];
-            row[Q + i] += slopes[axis][4 + i] * motors->by_command[i];
+            row[MOVING + i] += slopes[axis][4 + i] * motors->by_command[i];
         }
     }
 }
 
 void airpuck_step_slopes(const airpuck_model *model, const airpuck_real state[AIRPUCK_STATES],
-                         const airpuck_real command[N], airpuck_real duration,
-                         airpuck_real slopes[6][P], airpuck_real by_speed[N],
-                         airpuck_real by_command[N])
+                         const airpuck_real command[MOTORS], airpuck_real duration,
+                         airpuck_real slopes[6][STEERED], airpuck_real by_speed[MOTORS],
+                         airpuck_real by_command[MOTORS])
 {
     const airpuck_real *begin = state + 2, h = duration;
     const airpuck_real after[4] = {0, h / 2, h / 2, h}, share[4] = {1, 2, 2, 1};
     motor_stage motors[3];
-    for (int i = 0; i < N; i++) {
+    for (int i = 0; i < MOTORS; i++) {
         int lags = model->motor_time_constant > 0;
         airpuck_real first = lags ? state[6 + i] : command[i];
         motors[0].speed[i] = first;
@@ -239,20 +238,20 @@ void airpuck_step_slopes(const airpuck_model *model, const airpuck_real state[AI
         by_command[i] = motors[2].by_command[i];
     }
     body_stage body = {{0}, {{0}}};
-    memset(slopes, 0, sizeof(airpuck_real) * 6 * P);
+    memset(slopes, 0, sizeof(airpuck_real) * 6 * STEERED);
     for (int axis = 0; axis < 2; axis++)
         slopes[axis][1 + axis] = h;
     for (int q = 0; q < 4; q++)
         slopes[2 + q][q] = 1;
     for (int stage = 0; stage < 4; stage++) {
-        airpuck_real motion[4], motion_slopes[4][P];
+        airpuck_real motion[4], motion_slopes[4][STEERED];
         for (int q = 0; q < 4; q++) {
             motion[q] = begin[q] + after[stage] * body.rates[q];
-            for (int p = 0; p < P; p++)
+            for (int p = 0; p < STEERED; p++)
                 motion_slopes[q][p] = after[stage] * body.slopes[q][p] + (airpuck_real)(p == q);
         }
         evaluate(model, motion, motion_slopes, &motors[stage == 0 ? 0 : stage == 3 ? 2 : 1], &body);
-        for (int p = 0; p < P; p++) {
+        for (int p = 0; p < STEERED; p++) {
             for (int q = 0; q < 4; q++)
                 slopes[2 + q][p] += h / 6 * share[stage] * body.slopes[q][p];
             for (int axis = 0; axis < 2 && stage < 3; axis++)
