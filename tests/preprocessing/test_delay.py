@@ -11,7 +11,7 @@ from airpuck.model.model_file import published_model
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
-from airpuck.preprocessing.delay import estimate_delay
+from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
 
 from ..apparatus.synthetic_flights import fly
 
@@ -58,6 +58,15 @@ def test_unrelated_commands_have_no_correlation():
     flight = shifted(4)
     other = np.random.default_rng(0).permutation(flight.command)
     assert estimate_delay(replace(flight, command=other), NOMINAL)[1] < 0.3
+
+
+@pytest.mark.parametrize("samples", [-24, 4])
+def test_only_commands_of_the_flight_explain_its_motion(samples):
+    flight = shifted(samples)
+    other = np.random.default_rng(0).permutation(flight.command)
+    assert commands_explain(shifted(4), NOMINAL)
+    assert not commands_explain(replace(flight, command=other), NOMINAL)
+    assert motion_precedes(flight, NOMINAL) == (samples < 0)
 
 
 def test_flights_shorter_than_the_longest_delay():

@@ -37,6 +37,13 @@ def test_smoothing_is_that_of_scipy(count, window):
     np.testing.assert_allclose(smoothed, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(("count", "window"), [(11, 11), (12, 11), (13, 13), (14, 13)])
+def test_a_short_stretch_gets_the_longest_odd_window(count, window):
+    values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
+    smoothed = smooth(times(count, 0.0), values, 25 / 240)
+    np.testing.assert_allclose(smoothed, savgol_filter(values, window, 3, axis=0), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("rate", "windows"),
     [(50, (3, 3)), (100, (5, 7)), (120, (5, 7)), (240, (11, 15)), (360, (17, 23))],
