@@ -328,15 +328,20 @@ def labs_bag(path: Path, duration: float = 2.0) -> Path:
 
 
 def write_ulog(path: Path, topics: Mapping[str, tuple[str, Iterable[bytes]]]) -> Path:
-    """A PX4 log by its specification: topic -> (fields, messages)."""
+    """A PX4 log by its specification: topic, or its instance name[1] -> (fields, messages)."""
 
     def message(kind: str, content: bytes) -> bytes:
         return struct.pack("<HB", len(content), ord(kind)) + content
 
     parts = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0), message("B", bytes(40))]
-    parts += [message("F", f"{name}:{fields}".encode()) for name, (fields, _) in topics.items()]
-    for number, name in enumerate(topics):
-        parts.append(message("A", struct.pack("<BH", 0, number) + name.encode()))
+    parts += [
+        message("F", f"{name.partition('[')[0]}:{fields}".encode())
+        for name, (fields, _) in topics.items()
+    ]
+    for number, topic in enumerate(topics):
+        name, _, instance = topic.partition("[")
+        multi_id = int(instance.rstrip("]") or 0)
+        parts.append(message("A", struct.pack("<BH", multi_id, number) + name.encode()))
     for number, (_, messages) in enumerate(topics.values()):
         parts += [message("D", struct.pack("<H", number) + one) for one in messages]
     path.write_bytes(b"".join(parts))

@@ -169,3 +169,18 @@ def test_what_is_encoded_is_what_rosbags_serialises(frame: str):
     values = {"header.stamp.sec": np.array([1, 2]), "pose.position.x": np.array([0.1, -0.2])}
     assert layout is not None
     assert encode(template, layout, values) == expected
+
+
+@given(names=st.lists(st.text(max_size=9), min_size=1, max_size=80))
+def test_texts_of_any_lengths_are_read_as_rosbags_reads_them(names: list[str]):
+    messages = [odometry("", name, float(k)) for k, name in enumerate(names)]
+    read = decode(
+        messages,
+        STORE.fielddefs,
+        "nav_msgs/msg/Odometry",
+        ["child_frame_id", "pose.pose.position.x"],
+    )
+    expected = [STORE.deserialize_cdr(m, "nav_msgs/msg/Odometry").child_frame_id for m in messages]
+    # NumPy's texts end before zeros.
+    assert read["child_frame_id"].tolist() == [name.rstrip("\0") for name in expected]
+    assert read["pose.pose.position.x"].tolist() == list(range(len(names)))

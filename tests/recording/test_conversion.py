@@ -195,3 +195,65 @@ def test_percent_and_pulse_widths_end_at_0_and_1_exactly():
         assert found[0, 1] == pytest.approx(0.5, abs=1e-12)
     reversed_ = commands_of(np.array([[0.0, 1.0]]), CommandMapping(scale=-1, offset=1))
     assert reversed_.tolist() == [[1.0, 0.0]]
+
+
+def quaternions(yaw: np.ndarray) -> np.ndarray:
+    """Quaternions x, y, z, w of a craft that rolls and pitches by a few degrees."""
+    tilt = 0.05 * np.sin(3 * yaw)
+    return Rotation.from_euler("ZYX", np.column_stack([yaw, tilt, -tilt])).as_quat()
+
+
+YAW = np.linspace(-1, 4, 200)
+NAMES = ("qx", "qy", "qz", "qw")
+
+
+@pytest.mark.parametrize(
+    ("columns", "line"),
+    [
+        ((3, 0, 1, 2), 'order w, x, y, z.*{x = "qy", y = "qz", z = "qw", w = "qx"}'),
+        ((1, 2, 3, 0), 'order x, y, z, w.*{x = "qw", y = "qx", z = "qy", w = "qz"}'),
+    ],
+)
+def test_a_quaternion_in_another_order_is_recognised(columns, line: str):
+    position = np.zeros((len(YAW), 2))
+    logged = quaternions(YAW)[:, columns]
+    with pytest.raises(InputError, match=f"would roll by up to .*{line}"):
+        poses_of(position, logged, "quaternion", mapping(), NAMES)
+    # The line that the message shows is right.
+    given = re.search(r"x = .*w = \"q.\"", line.replace("{", "").replace("}", ""))
+    assert given is not None
+    chosen = [NAMES.index(name) for name in re.findall(r"q[xyzw]", given[0])]
+    yaw = poses_of(position, logged[:, chosen], "quaternion", mapping())[:, 2]
+    assert np.unwrap(yaw) == pytest.approx(YAW, abs=0.01)
+    with pytest.raises(InputError, match="reorder its columns"):
+        poses_of(position, logged, "quaternion", mapping())
+
+
+@pytest.mark.parametrize("mounted", ["identity", "upside down", "on its side"])
+def test_a_frame_that_is_mounted_at_an_angle_is_no_other_order(mounted: str):
+    angle = {"identity": 0, "upside down": np.pi, "on its side": np.pi / 2}[mounted]
+    turned = Rotation.from_quat(quaternions(YAW)) * Rotation.from_euler("x", angle)
+    poses_of(np.zeros((len(YAW), 2)), turned.as_quat(), "quaternion", mapping(), NAMES)
+
+
+def test_a_rotation_vector_is_the_axis_times_the_angle():
+    turned = Rotation.from_quat(quaternions(YAW))
+    found = poses_of(np.zeros((len(YAW), 2)), turned.as_rotvec(), "vector", mapping())
+    assert np.unwrap(found[:, 2]) == pytest.approx(YAW, abs=0.01)
+
+
+PULSES = np.array([[900.0, 900.0], [1000.0, 1500.0], [1000.0, 2000.0]])
+
+
+def test_a_disarmed_pulse_is_named_and_then_means_stopped():
+    servo = {"neutral": 1000.0, "span": 1000.0}
+    with pytest.raises(InputError, match=r"pulses of 900 .* 1 of 3 .*{disarmed = 900}"):
+        commands_of(PULSES, CommandMapping(**servo))
+    found = commands_of(PULSES, CommandMapping(**servo, disarmed=900))
+    assert found.tolist() == [[0, 0], [0, 0.5], [0, 1]]
+
+
+def test_pulses_of_motors_that_reverse_are_not_disarmed():
+    for pulses in ([[1400, 1400], [1300, 1600]], [[1000, 1000], [2000, 1500]], [[1400, 1500]]):
+        found = commands_of(np.array(pulses, float), CommandMapping(neutral=1500, span=500))
+        assert found.min() < 0

@@ -417,3 +417,115 @@ def test_intervals_and_origin_serve_poses_of_a_craft_too(tmp_path):
     found = read_recording(tmp_path, mapping=mapping(tmp_path, text), needs=("pose",))
     np.testing.assert_allclose(found["pose"].values, POSES, atol=1e-12)
     np.testing.assert_allclose(np.diff(found["pose"].stamp_ns), 20_000_000)
+
+
+def at_times(times: list[str], name: str = "t", **more: list[str]) -> str:
+    lines = [",".join([name, "x", "y", "theta", *more])]
+    for k, time in enumerate(times):
+        x, y, yaw = 100 * POSES[k, 0], 100 * POSES[k, 1], np.degrees(POSES[k, 2])
+        lines.append(",".join(map(str, (time, x, y, yaw, *(texts[k] for texts in more.values())))))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8-sig"])
+def test_tables_in_the_encodings_of_spreadsheets(tmp_path: Path, encoding: str):
+    folder(tmp_path)
+    for name in ("mocap.csv", "motors.csv"):
+        text = (tmp_path / name).read_text().replace(",", "\t")
+        (tmp_path / name).write_text(text, encoding=encoding)
+    assert_is_the_flight(read_recording(tmp_path, mapping=mapping(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("between", "end"), [("T", ""), (" ", ""), ("T", "Z"), ("T", "+00:00"), (" ", "+00:00")]
+)
+def test_times_may_be_iso_dates(tmp_path: Path, between: str, end: str):
+    start = np.datetime64("2025-03-04T10:00:00", "ns")
+    dates = [str(start + np.timedelta64(round(1e9 * t), "ns")) for t in TIME]
+    text = at_times([date.replace("T", between) + end for date in dates])
+    recording = read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+    expected = start.astype(np.int64) + np.round(1e9 * TIME).astype(np.int64)
+    assert recording["pose"].stamp_ns.tolist() == expected.tolist()
+
+
+def test_times_of_day_are_refused_with_a_remedy(tmp_path: Path):
+    text = at_times([f"10:00:{t:09.6f}" for t in TIME])
+    with pytest.raises(InputError, match=r"line 2: '10:00:00.000000' is not a number; write sec"):
+        read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+def test_columns_without_a_name_are_passed_over(tmp_path: Path):
+    text = mocap().replace("\n", ",,\n")
+    assert_is_the_flight(read_recording(folder(tmp_path, text), mapping=mapping(tmp_path)))
+    # The index of a data frame has numbers, and is called by its place.
+    text = mocap().replace("frame,t,", ",t,").replace("t,", "time,", 1)
+    with pytest.raises(InputError, match=r"no such column.*column 1, time, x"):
+        read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+@pytest.mark.parametrize("lost", ["nan", "NaN", "", "null", "N/A"])
+def test_rows_without_a_position_or_without_an_orientation_are_left_out(tmp_path: Path, lost):
+    rows = mocap().splitlines()
+    for row, cells in ((5, (2, 3, 4)), (6, (2, 3)), (7, (4,))):
+        fields = rows[row].split(",")
+        for cell in cells:
+            fields[cell] = lost
+        rows[row] = ",".join(fields)
+    text = "\n".join(rows) + "\n"
+    recording = read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+    assert_is_the_flight(recording, np.delete(np.arange(N), [4, 5, 6]))
+    assert recording.warnings == ("3 blank poses are left out",)
+
+
+def test_a_column_that_is_always_blank_is_named(tmp_path: Path):
+    text = "\n".join(line.rpartition(",")[0] + "," for line in mocap().splitlines()[1:])
+    text = "frame,t,x,y,theta\n" + text + "\n"
+    with pytest.raises(InputError, match="no row has numbers in all of x, y, theta"):
+        read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+@pytest.mark.parametrize("form", ["%.9g", "%.10g", "%.11g"])
+def test_times_that_lost_their_digits_are_named(tmp_path: Path, form: str):
+    text = at_times([form % (1.7e9 + t) for t in TIME])
+    with pytest.raises(InputError, match=r"lines \d+ and \d+.* the times have lost digits"):
+        read_recording(
+            folder(tmp_path, text),
+            mapping=mapping(tmp_path, MAPPING.replace('"deg", "ms"', '"deg"')),
+        )
+
+
+def of_two_bodies(column: str, names: tuple[str, str], shift: float = 0.0) -> str:
+    """A row for each frame and body; the wand's come first, at the same times or earlier."""
+    lines = [f"t,{column},x,y,theta"]
+    for k in range(N):
+        x, y, yaw = 100 * POSES[k, 0], 100 * POSES[k, 1], np.degrees(POSES[k, 2])
+        lines.append(f"{1e3 * (TIME[k] - shift)},{names[0]},7,{k},9")
+        lines.append(f"{1e3 * TIME[k]},{names[1]},{x},{y},{yaw}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.01])
+@pytest.mark.parametrize(
+    ("column", "names"), [("body", ("wand", "puck")), ("thing", ("wand", "puck")), ("id", "12")]
+)
+def test_a_body_of_a_table_is_chosen_by_its_name(tmp_path: Path, column: str, names, shift: float):
+    text = of_two_bodies(column, names, shift)
+    chosen = MAPPING.replace("[command]", f'body = "{names[1]}"\n[command]')
+    recording = read_recording(folder(tmp_path, text), mapping=mapping(tmp_path, chosen))
+    assert_is_the_flight(recording)
+    other = chosen.replace(f'body = "{names[1]}"', 'body = "craft"')
+    match = "names no rigid bodies" if column == "thing" else f"rigid bodies {names[0]}, {names[1]}"
+    with pytest.raises(InputError, match=f"pose.body: .*{match}"):
+        read_recording(tmp_path, mapping=mapping(tmp_path, other))
+    if column != "thing":
+        with pytest.raises(InputError, match=f"rigid bodies {names[0]}, {names[1]}; choose one"):
+            read_recording(tmp_path, mapping=mapping(tmp_path))
+    elif not shift:
+        with pytest.raises(InputError, match="rows of several bodies are mixed"):
+            read_recording(tmp_path, mapping=mapping(tmp_path))
+
+
+def test_columns_that_count_or_change_state_name_no_bodies(tmp_path: Path):
+    ids, states = [str(k) for k in range(N)], ["ok"] * 20 + ["moved"] * 30
+    text = at_times([str(1e3 * t) for t in TIME], id=ids, label=states)
+    assert_is_the_flight(read_recording(folder(tmp_path, text), mapping=mapping(tmp_path)))

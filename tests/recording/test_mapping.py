@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.mapping import Topics, only_topics, read_mapping
+from airpuck.recording.mapping import Topics, read_mapping
 
 
 def test_names_given_replace_the_defaults(tmp_path: Path):
@@ -119,14 +119,3 @@ def test_mistakes_in_columns_units_and_axes(tmp_path: Path, text: str, says: str
     with pytest.raises(InputError, match=says) as caught:
         read_mapping(tmp_path / "m.toml")
     assert "\n" not in str(caught.value)
-
-
-def test_a_live_graph_takes_only_topics(tmp_path: Path):
-    (tmp_path / "m.toml").write_text(WHOLE)
-    with pytest.raises(InputError, match=r"m\.toml: command: is for recordings"):
-        only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml")
-    (tmp_path / "m.toml").write_text('[topics]\npose = "/a"\n')
-    assert only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml").pose == "/a"
-    (tmp_path / "m.toml").write_text('[topics]\npose = "a"\n')
-    with pytest.raises(InputError, match=r"topics\.pose: 'a' must begin with a slash"):
-        only_topics(read_mapping(tmp_path / "m.toml"), tmp_path / "m.toml")

@@ -232,3 +232,81 @@ def test_no_byte_makes_it_fail_in_another_way(tmp_path: Path, write):
             read(tmp_path, "take.csv", "".join(broken[: rng.integers(1, len(text))]))
         except InputError as error:
             assert "\n" not in str(error)
+
+
+def vicon(
+    *,
+    title: str = "Objects",
+    unit: tuple[str, str] = ("rad", "mm"),
+    bodies: tuple[str, ...] = ("puck",),
+    quaternion: bool = False,
+    one_title: bool = False,
+    lost: tuple[int, ...] = (),
+) -> str:
+    """The export of bodies that move alike, each 1 m further along x."""
+    turned = ROTATION.as_quat() if quaternion else ROTATION.as_rotvec(degrees=unit[0] == "deg")
+    axes = ["RX", "RY", "RZ", "RW"][: turned.shape[1]]
+    size = {"mm": 1000, "cm": 100, "m": 1}[unit[1]]
+    titles, names, units, data = ["", ""], ["Frame", "Sub Frame"], ["", ""], []
+    for number, body in enumerate(bodies):
+        both = f"{body}:{body}"
+        first = both if one_title else f"Global Angle {both}"
+        titles += [first] + [""] * (len(axes) - 1)
+        titles += ["" if one_title else f"Global Translation {both}", "", ""]
+        names += [*axes, "TX", "TY", "TZ"]
+        units += [unit[0]] * len(axes) + [unit[1]] * 3
+        position = np.column_stack([POSES[:, 0] + number, POSES[:, 1], HEIGHT]) * size
+        data += [turned, position]
+    lines = [title, "100", *map(",".join, (titles, names, units))]
+    for k, row in enumerate(np.hstack(data)):
+        cells = [""] * len(row) if k in lost else [f"{value:.9f}" for value in row]
+        lines.append(",".join([str(k + 1), "0", *cells]))
+    return "\n".join(lines) + "\n"
+
+
+def read_vicon(folder: Path, text: str, **pose):
+    (folder / "take.csv").write_text(text)
+    (folder / "motors.csv").write_text(COMMANDS)
+    return read_recording(
+        folder, mapping=RecordingMapping(pose=PoseMapping(**pose), command=COMMAND)
+    )
+
+
+@pytest.mark.parametrize(
+    ("made", "pose"),
+    [
+        ({}, {}),
+        ({"title": "Segments", "unit": ("deg", "m")}, {}),
+        ({"quaternion": True, "one_title": True}, {}),
+        ({"bodies": ("puck", "wand")}, {"body": "puck"}),
+        ({"bodies": ("wand", "puck"), "one_title": True}, {"body": "puck", "origin_m": (1, 0)}),
+    ],
+)
+def test_vicon_exports_are_read(tmp_path: Path, made, pose):
+    poses = read_vicon(tmp_path, vicon(**made), **pose)["pose"]
+    assert poses.stamp_ns.tolist() == np.round(1e9 * TIME).astype(int).tolist()
+    assert poses.values == pytest.approx(POSES, abs=1e-6)
+
+
+def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
+    more = "\nTrajectories\n100\n,,puck:one,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,1,2,3\n"
+    recording = read_vicon(tmp_path, vicon(lost=(3, 4)) + more)
+    assert recording["pose"].values == pytest.approx(np.delete(POSES, [3, 4], axis=0), abs=1e-6)
+    assert recording.warnings == ("2 blank poses are left out",)
+
+
+@pytest.mark.parametrize(
+    ("text", "pose", "says"),
+    [
+        (vicon(bodies=("puck", "wand")), {}, "contains the rigid bodies puck, wand; choose one"),
+        (vicon(), {"body": "wand"}, r"pose\.body: contains the rigid bodies puck"),
+        (vicon(), {"time": "Frame"}, "is a Vicon export, whose rate gives the times"),
+        (vicon().replace("\n100\n", "\nfast\n"), {}, "is a Vicon export without its rate"),
+        (vicon().replace("TX", "UX"), {}, "has no column TX"),
+        (vicon().replace("Sub Frame", "Part"), {}, "has no row Frame, Sub Frame"),
+        ("Objects\n", {}, "has no row Frame, Sub Frame"),
+    ],
+)
+def test_what_is_wrong_with_a_vicon_export_is_said(tmp_path: Path, text: str, pose, says: str):
+    with pytest.raises(InputError, match=says):
+        read_vicon(tmp_path, text, **pose)

@@ -75,3 +75,80 @@ def test_what_is_no_log_is_refused(tmp_path):
     (tmp_path / "a.ulg").write_bytes(b"ULog" + bytes(100))
     with pytest.raises(InputError, match="is not a readable PX4 log"):
         read_recording(tmp_path / "a.ulg")
+
+
+_OUTPUTS = "uint64_t timestamp;float[4] output;"
+
+
+def outputs(*values: float) -> list[bytes]:
+    return [struct.pack("<Q4f", 10_000 * k, *values) for k in range(9)]
+
+
+def test_another_instance_of_a_topic_can_be_named(tmp_path):
+    whole = ulog(tmp_path / "whole.ulg").read_bytes()
+    assert whole
+    poses = [
+        struct.pack("<QQ7fB", 10_000 * k, 10_000 * k, 0.1 * k, 0, 0, 1, 0, 0, 0, 1)
+        for k in range(9)
+    ]
+    fields = "uint64_t timestamp;uint64_t timestamp_sample;float[3] position;float[4] q;uint8_t f;"
+    path = write_ulog(
+        tmp_path / "a.ulg",
+        {
+            "vehicle_visual_odometry": (fields, poses),
+            "actuator_outputs[1]": (_OUTPUTS, outputs(1250, 1500, 900, 900)),
+            "actuator_outputs": (_OUTPUTS, outputs(900, 900, 900, 900)),
+        },
+    )
+    for name, expected in (("actuator_outputs", (0, 0)), ("actuator_outputs[1]", (0.25, 0.5))):
+        (tmp_path / "m.toml").write_text(
+            f'[topics]\ncommand = "{name}"\n[command]\ntime = "timestamp"\nunits = ["us"]\n'
+            'values = ["output[0]", "output[1]"]\nneutral = 1000\nspan = 1000\ndisarmed = 900\n'
+        )
+        recording = read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
+        np.testing.assert_array_equal(recording["command"].values[0], expected)
+        assert any("several actuator_outputs" in text for text in recording.warnings) == (
+            name == "actuator_outputs"
+        )
+
+
+_LOCAL = (
+    "uint64_t timestamp;uint64_t timestamp_sample;float x;float y;float z;float heading;"
+    "uint8_t xy_valid;"
+)
+
+
+def local(valid: list[int]) -> list[bytes]:
+    return [
+        struct.pack("<QQ4fB", 10_000 * k, 10_000 * k, 0.1 * k, 0, 0, 0.5, seen)
+        for k, seen in enumerate(valid)
+    ]
+
+
+def test_positions_that_px4_calls_invalid_are_left_out(tmp_path):
+    motors = [struct.pack("<Q4f", 10_000 * k, 0.25, 0.5, 0.5, 0.5) for k in range(9)]
+    topics = {
+        "vehicle_local_position": (_LOCAL, local([0, 0, 1, 1, 1, 1, 1, 1, 1])),
+        "actuator_motors": ("uint64_t timestamp;float[4] control;", motors),
+    }
+    recording = read_recording(write_ulog(tmp_path / "a.ulg", topics))
+    np.testing.assert_allclose(recording["pose"].values[0], (0.2, 0.0, -0.5), atol=1e-6)
+    assert recording.warnings == ("2 blank poses are left out",)
+    topics["vehicle_local_position"] = _LOCAL, local([0] * 9)
+    with pytest.raises(InputError, match=r"local_position: contains no horizontal position"):
+        read_recording(write_ulog(tmp_path / "a.ulg", topics))
+
+
+def test_a_topic_without_horizontal_position_gives_way_to_one_with_it(tmp_path):
+    fields = "uint64_t timestamp;uint64_t timestamp_sample;float[3] position;float[4] q;uint8_t f;"
+    nan = float("nan")
+    blind = [
+        struct.pack("<QQ7fB", 10_000 * k, 10_000 * k, nan, nan, 0, 1, 0, 0, 0, 1) for k in range(9)
+    ]
+    motors = [struct.pack("<Q4f", 10_000 * k, 0.25, 0.5, 0.5, 0.5) for k in range(9)]
+    topics = {
+        "vehicle_odometry": (fields, blind),
+        "vehicle_local_position": (_LOCAL, local([1] * 9)),
+        "actuator_motors": ("uint64_t timestamp;float[4] control;", motors),
+    }
+    assert len(read_recording(write_ulog(tmp_path / "a.ulg", topics))["pose"]) == 9

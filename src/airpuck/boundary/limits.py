@@ -8,6 +8,7 @@ commands).
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import csv
 import io
@@ -145,9 +146,22 @@ def read_text(
         raise InputError(_not_utf8(error), file=path) from error
 
 
-def _not_utf8(error: UnicodeDecodeError) -> str:
+def text_encoding(path: Path) -> str:
+    """Return the encoding of a table: UTF-16, as Excel's "Unicode text", or UTF-8."""
+    with path.open("rb") as file:
+        start = file.read(4)
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    nulls = tuple(place for place, byte in enumerate(start) if not byte)
+    if nulls in ((1, 3), (0, 2)):
+        return "utf-16-be" if nulls[0] == 0 else "utf-16-le"
+    return "utf-8-sig"
+
+
+def _not_utf8(error: UnicodeError) -> str:
     """Describe a file that is not UTF-8 text."""
-    return f"is not UTF-8 text ({error.reason}); save it as UTF-8, or is it the right file?"
+    reason = getattr(error, "reason", error)
+    return f"is not UTF-8 text ({reason}); save it as UTF-8, or is it the right file?"
 
 
 def check_tree(content: Any, *, file: str | os.PathLike[str]) -> None:
@@ -282,7 +296,7 @@ def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]
     try:
         if path.stat().st_size > CSV_BYTES:
             raise refused("is too long", CSV_BYTES, "cut it into parts", file=path)
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with path.open(encoding=text_encoding(path), newline="") as file:
             reader = csv.reader(lines(file), delimiter=separator)
             try:
                 for row in reader:
@@ -297,7 +311,8 @@ def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]
                         yield reader.line_num, row
             except csv.Error as error:
                 raise InputError(f"line {reader.line_num}: {error}", file=path) from error
-    except UnicodeDecodeError as error:
+    # A byte-order mark may be missing in a damaged file.
+    except UnicodeError as error:
         raise InputError(_not_utf8(error), file=path) from error
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 
 if TYPE_CHECKING:
     from airpuck.recording.mapping import Topics
 
 
-def _read_topics(path: Path) -> Topics:
-    from airpuck.recording.mapping import only_topics, read_mapping
+def read_topics(path: Path) -> Topics:
+    """Read the topics of a mapping; raise InputError if it also changes fields or units."""
+    from airpuck.recording.mapping import read_mapping
 
-    return only_topics(read_mapping(path), path)
+    mapping = read_mapping(path)
+    others = sorted(mapping.model_fields_set - {"topics"})
+    if others:
+        problem = "is for recordings; a live graph takes poses in m and commands in [0, 1]"
+        raise InputError(problem, file=path, field=others[0])
+    for stream, name in mapping.topics.by_stream.items():
+        if not re.fullmatch(r"/[^\s]+", name):
+            problem = f"{name!r} must begin with a slash and have no spaces on a live graph"
+            raise InputError(problem, file=path, field=f"topics.{stream}")
+    return mapping.topics
 
 
 @dataclass(frozen=True)
@@ -65,7 +77,7 @@ class LiveSettings(Settings):
             "TOML file: names of the topics.",
             metavar="FILE",
             option="--mapping/--topics",
-            read=_read_topics,
+            read=read_topics,
         ),
     ] = None
 

@@ -227,7 +227,8 @@ def _crop_to_commands(
     if last - first < 2:
         raise InputError(
             f"poses ({pose_time[0]:.3f} to {pose_time[-1]:.3f} s) and commands "
-            f"({begin:.3f} to {end:.3f} s) do not overlap; check that both clocks are the same",
+            f"({begin:.3f} to {end:.3f} s) do not overlap; check that both clocks are the same "
+            "(dates count seconds from 1970), or shift one by start_s in a mapping",
             file=source,
         )
     return slice(first, last)

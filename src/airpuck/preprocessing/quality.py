@@ -122,7 +122,7 @@ def check_commands(
         raise InputError(
             f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside "
             f"[{least[column]:.0f}, 1]; set its scale in a mapping file, "
-            "for percent command = {scale = 0.01}",
+            "for percent command = {scale = 0.01}; `disarmed` is a value that means stopped",
             file=source,
             field=command.columns[column],
         )

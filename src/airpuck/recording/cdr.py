@@ -3,8 +3,8 @@
 The wire format is the OMG's Common Data Representation, version 1: four bytes of encapsulation,
 then the fields in order, each aligned to its own size counted from the end of the encapsulation. A
 string is its length with the closing zero (uint32), then its bytes. Messages of one topic nearly
-always have the same size, so a whole topic is one structured NumPy array; otherwise rosbags
-deserialises them one by one.
+always have the same size, so a whole topic is one structured NumPy array, or one for each length of
+its names; otherwise rosbags deserialises them one by one.
 """
 
 from __future__ import annotations
@@ -33,6 +33,10 @@ _NUMBERS = {
     **dict.fromkeys(("bool", "byte", "char", "octet"), "<u1"),
 }
 _STRING = "string"
+#: End of the names of a layout's texts; the name itself is that of their length.
+_TEXT = "\0"
+#: Messages with more layouts than this, such as names of many lengths, are decoded one by one.
+_LAYOUTS = 64
 _ENCAPSULATION = 4
 _LITTLE_ENDIAN = b"\x00\x01"
 _DEEPEST = 16
@@ -117,18 +121,52 @@ def decode(
     codes = dict(fields)
     if not messages:
         return {path: _column(path, codes[path], ()) for path in paths}
-    layout = layout_of(fields, messages[0])
-    if layout is not None and all(len(message) == layout.itemsize for message in messages):
-        table = np.frombuffer(b"".join(messages), layout)
-        lengths = [path for path, code in fields if code == _STRING]
-        if all((table[name] == table[name][0]).all() for name in ("encapsulation", *lengths)):
-            return {path: table[path] for path in paths}
-    rows = _decode_singly(messages, types, msgtype, paths)
+    tables, places, rest = _tables(messages, fields)
+    if not len(rest):
+        order = np.argsort(np.concatenate(places), kind="stable") if len(places) > 1 else ...
+        parts = {path: [_part(table, path, codes[path]) for table in tables] for path in paths}
+        return {path: np.concatenate(part)[order] for path, part in parts.items()}
+    rows = decode_singly(messages, types, msgtype, paths)
     columns = zip(*rows, strict=True)
     return {
         path: _column(path, codes[path], column)
         for path, column in zip(paths, columns, strict=True)
     }
+
+
+def _tables(
+    messages: Sequence[bytes], fields: Sequence[Field]
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
+    """Return tables of messages with one layout each, their places, and the places of others."""
+    sizes = np.fromiter(map(len, messages), np.int64, len(messages))
+    rest, tables, places = np.arange(len(messages)), [], []
+    lengths = [path for path, code in fields if code == _STRING]
+    while len(rest) and len(tables) < _LAYOUTS:
+        layout = layout_of(fields, messages[rest[0]])
+        if layout is None:
+            break
+        fits = sizes[rest] == layout.itemsize
+        whole = len(rest) == len(messages) and fits.all()
+        joint = b"".join(messages if whole else [messages[place] for place in rest[fits]])
+        table = np.frombuffer(joint, layout)
+        same = np.ones(len(table), bool)
+        for name in ("encapsulation", *lengths):
+            same &= table[name] == table[name][0]
+        tables.append(table if same.all() else table[same])
+        places.append(rest[fits][same])
+        fits[fits] = same
+        rest = rest[~fits]
+    return tables, places, rest
+
+
+def _part(table: np.ndarray, path: str, code: str) -> np.ndarray:
+    """Return a field of all messages in a table."""
+    if code != _STRING:
+        return table[path]
+    texts = table[path + _TEXT]
+    if (texts == texts[0]).all():
+        return np.full(len(texts), texts[0].decode(errors="replace"))
+    return np.char.decode(texts, errors="replace")
 
 
 def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
@@ -150,7 +188,12 @@ def layout_of(fields: Sequence[Field], message: bytes) -> np.dtype | None:
         numbers.append(number)
         offsets.append(start)
         if code == _STRING:
-            end += int.from_bytes(message[start:end], "little")
+            size = int.from_bytes(message[start:end], "little")
+            if 0 < size <= len(message) - end:
+                names.append(path + _TEXT)
+                numbers.append(np.dtype(f"S{size}"))
+                offsets.append(end)
+            end += size
     if not end <= len(message) < end + 4:
         return None
     return np.dtype(
@@ -174,7 +217,7 @@ def _column(path: str, code: str, values: Sequence[Any]) -> np.ndarray:
     return np.array(values, kind.base)
 
 
-def _decode_singly(
+def decode_singly(
     messages: Sequence[bytes], types: Types, msgtype: str, paths: Sequence[str]
 ) -> list[tuple[Any, ...]]:
     """Let rosbags deserialise message by message."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,10 @@ _ORTHOGONAL = 1e-2
 _TABLE, _LEVEL = 0.2, 0.02
 #: Problem of a number that is not a bit mask.
 NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
+#: A planar craft rolls less, apart from noise and a tilted body frame, which is constant [rad].
+_ROLLS = np.radians(20)
+#: A command below this is no disarmed pulse: PX4's is 900 µs, with motors from 1000 to 2000 µs.
+_REVERSES = -0.5
 #: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9
 
@@ -59,9 +64,18 @@ def poses_of(
     orientation: Float[np.ndarray, "N k"],
     kind: str,
     mapping: PoseMapping,
+    names: Sequence[str] = (),
 ) -> Float[np.ndarray, "N 3"]:
-    """Return x, y [m] and yaw [rad] in our axes; `kind` as in `Orientation`, or ``none``."""
+    """Return x, y [m] and yaw [rad] in our axes; NaN for rotations of zero length.
+
+    `kind` is as in `Orientation`, or ``none``; `names` are those of the orientation in messages.
+    """
     index, sign = mapping.permutation
+    if kind in ("quaternion", "matrix"):
+        # Some programs write zeros when they lose the body.
+        orientation = np.where(orientation.any(axis=1, keepdims=True), orientation, np.nan)
+    if kind == "vector":
+        kind, orientation = "quaternion", _quaternions(orientation * mapping.size("angle"))
     if index[:2].max() >= position.shape[1]:
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
@@ -74,6 +88,7 @@ def poses_of(
     elif kind == "yaw":
         yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
     elif kind == "quaternion":
+        _check_order(orientation, mapping, names)
         x, y, z = (orientation[:, index] * sign).T
         yaw = yaw_of(x, y, z, orientation[:, 3])
     else:
@@ -106,6 +121,44 @@ def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) ->
         f"mm: {level.upper()} is up; say so in a file for --mapping: pose = {{axes = [{listed}]}}",
         field="pose.position",
     )
+
+
+def _quaternions(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+    """Return the quaternions of rotation vectors [rad]."""
+    half = np.linalg.norm(vectors, axis=1, keepdims=True) / 2
+    return np.hstack([vectors * np.sinc(half / np.pi) / 2, np.cos(half)])
+
+
+def _check_order(
+    quaternion: Float[np.ndarray, "N 4"], mapping: PoseMapping, names: Sequence[str]
+) -> None:
+    """Raise InputError if the craft rolls, and does not with the quaternion in another order."""
+    index, sign = mapping.permutation
+
+    def tilt(order: Sequence[int]) -> Float[np.ndarray, "2"]:
+        """Return quantiles of the angle between the craft's and the table's vertical axis."""
+        x, y, z, w = (quaternion[:, order][:, [*index, 3]] * [*sign, 1]).T
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            level = 1 - 2 * (x * x + y * y) / (x * x + y * y + z * z + w * w)
+        angles = np.arccos(np.clip(level[np.isfinite(level)], -1, 1))
+        return np.quantile(angles, (0.05, 0.95)) if len(angles) else np.zeros(2)
+
+    low, high = tilt(range(4))
+    if high < _ROLLS or high - low < _ROLLS:
+        return
+    for order, first in (((1, 2, 3, 0), "w, x, y, z"), ((3, 0, 1, 2), "x, y, z, w")):
+        if tilt(order)[1] > _ROLLS:
+            continue
+        remedy = "reorder its columns"
+        if names:
+            places = zip("xyzw", (names[place] for place in order), strict=True)
+            listed = ", ".join(f'{axis} = "{name}"' for axis, name in places)
+            remedy = f"say so in a file for --mapping: pose = {{orientation = {{{listed}}}}}"
+        raise InputError(
+            f"the craft would roll by up to {np.degrees(high):.0f} degrees: the quaternion is in "
+            f"the order {first}; {remedy}",
+            field="pose.orientation",
+        )
 
 
 def _matrices(
@@ -157,13 +210,36 @@ def commands_of(
     if mapping.bits:
         return _switches(values, mapping.bits)
     if mapping.neutral is not None and mapping.span is not None:
-        return (values - mapping.neutral) / mapping.span
-    if (mapping.scale, mapping.offset) == (1, 0):
-        return values
-    found = mapping.scale * values + mapping.offset
-    for limit in (0.0, 1.0):
-        found[np.abs(found - limit) < _ROUNDING] = limit
+        found = (values - mapping.neutral) / mapping.span
+        if mapping.disarmed is None:
+            _check_disarmed(values, found)
+    elif (mapping.scale, mapping.offset) == (1, 0):
+        found = values
+    else:
+        found = mapping.scale * values + mapping.offset
+        for limit in (0.0, 1.0):
+            found[np.abs(found - limit) < _ROUNDING] = limit
+    if mapping.disarmed is not None:
+        found = np.where(values == mapping.disarmed, 0.0, found)
     return found
+
+
+def _check_disarmed(values: Float[np.ndarray, "N k"], found: Float[np.ndarray, "N k"]) -> None:
+    """Raise InputError if a pulse below the neutral one is always sent to all motors at once.
+
+    Propellers that reverse have many such pulses, and not all at once.
+    """
+    below = found < 0
+    pulses = np.unique(values[below])
+    if len(pulses) != 1 or (below.any(axis=1) != below.all(axis=1)).any():
+        return
+    if pulses[0] == 0 or found[below][0] > _REVERSES:
+        raise InputError(
+            f"pulses of {pulses[0]:g} lie below the neutral one, in {int(below.all(axis=1).sum())} "
+            f"of {len(values)} commands and all motors at once: if they are disarmed then, say so "
+            f"in a file for --mapping: command = {{disarmed = {pulses[0]:g}}}",
+            field="command.neutral",
+        )
 
 
 def _switches(values: Float[np.ndarray, "N k"], bits: tuple[int, ...]) -> Float[np.ndarray, "N n"]:

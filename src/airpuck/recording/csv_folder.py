@@ -20,7 +20,14 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.csv_table import CsvTable, is_list, plain_table, read_rows
+from airpuck.recording.csv_table import (
+    CsvTable,
+    check_digits,
+    is_list,
+    of_body,
+    plain_table,
+    read_rows,
+)
 from airpuck.recording.files import listing, new_folder, sha256, shortened
 from airpuck.recording.mapping import (
     ENTRY,
@@ -32,7 +39,7 @@ from airpuck.recording.mapping import (
     completed,
 )
 from airpuck.recording.message import PATHS, columns_of
-from airpuck.recording.motion_capture_export import is_export, read_export
+from airpuck.recording.motion_capture_export import VICON, is_export, read_export
 from airpuck.recording.stream import (
     COLUMNS,
     COMMANDS,
@@ -187,8 +194,16 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     rows = read_rows(path)
     if stream == "pose":
         exported = read_export(rows, mapping.pose.body)
-        table, usual = exported or (plain_table(rows), {})
-        return _poses(table, completed(mapping.pose, usual))
+        if exported is None:
+            return _poses(plain_table(rows), mapping.pose)
+        table, usual = exported
+        if mapping.pose.time not in ("", usual["time"]):
+            program = rows.cells[0][0].strip()
+            program = "Vicon" if program in VICON else "motion capture"
+            problem = f"is a {program} export, whose rate gives the times; leave out `time`"
+            raise InputError(problem, file=path, field="pose.time")
+        own = completed(mapping.pose, usual).model_copy(update={"body": ""})
+        return _poses(table, own)
     table = plain_table(rows)
     if stream in COMMANDS:
         return _commands(table, mapping.of_commands(stream))
@@ -220,18 +235,14 @@ def _poses(
         orientation = Orientation("none", ())  # A camera sees the puck's position, not its angle.
     names = (*position, *orientation.columns)
     _require(stream, table, names, mapping)
+    table = of_body(table, mapping.body, (mapping.time, mapping.interval, *names), stream)
     table, clock = _timed(table, mapping)
-    table, blank = table.without_blank(names)
+    table, blank = table.without_blank(position, orientation.columns)
     time, received = _own_times(table, mapping, clock)
     values = np.stack([table.numbers(name) for name in names], axis=1)
-    if orientation.kind in ("quaternion", "matrix"):
-        # An all-zero rotation is written by some programs when they lose the body.
-        kept = values[:, len(position) :].any(axis=1)
-        blank += int((~kept).sum())
-        time, values = time[kept], values[kept]
-        received = None if received is None else received[kept]
     parts = values[:, : len(position)], values[:, len(position) :]
-    made = pose_stream(time, *parts, orientation.kind, mapping, received)
+    made = pose_stream(time, *parts, orientation.kind, mapping, received, orientation.columns)
+    check_digits(table, made)
     return made, table.warnings + left_out("poses", blank)
 
 
@@ -264,6 +275,7 @@ def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[s
         if values.shape[1] != len(names) or names != columns:
             names = unnamed_columns(values.shape[1])
     made = command_stream(time, values, names, mapping, received)
+    check_digits(table, made)
     return made, table.warnings + left_out("commands", blank)
 
 
@@ -337,7 +349,7 @@ def _own_times(
     """Return the stamps that the mapping names, and the authors' arrival times if present."""
     if time:
         exact = mapping.size("time") == 1 / SECOND_NS and not mapping.interval
-        return table.numbers(time, int if exact else float), None
+        return table.times(time, exact=exact), None
     stamp, received = _times(table)
     return stamp.astype("datetime64[ns]"), received
 

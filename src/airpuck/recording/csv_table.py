@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
+import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from operator import and_, ne
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +19,10 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
-from airpuck.boundary.limits import CELLS, PROPELLERS, ROW_LENGTH, csv_rows, refused
+from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
 from airpuck.recording.conversion import NO_MASK, is_mask
 from airpuck.recording.files import listing, shortened
-from airpuck.recording.mapping import MASK_BITS
+from airpuck.recording.mapping import MASK_BITS, chosen_body
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"
@@ -27,8 +30,20 @@ _SEPARATORS = ",\t;"
 _BETWEEN, _AROUND = re.compile(r"\s*[,;]\s*|\s+"), "[]() \t"
 #: Switches as programs print them.
 _SWITCH = {"true": 1.0, "false": 0.0}
-#: Placeholders of exports for missing numbers.
-_BLANK = ("", "null")
+#: Placeholders of programs for missing numbers.
+_BLANK = frozenset(("", "null", "none", "nan", "-nan", "na", "n/a", "#n/a"))
+#: Names of columns that name rigid bodies, and the largest number of bodies in one table.
+_BODY = re.compile(r"(?i)(body|object|subject|tracker|marker|child_?frame|\bname|\bid\b|label)")
+_BODIES = 1000
+#: Fraction of rows with the time of the row before from which digits must be missing: half for two
+#: bodies.
+_REPEATED = 0.4
+#: Begin of an ISO date.
+_DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
+#: Dates and times of day in other notations.
+_TIME = re.compile(r"\d\s*[:/]\s*\d")
+#: Characters in which the separator of columns is looked for.
+_START = 2**16
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,14 @@ class CsvTable:
         """Return a column as float64, or exactly as int64; NaN and infinity may be logged."""
         problem = "is not a number" if kind is float else "is not a whole number"
         return self._converted(name, kind, problem)
+
+    def times(self, name: str, *, exact: bool) -> Any:
+        """Return a column of times: numbers, exact as int64, or ISO dates as NumPy's."""
+        if name in self.columns and _DATE.match("".join(self.columns[name][:1])):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # NumPy warns of offsets, which it subtracts
+                return self._converted(name, _date, "is not an ISO date")
+        return self.numbers(name, int if exact else float)
 
     def masks(self, name: str) -> Float[np.ndarray, " N"]:
         """Return bit masks: whole numbers, hexadecimal (``0x1f``) or binary ones (``0b11``)."""
@@ -94,24 +117,36 @@ class CsvTable:
         try:
             for text in texts:
                 numbers.append(convert(text))
-            return np.array(numbers, dtype=np.int64 if convert is int else np.float64)
+            dates = "datetime64[ns]" if convert is _date else np.float64
+            return np.array(numbers, dtype=np.int64 if convert is int else dates)
         except ValueError:
             line, text = self.lines[len(numbers)], shortened(repr(texts[len(numbers)]))
             comma = "; decimals need a point" if "," in text and "[" not in text else ""
-            problem = f"line {line}: {text} {problem}{comma}"
+            date = "; write seconds, or 2025-03-04T10:00:00.004" if _TIME.search(text) else ""
+            problem = f"line {line}: {text} {problem}{comma or date}"
         except OverflowError:
             problem = "contains a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=shortened(name))
 
-    def without_blank(self, names: Sequence[str]) -> tuple[CsvTable, int]:
-        """Leave out rows in which all these columns are blank; return their number, too."""
-        cells = zip(*(self.columns[name] for name in names), strict=True)
-        kept = [any(text.strip().lower() not in _BLANK for text in row) for row in cells]
+    def without_blank(self, *groups: Sequence[str]) -> tuple[CsvTable, int]:
+        """Leave out rows in which all columns of a group are blank; return their number, too."""
+        kept = [True] * len(self.lines)
+        for names in filter(None, groups):
+            cells = zip(*(self.columns[name] for name in names), strict=True)
+            filled = [any(text.strip().lower() not in _BLANK for text in row) for row in cells]
+            kept = list(map(and_, kept, filled))
+        table = self.where(kept)
+        if kept and not table.lines:
+            names = ", ".join(name for group in groups for name in group)
+            raise InputError(f"no row has numbers in all of {names}", file=self.path)
+        return table, len(kept) - len(table.lines)
+
+    def where(self, kept: Sequence[bool]) -> CsvTable:
+        """Return some of the rows."""
         if all(kept):
-            return self, 0
+            return self
         columns = {name: list(compress(texts, kept)) for name, texts in self.columns.items()}
-        lines = list(compress(self.lines, kept))
-        return replace(self, columns=columns, lines=lines), len(kept) - len(lines)
+        return replace(self, columns=columns, lines=list(compress(self.lines, kept)))
 
 
 def is_list(text: str) -> bool:
@@ -123,6 +158,11 @@ def _entries(text: str) -> list[str]:
     """Split a list in a cell; a list that is too long keeps one extra entry."""
     inside = text.strip(_AROUND) if is_list(text) else ""
     return _BETWEEN.split(inside, PROPELLERS) if inside else []
+
+
+def _date(text: str) -> np.datetime64:
+    """Parse an ISO date; without an offset it is UTC."""
+    return np.datetime64(text.strip().removesuffix("Z"), "ns")
 
 
 def _mask(text: str) -> float:
@@ -140,32 +180,43 @@ def read_rows(path: Path) -> Rows:
     if not numbered:
         raise InputError("is empty", file=path)
     with path.open("rb") as file:
-        file.seek(-1, os.SEEK_END)
-        ends = file.read() == b"\n"
+        file.seek(-2 if path.stat().st_size > 1 else 0, os.SEEK_END)
+        ends = file.read().rstrip(b"\0").endswith(b"\n")
     return Rows(path, [row for _, row in numbered], [line for line, _ in numbered], ends)
 
 
 def _separator(path: Path) -> str:
-    """Return the column separator: the most frequent candidate in the first line."""
+    """Return the column separator: the most frequent candidate in the first line with any."""
+    lines = beginning(path, _START).splitlines()
+    first = next((line for line in lines if any(map(line.count, _SEPARATORS))), "")
+    return max(_SEPARATORS, key=first.count)
+
+
+def beginning(path: Path, most: int) -> str:
+    """Return the first characters of a text file."""
     try:
-        with path.open("rb") as file:
-            first = file.readline(ROW_LENGTH).decode(errors="replace")
+        with path.open(encoding=text_encoding(path), errors="replace") as file:
+            return file.read(most)
+    except UnicodeError:
+        return ""  # `csv_rows` will say so
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-    return max(_SEPARATORS, key=first.count)
 
 
 def plain_table(rows: Rows) -> CsvTable:
     """Return the column names in the first row of a file."""
     header = [name.strip() for name in rows.cells[0]]
-    if all(map(_is_number, header)):
+    if all(not name or _is_number(name) for name in header):
         raise InputError("has no header: its first line must name the columns", file=rows.path)
-    twice = [name for name, count in Counter(header).items() if count > 1]
+    for place in [place for place, name in enumerate(header) if not name]:
+        if any(row[place].strip() for row in rows.cells[1:] if len(row) > place):
+            header[place] = f"column {place + 1}"  # such as the index of a data frame
+    twice = [name for name, count in Counter(filter(None, header)).items() if count > 1]
     if twice:
-        raise InputError(
-            "there are two columns of this name", file=rows.path, field=shortened(twice[0]) or None
-        )
-    return table_below(rows, 0, {name: index for index, name in enumerate(header)}, exact=True)
+        problem = "there are two columns of this name"
+        raise InputError(problem, file=rows.path, field=shortened(twice[0]))
+    places = {name: place for place, name in enumerate(header) if name}
+    return table_below(rows, 0, places, exact=True)
 
 
 def _is_number(text: str) -> bool:
@@ -197,3 +248,43 @@ def table_below(
             )
     found = {name: [row[index] for row in cells] for name, index in places.items()}
     return CsvTable(rows.path, found, lines, warnings)
+
+
+def of_body(table: CsvTable, body: str, known: Sequence[str], stream: str) -> CsvTable:
+    """Return the rows of one rigid body, in a table with a row for each frame and body.
+
+    The body's name is in a column that is not `known` to hold something else.
+    """
+    spare = sorted(table.columns.keys() - set(known), key=lambda name: not _BODY.search(name))
+    columns = {name: list(map(str.strip, table.columns[name])) for name in spare}
+    named = [texts for name, texts in columns.items() if _BODY.search(name)]
+    if body:
+        texts = next((texts for texts in columns.values() if body in texts), [])
+        chosen_body(texts or itertools.chain.from_iterable(named), body, table.path, stream)
+        return table.where([text == body for text in texts])
+    for texts in named:
+        found = list(dict.fromkeys(texts))
+        changes = sum(map(ne, texts, texts[1:]))
+        # Rows of several bodies alternate; other columns count, or change a few times.
+        if 1 < len(found) <= min(_BODIES, len(texts) // 2) and changes > 2 * len(found):
+            chosen_body(found, body, table.path, stream)
+    return table
+
+
+def check_digits(table: CsvTable, stream: Any) -> None:
+    """Raise InputError for times that were written with too few digits, such as ``1.7e9``."""
+    steps = np.diff(stream.stamp_ns)
+    moved = (np.diff(stream.values, axis=0) != 0).any(axis=1)
+    repeats = int(((steps == 0) & moved).sum())
+    if repeats <= _REPEATED * len(steps) or not len(steps):
+        return
+    which = int(np.argmax((steps == 0) & moved))
+    where = (
+        f"lines {table.lines[which]} and {table.lines[which + 1]}, and {repeats - 1} other pairs"
+    )
+    raise InputError(
+        f"{where} have the same time and other numbers: the times have lost digits (write seconds "
+        "with six decimals), or rows of several bodies are mixed (one column must name them)",
+        file=table.path,
+        field="time",
+    )

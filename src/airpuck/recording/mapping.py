@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxtyping import Float, Int64
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
+from airpuck.recording.files import listing, shortened
 
 #: Unit -> kind of quantity, and size in m, rad or s.
 UNITS = {
@@ -45,6 +47,13 @@ def _topic_name(name: str) -> str:
 TopicName = Annotated[str, pydantic.AfterValidator(_topic_name)]
 #: Name of a column, or path of a field in a message.
 Name = Annotated[str, pydantic.Field(min_length=1)]
+
+
+def check_distinct(names: Mapping[str, str]) -> None:
+    """Raise ValueError if two streams have the same topic."""
+    twice = [name for name, count in Counter(names.values()).items() if count > 1]
+    if twice:
+        raise ValueError(f"{twice[0]} is named for two streams")
 
 
 class Topics(Section):
@@ -93,10 +102,8 @@ class Topics(Section):
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Topics:
-        names = list(self.by_stream.values())
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"{name} is named for two streams")
+        # One topic may hold several bodies; `RecordingMapping` checks their names.
+        check_distinct({k: v for k, v in self.by_stream.items() if k != "puck" or v != self.pose})
         return self
 
     @property
@@ -125,7 +132,8 @@ class Topics(Section):
 class Orientation(NamedTuple):
     """The notation of an orientation, and its columns or fields."""
 
-    #: ``yaw``, ``quaternion``, ``matrix``, or the order of Euler angles as in SciPy (``XYZ``).
+    #: ``yaw``, ``quaternion``, ``matrix``, ``vector`` (axis times angle, only in exports), or the
+    #: order of Euler angles as in SciPy (``XYZ``).
     kind: str
     #: For a quaternion x, y, z, w; for a matrix row by row.
     columns: tuple[str, ...]
@@ -223,7 +231,7 @@ class PoseMapping(_Times):
     origin_m : tuple of float
         Centre of the table in these coordinates, along our x and y [m].
     body : str
-        Rigid body, if an export contains several.
+        Rigid body, if a table, a topic or an export contains several.
     rate_hz : float, optional
         The cameras' rate. Poses are then placed at this rate, whatever their stamps vary; by
         default only if they were stamped on arrival, in bursts.
@@ -313,6 +321,8 @@ class CommandMapping(_Times):
         Command = scale · value + offset, which should be in [0, 1].
     neutral, span : float, optional
         The same for pulse widths: command = (value - neutral) / span, all in the value's unit.
+    disarmed : float, optional
+        A value that means stopped, such as the pulse that PX4 sends while disarmed.
     bits : tuple of int, optional
         The value is a bit mask of switches: the bit of each propeller, 0 for the least significant.
         If each hexadecimal digit is a switch, ``0x1010`` has the bits 12, 8, 4, 0 from left to
@@ -335,6 +345,7 @@ class CommandMapping(_Times):
     offset: float = 0.0
     neutral: float | None = None
     span: float | None = None
+    disarmed: float | None = None
     bits: tuple[Annotated[int, pydantic.Field(ge=0, lt=MASK_BITS)], ...] = ()
 
     @pydantic.model_validator(mode="after")
@@ -386,6 +397,15 @@ class RecordingMapping(Section):
     command: CommandMapping = CommandMapping()
     wheels: CommandMapping = CommandMapping()
 
+    @pydantic.model_validator(mode="after")
+    def _two_bodies(self) -> RecordingMapping:
+        if self.topics.pose == self.topics.puck and self.pose.body == self.puck.body:
+            raise ValueError(
+                f"topics: {self.topics.pose} is named for two streams; name a body for each, as in "
+                'pose = {body = "craft"} and puck = {body = "puck"}'
+            )
+        return self
+
     @property
     def sections(self) -> dict[str, PoseMapping | CommandMapping]:
         """Stream name -> its section."""
@@ -405,8 +425,11 @@ class RecordingMapping(Section):
         PoseMapping
             `puck` for the puck if the file has that section; otherwise `pose`.
         """
-        own = stream == "puck" and "puck" in self.model_fields_set
-        return self.puck if own else self.pose
+        if stream == "puck" and "puck" in self.model_fields_set:
+            return self.puck
+        # Another body has the units and axes of the craft, but not its name.
+        named = stream != "pose" and self.pose.body
+        return self.pose.model_copy(update={"body": ""}) if named else self.pose
 
     def of_commands(self, stream: str) -> CommandMapping:
         """Return the section that applies to commands of a stream.
@@ -422,6 +445,28 @@ class RecordingMapping(Section):
             `wheels` for reaction wheels with a topic of their own; otherwise `command`.
         """
         return self.wheels if stream == "wheels" else self.command
+
+
+def chosen_body(
+    names: Iterable[str],
+    body: str,
+    path: str | os.PathLike[str] | None = None,
+    stream: str = "pose",
+) -> str:
+    """Return the rigid body to read: the only one, or the one named in the mapping."""
+    found = list(dict.fromkeys(names))
+    if body in found:
+        return body
+    if len(found) == 1 and not body:
+        return found[0]
+    if not found:
+        raise InputError("names no rigid bodies; leave out body", file=path, field=f"{stream}.body")
+    raise InputError(
+        f"contains the rigid bodies {listing(found)}; choose one in the mapping, as in "
+        f'{stream} = {{body = "{shortened(found[0])}"}}',
+        file=path,
+        field=f"{stream}.body" if body else None,
+    )
 
 
 def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
@@ -463,19 +508,3 @@ def refuse_csv_settings(mapping: RecordingMapping, path: str | os.PathLike[str],
             remedy = f'name a topic: topics = {{{stream} = "/..."}}'
             problem = f"is {form}, which has no such file; {remedy}"
             raise InputError(problem, file=path, field=f"{stream}.file")
-
-
-def only_topics(mapping: RecordingMapping, path: str | os.PathLike[str]) -> Topics:
-    """Return the topics of a mapping; raise InputError if it also changes fields or units."""
-    others = sorted(mapping.model_fields_set - {"topics"})
-    if others:
-        raise InputError(
-            "is for recordings; a live graph takes poses in m and commands in [0, 1]",
-            file=path,
-            field=others[0],
-        )
-    for stream, name in mapping.topics.by_stream.items():
-        if not re.fullmatch(r"/[^\s]+", name):
-            problem = f"{name!r} must begin with a slash and have no spaces on a live graph"
-            raise InputError(problem, file=path, field=f"topics.{stream}")
-    return mapping.topics

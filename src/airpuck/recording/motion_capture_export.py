@@ -1,22 +1,30 @@
-"""Exports of motion capture programs: OptiTrack's Motive (CSV) and Qualisys' QTM (6D, TSV).
+"""Exports of motion capture programs: Motive (CSV), Qualisys' QTM (6D, TSV), Vicon (CSV).
 
-Both begin with lines about the take; their columns are named in rows below. Units and axes in such
+All begin with lines about the take; their columns are named in rows below. Units and axes in such
 a file become the defaults of the mapping.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.csv_table import CsvTable, Rows, table_below
-from airpuck.recording.files import listing
-from airpuck.recording.mapping import Orientation
+from airpuck.recording.csv_table import CsvTable, Rows, beginning, table_below
+from airpuck.recording.mapping import Orientation, chosen_body
 
 _MOTIVE = "Format Version"
 _QUALISYS = ("NO_OF_FRAMES", "FILE_VERSION")
+#: Title of the part of a Vicon export that has rigid bodies.
+VICON = ("Objects", "Segments")
+_SUBFRAME = "Sub Frame"
+#: Columns of a Vicon body: a rotation vector, or a quaternion, and the position.
+_VICON_ROTATIONS = {"quaternion": ("RX", "RY", "RZ", "RW"), "vector": ("RX", "RY", "RZ")}
+_VICON_POSITION = ("TX", "TY", "TZ")
+_VICON_UNITS = {"m": "m", "cm": "cm", "mm": "mm", "rad": "rad", "deg": "deg"}
 _LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
 _FRAME, _TIME = "Frame", "Time"
 _POSITION = ("X", "Y", "Z")
@@ -26,9 +34,9 @@ _ROTATION = tuple(f"Rot[{row + 3 * column}]" for row in range(3) for column in r
 
 def is_export(path: Path) -> bool:
     """Return whether a file begins like an export."""
-    with path.open("rb") as file:
-        start = file.read(64).decode("utf-8-sig", errors="replace").lstrip('"')
-    return start.startswith((_MOTIVE, *_QUALISYS))
+    start = beginning(path, 64).lstrip('"')
+    first = start.partition("\n")[0].strip(' "\r,;\t')
+    return start.startswith((_MOTIVE, *_QUALISYS)) or first in VICON
 
 
 def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None:
@@ -36,6 +44,8 @@ def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None
     first = rows.cells[0][0].strip()
     if first == _MOTIVE:
         return _motive(rows, body)
+    if first in VICON and not any(map(str.strip, rows.cells[0][1:])):
+        return _vicon(rows, body)
     return _qualisys(rows, body) if first in _QUALISYS else None
 
 
@@ -51,7 +61,7 @@ def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     names, kinds, axes = above[types + 1], above[-1], cells[header]
     width = min(len(above[types]), len(names), len(kinds), len(axes))
     of_bodies = [index for index in range(width) if above[types][index].strip() == "Rigid Body"]
-    chosen = _choose([names[index] for index in of_bodies], body, rows.path)
+    chosen = chosen_body([names[index] for index in of_bodies], body, rows.path)
     places = {
         f"{kinds[index]} {axes[index]}".strip(): index
         for index in of_bodies
@@ -88,7 +98,7 @@ def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     bodies = [name.removesuffix(" X") for name in named if name.endswith(" X")]
     if not bodies:
         raise InputError("contains no rigid body; export 6D data", file=rows.path)
-    chosen = _choose(bodies, body, rows.path)
+    chosen = chosen_body(bodies, body, rows.path)
     start = named.index(f"{chosen} X")
     stop = next((k for k in range(start + 1, len(named)) if named[k].endswith(" X")), len(named))
     places = {"X": start} | {named[index]: index for index in range(start + 1, stop)}
@@ -102,29 +112,59 @@ def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     }
 
 
-def _header(rows: Rows) -> int:
+def _vicon(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
+    """Read a Vicon export: a title, the rate, rows of bodies, names and units, then frames.
+
+    Other parts, such as trajectories of markers, may follow after an empty line.
+    """
+    header = _header(rows, _SUBFRAME)
+    try:
+        rate = float(rows.cells[1][0])
+    except ValueError:
+        rate = 0.0
+    if header < 3 or not 0 < rate < math.inf:
+        raise InputError("is a Vicon export without its rate in line 2", file=rows.path)
+    names = [name.strip() for name in rows.cells[header]]
+    titles = list(rows.cells[header - 1])
+    for place in range(1, len(titles)):  # a title stands above the first of its columns
+        titles[place] = titles[place].strip() or titles[place - 1]
+    # "Global Angle puck:puck" is the object and its root segment.
+    bodies = [title.rpartition(" ")[2].rpartition(":")[2] for title in titles]
+    chosen = chosen_body(filter(None, bodies[2:]), body, rows.path)
+    places = {
+        name: place
+        for place, (name, of) in enumerate(zip(names, bodies, strict=False))
+        if of == chosen
+    }
+    kinds = _VICON_ROTATIONS.items()
+    kind, rotation = next((i for i in kinds if set(i[1]) <= places.keys()), ("vector", ("RX",)))
+    _check_places(places, (*_VICON_POSITION, *rotation), rows.path)
+    units = {rows.cells[header + 1][places[name]].strip() for name in ("TX", *rotation[:3])}
+    counted = {_FRAME: 0, _SUBFRAME: 1} | places
+    end = next(
+        (k for k in range(header + 2, len(rows.cells)) if not rows.cells[k][0].strip().isdigit()),
+        len(rows.cells),
+    )
+    kept = replace(rows, cells=rows.cells[:end], lines=rows.lines[:end], ends=rows.ends or end < 0)
+    table = table_below(kept, header + 1, counted)
+    frames = table.numbers(_FRAME, int)
+    columns = {**table.columns, _TIME: list(map(repr, ((frames - 1) / rate).tolist()))}
+    return replace(table, columns=columns), {
+        "time": _TIME,
+        "position": _VICON_POSITION,
+        "orientation": Orientation(kind, rotation),
+        "units": tuple(_VICON_UNITS[unit] for unit in sorted(units) if unit in _VICON_UNITS),
+    }
+
+
+def _header(rows: Rows, second: str = _TIME) -> int:
     """Find the row that names the columns, beginning with frame number and time."""
     for index, row in enumerate(rows.cells):
-        if len(row) > 1 and row[0].strip() == _FRAME and row[1].strip().startswith(_TIME):
+        if len(row) > 1 and row[0].strip() == _FRAME and row[1].strip().startswith(second):
             return index
     raise InputError(
-        "has no row Frame, Time, …; is it cut short, or was the export without times?",
+        f"has no row Frame, {second}, …; is it cut short, or was the export without times?",
         file=rows.path,
-    )
-
-
-def _choose(bodies: Sequence[str], body: str, path: Path) -> str:
-    """Return the rigid body to read: the only one, or the one named in the mapping."""
-    names = list(dict.fromkeys(bodies))
-    if body in names:
-        return body
-    if len(names) == 1 and not body:
-        return names[0]
-    raise InputError(
-        f"contains the rigid bodies {listing(names)}; choose one in the mapping, as in "
-        f'pose = {{body = "{names[0]}"}}',
-        file=path,
-        field="pose.body" if body else None,
     )
 
 

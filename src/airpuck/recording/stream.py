@@ -239,8 +239,9 @@ class Recording:
             )
         except InputError as error:
             raise InputError(error.problem, file=source, field=error.field) from error
-        made = of_cameras(made, mapping.pose)
-        return cls({"pose": made, "command": commanded}, source, warnings=lost + gone)
+        made, blank = without_lost(of_cameras(made, mapping.pose))
+        said = lost + gone + left_out("poses", blank)
+        return cls({"pose": made, "command": commanded}, source, warnings=said)
 
     def __repr__(self) -> str:
         streams = ", ".join(f"{name}: {len(stream)}" for name, stream in self.streams.items())
@@ -293,10 +294,10 @@ def joined(parts: Sequence[Stream]) -> Stream:
                 f"{', '.join(part.columns)}; name them in a mapping"
             )
         values.append(part.values[:, [part.columns.index(name) for name in first.columns]])
-    received = np.concatenate([part.received_ns for part in parts])
-    order = np.argsort(received, kind="stable")
     stamps = np.concatenate([part.stamp_ns for part in parts])
-    return Stream(stamps[order], received[order], np.concatenate(values)[order], first.columns)
+    received = np.concatenate([part.received_ns for part in parts])
+    whole = Stream(stamps, received, np.concatenate(values), first.columns)
+    return rows_of(whole, np.argsort(received, kind="stable"))
 
 
 def of_cameras(poses: Stream, mapping: PoseMapping) -> Stream:
@@ -311,9 +312,10 @@ def pose_stream(
     kind: str,
     mapping: PoseMapping,
     received: Int64[np.ndarray, " N"] | None = None,
+    names: Sequence[str] = (),
 ) -> Stream:
     """Return poses in our units and axes."""
-    values = poses_of(position, orientation, kind, mapping)
+    values = poses_of(position, orientation, kind, mapping, names)
     stamps = stamps_of(time, mapping)
     return Stream(stamps, stamps if received is None else received, values, COLUMNS["pose"])
 
@@ -329,6 +331,23 @@ def command_stream(
     stamps, commands = stamps_of(time, mapping), commands_of(values, mapping)
     arrived = stamps if received is None else received
     return Stream(stamps, arrived, commands, propellers_of(names, mapping))
+
+
+def rows_of(stream: Stream, chosen: Shaped[np.ndarray, " M"]) -> Stream:
+    """Return some rows: by a mask, or by numbers in a new order."""
+    return replace(
+        stream,
+        stamp_ns=stream.stamp_ns[chosen],
+        received_ns=stream.received_ns[chosen],
+        values=stream.values[chosen],
+    )
+
+
+def without_lost(poses: Stream) -> tuple[Stream, int]:
+    """Leave out poses without a position or, if any has a yaw, without one; count them."""
+    missing = np.isnan(poses.values)
+    lost = missing[:, :2].all(axis=1) | (missing[:, 2] & ~missing[:, 2].all())
+    return (rows_of(poses, ~lost) if lost.any() else poses), int(lost.sum())
 
 
 def left_out(name: str, missing: int) -> tuple[str, ...]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from jaxtyping import Float, Int64, Shaped
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import unnamed_columns
-from airpuck.recording.cdr import Field, decode, flatten
+from airpuck.recording.cdr import Field, Types, decode, decode_singly, flatten
 from airpuck.recording.conversion import (
     SECOND_NS,
     commands_of,
@@ -27,6 +29,7 @@ from airpuck.recording.mapping import (
     Orientation,
     PoseMapping,
     RecordingMapping,
+    chosen_body,
     completed,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
@@ -38,6 +41,8 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 _JOINT_NAMES = "name"
 #: Fields of a JointState that may hold the commands.
 _JOINT_VALUES = ("position", "velocity", "effort")
+#: Field in which a message, such as an odometry, names its rigid body.
+_CHILD = "child_frame_id"
 #: Parts of a message that contain no command.
 _BESIDE = ("header.", "layout.")
 #: PX4 counts microseconds, north, east and down, and marks what is stopped or unknown by NaN.
@@ -48,12 +53,14 @@ _PX4_ODOMETRY = {
     "position": tuple(f"position[{k}]" for k in range(3)),
     "orientation": Orientation("quaternion", tuple(f"q[{k}]" for k in (1, 2, 3, 0))),
 }
-_PX4_MOTORS = "px4_msgs/msg/ActuatorMotors"
+_PX4_MOTORS, _PX4_LOCAL = "px4_msgs/msg/ActuatorMotors", "px4_msgs/msg/VehicleLocalPosition"
+#: Field that tells whether x and y mean anything.
+_VALID = "xy_valid"
 #: Message type -> settings of a mapping where the user gives none.
 _USUAL: Mapping[str, Mapping[str, Any]] = {
     _PX4_MOTORS: {**_PX4, "values": ("control",)},
     "px4_msgs/msg/VehicleOdometry": _PX4_ODOMETRY,
-    "px4_msgs/msg/VehicleLocalPosition": {
+    _PX4_LOCAL: {
         **_PX4_POSE,
         "position": ("x", "y", "z"),
         "orientation": Orientation("yaw", ("heading",)),
@@ -178,11 +185,13 @@ def _in_one_order(
 
 def may_hold(stream: str, topic: TopicLog) -> bool:
     """Return whether a topic's type can hold a stream."""
-    if stream not in COMMANDS:
-        return topic.msgtype in PATHS[stream]
+    if stream not in COMMANDS and topic.msgtype in PATHS[stream]:
+        return True
     known = {msgtype for types in PATHS.values() for msgtype in types}
     try:
         types = definitions(topic.msgtype, topic.definition, idl=topic.idl)
+        if stream not in COMMANDS:
+            return stream in POSES and body_array(types, topic.msgtype) is not None
         fields = flatten(types, topic.msgtype)
     except ValueError:
         return False
@@ -193,18 +202,87 @@ def topic_stream(stream: str, topic: TopicLog, mapping: RecordingMapping) -> tup
     """Decode one topic, and report whether its messages carry their times."""
     msgtype = topic.msgtype
     own = section_of(stream, msgtype, mapping)
+    types = definitions(msgtype, topic.definition, idl=topic.idl)
+    received = np.array(topic.received_ns, dtype=np.int64)
     if stream not in COMMANDS and not (msgtype in PATHS[stream] or getattr(own, "position", ())):
+        several = body_array(types, msgtype) if stream in POSES else None
+        if several is not None and isinstance(own, PoseMapping):
+            return _stream_of_bodies(stream, topic, types, several, own)
         accepted = " or ".join(PATHS[stream])
         raise InputError(f"holds {shortened(msgtype)}, but a {stream} is {accepted}")
-    types = definitions(msgtype, topic.definition, idl=topic.idl)
     if msgtype not in types:
         raise InputError(f"the recording does not say what {shortened(msgtype)} holds")
-    received = np.array(topic.received_ns, dtype=np.int64)
 
     def read(paths: Sequence[str]) -> Decoded:
         return decode(topic.messages, types, msgtype, paths)
 
     return stream_of(stream, msgtype, flatten(types, msgtype), read, received, own)
+
+
+class BodyArray(NamedTuple):
+    """Location of the poses in a message of several rigid bodies."""
+
+    #: Field of the array, and the type of its entries.
+    path: str
+    msgtype: str
+    #: Fields of an entry: its name (empty: entries are counted), position and quaternion.
+    name: str
+    pose: tuple[str, ...]
+
+
+def body_array(types: Types, msgtype: str) -> BodyArray | None:
+    """Find the array of named poses in a type such as NamedPoseArray, RigidBodies or TFMessage."""
+    from rosbags.interfaces import Nodetype
+
+    for path, (node, description) in types.get(msgtype, ((), ()))[1]:
+        if node != Nodetype.SEQUENCE or description[0][0] != Nodetype.NAME:
+            continue
+        entry = description[0][1]
+        fields = dict(flatten(types, entry))
+        for position, quaternion in (("position", "orientation"), ("translation", "rotation")):
+            ends = [f"{position}.{axis}" for axis in "xyz"]
+            ends += [f"{quaternion}.{axis}" for axis in "xyzw"]
+            found = [next((name for name in fields if name.endswith(end)), "") for end in ends]
+            texts = [name for name, code in fields.items() if code == "string"]
+            # A frame names the coordinates, not the body.
+            names = [name for name in texts if not name.endswith("header.frame_id")]
+            if all(found):
+                return BodyArray(path, entry, "".join(names[:1]), tuple(found))
+    return None
+
+
+def _stream_of_bodies(
+    stream: str, topic: TopicLog, types: Types, several: BodyArray, own: PoseMapping
+) -> tuple[Stream, bool]:
+    """Decode the poses of one body, from messages that hold several."""
+    stamps = stamp_paths(flatten(types, topic.msgtype))
+    inner = stamp_paths(flatten(types, several.msgtype))
+    rows = decode_singly(topic.messages, types, topic.msgtype, [several.path, *stamps])
+    read_name = attrgetter(several.name) if several.name else None
+    read_pose = attrgetter(*several.pose, *(inner if not stamps else ()))
+    names, received, numbers = [], [], []
+    for arrived, (entries, *times) in zip(topic.received_ns, rows, strict=True):
+        for place, entry in enumerate(entries):
+            names.append(read_name(entry) if read_name else str(place))
+            received.append(arrived)
+            numbers.append((*read_pose(entry), *times))
+    paths = (*several.pose, *(stamps or inner), _CHILD)
+    found = dict(zip(paths, np.array(numbers).reshape(len(names), -1).T, strict=False))
+    found[_CHILD] = np.array(names, dtype=str)
+    fields = [Field(path, "string" if path == _CHILD else "<f8") for path in paths]
+    split = len(several.pose) - 4
+    usual = {
+        "position": several.pose[:split],
+        "orientation": Orientation("quaternion", several.pose[split:]),
+    }
+    arrivals = np.array(received, dtype=np.int64)
+    read = partial(chosen_fields, found)
+    return stream_of(stream, topic.msgtype, fields, read, arrivals, completed(own, usual))
+
+
+def chosen_fields(found: Decoded, paths: Sequence[str]) -> Decoded:
+    """Return some of the decoded fields."""
+    return {path: found[path] for path in paths}
 
 
 def stream_of(
@@ -233,13 +311,37 @@ def stream_of(
             f"{msgtype} is defined without the number {', '.join(absent)} "
             f"(it has {listing(numbers)})"
         )
-    found = read(tuple(dict.fromkeys(_place(name).path for name in (*times, *names))))
+    bodies = (_CHILD,) if isinstance(own, PoseMapping) and codes.get(_CHILD) == "string" else ()
+    checks = (_VALID,) if msgtype == _PX4_LOCAL and _VALID in codes else ()
+    paths = (*times, *names, *bodies, *checks)
+    found = read(tuple(dict.fromkeys(_place(name).path for name in paths)))
+    if isinstance(own, PoseMapping) and (bodies or own.body):
+        mine = _rows_of_body(found.get(_CHILD), own.body, stream)
+        found = {path: values[mine] for path, values in found.items()}
+        received = received[mine]
     columns, values = convert(found)
+    if stream == "pose" and len(values):
+        seen = found[_VALID] != 0 if checks else np.isfinite(values[:, :2]).all(axis=1)
+        if not seen.any():
+            raise InputError("contains no horizontal position; name a topic of motion capture")
+        if checks:
+            values[~seen] = np.nan
     stamp = _stamps([_at(found, _place(name)) for name in times], own)
     if stamp is None:
         arrived = received + round(own.start_s * SECOND_NS)
         return Stream(arrived, received, values, columns), False
     return Stream(stamp, received, values, columns), True
+
+
+def _rows_of_body(names: np.ndarray | None, body: str, stream: str) -> Any:
+    """Return which rows are of the chosen rigid body; all, if no other is named."""
+    if names is None or not len(names):
+        if body and names is None:
+            chosen_body((), body, stream=stream)
+        return ...
+    if (names == names[0]).all() and body in ("", names[0]):
+        return ...
+    return names == chosen_body(map(str, names.tolist()), body, stream=stream)
 
 
 def _is_number(name: str, codes: Mapping[str, str]) -> bool:
@@ -295,7 +397,8 @@ def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:
 
     def convert(found: Decoded) -> tuple[tuple[str, ...], Float[np.ndarray, "N k"]]:
         table, n = _table(found, paths), len(position)
-        return COLUMNS["pose"], poses_of(table[:, :n], table[:, n:], orientation.kind, mapping)
+        parts = table[:, :n], table[:, n:]
+        return COLUMNS["pose"], poses_of(*parts, orientation.kind, mapping, orientation.columns)
 
     return paths, convert
 

@@ -24,7 +24,7 @@ from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
 from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
 from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topic_stream import section_of, stream_of
+from airpuck.recording.topic_stream import chosen_fields, section_of, stream_of
 
 ULOG = ".ulg"
 #: Default topics; the first that is in the log is used. Motion capture comes before PX4's own
@@ -67,9 +67,7 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
     # A damaged log can make pyulog fail in any way.
     except Exception as error:
         raise InputError("is not a readable PX4 log", file=path) from error
-    topics: dict[str, Mapping[str, Any]] = {}
-    for data in log.data_list:
-        topics.setdefault(data.name, data.data)
+    topics, said = _topics(log.data_list), []
     streams = {}
     for stream, name in mapping.topics.by_stream.items():
         if not mapping.topics.required(stream, needs):
@@ -77,19 +75,35 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
         # A ROS name such as /fmu/out/actuator_motors ends in the log's name.
         named = (name.rpartition("/")[2],)
         named = named if stream in mapping.topics.model_fields_set else _USUAL.get(stream, named)
-        topic = next((topic for topic in named if topic in topics), "")
-        if not topic:
+        found = [topic for topic in named if topic in topics]
+        if not found:
             problem = f"there is no such topic; choose from {listing(sorted(topics))}"
             raise InputError(problem + nearest(named[0], topics), file=path, field=named[0])
-        try:
-            streams[stream] = _stream(stream, topic, topics[topic], mapping)
-        except (ValueError, OverflowError) as error:
-            problem = error.problem if isinstance(error, InputError) else str(error)
-            raise InputError(problem, file=path, field=topic) from error
-    damage = (
-        (f"{path.name} is damaged; only the intact part is used",) if log.file_corruption else ()
-    )
-    return Recording(streams, str(path), {path.name: sha256(path)}, damage)
+        problems = []
+        for topic in found:
+            try:
+                streams[stream] = _stream(stream, topic, topics[topic], mapping)
+                if f"{topic}[1]" in topics:
+                    said.append(f"there are several {topic}; a mapping can name {topic}[1]")
+                break
+            except (ValueError, OverflowError) as error:
+                problem = error.problem if isinstance(error, InputError) else str(error)
+                problems.append(InputError(problem, file=path, field=topic))
+        else:
+            raise problems[0]
+    if log.file_corruption:
+        said.append(f"{path.name} is damaged; only the intact part is used")
+    return Recording(streams, str(path), {path.name: sha256(path)}, tuple(said))
+
+
+def _topics(instances: Sequence[Any]) -> dict[str, Mapping[str, Any]]:
+    """Return topics by name; `name[1]` is the second instance of a topic, such as outputs."""
+    topics: dict[str, Mapping[str, Any]] = {}
+    for data in sorted(instances, key=lambda data: data.multi_id):
+        topics.setdefault(data.name, data.data)
+        if data.data is not topics[data.name]:
+            topics[f"{data.name}[{data.multi_id}]"] = data.data
+    return topics
 
 
 def _stream(
@@ -115,14 +129,11 @@ def _stream(
     if "timestamp" not in single or found["timestamp"].dtype.kind not in "iu":
         raise ValueError("has no timestamp")
     arrived = found["timestamp"].astype(np.int64) * _MICROSECOND_NS
-    read = partial(_chosen, found)
-    msgtype = _TYPES.get(topic, topic)
+    read = partial(chosen_fields, found)
+    name = topic.partition("[")[0]
+    msgtype = _TYPES.get(name, name)
     own = section_of(stream, msgtype, mapping)
     return stream_of(stream, msgtype, fields, read, arrived, own)[0]
-
-
-def _chosen(found: Mapping[str, np.ndarray], paths: Sequence[str]) -> dict[str, np.ndarray]:
-    return {path: found[path] for path in paths}
 
 
 def _check_definitions(content: bytes, path: Path) -> None:
