@@ -21,8 +21,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
 from airpuck.recording.conversion import NO_MASK, is_mask
-from airpuck.recording.files import listing, shortened
-from airpuck.recording.mapping import MASK_BITS, chosen_body
+from airpuck.recording.files import chosen_body, listing, shortened
+from airpuck.recording.mapping import MASK_BITS
 
 #: Separators of columns.
 _SEPARATORS = ",\t;"

@@ -64,3 +64,25 @@ def listing(names: Iterable[str], most: int = 12) -> str:
     if len(shown) > most:
         shown[most:] = [f"{len(shown) - most} more"]
     return ", ".join(shown) or "none"
+
+
+def chosen_body(
+    names: Iterable[str],
+    body: str,
+    path: str | os.PathLike[str] | None = None,
+    stream: str = "pose",
+) -> str:
+    """Return the rigid body to read: the only one, or the one named in the mapping."""
+    found = list(dict.fromkeys(names))
+    if body in found:
+        return body
+    if len(found) == 1 and not body:
+        return found[0]
+    if not found:
+        raise InputError("names no rigid bodies; leave out body", file=path, field=f"{stream}.body")
+    raise InputError(
+        f"contains the rigid bodies {listing(found)}; choose one in the mapping, as in "
+        f'{stream} = {{body = "{shortened(found[0])}"}}',
+        file=path,
+        field=f"{stream}.body" if body else None,
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,7 +14,6 @@ from jaxtyping import Float, Int64
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_toml
-from airpuck.recording.files import listing, shortened
 
 #: Unit -> kind of quantity, and size in m, rad or s.
 UNITS = {
@@ -445,28 +444,6 @@ class RecordingMapping(Section):
             `wheels` for reaction wheels with a topic of their own; otherwise `command`.
         """
         return self.wheels if stream == "wheels" else self.command
-
-
-def chosen_body(
-    names: Iterable[str],
-    body: str,
-    path: str | os.PathLike[str] | None = None,
-    stream: str = "pose",
-) -> str:
-    """Return the rigid body to read: the only one, or the one named in the mapping."""
-    found = list(dict.fromkeys(names))
-    if body in found:
-        return body
-    if len(found) == 1 and not body:
-        return found[0]
-    if not found:
-        raise InputError("names no rigid bodies; leave out body", file=path, field=f"{stream}.body")
-    raise InputError(
-        f"contains the rigid bodies {listing(found)}; choose one in the mapping, as in "
-        f'{stream} = {{body = "{shortened(found[0])}"}}',
-        file=path,
-        field=f"{stream}.body" if body else None,
-    )
 
 
 def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:

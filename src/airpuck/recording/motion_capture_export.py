@@ -14,7 +14,8 @@ from typing import Any
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.csv_table import CsvTable, Rows, beginning, table_below
-from airpuck.recording.mapping import Orientation, chosen_body
+from airpuck.recording.files import chosen_body
+from airpuck.recording.mapping import Orientation
 
 _MOTIVE = "Format Version"
 _QUALISYS = ("NO_OF_FRAMES", "FILE_VERSION")

@@ -21,7 +21,7 @@ from airpuck.recording.conversion import (
     propellers_of,
     stamps_of,
 )
-from airpuck.recording.files import listing, shortened
+from airpuck.recording.files import chosen_body, listing, shortened
 from airpuck.recording.mapping import (
     AXES,
     ENTRY,
@@ -29,7 +29,6 @@ from airpuck.recording.mapping import (
     Orientation,
     PoseMapping,
     RecordingMapping,
-    chosen_body,
     completed,
 )
 from airpuck.recording.message import PATHS, definitions, stamp_paths
