@@ -1,6 +1,7 @@
 """The tracking study: its reports, and its reproduction of a flight."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,6 +58,10 @@ def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path):
     flown = tracking_study(
         [M4], M4, dwell=0.5, settings=settings.model_copy(update={"motion_capture": capture})
     )
+    # Against a flight beside it; errors of yaw are those of the shorter rotation.
+    off = np.array([0.01, -0.02, 0.1])
+    aside = replace(flown[0].twin, pose=flown[0].twin.pose + off + [0.0, 0.0, 2 * np.pi])
+    np.testing.assert_allclose(replace(flown[0], real=aside).rmse, np.abs(off), rtol=1e-9)
     results = flown[0].results
     assert [r.pose for r in results] == list(SET_POINTS[1:])
     assert [r.steady_state_error is None for r in results] == [True, False, False]

@@ -302,6 +302,30 @@ def test_contacts_with_a_rail_are_noted(plant):
     assert twin.contacts == sorted(twin.contacts)
 
 
+def test_a_twin_without_logs_measures_the_same(plant):
+    heard = []
+    for logs in (True, False):
+        twin = Twin(MODEL, QUIET, seed=2, plant=plant, logs=logs)
+        heard.append([m for k in range(20) for m in twin.wait_until(0.013 * k)])
+    assert len(heard[0]) > 100
+    for one, other in zip(*heard, strict=True):
+        assert (one.kind, one.stamp) == (other.kind, other.stamp)
+        np.testing.assert_array_equal(one.values, other.values)
+
+
+def test_the_speed_of_a_contact_is_the_one_towards_the_rail(plant):
+    """The craft meets the rail slowly while it moves fast along it."""
+    reach = QUIET.table.reach(MODEL.vehicle.radius_m)[0]
+    push = np.full((60, 6), 0.03)
+    push[:, 0] = 0.6  # along y, and a little along x
+    twin, _ = flown(QUIET, push, plant, pose=(reach - 0.005, 0.1, -0.3))
+    met, speed = twin.craft.contacts[0]
+    time, state = twin.truth
+    before = state[np.searchsorted(time, met) - 1]
+    assert before[4] > 5 * before[3] > 0.2
+    assert speed == pytest.approx(before[3], rel=0.05)
+
+
 def test_a_table_or_a_world_that_cannot_be_is_refused(plant):
     small = QUIET.model_copy(update={"table": Table(length_m=0.2, width_m=0.12, goal_width_m=0.1)})
     with pytest.raises(InputError, match="table: is smaller than the craft"):

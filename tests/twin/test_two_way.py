@@ -11,6 +11,7 @@ from airpuck.model.model_file import Model, nominal_model
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
+from airpuck.twin.valves import driver_of
 
 from ..apparatus.two_way_craft import triangle
 
@@ -44,6 +45,17 @@ def test_a_wheel_turns_the_craft_until_its_speed_limit(tmp_path: Path) -> None:
     after = flown(model, [0, 0, 0, 1.0], 0.8)
     assert after[5] == pytest.approx(-MOST_SPIN, rel=1e-3)
     assert np.abs(after[:2]).max() < 1e-12
+
+
+def test_a_drive_changes_when_the_wheel_reaches_its_largest_speed(tmp_path: Path) -> None:
+    model = nominal_model(triangle(tmp_path, **LIGHT))
+    driver = driver_of(model.vehicle.actuation)
+    command = np.array([0.5, 0.0, 0.0, 1.0])
+    reached = 1e-5 * 600 / 0.02
+    assert driver.next_change(0.0, lambda _: command) == pytest.approx(reached)
+    for time, wheel in ((0.99 * reached, 1.0), (1.01 * reached, 0.0)):
+        assert driver.drive(time, command).tolist() == [0.5, 0, 0, wheel, 0, 0, 0]
+    assert driver.next_change(1.01 * reached, lambda _: command) == np.inf
 
 
 def test_a_wheel_follows_a_speed(tmp_path: Path) -> None:
