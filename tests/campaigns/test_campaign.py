@@ -7,15 +7,16 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.stats
 
-from airpuck import InputError, campaign
+from airpuck import campaign
 from airpuck.campaigns import campaign as module
 from airpuck.campaigns.campaign import Campaign, read_result, statistics, write_result
-from airpuck.campaigns.items import Fleet
+from airpuck.campaigns.items import Fleet, Recovery
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import ItemResult, compute
 
@@ -142,12 +143,26 @@ def test_what_is_written_reads_back(tmp_path):
         np.testing.assert_equal(found.model_dump(), result.model_dump())
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"rows": [3], "failure": 0, "wall_s": 0}'])
-def test_a_file_of_somebody_else_is_refused(tmp_path, text):
+@pytest.mark.parametrize(
+    "text", ["", "{", "[]", "{}", '{"rows": [3], "failure": 0, "wall_s": 0}', "\xff\0"]
+)
+def test_a_damaged_result_is_computed_again(tmp_path, text):
     (tmp_path / "items").mkdir()
-    (tmp_path / "items" / "key0.json").write_text(text)
-    with pytest.raises(InputError, match=r"key0\.json: is not a campaign result"):
-        read_result(tmp_path, "key0")
+    (tmp_path / "items" / f"{ENTRIES[0].key}.json").write_text(text, encoding="latin-1")
+    done = module.completed(
+        ENTRIES[:1], tmp_path, lambda entries, tell: [(entry, RESULTS[0]) for entry in entries]
+    )
+    assert done.computed == 1
+    assert read_result(tmp_path, ENTRIES[0].key) == RESULTS[0]
+
+
+def test_results_do_not_reveal_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", "/home/somebody")
+    item = Recovery(truth="/home/somebody/models/a.toml", seed=3)
+    write_result(tmp_path, replace(ENTRIES[0], item=item), RESULTS[0])
+    text = (tmp_path / "items" / f"{ENTRIES[0].key}.json").read_text()
+    assert "somebody" not in text
+    assert '"truth": "~/models/a.toml"' in text
 
 
 def test_statistics_against_scipy():

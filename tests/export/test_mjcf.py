@@ -61,6 +61,31 @@ def test_commands_can_be_set_before_each_step():
     np.testing.assert_allclose(craft.get_state(compiled, data)[6:], expected[6:], atol=1e-12)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_commands_may_be_set_once_in_a_period_that_is_named(seed):
+    state = np.concatenate([np.zeros(6), np.full(6, 0.03)])
+    commands = np.random.default_rng(seed).uniform(0.03, 1, (20, 6))
+    compiled, data = started(M3, state)
+    for command in commands:
+        craft.set_command(compiled, data, command, 0.01)
+        mujoco.mj_step(compiled, data, round(0.01 / compiled.opt.timestep))
+    expected = M3.simulate(state, np.repeat(commands, 10, axis=0), 1e-3)[-1]
+    flown = craft.get_state(compiled, data)
+    np.testing.assert_allclose(flown[:2], expected[:2], atol=1e-4)
+    np.testing.assert_allclose(flown[2], expected[2], atol=5e-3)
+    np.testing.assert_allclose(flown[6:], expected[6:], atol=1e-12)
+
+
+def test_controls_that_were_held_too_long_are_refused():
+    compiled, data = started(M3, np.concatenate([np.zeros(6), np.full(6, 0.03)]))
+    craft.set_command(compiled, data, [0.5] * 6)
+    mujoco.mj_step(compiled, data, 2)
+    with pytest.raises(ValueError, match="call set_command before each step, or give it the"):
+        craft.set_command(compiled, data, [0.5] * 6)
+    mujoco.mj_resetData(compiled, data)
+    craft.set_command(compiled, data, [0.5] * 6)
+
+
 @pytest.mark.parametrize(("integrator", "exact"), [("implicitfast", 1), ("Euler", 1), ("RK4", 0)])
 def test_the_lag_is_exact_except_with_runge_kutta(integrator, exact):
     text = xml(M3, LARGE).replace('"implicitfast"', f'"{integrator}"')

@@ -171,6 +171,16 @@ def test_commands_act_on_arrival_whatever_the_clock_of_their_sender_says(box, ah
     assert [text for _, text in box.logged] == ["numbers on /pose that are not finite"]
 
 
+def test_finite_numbers_that_overflow_are_refused(box):
+    now = box._clock.stamp_ns(box._clock.now)
+    box.graph.waiting = [pose(now, x=1e300), pose(now)]
+    assert len(box.take()) == 1
+    box.graph.waiting = [pose(now, x=-1e9), pose(now)]
+    assert len(box.take_commands()) == 1
+    assert (box.good, box.bad) == (2, 2)
+    assert {text for _, text in box.logged} == {"numbers on /pose beyond 1e+06"}
+
+
 def test_commands_that_waited_for_a_process_that_stood_still_are_late(box):
     time.sleep(0.12)
     for _ in range(2):  # messages in the system's buffers arrive a little later

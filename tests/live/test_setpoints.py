@@ -46,6 +46,7 @@ def test_a_set_point_is_moved_by_others_but_not_outside():
         "a set point outside the geofence, (1.10, 0.20)"
     )
     assert followed.move(np.array([np.nan, 0.2, 1.0])) == "a set point that is not finite"
+    assert followed.move(np.array([0.3, 0.2, 1e300])) == "a set point with a yaw of 1e+300 rad"
     np.testing.assert_array_equal(followed.at(0.0, 0.0).state, [0.3, 0.2, 1.0, 0, 0, 0])
     assert followed.move(np.array([-0.4, 0.1, 2.0, 5.0, 5.0, 5.0])) is None
     np.testing.assert_array_equal(followed.at(0.0, 0.0).state, [-0.4, 0.1, 2.0, 0, 0, 0])

@@ -320,3 +320,11 @@ def test_what_was_flushed_is_there_whatever_happens_to_the_writer(tmp_path):
     assert "cut short" in recording.warnings[0]
     bag.close()
     assert len(read_recording(tmp_path / "bag")["pose"]) == 101
+
+
+def test_two_recorders_never_write_one_file(tmp_path: Path):
+    first = BagFile(tmp_path / "bag")
+    with pytest.raises(FileExistsError):
+        BagFile(tmp_path / "bag")
+    first.close()
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()

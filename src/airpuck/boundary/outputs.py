@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -59,6 +60,13 @@ def temporary_name(target: Path) -> str:
     than the system's limit, whatever the final name.
     """
     return f".{target.stem[:20]}-{secrets.token_hex(4)}{target.suffix}"
+
+
+def without_home(text: str) -> str:
+    """Replace the user's home folder by ~ in a path or an option, since it is private."""
+    # Path.home() raises if there is no home. A user without an account has the root folder.
+    home = os.path.expanduser("~").rstrip("/")  # noqa: PTH111
+    return re.sub(f"(?<![^=]){re.escape(home)}(?=/|$)", "~", text) if home[:1] == "/" else text
 
 
 def unwritable(path: str | os.PathLike[str], error: OSError) -> InputError:

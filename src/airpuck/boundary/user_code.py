@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -46,7 +48,7 @@ class UserCode:
         Any exception becomes an `InputError` that begins with `what` and names file and line.
         """
         try:
-            with redirect_stdout(sys.stderr):
+            with redirect_stdout(sys.stderr), _contained():
                 return function(*given)
         # Catches `sys.exit`, too.
         except BaseException as error:
@@ -90,6 +92,33 @@ class UserCode:
         frames = traceback.walk_tb(error.__traceback__)
         lines = [line for frame, line in frames if Path(frame.f_code.co_filename) == path]
         return lines[-1] if lines else None
+
+
+@contextmanager
+def _contained() -> Iterator[None]:
+    """Keep code from ending this process, by `os._exit`, and from outliving it, by its threads."""
+    leave, start, process = os._exit, threading.Thread.start, os.getpid()
+    started: list[threading.Thread] = []
+
+    def refuse(status: int) -> NoReturn:
+        if os.getpid() != process:  # a child, which must end here
+            leave(status)
+        raise SystemExit(f"os._exit({status})")
+
+    def start_daemon(thread: threading.Thread) -> None:
+        thread.daemon = True
+        started.append(thread)
+        start(thread)
+
+    os._exit, threading.Thread.start = refuse, start_daemon
+    try:
+        yield
+    finally:
+        os._exit, threading.Thread.start = leave, start
+        # At exit, Python waits for the threads of an executor, daemons or not.
+        executors = sys.modules.get("concurrent.futures.thread")
+        for thread in started:
+            getattr(executors, "_threads_queues", {}).pop(thread, None)
 
 
 def _is_signal(error: BaseException) -> bool:

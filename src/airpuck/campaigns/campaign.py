@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 
 from airpuck import __version__
-from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import read_text
-from airpuck.boundary.outputs import check_output, replacing
+from airpuck.boundary.outputs import check_output, replacing, without_home
 from airpuck.campaigns.items import Item
 from airpuck.campaigns.spec import Entry, read_spec
 from airpuck.campaigns.workers import ItemResult, checked_workers, dispatch
@@ -176,15 +175,12 @@ def _is_whole(item: Item, result: ItemResult) -> bool:
 
 
 def read_result(folder: Path, key: str) -> ItemResult | None:
-    """Read the result of an item; None if there is none."""
+    """Read the result of an item; None if there is none, or if it is damaged."""
     path = folder / "items" / f"{key}.json"
-    if not path.exists():
-        return None
-    text = read_text(path)
     try:
-        return ItemResult.model_validate_json(text, strict=True)
-    except ValueError as error:
-        raise InputError(f"is not a campaign result ({error}); remove it", file=path) from error
+        return ItemResult.model_validate_json(read_text(path), strict=True)
+    except ValueError:
+        return None
 
 
 def write_result(folder: Path, entry: Entry, result: ItemResult) -> None:
@@ -192,11 +188,20 @@ def write_result(folder: Path, entry: Entry, result: ItemResult) -> None:
     content = {
         "airpuck": __version__,
         "kind": type(entry.item).__name__,
-        "item": entry.item.model_dump(mode="json"),
+        "item": _private(entry.item.model_dump(mode="json")),
         **json.loads(result.model_dump_json()),
     }
     with replacing(folder / "items" / f"{entry.key}.json") as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def _private(content: Any) -> Any:
+    """Return the fields of an item without the user's home folder."""
+    if isinstance(content, dict):
+        return {key: _private(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_private(value) for value in content]
+    return without_home(content) if isinstance(content, str) else content
 
 
 def _summary(setting: dict[str, Any], results: list[ItemResult]) -> dict[str, Any]:

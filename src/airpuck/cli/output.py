@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 import shlex
 import sys
 import time
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airpuck.boundary.errors import escaped
+from airpuck.boundary.outputs import without_home
 from airpuck.boundary.results import plain
 
 if TYPE_CHECKING:
@@ -44,11 +44,7 @@ def origin() -> Origin:
     moment = float(seconds) if seconds.isdecimal() else math.inf
     moment = moment if moment <= _LATEST else time.time()
     date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    # Path.home() raises if there is no home. A user without an account has the root folder.
-    home = os.path.expanduser("~").rstrip("/")  # noqa: PTH111
-    inside = re.compile(f"(?<![^=]){re.escape(home)}(?=/|$)") if home[:1] == "/" else None
-    words = [inside.sub("~", word) if inside else word for word in sys.argv[1:]]
-    return Origin(date, shlex.join(["airpuck", *words]))
+    return Origin(date, shlex.join(["airpuck", *map(without_home, sys.argv[1:])]))
 
 
 def say(quiet: bool) -> Any:

@@ -91,6 +91,8 @@ def xml(model: Model, table: Table) -> str:
         cone="elliptic",
         gravity=[*np.sum([(0.0, 0.0), *slopes], axis=0), -GRAVITY],
     )
+    # Until when the controls are right, which set_command checks.
+    _add(root, "size", nuserdata=1)
     custom = _add(root, "custom")
     _add(custom, "numeric", name="thrust_degree", data=np.shape(model.parameters.thrust)[1])
     world = _add(root, "worldbody")

@@ -2,8 +2,8 @@
 
 The thrust of a motor is a polynomial of its speed φ, but the force of a MuJoCo actuator is linear
 in its activation. So each motor has an actuator for each power of φ, named ``NAME``,
-``NAME^2``, and so on. `set_command` sets their controls for the next time step such that their
-activations are these powers of φ at its end. An ordinary MuJoCo step follows.
+``NAME^2``, and so on. `set_command` sets their controls for the next time step, or for a period
+of several steps, such that their activations are these powers of φ at its end.
 
     model = mujoco.MjModel.from_xml_path("craft.xml")
     data = mujoco.MjData(model)
@@ -38,22 +38,36 @@ def get_state(model: Any, data: Any) -> np.ndarray:
     return np.concatenate([data.qpos, velocities, _speeds(model, data)])
 
 
-def set_command(model: Any, data: Any, command: Any) -> None:
-    """Set the controls for the next time step from the motors' commands in [0, 1]."""
-    data.ctrl[:] = controls(model, _speeds(model, data), [command])[0]
+def set_command(model: Any, data: Any, command: Any, period: float | None = None) -> None:
+    """Set the controls from the motors' commands in [0, 1], by default for the next time step.
+
+    If you call this once in a control period and then take several steps, give the period [s].
+    """
+    step = model.opt.timestep
+    if model.na and model.nuserdata and data.time > data.userdata[0] + step / 2 > step:
+        raise ValueError(
+            f"controls for the time until {data.userdata[0]:.6g} s were held until {data.time:.6g} "
+            "s; call set_command before each step, or give it the control period"
+        )
+    held = step if period is None else period
+    data.ctrl[:] = controls(model, _speeds(model, data), [command], held)[0]
+    if model.nuserdata:
+        data.userdata[0] = data.time + held
 
 
-def controls(model: Any, speeds: Any, commands: Any) -> np.ndarray:
+def controls(model: Any, speeds: Any, commands: Any, period: float | None = None) -> np.ndarray:
     """Return the controls for a sequence of commands, one for each time step (for rollouts).
 
-    The motors begin at `speeds`; without lag these are ignored.
+    The motors begin at `speeds`; without lag these are ignored. With a period [s], there is a
+    command for each period instead.
     """
     powers = _powers(model)
     n = model.nu // len(powers)
     u = np.clip(commands, *model.actuator_ctrlrange[:n].T)
     if not model.na:
         return np.hstack([u**p for p in powers])
-    decay = np.exp(-model.opt.timestep / model.actuator_dynprm[:n, 0])
+    held = model.opt.timestep if period is None else period
+    decay = np.exp(-held / model.actuator_dynprm[:n, 0])
     path = [np.asarray(speeds)]
     for command in u:
         path.append(command + decay * (path[-1] - command))

@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.numbers import COORDINATE
 from airpuck.compute.process import prioritize
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint, SetPoints, Target
@@ -81,6 +82,8 @@ class FollowedSetPoint:
         if not np.isfinite(pose[:3]).all():
             return "a set point that is not finite"
         x, y, yaw = pose[:3].tolist()
+        if abs(yaw) > COORDINATE.high:
+            return f"a set point with a yaw of {yaw:.3g} rad"
         if abs(x) > self._geofence[0] or abs(y) > self._geofence[1]:
             return f"a set point outside the geofence, ({x:.2f}, {y:.2f})"
         self.point = SetPoint(x, y, yaw)

@@ -31,6 +31,9 @@ _QUALITY = {"estimate": STATE, "reference": STATE}
 _HEARTBEAT = 1.0
 #: Time for discovery to find other processes before concluding that there are none [s].
 _LOOK_AROUND = 0.6
+#: Larger numbers are garbage: squares of some finite ones overflow. Commands go to 1, poses to
+#: metres and some turns.
+_LARGEST = 1e6
 #: A difference between clocks that is worth a warning [s].
 _NOTABLE_OFFSET = 0.1
 #: A process that did not poll for this long was suspended [s]; messages from the system's buffers
@@ -194,8 +197,16 @@ class Inbox:
                 stamp_ns, values = self._codec.decode(sample.data)
             except ValueError as error:
                 self._refuse("garbage", f"garbage on {self._topic}: {error}")
+                continue
+            if (np.isfinite(values) & (np.abs(values) > _LARGEST)).any():
+                self._refuse("size", f"numbers on {self._topic} beyond {_LARGEST:g}")
             else:
                 yield arrival, stamp_ns, values
+
+    def reject(self, text: str) -> None:
+        """Count a message that was taken as unusable, and warn."""
+        self.good -= 1
+        self._refuse("content", f"refused on {self._topic}: {text}")
 
     def _refuse(self, kind: str, text: str) -> None:
         """Count an unusable message, and warn."""

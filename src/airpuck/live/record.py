@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import check_output, unwritable
 from airpuck.flight.clock import Every
 from airpuck.live.graph import Endpoint, Graph, Quality, Sample, Subscription
@@ -143,6 +144,9 @@ def record(
         try:
             path.absolute().parent.mkdir(parents=True, exist_ok=True)
             return _record(process, BagFile(path.absolute()), motors)
+        except FileExistsError as error:
+            problem = "another process has just begun to record into it; choose a new folder"
+            raise InputError(problem, file=folder) from error
         except OSError as error:
             raise unwritable(folder, error) from error
 

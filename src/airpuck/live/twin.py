@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import COORDINATE
 from airpuck.boundary.results import Result
 from airpuck.compute.process import prioritize
 from airpuck.hockey.game import Side, serve
@@ -77,8 +79,8 @@ class Human:
     def _follow(self, now: float) -> None:
         """Store the mallet's target; old or non-finite targets are ignored."""
         for stamp, (x, y, _) in self.targets.take() if self.targets else ():
-            if not (math.isfinite(x) and math.isfinite(y)):
-                text = "refused a position for the mallet that is not finite"
+            if not (abs(x) <= COORDINATE.high and abs(y) <= COORDINATE.high):
+                text = "refused a position for the mallet that is far from the table"
                 self._events.log("warning", text)
             elif now - stamp < _HOLDS:
                 self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp
@@ -182,7 +184,10 @@ class _Table(Result):
             self._sensors[measurement.kind].send(measurement.values, measurement.stamp)
             self._poses += measurement.kind == "pose"
         for command in commands:
-            self._twin.send(command)
+            try:
+                self._twin.send(command)
+            except InputError as error:
+                self._commands.reject(f"a command that {error.problem}")
         if self._human is not None:
             self._human.act(now)
         else:

@@ -110,7 +110,8 @@ class BagFile:
         folder.mkdir(exist_ok=True)
         self.folder, self._name = folder, f"{folder.name}_0.mcap"
         self._about = about
-        self._file = (folder / self._name).open("wb")
+        # Another process that records into the same folder must fail, not write into this file.
+        self._file = (folder / self._name).open("xb")
         # Uses mcap instead of rosbags: it writes checksums, and chunks of a chosen size.
         self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES)
         self._writer.start("ros2", "airpuck")
