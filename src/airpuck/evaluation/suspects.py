@@ -1,4 +1,4 @@
-"""Suspicious recordings: clocks, order of the motors, unit of lengths."""
+"""Suspicious recordings: clocks, unit of lengths."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 
 from airpuck.boundary.finding import Finding
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.effect_errors import EffectErrors
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.time_scale import patience
@@ -18,13 +17,6 @@ _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Moment of inertia over mass times radius squared: a ring has 1, and every craft has more than
 #: 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
-#: Cosine between a motor's modelled and estimated effect below which the effect belongs to another
-#: motor.
-_SAME_MOTOR = 0.5
-#: Standard error of a motor's effect, relative to its size, above which its direction is unknown.
-_DIRECTION_LIMIT = 0.2
-#: Effect of a motor, relative to the typical one, below which the motor counts as dead.
-_SEEN = 0.3
 
 
 def clock_suspect(
@@ -67,33 +59,6 @@ def clock_suspect(
             "(nominal.transport_delay_s).",
         )
     ]
-
-
-def order_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
-    """Report motors that act like others, or in the opposite direction."""
-    if effects is None:
-        return []
-    rows = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
-    stated, found = model.propeller_effects, rows * effects.found
-    size = np.linalg.norm(found, axis=0)
-    usual = float(np.median(np.linalg.norm(rows * effects.modelled, axis=0)))
-    error = np.linalg.norm(rows * effects.standard_error, axis=0)
-    directions = stated / np.maximum(np.linalg.norm(stated, axis=0), 1e-300)
-    cosines = directions.T @ (found / np.maximum(size, 1e-300))
-    names, said = model.vehicle.propeller_names, []
-    for k, name in enumerate(names):
-        clear = size[k] > max(_SEEN * usual, error[k] / _DIRECTION_LIMIT)
-        if not clear or cosines[k, k] > _SAME_MOTOR:
-            continue
-        like = int(np.argmax(cosines[:, k]))
-        said.append(
-            f"{name} pushes the other way" if like == k or cosines[like, k] < _SAME_MOTOR
-            else f"{name} acts like {names[like]}"
-        )  # fmt: skip
-    if not said:
-        return []
-    remedy = "Check the motors' order, wiring and directions with `airpuck check`."
-    return [Finding("order", "; ".join(said), f"{len(said)} of {len(names)} motors", remedy)]
 
 
 def unit_suspect(model: Model) -> list[Finding]:

@@ -53,17 +53,6 @@ class AxisSigns:
         mended = [_turned(a) if sign < 0 else a for a, sign in zip(axes, signs, strict=True)]
         return f"axes = {mended}".replace("'", '"')
 
-    def remark(self, axes: Sequence[str]) -> str:
-        """Return the problem and its remedy; empty if the axes are right."""
-        what = " and ".join(self.names)
-        if not what:
-            return ""
-        one = len(self.names) == 1
-        return (
-            f"{what} {'is' if one else 'are'} flipped: {'counts' if one else 'count'} the wrong "
-            f"way; correct the mapping file, under [pose]: {self.line(axes)}"
-        )
-
     def undone(self, trajectory: Trajectory) -> Trajectory:
         """Return the trajectory with true signs."""
         signs = np.array([self.x, self.y, self.yaw], dtype=float)

@@ -9,23 +9,19 @@ only, so thrust, mass and inertia need not be right. Effects come with standard 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.faults.axis_signs import AxisSigns, find_axis_signs
 from airpuck.faults.effect_match import force_to_moment, rotation, rotation_error
+from airpuck.faults.layout_findings import AXES, LayoutCheck
 from airpuck.faults.propeller_check import (
-    HARMLESS,
-    REVERSED,
-    TURNED,
-    TURNS,
     PropellerCheck,
     judge_propellers,
 )
@@ -35,8 +31,6 @@ from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.time_scale import smoothed_as_measured
 from airpuck.preprocessing.window_regression import LEVEL, WindowRegression, regress_windows
 
-#: Axes of a mapping that renames none.
-AXES = ("x", "y", "z")
 #: Explained fraction, relative to the best, from which signs count as explaining as much.
 _AS_GOOD = 0.8
 #: Longest transport delay to try: absolute [s], or as a multiple of the vehicle file's.
@@ -45,204 +39,17 @@ _LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
 _KNOWN_TURN = 0.15
 #: Standard error of the effect of a motor that never ran [1/kg].
 _UNKNOWN = 1e9
-#: If a verdict would need this multiple of the flight's length, the motors were barely used.
-_TOO_LONG = 100.0
 #: Least effects of the floor that are reported: the pull relative to one propeller's push, and in
 #: standard errors. On real flights over a level and smooth table, errors of the stated thrusts look
 #: like a slope of 1.2 % and 4.6, a dish of 6.1 % and 6.6, and friction of 2.4 % and 2.0.
 _FLOOR_REPORTED = {"tilt": (0.05, 5.0), "dish": (0.1, 5.0), "friction": (0.03, 3.0)}
 #: Parts of a sample in each of which faster commands are held.
 _PARTS = 8
-#: Shortest usable recording from which anything is concluded [s].
-_SHORTEST = 2.0
 #: Forces and moments give a ratio of lengths. A ratio as far from 1 as this is a wrong unit, not a
 #: poor guess of the inertia.
 _WRONG_UNIT = 5.0
 #: Error of the inertia that is remarked, and corrected before directions are judged: a ratio.
 _POOR_INERTIA = 2.0
-
-
-@dataclass(frozen=True, repr=False)
-class LayoutCheck(Result):
-    """Result of `check_layout`."""
-
-    JSON = (
-        "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
-        "inertia_ratio mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
-        "dish_rad_m=dish friction_m_s2=friction propellers"
-    )
-
-    #: One for each propeller.
-    propellers: tuple[PropellerCheck, ...]
-    #: Fraction of the variance of mean accelerations that the commands explain.
-    explained: float
-    #: Probability that chance explains as much.
-    p_value: float
-    #: Transport delay at which they explain most [s].
-    delay: float
-    #: Angle by which the whole layout seems rotated against the measured yaw [rad].
-    rotation: float
-    #: Signs of x, y and yaw with which the other results were found.
-    signs: AxisSigns
-    #: Factor by which positions are too large for the measured turns: 1, or a power of ten.
-    length_ratio: float = 1.0
-    #: Inertia at which forces and moments agree, relative to the vehicle file's; 1 if it is close.
-    inertia_ratio: float = 1.0
-    #: Whether no motor's thrust ever changes.
-    still: bool = False
-    #: Usable time of poses and commands together [s].
-    usable: float = np.inf
-    #: Our x, y, z in terms of the file's axes, as in the mapping.
-    axes: tuple[str, ...] = AXES
-    #: Flight time needed to detect nominal motors, relative to the recording's duration.
-    longer: float = np.inf
-    #: Length of the windows over which accelerations are averaged [s].
-    window: float = np.nan
-    #: Slope of the table where it is clear and matters, positive where the table falls, and its
-    #: standard error [rad].
-    tilt: tuple[float, float] | None = None
-    tilt_error: tuple[float, float] | None = None
-    #: Likewise, change of the slope along x with x, along y with y, and of each with the other
-    #: [rad/m].
-    dish: tuple[float, float, float] | None = None
-    #: Likewise, dry friction of the floor [m/s²].
-    friction: float | None = None
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The verdict on each propeller, and remarks about the layout."""
-        return (
-            *(f"{p.name:16s} {p.agreement:6.3f}  {p.verdict}" for p in self.propellers),
-            f"the commands explain {100 * self.explained:.0f} % of the acceleration",
-            *self.remarks,
-        )
-
-    @property
-    def mirrored(self) -> bool:
-        """Whether an axis of the pose, or its yaw, has the wrong sign."""
-        return bool(self.signs.flipped)
-
-    @property
-    def conclusive(self) -> bool:
-        """Whether the commands explain enough of the motion for a verdict."""
-        return bool(self.p_value < LEVEL and self.usable >= _SHORTEST)
-
-    @property
-    def agrees(self) -> bool:
-        """Whether order and signs of all propellers agree with the recording."""
-        return self.conclusive and not self.wrong
-
-    @property
-    def reversed(self) -> bool:
-        """Whether all propellers push the other way."""
-        return any(one.verdict == REVERSED for one in self.propellers)
-
-    @property
-    def untouched(self) -> int:
-        """Number of propellers that agree, less the number of axes with the wrong sign."""
-        fine = sum(one.verdict in ("agrees", TURNS, REVERSED) for one in self.propellers)
-        return fine - len(self.signs.flipped) - self.reversed
-
-    @property
-    def floor(self) -> dict[str, Float[np.ndarray, " k"]]:
-        """Coefficients of the floor's effects, by the names of a model's parameters."""
-        found = {"tilt": self.tilt, "dish": self.dish}
-        if self.friction is not None:
-            found["friction"] = (self.friction, 0.0)
-        return {name: np.array(value) for name, value in found.items() if value is not None}
-
-    @property
-    def wrong(self) -> tuple[str, ...]:
-        """Items that disagree: axes, the unit of length, names of propellers."""
-        return (
-            *self.signs.names,
-            *(("the unit of length",) if self.length_ratio != 1 else ()),
-            *(("all directions",) if self.reversed else ()),
-            *(("the yaw's zero",) if any(p.verdict == TURNS for p in self.propellers) else ()),
-            *(p.name for p in self.propellers if p.verdict not in HARMLESS),
-        )
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Sentences about the layout as a whole."""
-        if self.usable < _SHORTEST:
-            return (
-                f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
-                f" s, but {_SHORTEST:g} s are needed; check the clocks and gaps of both",
-            )
-        if self.still:
-            return (
-                "too little to judge: the commands never change; use a recording in which every "
-                "motor was excited",
-            )
-        if not self.conclusive and 1 < self.longer < _TOO_LONG:
-            return (
-                "too little to judge: motors of nominal thrust would be seen in about "
-                f"{self.usable * self.longer:.0f} s; this recording has {self.usable:.0f} s",
-            )
-        if not self.conclusive:
-            return (
-                "too little to judge: use a recording in which every motor was excited, and check "
-                "the clocks of poses and commands, and the unit of the yaw",
-            )
-        remarks = [self.signs.remark(self.axes)] if self.mirrored else []
-        remarks += self._floor_remarks
-        if self.length_ratio != 1:
-            remarks.append(
-                f"the craft moves {self.length_ratio:g} times as far as its turns imply: correct "
-                'the unit of length in the mapping file, under [pose], such as units = ["mm"]'
-            )
-        if self.inertia_ratio != 1:
-            remarks.append(
-                f"forces and moments agree if the inertia is about {self.inertia_ratio:.1g} times "
-                "the vehicle file's: correct inertia_kg_m2, mass_kg or the propellers' positions"
-            )
-        if self.reversed:
-            remarks.append(
-                "all propellers push the other way: direction_deg is the direction of the thrust, "
-                "not of the air; add 180 to each in the vehicle file"
-            )
-        verdicts = {p.verdict for p in self.propellers}
-        # Swapped motors can look like a rotation, but the others would be turned, too.
-        swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
-        if abs(self.rotation) > TURNED and not swapped and not self.reversed:
-            remarks.append(
-                f"the whole layout is turned by {np.rad2deg(self.rotation):.0f} degrees against "
-                "the measured yaw: align the rigid body of the motion capture with the craft"
-            )
-            if np.pi - abs(self.rotation) < TURNED:
-                both = AxisSigns(-self.signs.x, -self.signs.y, self.signs.yaw)
-                remarks.append(f"or {both.remark(self.axes)}")
-        return tuple(remarks)
-
-    @property
-    def _floor_remarks(self) -> list[str]:
-        """Sentences about the floor."""
-        remarks = []
-        if self.tilt is not None and self.tilt_error is not None:
-            x, y = (
-                f"{1e3 * slope:.1f} ± {1e3 * error:.1f} mrad"
-                for slope, error in zip(self.tilt, self.tilt_error, strict=True)
-            )
-            remarks.append(
-                f"the table is tilted: it falls by {x} along x and {y} along y; level it, or "
-                "identify a model with +tilt"
-            )
-        if self.dish is not None:
-            changes = ", ".join(f"{1e3 * change:.1f}" for change in self.dish)
-            remarks.append(
-                f"the table is not flat: its slope changes by {changes} mrad/m (along x, along y, "
-                "across); identify a model with +tilt+dish"
-            )
-        if self.friction is not None:
-            remarks.append(
-                f"the floor is rough: dry friction of {self.friction:.2g} m/s²; clean it, or "
-                "identify a model with +drag+friction"
-            )
-        return remarks
 
 
 def check_layout(

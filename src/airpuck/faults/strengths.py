@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,7 +19,8 @@ from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.main_quantities import physical_thrust
-from airpuck.faults.layout_check import LayoutCheck, PropellerCheck, check_layout
+from airpuck.faults.causes import checked_layout
+from airpuck.faults.propeller_check import PropellerCheck
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.thrust import thrust
 
@@ -163,12 +163,13 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     quantile = model.known.quantile if model.known else _NORMAL
     held = np.full(len(value), False)
     if trajectory is not None:
-        check = _layout(trajectory, vehicle)
+        check = checked_layout(trajectory, vehicle)
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
-        # Strengths that a constraint holds have no error of their own; with a wrong layout, or a
-        # floor that the fit attributed to thrusts, none is right.
+        # Strengths that a constraint holds have no error of their own; with wrong axes or a wrong
+        # layout, or a floor that the fit attributed to thrusts, none is right.
         lacks = any(getattr(model.parameters, name) is None for name in check.floor)
-        held = (np.isfinite(error) & (error <= 0)) | bool(wrong or lacks)
+        useless = wrong or lacks or any(one.suspect for one in check.common)
+        held = (np.isfinite(error) & (error <= 0)) | bool(useless)
         if held.any() and check.conclusive:
             seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
             value = np.where(held, stated * seen, value)
@@ -217,21 +218,9 @@ def _medians_of_others(
     return np.where(np.array(medians) > 0, medians, 1.0)
 
 
-#: The latest check of each recording, and the vehicle file that it was checked against.
-_checks: WeakKeyDictionary[Trajectory, tuple[Vehicle, LayoutCheck]] = WeakKeyDictionary()
-
-
-def _layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
-    """Check the layout, once for all who ask."""
-    known = _checks.get(trajectory)
-    if known is None or known[0] != vehicle:
-        known = _checks[trajectory] = vehicle, check_layout(trajectory, vehicle)
-    return known[1]
-
-
 def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
     """Return the rung to fit by default: M3 plus the effects that the floor clearly has."""
-    floor = _layout(trajectory, vehicle).floor
+    floor = checked_layout(trajectory, vehicle).floor
     # A rough floor also brakes in proportion to the speed.
     terms = {"tilt": "+tilt", "dish": "+dish", "friction": "+drag+friction"}
     return "M3" + "".join(term for name, term in terms.items() if name in floor)
@@ -239,7 +228,7 @@ def usual_rung(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 def on_table_of(model: Model, trajectory: Trajectory) -> Model:
     """Return the model with the effects of a recording's floor that it does not have yet."""
-    parameters, floor = model.parameters, _layout(trajectory, model.vehicle).floor
+    parameters, floor = model.parameters, checked_layout(trajectory, model.vehicle).floor
     added = {name: v for name, v in floor.items() if getattr(parameters, name) is None}
     if not added:
         return model

@@ -21,7 +21,8 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS
-from airpuck.evaluation.suspects import clock_suspect, order_suspect, unit_suspect
+from airpuck.evaluation.suspects import clock_suspect, unit_suspect
+from airpuck.faults.causes import recording_findings
 from airpuck.judgement.findings import (
     Evidence,
     first_causes,
@@ -149,6 +150,8 @@ def verdict(
         The outcome, in words.
     """
     evidence = Evidence(model, trajectory, evaluation)
+    if trajectory is not None:
+        causes = [*causes, *recording_findings(trajectory, model.vehicle)]
     outcome, found, flown = _decided(evidence, causes)
     if flown and trajectory is not None and evidence.effects is not None:
         others = [law for law in laws if law not in flown]
@@ -209,11 +212,12 @@ def _decided(
     if evidence.trajectory is None:
         uncertain = too_uncertain(model, *evidence.by_chance)
         return ("not_enough_excitation" if uncertain else "not_judged"), uncertain, {}
-    quiet, order = too_quiet(evidence), order_suspect(model, evidence.effects)
-    uncertain = too_uncertain(model, *evidence.by_chance)
+    if any(cause.suspect for cause in causes):
+        # A fit to such a recording is wrong in every respect: nothing it shows is a cause.
+        return "suspect_recording", [], {}
+    quiet, uncertain = too_quiet(evidence), too_uncertain(model, *evidence.by_chance)
     clock = clock_suspect(model, evidence.trajectory, determined=not uncertain)
-    suspects = [*clock, *order, *([] if quiet else unit_suspect(model))]
-    if suspects or any(cause.suspect for cause in causes):
+    if suspects := [*clock, *([] if quiet else unit_suspect(model))]:
         return "suspect_recording", suspects, {}
     if quiet or evidence.effects is None or uncertain:
         return "not_enough_excitation", quiet or uncertain, {}

@@ -1,0 +1,262 @@
+"""The result of the check of a layout, and what is wrong in the order of causes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.boundary.finding import Finding, Kind
+from airpuck.boundary.results import Result
+from airpuck.faults.axis_signs import AxisSigns
+from airpuck.faults.propeller_check import HARMLESS, REVERSED, TURNED, TURNS, PropellerCheck
+from airpuck.preprocessing.window_regression import LEVEL
+
+#: Axes of a mapping that renames none.
+AXES = ("x", "y", "z")
+#: If a verdict would need this multiple of the flight's length, the motors were barely used.
+_TOO_LONG = 100.0
+#: Shortest usable recording from which anything is concluded [s].
+_SHORTEST = 2.0
+
+
+@dataclass(frozen=True, repr=False)
+class LayoutCheck(Result):
+    """Result of `check_layout`."""
+
+    JSON = (
+        "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
+        "inertia_ratio mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
+        "dish_rad_m=dish friction_m_s2=friction propellers"
+    )
+
+    #: One for each propeller.
+    propellers: tuple[PropellerCheck, ...]
+    #: Fraction of the variance of mean accelerations that the commands explain.
+    explained: float
+    #: Probability that chance explains as much.
+    p_value: float
+    #: Transport delay at which they explain most [s].
+    delay: float
+    #: Angle by which the whole layout seems rotated against the measured yaw [rad].
+    rotation: float
+    #: Signs of x, y and yaw with which the other results were found.
+    signs: AxisSigns
+    #: Factor by which positions are too large for the measured turns: 1, or a power of ten.
+    length_ratio: float = 1.0
+    #: Inertia at which forces and moments agree, relative to the vehicle file's; 1 if it is close.
+    inertia_ratio: float = 1.0
+    #: Whether no motor's thrust ever changes.
+    still: bool = False
+    #: Usable time of poses and commands together [s].
+    usable: float = np.inf
+    #: Our x, y, z in terms of the file's axes, as in the mapping.
+    axes: tuple[str, ...] = AXES
+    #: Flight time needed to detect nominal motors, relative to the recording's duration.
+    longer: float = np.inf
+    #: Length of the windows over which accelerations are averaged [s].
+    window: float = np.nan
+    #: Slope of the table where it is clear and matters, positive where the table falls, and its
+    #: standard error [rad].
+    tilt: tuple[float, float] | None = None
+    tilt_error: tuple[float, float] | None = None
+    #: Likewise, change of the slope along x with x, along y with y, and of each with the other
+    #: [rad/m].
+    dish: tuple[float, float, float] | None = None
+    #: Likewise, dry friction of the floor [m/s²].
+    friction: float | None = None
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The verdict on each propeller, and remarks about the layout."""
+        return (
+            *(f"{p.name:16s} {p.agreement:6.3f}  {p.verdict}" for p in self.propellers),
+            f"the commands explain {100 * self.explained:.0f} % of the acceleration",
+            *self.remarks,
+        )
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether an axis of the pose, or its yaw, has the wrong sign."""
+        return bool(self.signs.flipped)
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the commands explain enough of the motion for a verdict."""
+        return bool(self.p_value < LEVEL and self.usable >= _SHORTEST)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether order and signs of all propellers agree with the recording."""
+        return self.conclusive and not self.wrong
+
+    @property
+    def reversed(self) -> bool:
+        """Whether all propellers push the other way."""
+        return any(one.verdict == REVERSED for one in self.propellers)
+
+    @property
+    def untouched(self) -> int:
+        """Number of propellers that agree, less the number of axes with the wrong sign."""
+        fine = sum(one.verdict in ("agrees", TURNS, REVERSED) for one in self.propellers)
+        return fine - len(self.signs.flipped) - self.reversed
+
+    @property
+    def floor(self) -> dict[str, Float[np.ndarray, " k"]]:
+        """Coefficients of the floor's effects, by the names of a model's parameters."""
+        found = {"tilt": self.tilt, "dish": self.dish}
+        if self.friction is not None:
+            found["friction"] = (self.friction, 0.0)
+        return {name: np.array(value) for name, value in found.items() if value is not None}
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Items that disagree: axes, the unit of length, names of propellers."""
+        return (
+            *self.signs.names,
+            *(("the unit of length",) if self.length_ratio != 1 else ()),
+            *(("all directions",) if self.reversed else ()),
+            *(("the yaw's zero",) if any(p.verdict == TURNS for p in self.propellers) else ()),
+            *(p.name for p in self.propellers if p.verdict not in HARMLESS),
+        )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences about the layout as a whole."""
+        if self.conclusive:
+            return tuple(said[0].lower() + said[1:] for said in (f.sentence for f in self.common))
+        if self.usable < _SHORTEST:
+            return (
+                f"too short to judge: poses and commands can be used together for {self.usable:.1f}"
+                f" s, but {_SHORTEST:g} s are needed; check the clocks and gaps of both",
+            )
+        if self.still:
+            return (
+                "too little to judge: the commands never change; use a recording in which every "
+                "motor was excited",
+            )
+        if 1 < self.longer < _TOO_LONG:
+            return (
+                "too little to judge: motors of nominal thrust would be seen in about "
+                f"{self.usable * self.longer:.0f} s; this recording has {self.usable:.0f} s",
+            )
+        return (
+            "too little to judge: use a recording in which every motor was excited, and check "
+            "the clocks of poses and commands, and the unit of the yaw",
+        )
+
+    @property
+    def common(self) -> tuple[Finding, ...]:
+        """Findings on the layout as a whole, and on the floor; empty if not conclusive."""
+        return layout_findings(self) if self.conclusive else ()
+
+
+def layout_findings(check: LayoutCheck) -> tuple[Finding, ...]:
+    """Describe what is wrong with poses, layout and floor as a whole."""
+    return (*_poses(check), *_layout(check), *_floor(check))
+
+
+def propeller_findings(check: LayoutCheck) -> tuple[Finding, ...]:
+    """Describe which propellers are swapped, reversed, or have another effect than stated."""
+    wrong = [one for one in check.propellers if one.verdict not in HARMLESS]
+    shown: dict[Kind, list[PropellerCheck]] = {
+        "order": [one for one in wrong if one.verdict.startswith("behaves like")],
+        "actuator": [one for one in wrong if one.verdict.startswith("pushes the other way")],
+        "layout": [one for one in wrong if one.verdict.startswith("has no such effect")],
+    }
+    remedies = {
+        "order": "Correct the commands' columns, or the cables; see `airpuck check`.",
+        "actuator": "Correct direction_deg by 180 degrees, or the motor's sense of rotation.",
+        "layout": "Check their positions, directions and wiring.",
+    }
+    causes = {
+        "order": lambda one: f"{one.name} acts like {one.behaves_like}",
+        "actuator": lambda one: f"{one.name} pushes the other way",
+        "layout": lambda one: f"{one.name} does not act as stated",
+    }
+    return tuple(
+        Finding(
+            kind,
+            "; ".join(map(causes[kind], ones)),
+            ", ".join(f"cosine {one.agreement:.2f}" for one in ones),
+            remedies[kind],
+        )
+        for kind, ones in shown.items()
+        if ones
+    )
+
+
+def _poses(check: LayoutCheck) -> list[Finding]:
+    """Describe wrong signs, units and axes of the poses."""
+    found = []
+    if check.mirrored:
+        found.append(_flipped(check, check.signs))
+    if check.length_ratio != 1:
+        ratio = f"the craft moves {check.length_ratio:g} times as far as its turns imply"
+        remedy = 'Correct it in the mapping file, under [pose], such as units = ["mm"].'
+        found.append(Finding("units", "The unit of length is wrong", ratio, remedy))
+    verdicts = {one.verdict for one in check.propellers}
+    # Swapped motors can look like a rotation, but the others would be turned, too.
+    swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
+    if abs(check.rotation) > TURNED and not swapped and not check.reversed:
+        cause = f"The whole layout is turned by {np.rad2deg(check.rotation):.0f} degrees"
+        remedy = "Align the rigid body of the motion capture with the craft."
+        found.append(Finding("axes", cause, "against the measured yaw", remedy))
+        if np.pi - abs(check.rotation) < TURNED:
+            signs = check.signs
+            found.append(_flipped(check, AxisSigns(-signs.x, -signs.y, signs.yaw), "or "))
+    return found
+
+
+def _flipped(check: LayoutCheck, signs: AxisSigns, before: str = "") -> Finding:
+    """Describe axes with the wrong sign."""
+    what, one = " and ".join(signs.names), len(signs.names) == 1
+    cause = f"{before}{what} {'is' if one else 'are'} flipped: "
+    cause += f"{'counts' if one else 'count'} the wrong way"
+    explained = f"the commands then explain {100 * check.explained:.0f} % of the acceleration"
+    remedy = f"Correct the mapping file, under [pose]: {signs.line(check.axes)}"
+    return Finding("signs", cause[0].upper() + cause[1:], explained, remedy)
+
+
+def _layout(check: LayoutCheck) -> list[Finding]:
+    """Describe directions and masses of the vehicle file that are wrong as a whole."""
+    found = []
+    if check.reversed:
+        count = f"{len(check.propellers)} of {len(check.propellers)}"
+        remedy = (
+            "direction_deg is the direction of the thrust, not of the air: add 180 to each in the "
+            "vehicle file."
+        )
+        found.append(Finding("signs", "All propellers push the other way", count, remedy))
+    if check.inertia_ratio != 1:
+        cause = "Forces and moments of the propellers do not fit the vehicle file"
+        agree = f"they agree if the inertia is about {check.inertia_ratio:.1g} times as large"
+        remedy = "Correct inertia_kg_m2, mass_kg or the propellers' positions."
+        found.append(Finding("mass", cause, agree, remedy))
+    return found
+
+
+def _floor(check: LayoutCheck) -> list[Finding]:
+    """Describe a floor that is not level, flat and smooth."""
+    found = []
+    if check.tilt is not None and check.tilt_error is not None:
+        x, y = (
+            f"{1e3 * slope:.1f} ± {1e3 * error:.1f} mrad"
+            for slope, error in zip(check.tilt, check.tilt_error, strict=True)
+        )
+        falls, remedy = f"it falls by {x} along x and {y} along y", "identify a model with +tilt."
+        found.append(Finding("physics", "The table is tilted", falls, f"Level it, or {remedy}"))
+    if check.dish is not None:
+        slopes = ", ".join(f"{1e3 * change:.1f}" for change in check.dish)
+        changes = f"its slope changes by {slopes} mrad/m along x, along y and across"
+        remedy = "Identify a model with +tilt+dish."
+        found.append(Finding("physics", "The table is not flat", changes, remedy))
+    if check.friction is not None:
+        dry = f"dry friction of {check.friction:.2g} m/s²"
+        remedy = "Clean it, or identify a model with +drag+friction."
+        found.append(Finding("physics", "The floor is rough", dry, remedy))
+    return found
