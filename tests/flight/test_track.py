@@ -112,6 +112,17 @@ def test_the_steady_state_of_a_short_dwell_is_its_last_quarter():
     assert (first.stop, second.start) == (2.0, 2.0)
 
 
+def test_a_craft_that_settled_rests_within_the_tolerance():
+    # It arrives 0.1 s before the end: the rest must not average the way there.
+    (result,) = track(lambda t: (min(1.0, 0.25 * t + 0.025), 0.3, 1.5), TO_ONE).results()
+    assert result.settling_time == pytest.approx(3.82, abs=1.01 / RATE)
+    assert (np.abs(result.steady_state_error) <= TOLERANCE).all()
+    # A craft that is still 30 mm away has not settled, and its rest says so.
+    (late,) = track(lambda t: (0.25 * t - 0.03, 0.3, 1.5), TO_ONE).results()
+    assert late.settling_time is None
+    assert late.steady_state_error[0] < -TOLERANCE[0]
+
+
 def test_the_effort_is_the_mean_of_squares_above_idle_of_its_dwell():
     # Two motors 0.2 above idle, then three 0.5 above it.
     command = np.full((400, 6), 0.03)

@@ -15,7 +15,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import origin, report, show, warn
-from airpuck.control.settings import DWELL, ControllerKind, Dwell
+from airpuck.control.settings import ControllerKind, Dwell
 
 if TYPE_CHECKING:
     from airpuck.flight.replay import Replay
@@ -175,7 +175,7 @@ def track(
         plant,
         flights=[None if path is None else airpuck.read_recording(path) for path in paths],
         set_points=None if setpoints is None else read_setpoints(setpoints),
-        dwell=dwell or DWELL,
+        dwell=dwell,
         seed=seed,
         controller="paper" if as_flown else "full",
         regulators=laws,
@@ -267,7 +267,8 @@ def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
     from airpuck.flight.track import TOLERANCE
 
     x, _, yaw = TOLERANCE
-    yield f"settled: stays within {1e3 * x:g} mm and {yaw:g} rad; rests: mean at the end"
+    yield f"settled: stays within {1e3 * x:g} mm and {yaw:g} rad until the next set point"
+    yield "rests: mean offset at the end of the dwell, after settling"
     if any(r.settling_time is None for flight in flights for r in flight.results):
         yield "a point that is not settled may need more time: --dwell"
     for flight in flights:

@@ -30,7 +30,15 @@ Margin = Annotated[
     ),
 ]
 #: Time at one of several set points, and its default, the paper's [s].
-Dwell = Annotated[float, Setting("Time at each set point.", numbers.DWELL, "S", "--dwell")]
+Dwell = Annotated[
+    float,
+    Setting(
+        "Time at each set point; by default 2, and longer for a slow craft.",
+        numbers.DWELL,
+        "S",
+        "--dwell",
+    ),
+]
 DWELL = 2.0
 #: "full": compensates the delay and rejects disturbances; the paper's did neither.
 ControllerKind = Annotated[

@@ -22,7 +22,7 @@ from airpuck.recording.stream import Recording
 #: A set point counts as reached within these distances [m, m, rad].
 TOLERANCE = (0.02, 0.02, 0.05)
 #: The steady state is the mean over the last second of a dwell, or over its last quarter if the
-#: dwell is short.
+#: dwell is short. It begins no earlier than the craft has settled.
 _STEADY_S, _STEADY_SHARE = 1.0, 0.25
 #: Figures and comparisons begin this long before the first set point that moves the craft.
 _LEAD_S = 0.5
@@ -46,8 +46,8 @@ class SetPointResult(Result):
     settling_time: float | None
     #: Overshoot of x, y, yaw beyond the set point, in the initial direction [m, m, rad].
     overshoot: tuple[float, ...]
-    #: Mean pose minus set point at the end of the dwell; None if poses are missing there [m, m,
-    #: rad].
+    #: Mean pose minus set point at the end of the dwell, after the craft has settled if it does;
+    #: None if poses are missing there [m, m, rad].
     steady_state_error: tuple[float, ...] | None
     #: Mean over the dwell of the sum of squared commands above the lowest command.
     effort: float
@@ -152,7 +152,8 @@ class Track:
         else:
             settled = float(time[outside[-1] + 1] - start)
         beyond = np.max(-np.sign(error[0]) * error, axis=0, initial=0.0)
-        steady = time >= stop - min(_STEADY_S, _STEADY_SHARE * (stop - start))
+        begin = stop - min(_STEADY_S, _STEADY_SHARE * (stop - start))
+        steady = time >= max(begin, start + (settled or 0.0))
         given = (self.command_time >= start) & (self.command_time < stop)
         above = self.command[given] - self.idle
         return SetPointResult(

@@ -390,8 +390,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     results = PageTable(
         f"Results at each set point. Settling time: until the craft stays within "
         f"{1e3 * TOLERANCE[0]:g} mm and {TOLERANCE[2]:g} rad. Steady-state error: mean over the "
-        "last second, or the last quarter of a short dwell. Effort: mean sum of squared commands "
-        "above idle.",
+        "last second, or the last quarter of a short dwell, after settling. Effort: mean sum of "
+        "squared commands above idle.",
         ["flight", "set point", "settling time [s]", "overshoot", "steady-state error", "effort"],
         rows,
     )

@@ -24,6 +24,7 @@ from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
+from airpuck.preprocessing.time_scale import patience
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
@@ -143,7 +144,7 @@ def tracking_study(
     *,
     flights: Sequence[Recording | None] = (),
     set_points: SetPoints | None = None,
-    dwell: Dwell = DWELL,
+    dwell: Dwell | None = None,
     seed: int = 0,
     controller: ControllerKind = None,
     regulators: Sequence[str] = (),
@@ -167,8 +168,9 @@ def tracking_study(
         The real flight of each model, if there is one.
     set_points : SetPoints, optional
         Set points if no flight is reproduced; by default the paper's.
-    dwell : float, default 2
-        Time between the paper's set points, and at the last one [s].
+    dwell : float, optional
+        Time between the paper's set points, and at the last one [s]; by default 2, and longer for
+        a slow craft.
     seed : int, default 0
         Seed of noise and radio.
     controller : {"paper", "full"}, optional
@@ -205,6 +207,8 @@ def tracking_study(
     border = settings.table.reach(truth.vehicle.radius_m)
     if set_points is not None:
         check_inside(set_points, border, "the rails")
+    if dwell is None:
+        dwell = DWELL * patience(truth.vehicle)
     tunings = [tuning or tuning_for(model) for model in models]
     laws = regulators or tuple({one.regulator.kind: None for one in tunings})
     beyond_paper = set(laws) != {"lqr"}
