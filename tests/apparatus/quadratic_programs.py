@@ -187,7 +187,7 @@ def by_enumeration(p: Program) -> np.ndarray | None:
             continue
         normals = rows[active]
         system = np.block([[p.hessian, -normals.T], [normals, np.zeros((len(active),) * 2)]])
-        if np.linalg.matrix_rank(normals, tol=1e-9) < len(active):
+        if np.linalg.matrix_rank(normals, tol=1e-5) < len(active):
             continue
         x = np.linalg.solve(system, np.concatenate([-p.gradient, limit]))[:n]
         value = rows @ x
