@@ -129,6 +129,17 @@ def test_evidence_beyond_all_floating_point_numbers_is_exact():
     assert found.p_value == 0.0
 
 
+def test_windows_are_as_short_as_forces_that_change_quickly_need():
+    random, period = np.random.default_rng(0), 0.01
+    forces = np.repeat(random.normal(size=(400, 2)), 10, axis=0)
+    spin = np.cumsum(forces @ EFFECTS) * period
+    yaw = np.cumsum(spin) * period + 1e-5 * random.normal(size=len(spin))
+    time = period * np.arange(len(yaw))
+    found = regressed(trajectory(time, np.stack([0 * yaw, 0 * yaw, yaw], axis=1)), forces.T)
+    assert found.length < 0.25
+    np.testing.assert_allclose(found.effect[2], EFFECTS, rtol=0.1)
+
+
 @pytest.mark.parametrize(("likeness", "independent"), [(0.95, True), (0.99, False)])
 def test_motors_that_are_always_driven_alike_are_not_told_apart(likeness, independent):
     """Of the square of either thrust, 10 % or 2 % remain beside the other."""
