@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Span
 from airpuck.faults.find import find_faults
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.twin.settings import default_twin_settings
@@ -67,6 +69,35 @@ def test_a_motor_that_stands_is_named(flight, motor):
     assert fault.start == pytest.approx(begin, abs=0.06)
     assert fault.stop == pytest.approx(end, abs=0.09)
     assert fault.confidence > 0.8
+
+
+#: Three propellers in one place, and others around them [mm, degrees].
+ALIKE = [((45, 0), 180)] * 3 + [((-45, 15), 30), ((-45, -15), 330), ((0, 45), 270), ((0, -45), 90)]
+
+
+@pytest.mark.parametrize("motor", range(3))
+def test_a_stall_of_one_of_three_like_propellers_is_found_with_a_confidence_of_a_third(motor):
+    """Nothing tells which of them stands: no cause is more probable than not."""
+    propellers = [
+        {"name": f"p{k}", "position_m": (x / 1e3, y / 1e3), "direction_deg": angle}
+        for k, ((x, y), angle) in enumerate(ALIKE)
+    ]
+    known = default_vehicle().model_dump() | {"propellers": propellers, "pairs": ()}
+    model = nominal_model(Vehicle.model_validate(known))
+    flight = fly(model, 6.0, seed=3)
+    logged, time = flight.command.copy(), flight.time
+    logged[(time >= 2.5) & (time < 3.7), :3] = 0.9
+    heard = logged.copy()
+    heard[(time >= 3.0) & (time < 3.5), motor] = 0.0
+    first = np.concatenate([flight.state[0], flight.command[0]])[:, None]
+    flown = rollout(np, model.dynamics, first, heard[:-1, :, None], np.diff(time)[:, None])
+    state = np.concatenate([first.T, flown[..., 0]])[:, :6]
+    noise = np.random.default_rng(0).normal(size=state.shape)
+    state += noise * [4e-5, 4e-5, 6e-4, 2e-3, 2e-3, 2e-2]
+    (fault,) = find_faults(replace(flight, state=state, command=logged), model)
+    assert fault.cause in {"p0 stalled", "p1 stalled", "p2 stalled"}
+    assert (fault.start, fault.stop) == pytest.approx((3.0, 3.5), abs=0.06)
+    assert fault.confidence == pytest.approx(1 / 3, abs=0.01)
 
 
 def test_a_blow_is_no_fault_of_motors():
