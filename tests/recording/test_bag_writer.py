@@ -3,6 +3,7 @@ from __future__ import annotations
 import io
 import shutil
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -223,12 +224,14 @@ def test_empty_streams(tmp_path: Path):
     assert read_recording(tmp_path / "none").streams["pose"] == nothing
 
 
-@pytest.mark.parametrize("stamp", [-1, 2**31 * 10**9])
-def test_stamps_that_ros_cannot_hold(tmp_path: Path, stamp: int):
+@pytest.mark.parametrize(
+    ("field", "stamp"), [("stamp_ns", -1), ("stamp_ns", 2**31 * 10**9), ("received_ns", -1)]
+)
+def test_stamps_that_ros_cannot_hold(tmp_path: Path, field: str, stamp: int):
     made = flight()["pose"]
-    stamps = made.stamp_ns.copy()
+    stamps = getattr(made, field).copy()
     stamps[5] = stamp
-    pose = Stream(stamps, made.received_ns, made.values, made.columns)
+    pose = replace(made, **{field: stamps})
     with pytest.raises(InputError, match="time stamps that ROS cannot hold"):
         write_bag(Recording({"pose": pose}, "made up"), tmp_path / "bag")
 

@@ -130,6 +130,20 @@ def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, c
     assert "cut short" not in recording.warnings[0]
 
 
+def test_the_warning_gives_the_time_from_the_first_damaged_chunk_to_the_last(
+    tmp_path: Path, whole: Path
+):
+    chunks, content = chunks_of(whole), bytearray(whole.read_bytes())
+    first, last = chunks[2], chunks[5]
+    for lost in (first, last):
+        middle = lost.chunk_start_offset + lost.chunk_length // 2
+        content[middle : middle + 50] = bytes(50)
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(content)
+    seconds = (last.message_end_time - first.message_start_time) / 1e9
+    assert f"2 damaged chunks within {seconds:.3f} s left out" in read_recording(path).warnings[0]
+
+
 def test_a_wrong_checksum_is_noticed(tmp_path: Path):
     from mcap.writer import CompressionType
 
