@@ -19,6 +19,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.statistical_tests import block_regression
+from airpuck.evaluation.timing_change import TimingChange, timing_change
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, acceleration
@@ -77,6 +78,8 @@ class EffectErrors:
     later_error: float
     #: Standard deviation of the white noise in measured poses [m, m, rad].
     noise: Float[np.ndarray, " 3"]
+    #: The clearest change of the delay within the recording.
+    timing: TimingChange = TimingChange(0.0, 0.0, 0.0)
 
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
@@ -124,7 +127,11 @@ def _estimated(model: Model, windows: Windows, moved: float, block: float) -> Ef
     left = (values - columns @ estimate).reshape(len(windows), -1, 3)
     found = _in_words_of_control(model, curves, estimate, covariance)
     real = windows.measured[windows.present[:, None] + np.arange(left.shape[1])]
-    return replace(found, noise=_white(left, real))
+    late = np.zeros(len(units))
+    late[_PER_MOTOR * n : _PER_MOTOR * n + 2] = 0.5
+    scaled = columns / spread[:, None], (left / spread).reshape(-1, 3)
+    changed = timing_change(*scaled, late, windows.time[windows.present], block)
+    return replace(found, noise=_white(left, real), timing=changed)
 
 
 def _white(
