@@ -79,7 +79,7 @@ class EffectErrors:
     #: Standard deviation of the white noise in measured poses [m, m, rad].
     noise: Float[np.ndarray, " 3"]
     #: The clearest change of the delay within the recording.
-    timing: TimingChange = TimingChange(0.0, 0.0, 0.0)
+    timing: TimingChange
 
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
@@ -198,6 +198,7 @@ def _in_words_of_control(
         float(late @ estimate),
         float(np.sqrt(late @ covariance @ late)),
         np.zeros(3),
+        TimingChange(0.0, 0.0, 0.0),
     )
 
 

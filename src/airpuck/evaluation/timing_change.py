@@ -55,21 +55,23 @@ def timing_change(
     shape = len(start), -1
     score = _summed((late * left).reshape(shape).sum(axis=1), owner)
     weight = _summed((late * late).reshape(shape).sum(axis=1), owner)
+    times = start[0] + block * np.flatnonzero(weight > 0)
     score, weight = score[weight > 0], weight[weight > 0]
-    times = start[0] + block * np.flatnonzero(_summed(np.ones(len(start)), owner) > 0)
-    best = TimingChange(0.0, 0.0, float(start[0]))
-    for cut in range(_FEWEST, len(score) - _FEWEST + 1):
-        means, variance = [], 0.0
-        for part in (slice(0, cut), slice(cut, None)):
-            mean = score[part].sum() / weight[part].sum()
-            count = len(score[part])
-            rest = np.sum((score[part] - mean * weight[part]) ** 2)
-            variance += count / (count - 1) * rest / weight[part].sum() ** 2
-            means.append(mean)
-        found = TimingChange(float(means[1] - means[0]), float(np.sqrt(variance)), times[cut])
-        if found.certainty > best.certainty:
-            best = found
-    return best
+    cuts = np.arange(_FEWEST, len(score) - _FEWEST + 1)
+    if not len(cuts):
+        return TimingChange(0.0, 0.0, float(start[0]))
+    early, before = np.cumsum(score)[cuts - 1], np.cumsum(weight)[cuts - 1]
+    after = weight.sum() - before
+    change = (score.sum() - early) / after - early / before
+    # The cut that explains most.
+    best = int(np.argmax(change**2 * before * after))
+    variance = 0.0
+    for part in (slice(0, cuts[best]), slice(cuts[best], None)):
+        mean = score[part].sum() / weight[part].sum()
+        count = len(score[part])
+        rest = np.sum((score[part] - mean * weight[part]) ** 2)
+        variance += count / (count - 1) * rest / weight[part].sum() ** 2
+    return TimingChange(float(change[best]), float(np.sqrt(variance)), float(times[cuts[best]]))
 
 
 def _summed(values: Float[np.ndarray, " W"], owner: Int[np.ndarray, " W"]) -> np.ndarray:

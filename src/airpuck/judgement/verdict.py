@@ -21,7 +21,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS
-from airpuck.evaluation.suspects import clock_suspect, unit_suspect
+from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
 from airpuck.faults.causes import recording_findings
 from airpuck.judgement.findings import (
     Evidence,
@@ -217,6 +217,7 @@ def _decided(
         return "suspect_recording", [], {}
     quiet, uncertain = too_quiet(evidence), too_uncertain(model, *evidence.by_chance)
     clock = clock_suspect(model, evidence.trajectory, determined=not uncertain)
+    clock = [*timing_suspect(model, evidence.effects), *clock]
     if suspects := [*clock, *([] if quiet else unit_suspect(model))]:
         return "suspect_recording", suspects, {}
     if quiet or evidence.effects is None or uncertain:

@@ -1,0 +1,66 @@
+"""A delay that changes in mid-flight: made-up residuals, and stamps of a clock that steps."""
+
+import numpy as np
+import pytest
+
+from airpuck.evaluation.effect_errors import effect_errors
+from airpuck.evaluation.suspects import timing_suspect
+from airpuck.evaluation.timing_change import timing_change
+from airpuck.model.model_file import published_model
+from airpuck.preprocessing.pipeline import preprocess
+
+from ..apparatus.synthetic_flights import edited, record
+
+MODEL = published_model("M3")
+WINDOWS, POSES = 60, 20
+
+
+def made_up(seed, change, cut):
+    """Effects of four errors, the third a delay, and residuals with a delay that changes."""
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(WINDOWS, POSES, 3, 4))
+    columns[..., 3] += 0.7 * columns[..., 2]
+    late = np.where(np.arange(WINDOWS) < cut, 0.0, change)
+    values = columns[..., 2] * late[:, None, None] + 5.0 * columns[..., 0]
+    values = (values + rng.normal(size=values.shape)).reshape(-1, 3)
+    columns = columns.reshape(-1, 3, 4)
+    flat = columns.reshape(-1, 4)
+    found = np.linalg.lstsq(flat, values.ravel(), rcond=None)[0]
+    return columns, values - columns @ found
+
+
+def clearest(seed, change, cut=40):
+    timing = np.array([0.0, 0.0, 1.0, 0.0])
+    start = 0.5 * np.arange(WINDOWS)
+    return timing_change(*made_up(seed, change, cut), timing, start, 1.0)
+
+
+@pytest.mark.parametrize("change", [-0.3, 0.3])
+@pytest.mark.parametrize("cut", [16, 40])
+def test_a_change_is_measured_and_dated(change, cut):
+    found = [clearest(seed, change, cut) for seed in range(20)]
+    assert np.median([abs(one.at - 0.5 * cut) for one in found]) <= 1.0
+    errors = [(one.change - change) / one.error for one in found]
+    assert abs(np.mean(errors)) < 1.0 and np.std(errors) < 1.6
+
+
+def test_the_clearest_of_all_changes_by_chance_is_not_certain():
+    certainties = [clearest(seed, 0.0).certainty for seed in range(200)]
+    assert np.quantile(certainties, 0.99) < 5.0
+    assert clearest(0, 0.3).certainty > 8.0
+
+
+@pytest.mark.parametrize("step", [0.0, -0.03, 0.02, 0.05])
+def test_a_clock_that_steps_without_arrivals_makes_a_recording_suspect(step):
+    def edit(stamp, received, values):
+        late = np.arange(len(stamp)) > len(stamp) // 2
+        stamp = stamp + np.rint(1e9 * step * late).astype(np.int64)
+        return stamp, stamp, values
+
+    trajectory = preprocess(edited(record(duration=14.0, noise=5e-5), "pose", edit))
+    effects = effect_errors(MODEL, trajectory)
+    findings = timing_suspect(MODEL, effects)
+    assert bool(findings) == (step != 0.0)
+    if step:
+        assert effects.timing.change == pytest.approx(step, rel=0.35)
+        assert findings[0].suspect
