@@ -1,4 +1,4 @@
-"""Do recordings with lost frames, bad stamps and steps of clocks give the same model and verdict?
+"""Do lost frames, bad stamps and steps of clocks change a model or its verdict? Twin flights.
 
     OPENBLAS_NUM_THREADS=1 python studies/imperfect_recordings.py --flights 200 --resume found.jsonl
     OPENBLAS_NUM_THREADS=1 python studies/imperfect_recordings.py --flights 4 --duration 16

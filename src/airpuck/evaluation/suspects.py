@@ -16,9 +16,9 @@ from airpuck.preprocessing.time_scale import patience
 #: tolerates; for a slow craft, each is multiplied by its `patience`.
 _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Change of the delay within a recording that matters [s], as a fit's error would at the verdict,
-#: and its size in standard errors. The clearest of all changes in eight sound flights had 2.9; a
-#: step by 20 ms or more had 6.0 or more in eight flights of 20 and 30 s.
-_DELAY_CHANGES, _CERTAINLY = 0.005, 5.0
+#: and its probability by chance. Nine real recordings and eight sound flights of the twin had more
+#: than 0.003; steps by 20 ms or more in nine flights of 20 and 30 s had less than 1e-5.
+_DELAY_CHANGES, _BY_CHANCE = 0.005, 1e-4
 #: Moment of inertia over mass times radius squared: a ring has 1, and every craft has more than
 #: 0.1.
 _INERTIA_RANGE = (0.1, 1.0)
@@ -72,7 +72,7 @@ def timing_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
         return []
     found = effects.timing
     least = patience(model.vehicle) * _DELAY_CHANGES
-    if abs(found.change) < least or found.certainty < _CERTAINLY:
+    if abs(found.change) < least or found.p_value > _BY_CHANCE:
         return []
     return [
         Finding(

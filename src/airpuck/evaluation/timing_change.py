@@ -14,6 +14,8 @@ from jaxtyping import Float, Int
 
 #: Fewest blocks of time in a part.
 _FEWEST = 4
+#: Smallest variance [s²].
+_TINY = 1e-24
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,8 @@ class TimingChange:
     error: float
     #: When it happens [s].
     at: float
-
-    @property
-    def certainty(self) -> float:
-        """Size of the change in standard errors."""
-        return abs(self.change) / self.error if self.error > 0 else 0.0
+    #: Probability of such a change between these parts by chance.
+    p_value: float = 1.0
 
 
 def timing_change(
@@ -45,6 +44,8 @@ def timing_change(
     whole recording leave; `timing` is the direction of a delay. Windows that begin within `block`
     [s] count as one observation.
     """
+    from scipy.special import stdtr
+
     late = columns @ timing
     flat = columns.reshape(-1, columns.shape[2])
     # What other errors explain of a delay tells nothing about it.
@@ -65,13 +66,19 @@ def timing_change(
     change = (score.sum() - early) / after - early / before
     # The cut that explains most.
     best = int(np.argmax(change**2 * before * after))
-    variance = 0.0
+    variances, counts = [], []
     for part in (slice(0, cuts[best]), slice(cuts[best], None)):
         mean = score[part].sum() / weight[part].sum()
         count = len(score[part])
         rest = np.sum((score[part] - mean * weight[part]) ** 2)
-        variance += count / (count - 1) * rest / weight[part].sum() ** 2
-    return TimingChange(float(change[best]), float(np.sqrt(variance)), float(times[cuts[best]]))
+        variances.append(max(count / (count - 1) * rest / weight[part].sum() ** 2, _TINY))
+        counts.append(count)
+    error = float(np.sqrt(sum(variances)))
+    # Welch's test: a few blocks hardly know their own variance.
+    spread = sum(v**2 / (n - 1) for v, n in zip(variances, counts, strict=True))
+    degrees = sum(variances) ** 2 / spread
+    p_value = 2 * float(stdtr(degrees, -abs(change[best]) / error))
+    return TimingChange(float(change[best]), error, float(times[cuts[best]]), p_value)
 
 
 def _summed(values: Float[np.ndarray, " W"], owner: Int[np.ndarray, " W"]) -> np.ndarray:
