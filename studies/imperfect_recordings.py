@@ -74,8 +74,8 @@ def spoilt(recording: Recording, rng: np.random.Generator) -> tuple[Recording, d
         stamp = received = logged
     else:
         polled = np.ceil((stamp + LATENCY) / POLLS) * POLLS
+        late = float(np.min(polled - stamp))
         stamp = received = np.maximum.accumulate(polled + 3e-5 * (np.arange(len(polled)) % 5))
-        late = LATENCY
     done["late"] = late
     made = Stream(
         np.rint(stamp * 1e9).astype(np.int64),
@@ -95,8 +95,8 @@ def judged(model: Model, recording: Recording, late: float) -> dict[str, Any]:
         return {"outcome": "rejected", "why": error.problem}
     known = fit.uncertainty
     assert known is not None
-    # Stamps that are late by the client's shortest latency shorten the delay by as much.
-    true = model.with_delay(true_delay(model) - late).parameters
+    # Stamps that are late by the client's shortest latency make the delay longer by as much.
+    true = model.with_delay(true_delay(model) + late).parameters
     error = fit.model.parameters.to_vector() - true.to_vector()
     thrusts = derived(fit.model) / derived(model) - 1
     slow = fit.model.parameters.motor_time_constant + fit.model.transport_delay
