@@ -50,6 +50,12 @@ def test_wrong_poses_are_the_cause(recording, pose, kind, cause, remedy):
     assert found.cause.startswith(cause) and remedy in found.remedy
 
 
+def test_the_corrected_line_is_in_terms_of_the_mapping(recording):
+    flight, axes = with_mistake(recording, (1, -1, 1)), ("x", "z", "y")
+    (found,) = recording_findings(flight, default_vehicle(), axes)
+    assert 'axes = ["x", "-z", "y"]' in found.remedy
+
+
 def test_pulse_widths_without_their_neutral_are_the_cause(recording):
     flight = with_mistake(recording, command=lambda command: 0.5 + 0.5 * command)
     (found,) = recording_findings(flight, default_vehicle())

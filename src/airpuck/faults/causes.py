@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -10,7 +12,7 @@ from airpuck.boundary.finding import Finding, by_cause
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.faults.layout_check import check_layout
-from airpuck.faults.layout_findings import LayoutCheck, propeller_findings
+from airpuck.faults.layout_findings import AXES, LayoutCheck, propeller_findings
 
 #: Pulses of 1 to 2 ms divided by the longest leave commands above this, while motors idle below
 #: the second number, and the fraction of the time that a command rests at its lowest value.
@@ -22,22 +24,27 @@ _SAME = 1e-3
 _checks: WeakKeyDictionary[Trajectory, tuple[Vehicle, LayoutCheck]] = WeakKeyDictionary()
 
 
-def checked_layout(trajectory: Trajectory, vehicle: Vehicle) -> LayoutCheck:
+def checked_layout(
+    trajectory: Trajectory, vehicle: Vehicle, axes: Sequence[str] = AXES
+) -> LayoutCheck:
     """Check the layout, once for all who ask."""
     known = _checks.get(trajectory)
     if known is None or known[0] != vehicle:
         known = _checks[trajectory] = vehicle, check_layout(trajectory, vehicle)
-    return known[1]
+    return replace(known[1], axes=tuple(axes))
 
 
-def recording_findings(trajectory: Trajectory, vehicle: Vehicle) -> tuple[Finding, ...]:
+def recording_findings(
+    trajectory: Trajectory, vehicle: Vehicle, axes: Sequence[str] = AXES
+) -> tuple[Finding, ...]:
     """Return what is wrong with poses, commands and layout, in the order of causes.
 
-    The floor is left out: a model with the right terms is not wrong on it.
+    Lines for the mapping file are in terms of its `axes`. The floor is left out: a model with the
+    right terms is not wrong on it.
     """
     if pulses := _pulse_widths(trajectory, vehicle):
         return pulses
-    check = checked_layout(trajectory, vehicle)
+    check = checked_layout(trajectory, vehicle, axes)
     if not check.conclusive:
         return ()
     common = [one for one in check.common if one.kind != "physics"]

@@ -150,7 +150,7 @@ def verdict(
         The outcome, in words.
     """
     evidence = Evidence(model, trajectory, evaluation)
-    if trajectory is not None:
+    if trajectory is not None and not any(cause.suspect for cause in causes):
         causes = [*causes, *recording_findings(trajectory, model.vehicle)]
     outcome, found, flown = _decided(evidence, causes)
     if flown and trajectory is not None and evidence.effects is not None:
