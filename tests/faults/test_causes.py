@@ -65,6 +65,11 @@ def test_pulse_widths_without_their_neutral_are_the_cause(recording):
     assert not [one for one in recording_findings(flight, idling) if "pulse" in one.cause]
 
 
+def test_commands_that_rest_high_are_no_pulse_widths_if_they_do_not_reach_the_top(recording):
+    flight = with_mistake(recording, command=lambda command: 0.4 + 0.2 * command)
+    assert not [one for one in recording_findings(flight, default_vehicle()) if one.kind == "units"]
+
+
 def test_motors_in_another_order_are_the_cause(recording):
     order = [1, 2, 0, 3, 4, 5]
     flight = with_mistake(recording, command=lambda command: command[:, order])

@@ -17,6 +17,8 @@ from airpuck.faults.layout_findings import AXES, LayoutCheck, propeller_findings
 #: Pulses of 1 to 2 ms divided by the longest leave commands above this, while motors idle below
 #: the second number, and the fraction of the time that a command rests at its lowest value.
 _LOWEST_PULSE, _IDLES_BELOW, _RESTS = 0.4, 0.3, 0.05
+#: Least largest command of pulses, and fraction of the unexplained motion left by their neutral.
+_REACHES, _BETTER = 0.9, 0.6
 #: Tolerance of equal commands [1].
 _SAME = 1e-3
 
@@ -62,7 +64,12 @@ def _pulse_widths(trajectory: Trajectory, vehicle: Vehicle) -> tuple[Finding, ..
     moves = np.ptp(command, axis=0) > _SAME
     if not (moves.all() and (np.abs(lowest - idle) <= _SAME).all() and (rests > _RESTS).all()):
         return ()
-    if idle < _LOWEST_PULSE:
+    if idle < _LOWEST_PULSE or command.max() < _REACHES:
+        return ()
+    # As pulses they must explain the motion better; a motor may also rest at such a command.
+    pulses = replace(trajectory, command=(command - idle) / (1 - idle))
+    left = 1 - check_layout(pulses, vehicle).explained
+    if left > _BETTER * (1 - checked_layout(trajectory, vehicle).explained):
         return ()
     return (
         Finding(
