@@ -1,10 +1,11 @@
-"""The page of `airpuck play` in headless Chromium: frames, pointer to pixel, physics in real time.
+"""The page of `airpuck play` in headless Chromium: frames, round trip, physics in real time.
 
     python studies/play_page.py --duration 600
     python studies/play_page.py --screenshot docs/images/play.png  # the craft shoots
 
 A pointer moves over the table all the time. The page measures the time from a pointer event to the
-first frame with a server state that includes it. The command measures how far the physics is
+first frame with a server state that includes it; the page's own mallet moves earlier, because the
+page predicts it. The command measures how far the physics is
 behind real time. The browser draws without a graphics card, on the same cores.
 """
 
@@ -28,7 +29,7 @@ FIGURES = "[airpuck.figures.frames, airpuck.figures.latencies]"
 
 #: State for the screenshot: the craft is about to shoot at a moving puck, with a high chance.
 SHOOTS = """(() => { const [now, before] = [airpuck.states.at(-1), airpuck.states.at(-9)];
-    return thought?.path && /(strike|bank) [4-9]/.test(thought.words) && before && !now.hidden
+    return thought?.path && /shot.*: [4-9]/.test(thought.words) && before && !now.hidden
     && /in 0.[2-7]/.test(thought.said) && !document.getElementById("call").getAnimations().length
     && Math.hypot(now.puck[0] - before.puck[0], now.puck[1] - before.puck[1]) > 0.06; })()"""
 

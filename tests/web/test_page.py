@@ -75,12 +75,13 @@ class Page:
             time.sleep(0.05)
         raise AssertionError(condition)
 
-    def status(self, phase: str, score: tuple[int, int] = (0, 0)) -> None:
+    def status(self, phase: str, score: tuple[int, int] = (0, 0), level: str = "medium") -> None:
         """Report the state of the game."""
-        status = {"is": "status", "phase": phase, "score": score, "level": "medium"}
+        status = {"is": "status", "phase": phase, "score": score, "level": level}
         self._arena.pipe.send_bytes(SCENE + json.dumps(status).encode())
         self.until(
-            f"airpuck.status().phase + airpuck.status().score === '{phase}{score[0]},{score[1]}'"
+            "airpuck.status().phase + airpuck.status().score + airpuck.status().level === "
+            f"'{phase}{score[0]},{score[1]}{level}'"
         )
 
     def show(self, puck=(0.3, 0.2, 0.0), mallet=(0.8, -0.1), craft=(-0.8, 0.1, 0.0)) -> None:
@@ -220,11 +221,12 @@ def test_keys_buttons_and_cards(browser, arena):
     arena.hears("go")
     page.tab.get_by_role("button", name="easy").click()
     assert arena.ordered() == {"do": "level", "level": "easy", "on": False}
-    page.status("over", (3, 7))
+    assert "at the level easy" in page.tab.locator("#words").inner_text()
+    page.status("over", (3, 7), "easy")
     assert title.inner_text() == "You win"
     go.click()
     arena.hears("restart")
-    page.status("over", (7, 3))
+    page.status("over", (7, 3), "easy")
     assert title.inner_text() == "The craft wins"
     page.tab.keyboard.press("r")
     arena.hears("restart")
@@ -234,6 +236,119 @@ def test_keys_buttons_and_cards(browser, arena):
     assert sound.get_attribute("aria-pressed") == "false"
     page.tab.reload()
     assert sound.get_attribute("aria-pressed") == "false"
+    assert page.errors == []
+
+
+def look(page: Page, name: str, *properties: str) -> list[str]:
+    """Return computed style properties of a button."""
+    style = f"getComputedStyle([...document.querySelectorAll('button')].find(b => b.{name}))"
+    return [page.tab.evaluate(f"{style}.getPropertyValue('{one}')") for one in properties]
+
+
+def brightness(color: str) -> float:
+    """Return the relative luminance of a CSS colour (WCAG 2.2); NaN if it is transparent."""
+    parts = [float(part) for part in color[color.index("(") + 1 : -1].split(",")]
+    if parts[3:] == [0.0]:
+        return math.nan
+    linear = [
+        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+        for c in np.divide(parts[:3], 255)
+    ]
+    return float(np.dot((0.2126, 0.7152, 0.0722), linear))
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_level_that_is_played_stays_readable_under_the_pointer(browser, arena, scheme):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720}, color_scheme=scheme)
+    arena.hears("sit")
+    page.status("play")
+    page.tab.get_by_role("button", name="medium").hover()
+    pressed = "textContent === 'medium'"
+    ink, ground = map(brightness, look(page, pressed, "color", "background-color"))
+    low, high = sorted((ink, ground))
+    assert (high + 0.05) / (low + 0.05) > 7
+    # The focus ring is not cut off by what surrounds the button.
+    assert page.tab.evaluate("getComputedStyle(byId('levels')).overflow") == "visible"
+
+
+def test_buttons_of_a_phone_are_large_enough_for_a_thumb(browser, arena):
+    for width, height in ((390, 800), (320, 640), (800, 360)):
+        page = Page(
+            browser,
+            arena,
+            viewport={"width": width, "height": height},
+            has_touch=True,
+            is_mobile=True,
+        )
+        page.status("ready")
+        sizes = page.tab.evaluate(
+            "[...document.querySelectorAll('button')].map(one => one.getBoundingClientRect())"
+            ".filter(box => box.width).map(box => [box.width, box.height])"
+        )
+        assert len(sizes) >= 7
+        assert np.min(sizes) >= 44
+        page.tab.close()
+
+
+def test_a_level_chosen_while_a_game_starts_is_announced_and_sent(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    page.status("starting")
+    hard = page.tab.get_by_role("button", name="hard")
+    hard.click()
+    assert arena.ordered() == {"do": "level", "level": "hard", "on": False}
+    assert hard.get_attribute("aria-pressed") == "true"
+    assert "at the level hard" in page.tab.locator("#words").inner_text()
+    page.status("ready")  # of the game that was already starting
+    assert "at the level hard" in page.tab.locator("#words").inner_text()
+    page.status("ready", level="hard")
+    assert "First to 7" in page.tab.locator("#words").inner_text()
+    # The pointer gave the space bar back.
+    page.tab.keyboard.press(" ")
+    arena.hears("go")
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 720), (390, 800)])
+def test_keys_move_the_mallet_as_the_arrows_point(browser, arena, width, height):
+    page = Page(browser, arena, viewport={"width": width, "height": height})
+    arena.hears("sit")
+    page.status("play")
+    page.show(mallet=(0.6, 0.1))
+    start = page.pixel(0.6, 0.1)
+    for key, (right, down) in {"ArrowUp": (0, -1), "d": (1, 0), "ArrowDown": (0, 1)}.items():
+        page.tab.evaluate("wishes.length = 0")
+        page.tab.keyboard.down(key)
+        page.tab.wait_for_timeout(150)
+        page.tab.keyboard.up(key)
+        page.tab.wait_for_timeout(50)
+        _, (_, x, y, _) = arena.heard()
+        while arena.pipe.poll(0.1):
+            _, (_, x, y, _) = arena.heard()
+        moved = np.subtract(page.pixel(x, y), start)
+        assert moved @ (right, down) > 5
+        assert abs(moved @ (down, right)) < 1
+        assert arena.silent()
+
+
+def test_space_presses_a_button_that_was_reached_by_tab(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720})
+    arena.hears("sit")
+    page.status("play")
+    page.tab.get_by_role("button", name="easy").focus()
+    page.tab.keyboard.press(" ")
+    assert arena.ordered() == {"do": "level", "level": "easy", "on": False}
+    assert arena.silent()
+
+
+def test_a_dark_page_draws_a_dark_table(browser, arena):
+    page = Page(browser, arena, viewport={"width": 1280, "height": 720}, color_scheme="dark")
+    page.status("play")
+    page.show()
+    assert page.color(0.4, -0.3).max() < 60
+    assert page.color(0.29, 0.2).min() < 100 < page.color(0.29, 0.2).max()  # a yellow puck
+    page.tab.emulate_media(color_scheme="light")
+    page.show()
+    assert page.color(0.4, -0.3).min() > 200
     assert page.errors == []
 
 

@@ -259,6 +259,25 @@ def test_the_craft_goes_home_when_the_player_leaves_and_waits_until_he_is_back(b
     assert begun.session._player.tactic is begun.session._tactic
 
 
+@pytest.mark.parametrize("ends", [False, True])
+def test_the_next_visitor_gets_a_new_game_at_the_first_level(begun, monkeypatch, ends):
+    begun.order("level", level="hard")
+    begun.order("go")
+    while begun.session.phase != "play":
+        begun.run(0.1)
+    if ends:
+        begun.session._game.referee.phase = "over"
+    monkeypatch.setattr(session_module, "_KEPT", 0.5)
+    begun.order("leave")
+    begun.run(0.2)
+    # Who leaves for a moment finds the game again.
+    assert (begun.news[-1]["level"] == "hard") is not ends
+    begun.run(1.5)
+    begun.order("sit")
+    begun.run(0.1)
+    assert (begun.news[-1]["phase"], begun.news[-1]["level"]) == ("ready", "medium")
+
+
 def test_a_goal_is_called_and_counted(begun):
     puck = begun.session._game.world.puck
     puck.place(puck.state._replace(x=1.05, y=0.0, vx=5.0, vy=0.0))

@@ -3,6 +3,7 @@
 //   connect({ hear, lost });        // hear(message) of each JSON message; lost() when the server is gone
 //   tell(object), sendPlace(x, y, yaw);
 //   stateAt(time), clockAhead(), states
+//   withColors(hello)               // with the canvas's colours for a light or a dark page
 "use strict";
 
 const byId = name => document.getElementById(name);
@@ -11,6 +12,11 @@ const byId = name => document.getElementById(name);
 const BEHIND = 0.006;
 // States farther apart than this are no motion: somebody put the puck there [m].
 const JUMP = 0.15;
+
+const darkness = matchMedia("(prefers-color-scheme: dark)");
+function withColors(hello) {
+  return { ...hello, colors: hello.schemes[darkness.matches ? "dark" : "light"] };
+}
 
 let socket;
 const states = [];          // oldest first

@@ -8,11 +8,19 @@ const APART = 8;
 const BEFORE_FINGER = 56;
 // The trail of the puck [s].
 const TRAIL = 0.35;
+// Keys move the mallet this fast [m/s]; the longest frame that counts [s].
+const KEY_SPEED = 1.2, LONGEST_FRAME = 0.05;
+// Direction of keys on the screen: right, down.
+const STEER = {
+  ArrowLeft: [-1, 0], KeyA: [-1, 0], ArrowRight: [1, 0], KeyD: [1, 0],
+  ArrowUp: [0, -1], KeyW: [0, -1], ArrowDown: [0, 1], KeyS: [0, 1],
+};
 
 let table, hello, role = "spectator";
 let status = { phase: "waiting", score: [0, 0], level: "" };
 const trail = [];           // [x, y, when, how often the puck had been put somewhere]
 let thought = null, thinking = false, figuresShown = 0;
+let chosen = null;          // the level that this page asked for, until the server plays it
 
 function hear(news) {
   if (news.is === "hello") begin(news);
@@ -21,7 +29,7 @@ function hear(news) {
   else if (news.is === "event") notice(news);
   else if (news.is === "thought") {
     // The words change at once with the intention, and twice a second with the numbers.
-    if (thought?.words.split(" ")[0] !== news.words.split(" ")[0]) figuresShown = 0;
+    if (thought?.words.split(":")[0] !== news.words.split(":")[0]) figuresShown = 0;
     thought = news;
   }
 }
@@ -44,12 +52,30 @@ function wish(event) {
   const box = table.canvas.getBoundingClientRect();
   let px = event.clientX - box.left, py = event.clientY - box.top;
   if (event.pointerType === "touch") table.tall ? py -= BEFORE_FINGER : px -= BEFORE_FINGER;
-  const [x, y] = table.toMetres(px, py), number = sendPlace(x, y);
+  lastSent = event.timeStamp;
+  ask(...table.toMetres(px, py), lastSent);
+}
+function ask(x, y, stamp) {
+  const number = sendPlace(x, y);
   wishes.push([performance.now() / 1000, x, y]);
   while (wishes.length > 200) wishes.shift();
-  lastSent = event.timeStamp;
   // On a graph nothing says when it was heard.
-  if (!hello.live) sentAt.set(number, lastSent);
+  if (!hello.live) sentAt.set(number, stamp);
+}
+// Keys that are held move what is asked for, from where it is.
+const held = new Set();
+let steered = 0;
+function steer(stamp) {
+  const lasts = Math.min((stamp - steered) / 1000, LONGEST_FRAME);
+  steered = stamp;
+  if (!held.size || !plays() || status.phase !== "play" || !states.length) return;
+  let right = 0, down = 0;
+  for (const code of held) { right += STEER[code][0]; down += STEER[code][1]; }
+  if (!right && !down) return;
+  const far = KEY_SPEED * lasts / Math.hypot(right, down);
+  const [x, y] = wishes.length ? allowed(...wishes.at(-1).slice(1)) : states.at(-1).mallet;
+  const [dx, dy] = table.tall ? [down, right] : [right, -down];
+  ask(...allowed(x + far * dx, y + far * dy), stamp);
 }
 function allowed(x, y) {
   const [length, width] = hello.table, r = hello.hockey.mallet;
@@ -93,6 +119,7 @@ function resize() {
 }
 function draw(stamp) {
   requestAnimationFrame(draw);
+  steer(stamp);
   figures.frames.push(stamp);
   if (figures.frames.length > 3600) figures.frames.shift();
   if (!states.length) return;
@@ -144,14 +171,14 @@ function showFigures(now) {
   const { frames, latencies } = figures, recent = frames.slice(-61);
   const rate = 1000 * (recent.length - 1) / (recent.at(-1) - recent[0]);
   const late = latencies.slice(-200).sort((a, b) => a - b);
-  const p95 = late.length ? `, pointer to pixel ${late[Math.floor(0.95 * late.length)].toFixed(0)} ms` : "";
-  byId("figures").textContent = thinking ? `${rate.toFixed(0)} frames/s${p95}` : "";
+  const p95 = late.length ? `, server answers within ${late[Math.floor(0.95 * late.length)].toFixed(0)} ms` : "";
+  byId("figures").textContent = thinking ? `${rate.toFixed(0)} frames per second${p95}` : "";
   byId("said").textContent = thinking && thought ? thought.said : "";
 }
 
 // Score, cards, calls --------------------------------------------------------------------------
 function begin(news) {
-  hello = news;
+  hello = withColors(news);
   if (!table) {
     table = new TableCanvas(byId("table"), { ...hello, bare: true });
     requestAnimationFrame(draw);
@@ -163,7 +190,12 @@ function begin(news) {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = level;
-    button.onclick = () => tell({ do: "level", level });
+    button.onclick = event => {
+      chosen = level;
+      tell({ do: "level", level });
+      release(event);
+      showStatus(status);
+    };
     return button;
   }));
   document.title = `airpuck – ${hello.names[0]}`;
@@ -177,24 +209,29 @@ function showStatus(news) {
   const verb = status.phase === "paused" ? "Resume" : "Pause";
   byId("pause").setAttribute("aria-label", verb);
   byId("pause").title = `${verb} (space)`;
+  if (status.level === chosen && status.phase !== "starting") chosen = null;
+  if (status.phase === "starting") wishes.length = 0;  // the mallet goes back to its place
   for (const button of byId("levels").children)
-    button.setAttribute("aria-pressed", button.textContent === status.level);
+    button.setAttribute("aria-pressed", button.textContent === (chosen ?? status.level));
   showCard();
 }
-const POINTER = matchMedia("(pointer: coarse)").matches ? "your finger" : "the mouse";
+const TOUCH = matchMedia("(pointer: coarse)").matches;
+const MEANS = TOUCH ? "your finger" : "the mouse, the arrow keys or W A S D";
+const KEYS = "Space starts and pauses, R restarts, T shows what the craft thinks, M turns the sound on and off.";
 function card() {
   const [left, right] = status.score;
-  const keys = POINTER === "the mouse" ? "Space pauses, R restarts, T shows what the craft thinks." : "";
+  const keys = TOUCH ? "" : KEYS;
   const recorded = hello.recorded ? " Games are recorded." : "";
   if (role === "lost") return ["Connection lost", "Is airpuck still running? This page keeps trying to reconnect.", ""];
   if (status.phase === "watch") return null;
   if (role === "spectator")
     return status.phase === "waiting"
       ? ["The seat is free", `The player has left.${recorded}`, "Play"] : null;
+  if (chosen) return ["One moment", `Starting a new game at the level ${chosen}.`, ""];
   switch (status.phase) {
-    case "starting": return ["One moment", "Starting a new game.", ""];
+    case "waiting": case "starting": return ["One moment", "Starting a new game.", ""];
     case "ready": return ["You against the craft",
-      `Move the orange mallet with ${POINTER}. First to ${hello.first_to} wins. Whoever keeps the puck ` +
+      `Move the orange mallet with ${MEANS}. First to ${hello.first_to} wins. Whoever keeps the puck ` +
       `for ${hello.foul_s} s loses it to the other side.${recorded}`, "Play", keys];
     case "paused": return ["Paused", `${left} : ${right}`, "Resume", keys];
     case "over": return right > left
@@ -240,11 +277,11 @@ function notice({ kind, side, strength }) {
     sound(side > 0 ? [523, 659, 784] : [392, 330, 262], 0.12, 0.18, "triangle");
   } else if (kind === "over") {
     const who = side > 0 && plays() ? "You win" : `${hello.names[side < 0 ? 0 : 1]} wins`;
-    call(side ? who : "A draw", side < 0 ? left : side > 0 ? right : "#66707a");
+    call(side ? who : "A draw", side < 0 ? left : side > 0 ? right : hello.colors.grey);
   } else if (kind === "stuck") {
-    call("Stuck puck: new serve", "#66707a");
+    call("Stuck puck: new serve", hello.colors.grey);
   } else if (kind === "foul") {
-    call(`Foul: puck on ${whose(side)} side for ${hello.foul_s} s`, "#66707a");
+    call(`Foul: puck on ${whose(side)} side for ${hello.foul_s} s`, hello.colors.grey);
     sound([220, 220], 0.15, 0.12, "square");
   } else sound([{ rail: 900, post: 1400, mallet: 340, craft: 260 }[kind]], 0.045,
     Math.min(0.3, strength), "sine");
@@ -280,20 +317,41 @@ const actions = {
   go: () => tell({ do: role === "spectator" ? "sit" : status.phase === "over" ? "restart" : "go" }),
   pause: () => tell({ do: status.phase === "paused" ? "go" : "pause" }),
   restart: () => tell({ do: "restart" }),
-  think: () => { thinking = !thinking; thought = null; press("think", thinking); tell({ do: "think", on: thinking }); },
+  think: () => {
+    thinking = !thinking;
+    thought = null;
+    press("think", thinking);
+    byId("legend").hidden = !thinking;
+    if (table) resize();
+    tell({ do: "think", on: thinking });
+  },
   sound: () => { loud = !loud; localStorage.setItem("sound", loud ? "on" : "off"); press("sound", loud); },
 };
 const keys = { " ": "pause", p: "pause", r: "restart", t: "think", m: "sound" };
 for (const name of Object.keys(actions))
-  byId(name).onclick = event => { wakeSound(); actions[name](); event.currentTarget.blur(); };
+  byId(name).onclick = event => { wakeSound(); actions[name](); release(event); };
+// A button that a pointer pressed gives the space bar back; one pressed by key keeps the focus.
+function release(event) {
+  if (event.detail) event.currentTarget.blur();
+}
 addEventListener("keydown", event => {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.code in STEER) {
+    held.add(event.code);
+    event.preventDefault();
+    return;
+  }
   const name = keys[event.key.toLowerCase()];
-  if (!name || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (!name || event.repeat) return;
+  // Space presses the button that has the focus.
+  if (event.key === " " && event.target.closest?.("button")) return;
   event.preventDefault();
   const offered = !byId("card").hidden && !byId("go").hidden;
   wakeSound();
   actions[name === "pause" && offered ? "go" : name]();
 });
+addEventListener("keyup", event => held.delete(event.code));
+addEventListener("blur", () => held.clear());
 press("sound", loud);
 byId("table").addEventListener("pointerdown", event => {
   wakeSound();
@@ -304,8 +362,14 @@ byId("table").addEventListener("pointerdown", event => {
 for (const kind of ["pointermove", "pointerrawupdate"]) addEventListener(kind, wish);
 addEventListener("contextmenu", event => event.preventDefault());
 addEventListener("resize", () => table && resize());
+darkness.addEventListener("change", () => {
+  if (!table) return;
+  hello = withColors(hello);
+  table.colors = hello.colors;
+  resize();
+});
 // A page that is not seen does not play.
 document.addEventListener("visibilitychange", () => {
   if (document.hidden && role === "player" && status.phase === "play") tell({ do: "pause" });
 });
-connect({ hear, lost: () => { role = "lost"; showCard(); } });
+connect({ hear, lost: () => { role = "lost"; chosen = null; showCard(); } });

@@ -291,7 +291,7 @@ class TableCanvas extends Board {
       pen.fill();
     });
   }
-  drawCraft(pose, known = true, color = this.colors.ink) {
+  drawCraft(pose, known = true, color = this.colors.craft) {
     const { pen, craft, colors } = this;
     this.atPose(pose, pixel => {
       if (!known) pen.setLineDash([4 * pixel, 4 * pixel]);
@@ -335,14 +335,14 @@ class TableCanvas extends Board {
     const { pen, colors, hockey } = this, r = hockey.puck;
     this.atPose(pose, pixel => {
       dot(pen, 0, 0, r, colors.puck);
-      pen.strokeStyle = "#fff";
+      pen.strokeStyle = colors.mark;
       pen.lineWidth = Math.max(pixel, 0.05 * r);
       pen.globalAlpha = 0.75;
       pen.beginPath();
       pen.arc(0, 0, 0.72 * r, 0, TURN);
       pen.stroke();
       pen.globalAlpha = 1;
-      dot(pen, 0.4 * r, 0, 0.14 * r, "#fff");  // it shows the spin
+      dot(pen, 0.4 * r, 0, 0.14 * r, colors.mark);  // it shows the spin
     });
   }
   drawMallet([x, y], color = this.colors.right) {
@@ -395,6 +395,10 @@ class TableCanvas extends Board {
     pen.arc(x, y, r, 0, TURN);
     pen.stroke();
     pen.setLineDash([]);
-    if (words) write(pen, words, x, y - r - 9, "center", colors.asked);
+    if (!words) return;
+    pen.font = FONT;
+    const half = pen.measureText(words).width / 2 + 4;  // the words stay on the canvas
+    const middle = Math.max(half, Math.min(x, this.width - half));
+    write(pen, words, middle, y - r - 9, "center", colors.asked);
   }
 }

@@ -25,7 +25,7 @@ function hear(message) {
   handlers[message.is]?.(message);
 }
 function begin(message) {
-  hello = message;
+  hello = withColors(message);
   trailed = -Infinity;  // another process has another clock
   if (!table) {
     table = new TableCanvas(byId("table"), hello);
@@ -161,4 +161,10 @@ function showPanel({ flight, health, findings, events }) {
 }
 
 addEventListener("resize", () => table && resize());
+darkness.addEventListener("change", () => {
+  if (!table) return;
+  hello = withColors(hello);
+  table.colors = hello.colors;
+  resize();
+});
 connect({ hear, lost: () => { byId("lost").hidden = false; } });

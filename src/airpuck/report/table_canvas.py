@@ -18,6 +18,13 @@ from airpuck.report import style
 from airpuck.report.page import packaged_text, render
 from airpuck.report.scene import PAUSE, DiscPath, FlightScene, GameScene, PlannedPath
 
+
+def _rgb(color: str) -> list[int]:
+    """Return red, green and blue from 0 to 255."""
+    return [round(255 * part) for part in to_rgb(color)]
+
+
+#: Colours of the canvas on light pages.
 COLORS: dict[str, Any] = {
     "ink": style.BLACK,
     "grey": style.GREY,
@@ -29,8 +36,26 @@ COLORS: dict[str, Any] = {
     "left": style.BLUE,
     "right": style.VERMILLION,
     "puck": style.BLACK,
-    "inkRgb": [round(255 * part) for part in to_rgb(style.BLACK)],
-    "floorRgb": [round(255 * part) for part in to_rgb(style.FLOOR)],
+    "mark": "#ffffff",
+    "craft": style.BLACK,
+    "inkRgb": _rgb(style.BLACK),
+    "floorRgb": _rgb(style.FLOOR),
+}
+#: The same for dark pages, where the craft stays white and the puck is yellow.
+DARK_COLORS: dict[str, Any] = COLORS | {
+    "ink": "#e8ecf0",
+    "grey": "#a3adb7",
+    "asked": "#ea9ccb",
+    "floor": "#1c2329",
+    "holes": "#36414b",
+    "grid": "#2c353e",
+    "rail": "#5d6a76",
+    "left": "#2b8fd6",
+    "right": "#e8722a",
+    "puck": "#f0e442",
+    "mark": "#12161b",
+    "inkRgb": _rgb("#e8ecf0"),
+    "floorRgb": _rgb("#1c2329"),
 }
 
 

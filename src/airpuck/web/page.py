@@ -20,12 +20,23 @@ from airpuck.hockey.level import LEVELS
 from airpuck.hockey.player import Player
 from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
-from airpuck.report.table_canvas import COLORS, craft_shape, hockey_shape
+from airpuck.report.table_canvas import COLORS, DARK_COLORS, craft_shape, hockey_shape
 from airpuck.web.address import listen
 from airpuck.web.messages import Wish, packed_state, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageName, serve
 from airpuck.web.settings import ArenaSettings
 
+#: Plain words for what the craft intends; a user's tactic may have words of its own.
+_INTENTIONS = {
+    "strike": "straight shot",
+    "bank": "shot off a rail",
+    "defend": "block",
+    "prepare": "catch",
+    "free": "push into the open",
+    "clear": "clearing hit",
+    "wait": "waiting for the puck",
+    "home": "back to its goal",
+}
 #: Number of steps between plans that are shown.
 _THOUGHTS_EVERY = 3
 
@@ -150,7 +161,7 @@ def table_of(model: Model, table: Table) -> dict[str, Any]:
         "table": [table.length_m, table.width_m],
         "view": [-x, x, -y, y],
         "craft": craft_shape(model.vehicle),
-        "colors": COLORS,
+        "schemes": {"light": COLORS, "dark": DARK_COLORS},
     }
 
 
@@ -204,19 +215,20 @@ def thought_of(player: Player, time: float) -> dict[str, Any]:
     thought: dict[str, Any] = {"is": "thought", "words": "", "meet": None, "path": None}
     thought["predicted"] = None if predicted is None else predicted.round(4).tolist()
     decision, control = (1e3 * took for took in player.took)
-    said = [] if player.sight == "seen" else [f"the puck is {player.sight}"]
+    said = "" if player.sight == "seen" else f"The puck is {player.sight}. "
     if intention is not None:
-        words = intention.kind
+        words = _INTENTIONS.get(intention.kind, intention.kind)
+        said += words[:1].upper() + words[1:]
         if intention.chance is not None and math.isfinite(intention.chance):
-            words += f" {100 * intention.chance:.0f} %"
-        said.append(intention.kind)
+            words += f": {100 * intention.chance:.0f} %"
         thought["words"] = words
         if intention.meet is not None:
             when, x, y = intention.meet
             thought["meet"] = [round(x, 4), round(y, 4)]
-            said.append(f"in {max(when - time, 0.0):.2f} s")
+            said += f" in {max(when - time, 0.0):.2f} s"
         if intention.path is not None:
             thought["path"] = intention.path.round(4).tolist()
-    said.append(f"decided in {decision:.1f} ms, controlled in {control:.1f} ms")
-    thought["said"] = ", ".join(said)
+        said += ". "
+    computed = f"Computing time: {decision:.1f} ms to decide, {control:.1f} ms to steer."
+    thought["said"] = said + computed
     return thought

@@ -38,6 +38,8 @@ _NO_LIMIT = 1e6
 _WARM_UP = 20
 #: Number of steps in which the craft flies home after the player has left; then the game pauses.
 _HOMEWARD = 300
+#: A game is kept for a player who has left for this long [s]; the next one starts a new game.
+_KEPT = 60.0
 #: Position of the puck meanwhile, from which the player begins [m].
 _LAID = 0.3
 #: Least time left to other processes in each period [s].
@@ -125,7 +127,10 @@ class Session:
         self._name = tactic
         self._pages, self._model, self._settings = pages, model, settings
         self._record = record
-        self._level, self._seed, self._games = level, seed, 0
+        self._level = self._first_level = level
+        self._seed, self._games = seed, 0
+        #: When a game without a player is given up [s, monotonic].
+        self._given_up = math.inf
         self._seated = self._runs = self._begun = False
         self._heard = 0
         self._until_home = 0
@@ -164,6 +169,7 @@ class Session:
         due = 0.0
         while clock.now < duration and not self._pages.lost:
             self._hear()
+            self._give_up()
             if self._renewal is not None and self._renewals.take(time.monotonic()):
                 self._renew(runs=self._renewal)
                 due = clock.now  # starting a game takes about 0.2 s
@@ -256,7 +262,7 @@ class Session:
         match order["do"]:
             case "sit":
                 self._seated, self._heard = True, 0
-                self._until_home = 0
+                self._until_home, self._given_up = 0, math.inf
                 self._player.tactic = self._tactic
             case "leave":
                 self._leave()
@@ -285,12 +291,22 @@ class Session:
         if self._renewal is not None:
             self._renewal = False
         if not self._begun or self._game.phase == "over":
+            self._given_up = 0.0
             return
+        self._given_up = time.monotonic() + _KEPT
         self._player.tactic, self._until_home = GoHome(), _HOMEWARD
         self._hand.wanted = None
         puck = self._game.world.puck
         if self._game.phase == "play" and puck is not None:
             puck.place(PuckState(_LAID, 0.0))
+
+    def _give_up(self) -> None:
+        """Prepare the next visitor's game, at the first level, if the player has left for good."""
+        if time.monotonic() < self._given_up:
+            return
+        self._given_up = math.inf
+        if self._begun or self._level != self._first_level:
+            self._level, self._renewal = self._first_level, False
 
     def _tell(self, events: Sequence[GameEvent]) -> None:
         """Send the current state to the page."""
