@@ -2,16 +2,18 @@
 
 import sys
 
+from airpuck.boundary.signals import catch_signals
+
+# The rest takes a second to import. Other programs may import this module, and so do workers.
+if sys.argv[0].endswith(("airpuck", "__main__.py")) and "multiprocessing" not in sys.modules:
+    catch_signals()
+
 
 def main() -> None:
-    """Run the command line; Ctrl-C ends it with one line while it is still being imported, too."""
-    try:
-        from airpuck.cli import main as run
+    """Run the command line."""
+    from airpuck.cli import main as run
 
-        run()
-    except KeyboardInterrupt:
-        print("airpuck: interrupted", file=sys.stderr)
-        sys.exit(130)
+    run()
 
 
 if __name__ == "__main__":

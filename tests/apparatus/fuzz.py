@@ -87,6 +87,64 @@ def _db3(folder: Path) -> Path:
     return folder / "bag" / "bag.db3"
 
 
+def _wal(folder: Path) -> Path:
+    """Return the write-ahead log beside a bag, as a killed recorder leaves both."""
+    import shutil
+    import sqlite3
+
+    whole, live = _db3(folder), folder / "live.db3"
+    with contextlib.closing(sqlite3.connect(whole)) as source:
+        statements = [text for text in source.iterdump() if text.startswith(("CREATE", "INSERT"))]
+    shutil.rmtree(whole.parent)
+    whole.parent.mkdir()
+    with contextlib.closing(sqlite3.connect(live, isolation_level=None)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+        for number, statement in enumerate(statements):
+            database.execute(statement)
+            if number == len(statements) - 8:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        for suffix in ("", "-wal"):
+            shutil.copyfile(f"{live}{suffix}", f"{whole}{suffix}")
+    live.unlink()
+    return Path(f"{whole}-wal")
+
+
+def _bodies(folder: Path) -> Path:
+    from mcap.writer import CompressionType
+
+    from tests.apparatus.bags import foreign_topics, write_mcap
+    from tests.recording.test_topic_stream import make
+
+    topics = {
+        "/bodies": make("NamedPoseArray"),
+        "/drone/control": foreign_topics()["/drone/control"],
+    }
+    return write_mcap(folder / "a.mcap", topics, compression=CompressionType.NONE, chunk_size=3000)
+
+
+def _read_bodies(path: Path) -> None:
+    from airpuck.recording.read import read_recording
+    from tests.recording.test_topic_stream import mapping
+
+    read_recording(path, mapping=mapping("craft"))
+
+
+def _vicon(folder: Path) -> Path:
+    from tests.recording.test_motion_capture_export import COMMANDS, vicon
+
+    _written(folder, "motors.csv", COMMANDS)
+    return _written(folder, "take.csv", vicon(bodies=("puck", "wand")))
+
+
+def _read_vicon(path: Path) -> None:
+    from airpuck.recording.mapping import PoseMapping, RecordingMapping
+    from airpuck.recording.read import read_recording
+    from tests.recording.test_motion_capture_export import COMMAND
+
+    mapping = RecordingMapping(pose=PoseMapping(body="puck", file="take.csv"), command=COMMAND)
+    read_recording(path.parent, mapping=mapping)
+
+
 def _ros1(folder: Path) -> Path:
     from tests.apparatus.bags import ros1_bag
 
@@ -321,6 +379,9 @@ def kinds(scratch: Path) -> dict[str, Kind]:
         **{f"ROS 1, {name}": _labs_kind(scratch, topics) for name, topics in _LABS_TOPICS.items()},
         "PX4 log": Kind(_ulog, m.bytes_damaged, _read_recording),
         "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
+        "db3-wal": Kind(_wal, m.bytes_damaged, _read_parent),
+        "bodies": Kind(_bodies, m.mcap_damaged, _read_bodies),
+        "Vicon export": Kind(_vicon, m.table_damaged, _read_vicon),
         "metadata.yaml": Kind(_metadata, text, _read_parent),
         "csv": Kind(_csv, m.table_damaged, _read_parent),
         "definition": Kind(_definition, text, _read_definition),

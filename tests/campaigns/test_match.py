@@ -13,12 +13,12 @@ from functools import partial
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.signals import Stopped
 from airpuck.campaigns import items, match_item
 from airpuck.campaigns import match as match_module
 from airpuck.campaigns.match import match
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import read_spec
-from airpuck.compute.process import Stopped
 from airpuck.hockey.rules import Rules
 from airpuck.recording.read import read_recording
 

@@ -11,10 +11,10 @@ import pytest
 
 import airpuck
 from airpuck import InputError
+from airpuck.boundary.signals import Stopped, stop
 from airpuck.campaigns import workers as module
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import DEADLY, checked_workers, dispatch
-from airpuck.compute.process import Stopped, stop
 
 from ..apparatus.mortal_items import Mortal
 

@@ -1,6 +1,8 @@
 """Long commands that are interrupted, killed, or find the disk full: old outputs stay intact."""
 
+import contextlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from airpuck.boundary.files import load_toml
 from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.read import read_recording
 
+from ..apparatus.commands import airpuck, airpuck_process, refused
 from ..apparatus.disturbed_commands import Server
 from ..apparatus.synthetic_flights import record
 
@@ -219,3 +222,35 @@ def test_a_reader_that_goes_away_is_no_failure():
     command = f"{sys.executable} -m airpuck --help | true"
     process = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert process.stderr == ""
+
+
+def test_an_encoding_without_our_characters_does_no_harm():
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = airpuck_process("present", "paper:M3", env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "\\xb7" in done.stdout or done.stdout.isascii()
+
+
+def test_odd_settings_of_the_drawing_library_do_no_harm(tmp_path):
+    write_bag(record(), tmp_path / "bag")
+    odd = {**os.environ, "MPLBACKEND": "nonsense", "SOURCE_DATE_EPOCH": "yesterday"}
+    done = airpuck_process("animate", tmp_path / "bag", "-o", tmp_path / "a.gif", env=odd)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_deleted_working_folder_and_a_link_to_itself_are_refused(tmp_path):
+    gone, loop = tmp_path / "gone", tmp_path / "loop.toml"
+    gone.mkdir()
+    loop.symlink_to(loop)
+    with contextlib.chdir(gone):
+        gone.rmdir()
+        words = ["present", "paper:M3"]
+        code = f"import sys; sys.argv[1:] = {words}; from airpuck.cli import main; main()"
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr == "airpuck: the working folder was deleted; change to another one\n"
+    done = airpuck("plan", "--from", 0, 0, 0, "--to", 0.1, 0, 0, "-o", loop)
+    assert refused(done, "loop.toml", "Too many levels of symbolic links")

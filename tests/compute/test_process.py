@@ -1,15 +1,12 @@
 """Settings of the process."""
 
 import os
-import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
 from airpuck.cli import main
-from airpuck.compute.process import Stopped, stoppable
 
 from ..apparatus.commands import airpuck_process
 
@@ -86,40 +83,3 @@ def test_a_user_decides_otherwise(cache, monkeypatch):
 def test_without_a_folder_nothing_is_kept(cache, monkeypatch):
     cache.write_text("a file")
     assert not settings(monkeypatch)
-
-
-class Interrupted:
-    """A signal arrives in a destructor, where Python drops exceptions."""
-
-    def __init__(self, number: signal.Signals) -> None:
-        self._number = number
-
-    def __del__(self) -> None:
-        signal.raise_signal(self._number)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("lost", [False, True])
-def test_signals_stop_what_runs_even_if_python_drops_the_first(number, lost):
-    before = signal.getsignal(number)
-    with pytest.raises(Stopped) as stopped, stoppable():
-        if lost:
-            Interrupted(number)
-            time.sleep(5.0)
-        signal.raise_signal(number)
-    assert stopped.value.number == number
-    assert signal.getsignal(number) is before
-
-
-def test_what_somebody_else_handles_or_ignores_stays_so():
-    heard = []
-    usual = signal.signal(signal.SIGINT, lambda *_: heard.append(1))
-    ignored = signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    try:
-        with stoppable():
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGTERM)
-    finally:
-        signal.signal(signal.SIGINT, usual)
-        signal.signal(signal.SIGTERM, ignored)
-    assert heard == [1]

@@ -93,7 +93,7 @@ def _problem(target: Path, kind: Output) -> str | None:
     longest = os.pathconf(there if there.is_dir() else there.parent, "PC_NAME_MAX")
     if max(len(os.fsencode(part)) for part in target.parts) > longest:
         return f"has a name of more than {longest} bytes, the longest that the system allows"
-    if target.resolve() == Path(target.anchor):
+    if os.path.realpath(target) == target.anchor:
         return "is the root folder; name a folder in it"
     if there == target:
         mode = target.lstat().st_mode if kind == "new folder" else target.stat().st_mode

@@ -110,7 +110,8 @@ def _contained() -> Iterator[None]:
         started.append(thread)
         start(thread)
 
-    os._exit, threading.Thread.start = refuse, start_daemon
+    os._exit = refuse
+    threading.Thread.start = start_daemon  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
     finally:

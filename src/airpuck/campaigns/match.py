@@ -14,12 +14,13 @@ from typing import Any
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import check_output
+from airpuck.boundary.signals import Stopped
 from airpuck.campaigns.campaign import completed
 from airpuck.campaigns.items import Row
 from airpuck.campaigns.match_item import Match
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import ItemResult, checked_workers, compute, dispatch
-from airpuck.compute.process import Stopped, usable_cores
+from airpuck.compute.process import usable_cores
 from airpuck.control.settings import Workers
 from airpuck.evaluation.statistical_tests import wilson_interval
 from airpuck.hockey.contestant import contestant

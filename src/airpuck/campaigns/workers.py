@@ -16,9 +16,9 @@ import pydantic
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.signals import SIGNALS, Stopped, stop
 from airpuck.campaigns.fingerprint import program
 from airpuck.campaigns.items import Item, Row
-from airpuck.compute.process import Stopped, stop
 
 if TYPE_CHECKING:
     from airpuck.campaigns.spec import Entry
@@ -105,14 +105,14 @@ def dispatch(
 
 @contextlib.contextmanager
 def _noting_interrupts(finished: queue.SimpleQueue[Any]) -> Iterator[None]:
-    """Put the first Ctrl-C or SIGTERM in the queue; the second raises at once.
+    """Put the first Ctrl-C, SIGTERM or SIGHUP in the queue; the second raises at once.
 
     Python drops exceptions that a signal raises in a destructor or in a callback of the garbage
     collector, and Dask has both. `SimpleQueue.put` is safe there.
     """
     before = {}
     if threading.current_thread() is threading.main_thread():
-        before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+        before = {n: signal.getsignal(n) for n in SIGNALS}
     # Handlers installed by other code stay in place.
     taken = [n for n, h in before.items() if h in (signal.default_int_handler, stop)]
 

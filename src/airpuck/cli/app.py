@@ -20,17 +20,11 @@ from typer.main import get_command
 
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.kinds import unknown
+from airpuck.boundary.signals import SIGNALLED, Stopped, stoppable
 from airpuck.cli.names import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
-from airpuck.compute.process import (
-    Stopped,
-    keep_compiled_programs,
-    single_threaded_algebra,
-    stoppable,
-)
+from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
 
-#: Exit status of a process ended by a signal, minus the signal's number.
-_SIGNALLED = 128
 #: Errors of the system that a user can fix; all others are bugs in this package.
 _SYSTEM_REFUSES = {
     getattr(errno, name)
@@ -127,8 +121,7 @@ class _Group(_PlainFlags, TyperGroup):
         try:
             return super().invoke(ctx)
         except Stopped as stopped:  # Typer would print nothing
-            words = f"; {stopped.words}" if stopped.words else ""
-            raise typer.Exit(_say(f"interrupted{words}", _SIGNALLED + stopped.number)) from None
+            raise typer.Exit(_say_stopped(stopped)) from None
 
 
 class _App(typer.Typer):
@@ -165,9 +158,10 @@ def commands() -> Any:
 def main() -> None:
     """Run the command line; user and system errors end with one line and status 2."""
     _open_streams()
-    keep_compiled_programs()
-    single_threaded_algebra()
     try:
+        _check_surroundings()
+        keep_compiled_programs()
+        single_threaded_algebra()
         with stoppable():
             words = sys.argv[1:] or ["--help"]
             code = commands()(words, prog_name="airpuck", standalone_mode=False)
@@ -185,8 +179,10 @@ def main() -> None:
             code = _say(f"{error.filename or 'output'}: cannot be used ({error.strerror})")
         else:
             raise
+    except Stopped as stopped:
+        code = _say_stopped(stopped)
     except (typer.Abort, KeyboardInterrupt):
-        code = _say("interrupted", _SIGNALLED + signal.SIGINT)
+        code = _say_stopped(Stopped(signal.SIGINT))
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -197,11 +193,33 @@ def _say(message: str, status: int = 2) -> int:
     return status
 
 
+def _say_stopped(stopped: Stopped) -> int:
+    """Print that a signal has ended the command; return the exit status."""
+    words = f"; {stopped.words}" if stopped.words else ""
+    return _say(f"interrupted{words}", SIGNALLED + stopped.number)
+
+
 def _open_streams() -> None:
-    """Replace closed standard streams by the null device; Python has None for them."""
+    """Replace closed standard streams by the null device; Python has None for them.
+
+    What the encoding of a stream lacks is escaped.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode))  # noqa: SIM115
+        elif mode == "w" and hasattr(getattr(sys, name), "reconfigure"):
+            getattr(sys, name).reconfigure(errors="backslashreplace")
+
+
+def _check_surroundings() -> None:
+    """Check the working folder, and override settings of libraries that commands do not need."""
+    try:
+        Path.cwd()
+    except OSError as error:
+        raise InputError("the working folder was deleted; change to another one") from error
+    os.environ["MPLBACKEND"] = "agg"  # figures are files
+    if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
+        del os.environ["SOURCE_DATE_EPOCH"]
 
 
 def _close_output() -> None:

@@ -1,67 +1,15 @@
-"""Cores, threads, caches and signals of the whole process; only commands change its settings."""
+"""Cores, threads and caches of the whole process; only commands change its settings."""
 
 from __future__ import annotations
 
 import os
-import signal
-import sys
-import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from typing import Any
+from contextlib import suppress
 
 #: Priority above ordinary processes, below the system's own.
 _PRIORITY = 10
 #: XLA reads the size of its thread pool from here; it has no option for that.
 _POOL = "NPROC"
-#: After this time a signal whose exception was lost is sent again [s].
-_AGAIN = 0.01
-
-
-class Stopped(KeyboardInterrupt):
-    """SIGINT or SIGTERM has arrived; `words` describe what the work leaves behind."""
-
-    def __init__(self, number: int, words: str = "") -> None:
-        super().__init__(number, words)
-        self.number, self.words = number, words
-
-
-def stop(number: int, _frame: Any = None) -> None:
-    """Handle a signal: raise `Stopped`."""
-    raise Stopped(number)
-
-
-@contextmanager
-def stoppable() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise `Stopped`, so that temporary files are removed on the way out.
-
-    Signals that are ignored, as in a background shell, or that already have a handler, stay that
-    way.
-    """
-    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
-    here = threading.current_thread() is threading.main_thread()
-    taken = [n for n, handler in usual.items() if here and signal.getsignal(n) is handler]
-    hook = sys.unraisablehook
-
-    def again(lost: Any) -> None:
-        # Python drops exceptions raised in a destructor or by the garbage collector, where JAX has
-        # a callback.
-        if isinstance(lost.exc_value, Stopped):
-            number = lost.exc_value.number
-            threading.Timer(_AGAIN, os.kill, (os.getpid(), number)).start()
-        else:
-            hook(lost)
-
-    sys.unraisablehook = again
-    for number in taken:
-        signal.signal(number, stop)
-    try:
-        yield
-    finally:
-        for number in taken:
-            signal.signal(number, usual[number])
-        sys.unraisablehook = hook
 
 
 def prioritize(*, first: bool) -> None:

@@ -7,6 +7,7 @@ import re
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Literal
 
 from airpuck.boundary.errors import escaped
@@ -98,7 +99,8 @@ class EventLog:
         event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
         self._events.send(self._event.encode(event))
         if not self._quiet:
-            print(f"{self._name}: {escaped(text)}", file=sys.stderr, flush=True)
+            with suppress(OSError):  # the terminal may be gone
+                print(f"{self._name}: {escaped(text)}", file=sys.stderr, flush=True)
 
 
 def set_stamp(stamp: Any, time_ns: int) -> None:

@@ -410,12 +410,16 @@ def keyboard() -> Iterator[Callable[[], str] | None]:
     file = sys.stdin.fileno()
 
     def pressed() -> str:
-        ready, _, _ = select.select([file], [], [], 0)
-        return os.read(file, 64).decode(errors="replace") if ready else ""
+        try:
+            ready, _, _ = select.select([file], [], [], 0)
+            return os.read(file, 64).decode(errors="replace") if ready else ""
+        except OSError:  # the terminal is gone
+            return ""
 
     before = termios.tcgetattr(file)
     try:
         tty.setcbreak(file)
         yield pressed
     finally:
-        termios.tcsetattr(file, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):
+            termios.tcsetattr(file, termios.TCSADRAIN, before)

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.signals import SIGNALS
 from airpuck.flight.clock import Clock, Every, StampClock
 from airpuck.live.dds import LEASE
 from airpuck.live.events import EventLog
@@ -46,7 +47,7 @@ _REMIND = 1.0
 class Process:
     """A process on the graph, to be used as a context manager.
 
-    From `start` on, SIGINT and SIGTERM end its loop instead of the process.
+    From `start` on, SIGINT, SIGTERM and SIGHUP end its loop instead of the process.
     """
 
     def __init__(self, name: str, settings: LiveSettings) -> None:
@@ -56,7 +57,7 @@ class Process:
         self.events = EventLog(self.graph, name, quiet=settings.quiet)
         self.clock = Clock()
         self.beat = Every(_HEARTBEAT)
-        #: Whether SIGINT or SIGTERM has arrived.
+        #: Whether one of these signals has arrived.
         self.interrupted = False
         self._handlers: dict[signal.Signals, Any] = {}
 
@@ -86,8 +87,9 @@ class Process:
 
     def start(self, text: str) -> None:
         """Start the clock; all slow work has been done."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._handlers[number] = signal.signal(number, self._interrupt)
+        for number in SIGNALS:
+            if signal.getsignal(number) != signal.SIG_IGN or number == signal.SIGINT:
+                self._handlers[number] = signal.signal(number, self._interrupt)
         self.events.log("info", f"on domain {self.graph.domain}{text}")
         # The garbage collector need not scan existing objects.
         gc.collect()

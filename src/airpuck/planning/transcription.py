@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.signals import check_stopped
 from airpuck.compute.arrays import with_symbols
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import step
@@ -180,6 +181,7 @@ class Transcription:
             ubg=np.concatenate([np.zeros(steps), clear * np.inf, spin]),
             p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
         )
+        check_stopped()  # IPOPT ends as if it had found no plan
         stats = self._solve.stats()
         states, commands, durations = self._unpacked(found["x"].full()[:, 0])
         prices = found["lam_g"].full()[:steps, 0].reshape(-1, self.size)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import math
 import time
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.signals import until_stopped
 from airpuck.compute.process import prioritize
 from airpuck.control.reference import SetPoint
 from airpuck.flight.clock import Clock, Histogram, TokenBucket
@@ -145,7 +145,7 @@ class Session:
     def run(self, duration: float | None = None) -> dict[str, Any]:
         """Play until the time is over; return the results for ``--json``."""
         try:
-            with contextlib.suppress(KeyboardInterrupt):  # the usual end of a session
+            with until_stopped():
                 self._run(math.inf if duration is None else duration)
         finally:  # a tactic of the user's may fail
             self._keep()
