@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.estimate.encoder import PaperEncoder
+from airpuck.estimate.motor_regression import twice_integrated
 from airpuck.evaluation.statistical_tests import block_regression
 from airpuck.evaluation.timing_change import TimingChange, timing_change
 from airpuck.model.model_file import Model
@@ -343,13 +344,9 @@ def _accelerations(
 def _twice_integrated(
     acceleration: Float[np.ndarray, "T W 3 m"], duration: Float[np.ndarray, "t W"]
 ) -> Float[np.ndarray, "T W 3 m"]:
-    """Integrate twice from rest, accelerations linear between samples."""
-    position, velocity = np.zeros_like(acceleration), np.zeros_like(acceleration[0])
-    for k, h in enumerate(duration[..., None, None]):
-        here, there = acceleration[k], acceleration[k + 1]
-        position[k + 1] = position[k] + h * velocity + h**2 / 6 * (2 * here + there)
-        velocity += h / 2 * (here + there)
-    return position
+    """Integrate twice, up to a constant velocity and position."""
+    last = np.moveaxis(acceleration, 1, -1)
+    return np.moveaxis(twice_integrated(last, duration), -1, 1)
 
 
 def _without_start(
