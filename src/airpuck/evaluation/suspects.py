@@ -17,7 +17,7 @@ from airpuck.preprocessing.time_scale import patience
 _LONGEST_DELAY, _DELAY_ABOVE = 0.035, 0.015
 #: Change of the delay within a recording that matters [s], as a fit's error would at the verdict,
 #: and its probability by chance. Nine real recordings and eight sound flights of the twin had more
-#: than 0.0008; steps by 20 ms or more in nine flights of 20 and 30 s had less than 1e-5.
+#: than 0.0008; steps by 20 ms or more in eight flights had 6 standard errors or more.
 _DELAY_CHANGES, _BY_CHANCE = 0.005, 1e-4
 #: Moment of inertia over mass times radius squared: a ring has 1, and every craft has more than
 #: 0.1.
