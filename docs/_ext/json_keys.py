@@ -15,7 +15,7 @@ from airpuck.boundary.results import Result
 
 #: Command -> the results that it writes.
 COMMANDS = {
-    "identify": "Fit Verdict Strengths Evaluation Selection",
+    "identify": "Fit Verdict Strengths ModelStructure Evaluation",
     "identify-puck": "PuckFit",
     "evaluate": "Evaluation BetterFrom Verdict",
     "compare": "Evaluation FitMeasures ModelDifference Drift",

@@ -56,7 +56,9 @@ from airpuck.hockey.skills import skills as skills
 from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
 from airpuck.identification.adam import Adam as Adam
 from airpuck.identification.bootstrap import bootstrap as bootstrap
-from airpuck.identification.fit import identifiability as identifiability, identify as identify
+from airpuck.identification.fit import identifiability as identifiability
+from airpuck.identification.structure import identify as identify
+from airpuck.judgement.study import Study as Study, study as study
 from airpuck.identification.fit_result import Fit as Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from airpuck.identification.settings import Loss as Loss, Preparation as Preparation

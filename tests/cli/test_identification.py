@@ -1,20 +1,12 @@
 """Standard errors and the choice of a rung on the command line."""
 
-import io
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
-from rich.console import Console
 
 # The report on a ladder, without the fits that precede it, which take a minute.
-from airpuck.cli.identification import _ladder_summary
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.selection import CandidateModel, Selection
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
-from airpuck.report.fit_report import selection_section
 
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.synthetic_flights import record
@@ -75,36 +67,3 @@ def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words
     process = airpuck("identify", bag, "-o", tmp_path / "m.toml", *options)
     assert process.returncode == 2
     assert refused(process, *words) or words
-
-
-def test_the_ladder_is_shown_with_what_each_rung_buys():
-    def tried(name, millimetres, change):
-        errors = np.full((4, 10), 1e-3 * millimetres)
-        ratio = np.full(4, change)
-        interval = np.stack([ratio - 0.02, ratio + 0.02])
-        model = replace(MODEL, name=name)
-        excess = 2 * np.log(millimetres / 4.0)
-        return CandidateModel(model, errors, ratio, interval, float(excess), 0.03)
-
-    candidates = (tried("M2", 8.0, np.nan), tried("M3", 4.04, 0.505), tried("M5", 4.0, 0.99))
-    candidates += (tried("M5+drag", 4.0, 0.9998),)
-    chosen = Fit(candidates[1].model, 0.0, (), True, "", 10, 0.0, ())
-    selection = Selection(candidates, chosen, 5, np.arange(10.0), 0.2)
-    shown, words = _ladder_summary(selection)
-    printer = Console(width=160, file=io.StringIO())
-    printer.print(shown)
-    rows = [line for line in printer.file.getvalue().splitlines() if line.startswith("│")]
-    assert len(rows) == 4
-    assert "8.00" in rows[0] and "%" not in rows[0]
-    assert "4.04" in rows[1] and "-49.5 % (-51.5 to -47.5)" in rows[1]
-    assert "-1.0 % (-3.0 to +1.0)" in rows[2]
-    assert " +0.0 % (-2.0 to +2.0)" in rows[3]
-    # ln(4.04/4) = 1.0 %; half of 0.03 in squares is 1.5 %.
-    assert words == (
-        "M3 is the simplest model within the tolerance: its errors are 1.0 ± 1.5 % above the "
-        "errors of M5, the best"
-    )
-    # The report's page shows the same.
-    [block] = selection_section(selection).blocks
-    assert words in block.caption
-    assert [row[0] for row in block.rows] == ["M2", "M3", "M5", "M5+drag"]

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
-#: Figures by name.
 Row = dict[str, Figure]
 #: Longest total flight time of a fleet [s], about a gigabyte.
 _MOST_FLOWN = 100_000
@@ -82,11 +81,8 @@ RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
-#: The class in FILE.py:NAME.
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
-#: Function that hashes the file or code behind a name.
 Fingerprint = Callable[[str], str]
-#: Relative random spread of a craft around its model; see `moved`.
 Spread = Fraction
 
 
@@ -165,8 +161,8 @@ class TwinItem(Item):
 class Identification(Item):
     """Base of items that identify a model."""
 
-    #: Rung to identify.
-    model: RungName = "M3"
+    #: Rung to identify; by default M3 with the terms that the recordings clearly show.
+    model: RungName | None = None
     #: Samples from one window to the next; by default 7/240 s.
     stride: Stride = None
     #: Whether poorly predicted windows get less weight.
@@ -234,8 +230,8 @@ class Recovery(TwinItem, Identification):
             hold=self.hold_s,
             settings=self.twin,
         )
-        data, craft = airpuck.preprocess(recording, truth.vehicle), truth.vehicle
-        fit = airpuck.identify(data, self.model, vehicle=craft, loss=self.loss(data))
+        data = airpuck.preprocess(recording, truth.vehicle)
+        fit = airpuck.identify(data, self.model or "M3", loss=self.loss(data))
         delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
@@ -305,7 +301,7 @@ class Fitting(Identification):
     vehicle: str | None = None
     #: Part of each recording to learn from, as fractions of its length.
     span: tuple[float, float] | None = None
-    #: Relative random spread of the start around the nominal values; see `moved`.
+    #: Relative random spread of the start around nominal values; see `moved`.
     start_spread: Spread = 0.0
     #: Number of fits to blocks of time drawn with replacement; each starts at the fit to all data.
     resamplings: Annotated[Natural, pydantic.Field(le=numbers.REPLICATES.high)] = 0
@@ -324,10 +320,14 @@ class Fitting(Identification):
 
     def run(self) -> list[Row]:
         """Fit; see `Item.run`."""
+        from airpuck.judgement.study import causes_of
+
         if self.resamplings:
             return self._resampled()
         fit = self.fit()
-        row = {**_progress(fit), "windows": float(fit.windows)} | _labelled(fit.model)
+        causes = causes_of(self._load(self.recordings[0]), fit.model.vehicle)
+        row = _progress(fit) | {"windows": float(fit.windows)} | _labelled(fit.model)
+        row["suspect_recording"] = float(any(cause.suspect for cause in causes))
         if self.validation is not None:
             row |= named("rmse", airpuck.evaluate(fit.model, self._load(self.validation)).rmse)
         return [row]
@@ -339,21 +339,24 @@ class Fitting(Identification):
     def fit(self) -> Fit:
         """Identify a model; `start_spread` and the seed set the start."""
         from airpuck.identification.problem import mean_delay
+        from airpuck.identification.structure import structured
 
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = [self._load(name) for name in self.recordings]
         if self.span is not None:
             trajectories = [trajectory.slice(*self.span) for trajectory in trajectories]
-        rung = named_rung(self.model, degree=self.degree, frame=self.frame)
+        structure: dict[str, Any] = {"degree": self.degree, "frame": self.frame}
+        name = self.model or ("M3" if self.start_spread else None)
         start = None
         if self.start_spread:
             delay = mean_delay(trajectories, craft)
+            rung = named_rung(name or "M3", **structure)
             nominal = replace(rung.initial(craft), transport_delay=delay)
             elsewhere = moved(nominal, self.start_spread, self.seed).to_vector()
             learned = rung.mask(nominal, craft)
             start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
-        loss = self.loss(trajectories[0])
-        return airpuck.identify(trajectories, rung, vehicle=craft, initial=start, loss=loss)
+        given: Any = {"vehicle": craft, "initial": start, "loss": self.loss(trajectories[0])}
+        return structured(trajectories, name, **structure, **given)[0]
 
     def _resampled(self) -> list[Row]:
         """Fit to resampled data, each time starting from the fit to all data."""
@@ -398,8 +401,6 @@ class ShortestTime(Item):
 
 # Items of one campaign share recordings, and resamplings share their initial fit. The keys of these
 # caches include file hashes, because a file may change during the life of a worker.
-
-
 @lru_cache(maxsize=8)
 def _trajectory(name: str, vehicle: str | None, *_hashes: str | None) -> Trajectory:
     return airpuck.load_trajectory(name, None if vehicle is None else read_vehicle(vehicle))
@@ -465,7 +466,7 @@ def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
 
 
 def recovery_errors(model: Model, truth: Model) -> Row:
-    """Compare an identified model with the truth.
+    """Return relative errors of a model; of α and the centre of mass, differences.
 
     Parameters
     ----------
@@ -475,8 +476,7 @@ def recovery_errors(model: Model, truth: Model) -> Row:
     Returns
     -------
     dict
-        ``thrust`` (of the worst curve), ``motor_time_constant`` and ``inertia`` are relative
-        errors; ``angle_offset_rad`` and ``center_of_mass_m`` are differences.
+        By quantity.
     """
     found, true = model.parameters, truth.parameters
     return {

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Argument
 
@@ -23,7 +23,6 @@ from airpuck.cli.output import (
     is_stdout,
     origin,
     report,
-    say,
     show_progress,
     show_time_left,
     table,
@@ -34,16 +33,11 @@ from airpuck.identification.settings import Degree, Loss, Preparation, Stride, Y
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.data.trajectory import Trajectory
-    from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.main_quantities import MainQuantity
     from airpuck.evaluation.presentation import Value
-    from airpuck.faults.strengths import Strengths
     from airpuck.identification.fit_result import Fit
-    from airpuck.identification.method import Method
-    from airpuck.identification.selection import Selection
+    from airpuck.judgement.study import Study
     from airpuck.model.model_file import Model
-    from airpuck.model.rungs import Rung
 
 PANEL = "From a recording to a validated model"
 
@@ -129,9 +123,8 @@ def identify(
     model: Annotated[
         str | None,
         Setting(
-            "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. auto: the simplest "
-            "model that predicts held-out parts of the recordings as well as the best. By default "
-            "M3, or M3+tilt on a clearly tilted table.",
+            "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. By default, or if it is "
+            "auto: M3 with the terms that the recordings clearly show, such as M3+tilt+drag.",
             complete=_rung_names,
         ),
     ] = None,
@@ -177,17 +170,13 @@ def identify(
     ] = 0,
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
-    from airpuck.data.trajectory import vehicle_of
-    from airpuck.faults.strengths import actuator_strengths, usual_rung
-    from airpuck.identification.bootstrap import bootstrap as resample
-    from airpuck.identification.selection import LADDER
+    from airpuck.judgement.study import study
     from airpuck.model.rungs import named_rung
 
-    names = LADDER if model == "auto" else (model or "M3",)
-    rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
-    if degree is not None and rungs[0].powers is not None:
+    rung = named_rung("M3" if model in (None, "auto") else model, degree=degree, frame=com_frame)
+    if degree is not None and rung.powers is not None:
         raise InputError(f"is fixed for the model {model}", field="--degree")
-    if com_frame != "body" and not any("center_of_mass" in rung.free for rung in rungs):
+    if com_frame != "body" and "center_of_mass" not in rung.free:
         raise InputError(
             f"has no effect on {model}, which learns no centre of mass; leave it out",
             field="--com-frame",
@@ -198,50 +187,40 @@ def identify(
         raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
     if adam is not None and (bootstrap is not None or model == "auto"):
         raise InputError("takes neither --bootstrap nor --model auto", field="adam")
-    optimiser = airpuck.LevenbergMarquardt() if adam is None else airpuck.Adam(epochs=adam)
-    trajectories = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
-    if model is None and adam is None:
-        names = (usual_rung(trajectories[0], vehicle or vehicle_of(trajectories)),)
-        rungs = [named_rung(name, degree=degree, frame=com_frame) for name in names]
+    training = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
     other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
     if stride is not None or adam is not None:
-        loss = replace(loss, spacing=(stride or 0) * trajectories[0].sample_period)
-    settings: Any = {"vehicle": vehicle, "loss": loss, "preparation": preparation}
-    fit, selection = _fitted(trajectories, rungs, optimiser, settings, quiet)
-    if bootstrap is not None:
-        with show_time_left("resamplings", quiet) as tell:
-            fit = resample(fit, bootstrap, seed=seed, progress=partial(tell, total=bootstrap))
-    fit.model.save(output)
-    found = None if other is None else airpuck.evaluate(fit.model, other)
-    strengths = actuator_strengths(fit.model, trajectories[0])
+        loss = replace(loss, spacing=(stride or 0) * training[0].sample_period)
+    with show_progress(quiet) as progress, show_time_left("resamplings", quiet) as tell:
+        found = study(
+            training,
+            vehicle,
+            model,
+            other,
+            mapping=mapping,
+            degree=degree,
+            frame=com_frame,
+            loss=loss,
+            method=None if adam is None else airpuck.Adam(epochs=adam),
+            preparation=preparation,
+            bootstrap=bootstrap or 0,
+            seed=seed,
+            progress=progress,
+            resampled=partial(tell, total=bootstrap),
+        )
+    found.model.save(output)
     if report_folder is not None:
-        _write_report(fit, trajectories, other, found, selection, strengths, report_folder)
-    warn(fit.warnings, quiet)
-    said, judged, figures = _judged(fit, strengths, trajectories, other, found)
-    tried = _ladder_summary(selection) if selection else ()
-    figures.update({"selection": selection.to_json()} if selection else {})
-    told = *tried, *said, *judged, *_fit_summary(fit, verbose), output
-    report(figures, json_file, *told, quiet=quiet)
-
-
-def _judged(
-    fit: Fit,
-    strengths: Strengths,
-    training: Sequence[Trajectory],
-    other: Trajectory | None,
-    found: Evaluation | None,
-) -> tuple[list[str], list[Table], dict[str, Any]]:
-    """Assess a fit: return lines, tables, and figures for JSON."""
-    from airpuck.judgement.verdict import verdict
-
-    judged = verdict(fit.model, other or training[0], found)
-    said = [*judged.sentences, *strengths.sentences]
-    figures = {**fit.to_json(), "verdict": judged.to_json(), "strengths": strengths.to_json()}
-    if found is None or other is None:
-        return said, [], figures
-    figures["validation"] = found.to_json()
-    return said, [error_table([fit.model.name], [found], other)], figures
+        _write_report(found, report_folder)
+    warn(found.fit.warnings, quiet)
+    judged = (
+        []
+        if found.evaluation is None or other is None
+        else [error_table([found.model.name], [found.evaluation], other)]
+    )
+    told = *found.sentences, *judged, *_fit_summary(found.fit, verbose), output
+    report(found.to_json(), json_file, *told, quiet=quiet)
+    found.verdict.check_recording(recordings[0])
 
 
 @app.command("identify-puck", rich_help_panel=PANEL)
@@ -290,53 +269,22 @@ def identify_puck(
     )
 
 
-def _fitted(
-    trajectories: list[Trajectory],
-    rungs: list[Rung],
-    method: Method,
-    settings: dict[str, Any],
-    quiet: bool,
-) -> tuple[Fit, Selection | None]:
-    """Identify a rung; from several, keep the rung that predicts held-out data best."""
-    if len(rungs) > 1:
-        found = airpuck.select_model(trajectories, rungs, progress=say(quiet), **settings)
-        return found.fit, found
-    with show_progress(quiet) as progress:
-        return airpuck.identify(
-            trajectories, rungs[0], method=method, progress=progress, **settings
-        ), None
-
-
-def _ladder_summary(selection: Selection) -> Iterator[str | Table]:
-    """Yield lines on how well each rung predicted held-out data, and on the choice."""
-    from airpuck.identification.selection import (
-        SELECTION_HEADINGS,
-        selection_rows,
-        selection_title,
-        selection_words,
-    )
-
-    yield table(SELECTION_HEADINGS, selection_rows(selection), title=selection_title(selection))
-    yield selection_words(selection)
-
-
-def _write_report(
-    fit: Fit,
-    training: Sequence[Trajectory],
-    other: Trajectory | None,
-    found: Evaluation | None,
-    selection: Selection | None,
-    strengths: Strengths,
-    folder: Path,
-) -> None:
-    """Write a page on a fit, its predictions of another recording, and its selection."""
+def _write_report(study: Study, folder: Path) -> None:
+    """Write a page on a fit, and on its predictions of another recording."""
     from airpuck.report.evaluation_report import JudgedModels
-    from airpuck.report.fit_report import fit_report, selection_section
+    from airpuck.report.fit_report import fit_report
 
-    judged = None if other is None or found is None else JudgedModels(other, (found,))
-    more = () if selection is None else (selection_section(selection),)
+    judged = None
+    if study.validation is not None and study.evaluation is not None:
+        judged = JudgedModels(study.validation, (study.evaluation,))
     fit_report(
-        fit, training, folder, judged=judged, more=more, strengths=strengths, origin=origin()
+        study.fit,
+        study.training,
+        folder,
+        judged=judged,
+        strengths=study.strengths,
+        verdicts={study.model.name: study.verdict},
+        origin=origin(),
     )
 
 

@@ -55,12 +55,15 @@ def evaluate(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.coasting import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
+    from airpuck.judgement.study import causes_of
     from airpuck.judgement.verdict import verdict
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    said, since = verdict(judged, trajectory, found), better_from(found, trajectory)
+    causes = causes_of(trajectory, judged.vehicle, mapping)
+    said = verdict(judged, trajectory, found, causes=causes)
+    since = better_from(found, trajectory)
     page = None
     if output is not None:
         from airpuck.report.evaluation_report import evaluation_report
@@ -78,6 +81,7 @@ def evaluate(
     report(
         figures, json_file, *said.sentences, *shown, str(since), left_out_words(trajectory), page
     )
+    said.check_recording(recording)
 
 
 @app.command(rich_help_panel=PANEL)

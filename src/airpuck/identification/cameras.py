@@ -62,7 +62,6 @@ def _differences(
     known = np.append(trajectory.measured, np.zeros(_SAMPLES - 1, dtype=bool))
     whole = np.lib.stride_tricks.sliding_window_view(known, _SAMPLES).all(axis=1)
     first = trajectory.window_starts(_SAMPLES, 1, whole)
-    first = first[trajectory.measured[first + np.arange(_SAMPLES)[:, None]].all(axis=0)]
     index = first + np.arange(_SAMPLES)[:, None]
     inner = parts * first + np.arange((_SAMPLES - 1) * parts + 1)[:, None]
     acceleration = np.moveaxis(modelled[inner], 2, 1)

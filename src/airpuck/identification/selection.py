@@ -240,54 +240,6 @@ def select_model(
     return Selection(candidates, fit, folds, held_out.start, horizon)
 
 
-#: Headings of `selection_rows`.
-SELECTION_HEADINGS = (
-    "model",
-    "free",
-    "x mm",
-    "y mm",
-    "yaw rad",
-    "against the one above (95 % interval)",
-)
-
-
-def selection_rows(selection: Selection) -> list[list[str]]:
-    """Return table rows: each rung's errors on held-out data, and the change from rung to rung."""
-    rows = []
-    for candidate in selection.candidates:
-        x, y, yaw = candidate.rmse
-        errors = [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
-        change, (low, high) = (
-            100 * (v[..., -1] - 1) for v in (candidate.change, candidate.interval)
-        )
-        step = f"{change:+z.1f} % ({low:+z.1f} to {high:+z.1f})" if np.isfinite(change) else ""
-        rows.append([candidate.name, str(candidate.free), *errors, step])
-    return rows
-
-
-def selection_title(selection: Selection) -> str:
-    """Return the title of the table of `selection_rows`."""
-    return (
-        f"Errors after {selection.horizon:.2g} s on {selection.folds} blocks of time held out in "
-        f"turn, {len(selection.start)} predictions"
-    )
-
-
-def selection_words(selection: Selection) -> str:
-    """Return a sentence on the chosen rung and the reason."""
-    name, best = selection.fit.model.name, selection.best
-    if name == best.name:
-        return f"{name} predicts best, and nothing simpler is within one standard error of it"
-    [chosen] = [candidate for candidate in selection.candidates if candidate.name == name]
-    # The logarithm of a root mean square is half the logarithm of the mean square.
-    excess, error = 50 * chosen.excess, 50 * chosen.standard_error
-    return (
-        f"{name} is the simplest model within the tolerance: its errors are {excess:.1f} ± "
-        f"{error:.1f} "
-        f"% above the errors of {best.name}, the best"
-    )
-
-
 def _learned(problem: Problem, prepared: PredictionLoss | None) -> tuple[Model, PredictionLoss]:
     """Fit a rung to data as prepared for another."""
     assert prepared is not None

@@ -6,6 +6,7 @@ docs/method.md explains the four outcomes and their limits.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -13,6 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.finding import Finding
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
@@ -119,6 +121,18 @@ class Verdict(Result):
     def trusted(self) -> bool:
         """Whether the model can be trusted for control."""
         return self.outcome == "trusted"
+
+    def check_recording(self, file: str | os.PathLike[str]) -> None:
+        """Raise InputError if the recording is suspect: nothing learned from it can be right.
+
+        Parameters
+        ----------
+        file : path-like
+            The recording.
+        """
+        if self.outcome == "suspect_recording":
+            words = next(iter(self.findings)).sentence
+            raise InputError(f"is suspect: {words.removesuffix('.')}", file=file)
 
 
 def verdict(

@@ -17,14 +17,7 @@ from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
 from airpuck.faults.strengths import Strengths, actuator_strengths
 from airpuck.identification.fit_result import Fit, knowledge_words
-from airpuck.identification.selection import (
-    SELECTION_HEADINGS,
-    Selection,
-    selection_rows,
-    selection_title,
-    selection_words,
-)
-from airpuck.judgement.verdict import verdict
+from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.report.craft import actuator_words, craft_section
@@ -228,16 +221,6 @@ def _meanings(models: Sequence[Model]) -> str:
     return "; ".join(used)
 
 
-def selection_section(selection: Selection) -> PageSection:
-    """Show how well each rung predicts held-out data, and which one was selected."""
-    title = (
-        f"{selection_title(selection)}, RMS. The last column is the change over all three "
-        f"channels, weighted as in the loss. {selection_words(selection)}."
-    )
-    table = PageTable(title, SELECTION_HEADINGS, selection_rows(selection))
-    return PageSection("selection", "Which terms help", (table,))
-
-
 def fit_report(
     fits: Fit | Sequence[Fit],
     training: Trajectory | Sequence[Trajectory],
@@ -248,6 +231,7 @@ def fit_report(
     title: str | None = None,
     more: Sequence[PageSection] = (),
     strengths: Strengths | None = None,
+    verdicts: Mapping[str, Verdict] | None = None,
     origin: Origin | None = None,
 ) -> Path:
     """Write a report on one or several fits.
@@ -270,6 +254,8 @@ def fit_report(
         Sections to add at the end.
     strengths : Strengths, optional
         Of the last fit's actuators; by default from `actuator_strengths`.
+    verdicts : mapping of str to Verdict, optional
+        Of the models, by name; missing ones are judged here.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -298,7 +284,7 @@ def fit_report(
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
     strengths = strengths or actuator_strengths(last.model, training)
-    short = _verdicts(fits, judged, training)
+    short = _verdicts(fits, judged, training, verdicts or {})
     if strengths.sentences:
         short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))
     sections = [short]
@@ -329,17 +315,21 @@ def fit_report(
 
 
 def _verdicts(
-    fits: Sequence[Fit], judged: JudgedModels | None, training: Trajectory
+    fits: Sequence[Fit],
+    judged: JudgedModels | None,
+    training: Trajectory,
+    known: Mapping[str, Verdict],
 ) -> PageSection:
     """Summarise which fits can be trusted."""
-    if judged is None:
-        verdicts = {fit.model.name: verdict(fit.model, training) for fit in fits}
-        return verdict_section(verdicts, fits[-1].model.name)
+    shown, by = training, [None] * len(fits)
+    best = fits[-1].model.name
+    if judged is not None:
+        shown, by, best = judged.trajectory, list(judged.evaluations), judged.best.model
     verdicts = {
-        found.model: verdict(fit.model, judged.trajectory, found)
-        for fit, found in zip(fits, judged.evaluations, strict=True)
+        fit.model.name: known.get(fit.model.name) or verdict(fit.model, shown, found)
+        for fit, found in zip(fits, by, strict=True)
     }
-    return verdict_section(verdicts, judged.best.model)
+    return verdict_section(verdicts, best)
 
 
 def _delay_section(fit: Fit, training: Trajectory) -> PageSection:

@@ -1,0 +1,307 @@
+"""Score tests for terms that a model lacks, at the optimum of its fit.
+
+If a term were added at zero, the loss would fall along its gradient; a significant gradient shows
+that the term is missing (Rao, Proceedings of the Cambridge Philosophical Society 44, 1948). One
+pass over the windows gives gradients and information of all terms at once: no term needs a fit. The
+gradient's covariance is that of blocks of time, as for standard errors. A Gauss-Newton step
+predicts the term, and the shift of each parameter that its absence causes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from airpuck.boundary import numbers
+from airpuck.boundary.results import Result
+from airpuck.evaluation.main_quantities import main_quantities
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.objective import Quadratic
+from airpuck.identification.uncertainty import varying
+from airpuck.model.model_file import Model
+from airpuck.model.parameters import Parameters, change_degree
+from airpuck.model.quantities import EFFECTS
+
+#: Probability below which a term is missing: the twelve tests of a healthy flight then find one in
+#: less than a percent of all flights.
+_LEVEL = 5e-4
+#: Decrease of the mean square below which a term is not worth its coefficients: half a percent of
+#: the root, as for the ladder's rungs.
+_NOTICEABLE = 0.01
+#: Part of a shift for which the main quantities are linear.
+_STEP = 1e-3
+#: Number of blocks of time that are held out in turn.
+_FOLDS = 5
+#: Fewest blocks of time beyond a term's coefficients.
+_FEWEST = 6
+#: Terms whose gradient vanishes where they are zero, so that no score shows them.
+_STATIONARY = frozenset({"pair_interaction"})
+#: The term that is not an effect: a higher degree of the thrust curves.
+DEGREE = "degree"
+
+
+@dataclass(frozen=True)
+class MissingTerm(Result):
+    """A term that a model lacks.
+
+    Attributes
+    ----------
+    term : str
+        Name of the term in a rung's name; ``degree``: a higher degree of the thrust curves.
+    probability : float
+        Probability of such a gradient by chance.
+    gain : float
+        Predicted decrease of the loss, as a fraction.
+    held_out : float
+        The same for blocks of time that the step does not see, less one standard error.
+    value : tuple of float
+        Predicted coefficients.
+    direction : array, shape (P,)
+        Predicted change of the fit's parameters.
+    shift : dict of str to float
+        Predicted change of the main quantities if the term is added, by label, in their units.
+    largest : str
+        The quantity that changes most, in standard errors.
+    standard_errors : float
+        How many.
+    """
+
+    JSON = "term probability gain held_out value shift largest standard_errors"
+
+    term: str
+    probability: float
+    gain: float
+    held_out: float
+    value: tuple[float, ...]
+    direction: Float[np.ndarray, " P"]
+    shift: dict[str, float] = field(default_factory=dict)
+    largest: str = ""
+    standard_errors: float = 0.0
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance does not explain it."""
+        return self.probability < _LEVEL
+
+    @property
+    def worthwhile(self) -> bool:
+        """Whether held-out parts of the data are predicted noticeably better with it."""
+        return self.held_out > _NOTICEABLE
+
+
+def missing_terms(fit: Fit) -> tuple[MissingTerm, ...]:
+    """Test every term that a fit's model lacks; return the significant ones, the strongest first.
+
+    Terms explain much of each other: once the strongest is found, the others are tested beside it.
+    """
+    if fit.objective is None or fit.objective.clusters is None or not fit.model.free.any():
+        return ()
+    tests = _Tests.of(fit)
+    found: list[MissingTerm] = []
+    while True:
+        tested = [t for t in tests.tested([one.term for one in found]) if t.significant]
+        if not tested:
+            return _with_shifts(fit.model, found)
+        found.append(max(tested, key=lambda one: one.gain))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tests:
+    """The quadratic approximation of a fit's loss over its own parameters and all missing terms."""
+
+    model: Model
+    quadratic: Quadratic
+    #: Directions in which the fit's own parameters vary, in all parameters.
+    basis: Float[np.ndarray, "Q R"]
+    #: Positions of the fit's own parameters among all.
+    own: Int[np.ndarray, " P"]
+    #: Entries and lower bounds of each term.
+    entries: dict[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]]
+
+    @classmethod
+    def of(cls, fit: Fit) -> _Tests:
+        """Evaluate the loss once, with all terms at zero."""
+        model, loss = fit.model, fit.objective
+        assert loss is not None
+        whole = _with_all_terms(model)
+        quadratic = loss.quadratic(whole)
+        names = model.vehicle.propeller_names
+        labels = whole.labels(names)
+        own = np.array([labels.index(label) for label in model.parameters.labels(names)])
+        hessian = quadratic.hessian
+        inside = varying(hessian[np.ix_(own, own)], model.parameters, model.free).basis
+        basis = np.zeros((len(labels), inside.shape[1]))
+        basis[own] = inside
+        lower, _ = whole.bounds()
+        entries = {}
+        for term, mask in _terms(model, whole, own):
+            entries[term] = (np.flatnonzero(mask), lower[mask])
+        return cls(model, quadratic, basis, own, entries)
+
+    def tested(self, beside: list[str]) -> Iterator[MissingTerm]:
+        """Test each term with a model that has the terms `beside`, too."""
+        basis, hessian = self.basis, self.quadratic.hessian
+        for term in beside:
+            basis = _extended(basis, hessian, self.entries[term][0])
+        for term, (entries, lower) in self.entries.items():
+            if term in beside:
+                continue
+            if (found := self._test(term, entries, lower, basis)) is not None:
+                yield found
+
+    def _test(
+        self,
+        term: str,
+        entries: Int[np.ndarray, " k"],
+        lower: Float[np.ndarray, " k"],
+        basis: Float[np.ndarray, "Q R"],
+    ) -> MissingTerm | None:
+        """Test a term; coefficients that would be below their bound stay at zero."""
+        hessian, scores = self.quadratic.hessian, self.quadratic.scores
+        positive = dict(zip(entries.tolist(), lower >= 0, strict=True))
+        kept = [int(entry) for entry in entries]
+        while kept:
+            mixed = basis.T @ hessian[:, kept]
+            effective = scores[:, kept] - scores @ basis @ mixed
+            information = hessian[np.ix_(kept, kept)] - mixed.T @ mixed
+            value = -_solved(information, effective.sum(axis=0))
+            impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 and positive[e]]
+            if not impossible:
+                break
+            kept = [entry for entry in kept if entry not in impossible]
+        else:
+            return None
+        if len(effective) < len(kept) + _FEWEST:
+            return None
+        own = (-basis @ (mixed @ value))[self.own]
+        gain = float(-value @ effective.sum(axis=0) / 2) / self.quadratic.loss
+        chance, coefficients = _by_chance(effective, information), tuple(value.tolist())
+        held_out = self._held_out(basis, kept) if chance < _LEVEL else 0.0
+        return MissingTerm(term, chance, gain, held_out, coefficients, own)
+
+    def _held_out(self, basis: Float[np.ndarray, "Q R"], entries: list[int]) -> float:
+        """Predict blocks of time by steps from all other blocks, with and without a term.
+
+        Return by which fraction the term lowers the loss, less one standard error.
+        """
+        scores, informations = self.quadratic.scores, self.quadratic.informations
+        own = basis.shape[1]
+        wide = np.concatenate([basis, np.eye(len(basis))[:, entries]], axis=1)
+        g, h = scores @ wide, np.einsum("qi,gqp,pj->gij", wide, informations, wide, optimize=True)
+        gains = []
+        for held in np.array_split(np.arange(len(scores)), min(_FOLDS, len(scores))):
+            rest = np.setdiff1d(np.arange(len(scores)), held)
+            lost = []
+            for size in (own, own + len(entries)):
+                step = -_solved(h[rest].sum(axis=0)[:size, :size], g[rest].sum(axis=0)[:size])
+                slope, bend = g[held].sum(axis=0)[:size], h[held].sum(axis=0)[:size, :size]
+                lost.append(slope @ step + step @ bend @ step / 2)
+            gains.append(lost[0] - lost[1])
+        error = np.std(gains, ddof=1) * math.sqrt(len(gains)) if len(gains) > 1 else np.inf
+        return float((np.sum(gains) - error) / self.quadratic.loss)
+
+
+def _solved(
+    information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " k"]:
+    """Solve scaled normal equations; directions without information stay at zero."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-9, hermitian=True)
+    return scale * (inverse @ (scale * score))
+
+
+def _by_chance(scores: Float[np.ndarray, "G k"], information: Float[np.ndarray, "k k"]) -> float:
+    """Return the probability of such a sum of block scores if the term were zero.
+
+    The statistic is sᵀ I⁻¹ s over its expectation under the blocks' own covariance (Rao and Scott,
+    Journal of the American Statistical Association 76, 1981). Unlike Hotelling's T² it needs few
+    blocks.
+    """
+    from scipy.special import fdtrc
+
+    count, size = scores.shape
+    total, centred = scores.sum(axis=0), scores - scores.mean(axis=0)
+    square = float(total @ _solved(information, total))
+    expected = sum(float(one @ _solved(information, one)) for one in centred)
+    expected *= count / (count - 1)
+    return float(fdtrc(size, count - 1, square / max(expected, 1e-300)))
+
+
+def _with_all_terms(model: Model) -> Parameters:
+    """Return the parameters with every missing term at zero."""
+    parameters, degree = model.parameters, np.shape(model.parameters.thrust)[1]
+    added: dict[str, Any] = {}
+    for name, quantity in EFFECTS.items():
+        if getattr(parameters, name) is None and name not in _STATIONARY:
+            start = quantity.start
+            added[name] = np.zeros(len(start)) if isinstance(start, tuple) else 0.0
+    if degree < numbers.DEGREE.high and _can_bend(model, degree + 1):
+        added["thrust"] = change_degree(np.asarray(parameters.thrust), degree + 1)
+    return replace(parameters, **added)
+
+
+def _can_bend(model: Model, degree: int) -> bool:
+    """Return whether the craft's actuators can have thrust curves of a degree."""
+    try:
+        model.vehicle.actuators.check_thrust(degree)
+    except ValueError:
+        return False
+    return True
+
+
+def _terms(
+    model: Model, whole: Parameters, own: Any
+) -> Iterator[tuple[str, Bool[np.ndarray, " Q"]]]:
+    """Yield the entries of each missing term."""
+    new = np.ones(len(whole.to_vector()), dtype=bool)
+    new[own] = False
+    for name, quantity in EFFECTS.items():
+        if getattr(model.parameters, name) is None and getattr(whole, name) is not None:
+            yield quantity.term, whole.mask(frozenset({name}))
+    # Curves that the fit learned can bend further, other curves cannot.
+    curves = whole.mask(frozenset({"thrust"})) & new
+    shape = np.shape(model.parameters.thrust)
+    learned = np.asarray(model.free)[: shape[0] * shape[1]].reshape(shape).any(axis=1)
+    if curves.any():
+        curves[np.flatnonzero(curves)[~learned]] = False
+    if curves.any():
+        yield DEGREE, curves
+
+
+def _extended(
+    basis: Float[np.ndarray, "Q R"], hessian: Float[np.ndarray, "Q Q"], entries: Any
+) -> Float[np.ndarray, "Q S"]:
+    """Add entries to a basis in which the information is 1."""
+    added = np.eye(len(hessian))[:, entries]
+    rest = added - basis @ (basis.T @ hessian @ added)
+    value, vector = np.linalg.eigh(rest.T @ hessian @ rest)
+    sure = value > 1e-9 * max(value[-1], 1e-300)
+    return np.concatenate([basis, rest @ vector[:, sure] / np.sqrt(value[sure])], axis=1)
+
+
+def _with_shifts(model: Model, found: list[MissingTerm]) -> tuple[MissingTerm, ...]:
+    """Add how the main quantities change with each term, and which changes most."""
+    if not found:
+        return ()
+    quantities = [q for q in main_quantities(model) if q.used(model) and q.learned(model)]
+
+    def values(model: Model) -> Float[np.ndarray, " M"]:
+        return np.array([float(quantity.value(model)) for quantity in quantities])
+
+    vector, now = model.parameters.to_vector(), values(model)
+    errors = np.asarray(model.standard_error(values))
+    known, complete = errors > 0, []
+    for one in found:
+        parameters = model.parameters.with_vector(vector + _STEP * one.direction)
+        change = (values(replace(model, parameters=parameters, uncertainty=None)) - now) / _STEP
+        relative = np.abs(np.divide(change, errors, where=known, out=np.zeros_like(change)))
+        most = int(np.argmax(relative))
+        shift = {q.label: float(c) for q, c in zip(quantities, change, strict=True)}
+        largest, size = quantities[most].label, float(relative[most])
+        complete.append(replace(one, shift=shift, largest=largest, standard_errors=size))
+    return tuple(complete)

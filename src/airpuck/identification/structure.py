@@ -1,0 +1,177 @@
+"""`identify`, and the one policy for the structure of a model if none is named.
+
+The floor comes first: M3 with the terms of the floor that the recording clearly shows. Then every
+term that this fit lacks is tested at once (`missing_terms`). Terms that are significant, and that
+predict held-out blocks of time noticeably better, are added in a second fit. The command line,
+campaigns and studies use this policy, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from airpuck.boundary.numbers import percent
+from airpuck.boundary.results import Result
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory, as_trajectories, vehicle_of
+from airpuck.faults.strengths import usual_rung
+from airpuck.identification import fit as fitting
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.method import Iteration, Method
+from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms
+from airpuck.identification.settings import Loss, Preparation
+from airpuck.model.parameters import Parameters
+from airpuck.model.rungs import Rung, named_rung
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.physics.rigid_body import CenterOfMassFrame
+
+#: Name that stands for the policy, as if no model were named.
+AUTO = "auto"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelStructure(Result):
+    """The structure of a model: why it was chosen, and what it still lacks.
+
+    Attributes
+    ----------
+    base : str
+        The rung that was fitted first.
+    chosen : str
+        The rung of the result.
+    added : tuple of MissingTerm
+        Terms that were added to the first fit.
+    missing : tuple of MissingTerm
+        Significant terms that the result lacks.
+    """
+
+    JSON = "base chosen added missing"
+
+    base: str
+    chosen: str
+    added: tuple[MissingTerm, ...] = ()
+    missing: tuple[MissingTerm, ...] = ()
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The choice in words."""
+        return tuple(
+            f"The structure is {self.chosen}: {one.term} lowers the mean squared error of held-out "
+            f"parts by {percent(one.held_out)} or more"
+            for one in self.added
+        )
+
+
+def identify(
+    trajectories: Trajectory | Sequence[Trajectory],
+    model: str | Rung | None = None,
+    *,
+    vehicle: Vehicle | None = None,
+    initial: Parameters | None = None,
+    loss: Loss | None = None,
+    method: Method | Literal["lm", "adam"] | None = None,
+    preparation: Preparation | None = None,
+    progress: Callable[[Iteration], None] = lambda _: None,
+) -> Fit:
+    """Identify a model by minimising its multi-step prediction error (eq. combined_loss).
+
+    Parameters
+    ----------
+    trajectories : Trajectory or sequence of Trajectory
+        Data of one craft.
+    model : str or Rung, optional
+        The rung of the model ladder; see `airpuck.named_rung` for degrees and frames. By default,
+        or if it is "auto": M3 with the terms that the recordings clearly show.
+    vehicle : Vehicle, optional
+        The craft; by default the craft that the trajectories were preprocessed for, or the paper's.
+    initial : Parameters, optional
+        Initial parameters, for a named model; by default the vehicle's nominal values.
+    loss : Loss, optional
+        Which prediction errors count, and their weights.
+    method : Method or {"lm", "adam"}, optional
+        `LevenbergMarquardt()` or "lm", the default; `Adam()` or "adam".
+    preparation : Preparation, optional
+        Whether faults are left out, the delay is learned and packets are retimed.
+    progress : callable, optional
+        Called after every iteration of the optimiser.
+
+    Returns
+    -------
+    Fit
+        The model, and details of the fit.
+
+    Raises
+    ------
+    InputError
+        If the data do not fit the vehicle or are too short, or the model does not exist.
+
+    Examples
+    --------
+    >>> fit = airpuck.identify(trajectory, "M0")
+    >>> fit.converged
+    True
+    >>> fit.model.save("model.toml")
+    """
+    options: dict[str, Any] = {"vehicle": vehicle, "initial": initial, "loss": loss}
+    options |= {"method": method, "preparation": preparation, "progress": progress}
+    return structured(trajectories, model, **options)[0]
+
+
+def structured(
+    trajectories: Trajectory | Sequence[Trajectory],
+    model: str | Rung | None = None,
+    *,
+    degree: int | None = None,
+    frame: CenterOfMassFrame = "body",
+    **options: Any,
+) -> tuple[Fit, ModelStructure]:
+    """Identify a model, and test what it lacks; `options` are those of `identify`."""
+    trajectories = as_trajectories(trajectories)
+    craft = options.get("vehicle") or vehicle_of(trajectories)
+    free = model is None or model == AUTO
+    # The published method, and a start of the user's own, are for one structure.
+    usual = free and options.get("method") in (None, "lm") and options.get("initial") is None
+    name = usual_rung(trajectories[0], craft) if usual else "M3" if free else model
+    rung = named_rung(name, degree=degree, frame=frame) if isinstance(name, str) else name
+    assert rung is not None
+    fit = fitting.identify(trajectories, rung, **options)
+    missing = missing_terms(fit)
+    added = tuple(one for one in missing if one.worthwhile) if usual else ()
+    if not added:
+        return _widened(fit, missing), ModelStructure(rung.name, rung.name, (), missing)
+    richer = _richer(rung, [one.term for one in added], np.shape(fit.model.parameters.thrust)[1])
+    fit = fitting.identify(trajectories, richer, **options)
+    missing = missing_terms(fit)
+    return _widened(fit, missing), ModelStructure(rung.name, richer.name, added, missing)
+
+
+def _richer(rung: Rung, terms: Sequence[str], degree: int) -> Rung:
+    """Add terms to a rung."""
+    effects = "+".join([rung.name, *(term for term in terms if term != DEGREE)])
+    bends = DEGREE in terms
+    return named_rung(effects, degree=degree + 1 if bends else rung.degree, frame=rung.frame)
+
+
+def _widened(fit: Fit, missing: Sequence[MissingTerm]) -> Fit:
+    """Widen the errors of a fit by the shifts that missing terms predict."""
+    known = fit.model.known
+    if known is None or not missing:
+        return fit
+    shifts = np.array([one.direction for one in missing])
+    note = f"errors include what the model lacks: {', '.join(one.term for one in missing)}"
+    wider = _with_shifts(known, shifts, note)
+    return replace(fit, model=replace(fit.model, uncertainty=wider))
+
+
+def _with_shifts(known: Uncertainty, shifts: Any, note: str) -> Uncertainty:
+    """Add the squares of shifts to a covariance."""
+    sure = np.isfinite(known.standard_errors)
+    shifts = np.where(sure, shifts, 0.0)
+    covariance = known.covariance + shifts.T @ shifts
+    errors = np.where(sure, np.sqrt(np.diag(covariance)), np.nan)
+    notes = (*known.notes, note)
+    return replace(known, covariance=covariance, standard_errors=errors, notes=notes)

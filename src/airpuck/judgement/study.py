@@ -1,0 +1,256 @@
+"""`study`: one judgement of recordings, which commands, campaigns and reports show."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from airpuck.boundary.finding import Finding
+from airpuck.boundary.notebook import html_table
+from airpuck.boundary.results import Result
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.trajectory import Trajectory, vehicle_of
+from airpuck.evaluation.evaluate import Evaluation, evaluate
+from airpuck.faults.strengths import Strengths, actuator_strengths
+from airpuck.identification.bootstrap import bootstrap as resample
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.method import Iteration, Method
+from airpuck.identification.missing_terms import DEGREE, MissingTerm
+from airpuck.identification.settings import Loss, Preparation
+from airpuck.identification.structure import ModelStructure, structured
+from airpuck.judgement.findings import actuator_causes, layout_causes
+from airpuck.judgement.verdict import Verdict, verdict
+from airpuck.model.model_file import Model
+from airpuck.model.rungs import Rung
+from airpuck.physics.rigid_body import CenterOfMassFrame
+from airpuck.preprocessing.pipeline import load_trajectory, preprocess
+from airpuck.recording.mapping import RecordingMapping
+from airpuck.recording.stream import Recording
+
+#: A recording: its path, what was read from it, or what was preprocessed.
+Given = str | os.PathLike[str] | Recording | Trajectory
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study(Result):
+    """What recordings say about a craft.
+
+    Attributes
+    ----------
+    fit : Fit
+        The model, and details of its fit.
+    selection : ModelStructure
+        Why the model has its structure, and what it lacks.
+    verdict : Verdict
+        Whether the model can be trusted for control, and whether its parameters are right.
+    strengths : Strengths
+        Each actuator's strength against the vehicle file, and against the others.
+    training : tuple of Trajectory
+        What the model was learned from.
+    validation : Trajectory or None
+        What it was evaluated on.
+    evaluation : Evaluation or None
+        How well it predicts the validation recording.
+
+    Examples
+    --------
+    >>> airpuck.write_bag(recording, "bag/")
+    >>> study = airpuck.study("bag/", model="M0")
+    >>> isinstance(study, airpuck.Study), study.model.name, study.verdict.trusted
+    (True, 'M0', False)
+    """
+
+    fit: Fit
+    selection: ModelStructure
+    verdict: Verdict
+    strengths: Strengths
+    training: tuple[Trajectory, ...]
+    validation: Trajectory | None = None
+    evaluation: Evaluation | None = None
+
+    @property
+    def model(self) -> Model:
+        """The identified model."""
+        return self.fit.model
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong, causes first; see `Verdict.findings`."""
+        return self.verdict.findings
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The study in words: verdict, structure and strengths."""
+        found = *self.verdict.sentences, *self.selection.sentences, *self.strengths.sentences
+        return tuple(dict.fromkeys(found))
+
+    def __repr__(self) -> str:
+        return f"Study({self.model.name}, {self.verdict.outcome}: {self.verdict.sentences[0]})"
+
+    def _repr_html_(self) -> str:
+        rows = [(finding.kind, finding.sentence) for finding in self.findings]
+        found = html_table("Findings", ("cause", ""), rows) if rows else ""
+        return self.model.html(" ".join(self.verdict.sentences[:1])) + found
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields for ``--json``.
+
+        Returns
+        -------
+        dict
+            Those of the fit, and ``verdict``, ``findings``, ``controller``, ``strengths`` and
+            ``selection``; with another recording ``validation``.
+        """
+        said = self.verdict.to_json()
+        figures = {**self.fit.to_json(), "verdict": said}
+        figures |= {key: said[key] for key in ("findings", "controller")}
+        figures |= {"strengths": self.strengths.to_json(), "selection": self.selection.to_json()}
+        if self.evaluation is not None:
+            figures["validation"] = self.evaluation.to_json()
+        return figures
+
+
+def study(
+    recordings: Given | Sequence[Given],
+    vehicle: Vehicle | None = None,
+    model: str | Rung | None = None,
+    validation: Given | None = None,
+    *,
+    mapping: RecordingMapping | None = None,
+    span: tuple[float, float] | None = None,
+    degree: int | None = None,
+    frame: CenterOfMassFrame = "body",
+    loss: Loss | None = None,
+    method: Method | None = None,
+    preparation: Preparation | None = None,
+    bootstrap: int = 0,
+    seed: int = 0,
+    laws: Sequence[str] = (),
+    progress: Callable[[Iteration], None] = lambda _: None,
+    resampled: Callable[[int], None] = lambda _: None,
+) -> Study:
+    """Identify a model of a craft from recordings, and judge it.
+
+    Parameters
+    ----------
+    recordings : path-like, Recording, Trajectory, or a sequence of these
+        Recordings of one craft.
+    vehicle : Vehicle, optional
+        The craft; by default the one of the trajectories, or the paper's.
+    model : str or Rung, optional
+        The rung; by default M3 with the terms that the recordings clearly show.
+    validation : path-like, Recording or Trajectory, optional
+        Another recording, to evaluate the model on.
+    mapping : RecordingMapping, optional
+        Topics, columns, units and axes of the recordings.
+    span : tuple of float, optional
+        Part of each recording to learn from, as fractions of its length.
+    degree : int, optional
+        Degree of the thrust polynomials.
+    frame : {"body", "world"}, default "body"
+        The frame in which the offset of the centre of mass is constant.
+    loss, method, preparation, progress
+        As for `airpuck.identify`.
+    bootstrap : int, default 0
+        Number of fits to resampled data, for bootstrap intervals; `seed` is their seed.
+    seed : int, default 0
+        See `bootstrap`.
+    laws : sequence of str, optional
+        Laws to fly in simulation besides the default one, such as ``mpc``, which takes seconds.
+    resampled : callable, optional
+        Called with the number of resampled fits done.
+
+    Returns
+    -------
+    Study
+        The model, its evaluation, and what is wrong.
+
+    Raises
+    ------
+    InputError
+        If a recording cannot be used, or the model does not exist.
+
+    Examples
+    --------
+    >>> study = airpuck.study(trajectory, model="M0")
+    >>> study.findings[0].kind
+    'physics'
+    """
+    several = isinstance(recordings, Sequence) and not isinstance(recordings, str)
+    listed: Any = recordings if several else [recordings]
+    training = tuple(loaded(one, vehicle, mapping) for one in listed)
+    if span is not None:
+        training = tuple(one.slice(*span) for one in training)
+    other = None if validation is None else loaded(validation, vehicle, mapping)
+    fit, structure = structured(
+        training,
+        model,
+        degree=degree,
+        frame=frame,
+        vehicle=vehicle,
+        loss=loss,
+        method=method,
+        preparation=preparation,
+        progress=progress,
+    )
+    if bootstrap:
+        fit = resample(fit, bootstrap, seed=seed, progress=resampled)
+    return judged(fit, structure, training, other, mapping=mapping, laws=laws)
+
+
+def loaded(
+    recording: Given, vehicle: Vehicle | None = None, mapping: RecordingMapping | None = None
+) -> Trajectory:
+    """Return the trajectory of a recording, whatever form it has."""
+    if isinstance(recording, Trajectory):
+        return recording
+    if isinstance(recording, Recording):
+        return preprocess(recording, vehicle)
+    return load_trajectory(recording, vehicle, mapping=mapping)
+
+
+def judged(
+    fit: Fit,
+    structure: ModelStructure,
+    training: Sequence[Trajectory],
+    validation: Trajectory | None = None,
+    *,
+    mapping: RecordingMapping | None = None,
+    laws: Sequence[str] = (),
+) -> Study:
+    """Judge a fit."""
+    model = fit.model
+    found = None if validation is None else evaluate(model, validation)
+    strengths = actuator_strengths(model, training[0])
+    causes = [
+        *causes_of(training[0], model.vehicle, mapping),
+        *actuator_causes(strengths),
+        *map(_lacking, structure.missing),
+    ]
+    said = verdict(model, validation or training[0], found, causes=causes, laws=laws)
+    return Study(fit, structure, said, strengths, tuple(training), validation, found)
+
+
+def causes_of(
+    trajectory: Trajectory,
+    vehicle: Vehicle | None = None,
+    mapping: RecordingMapping | None = None,
+) -> list[Finding]:
+    """Return what is wrong with a recording, whatever the model."""
+    axes = {} if mapping is None else {"axes": mapping.pose.axes}
+    return layout_causes(trajectory, vehicle or vehicle_of([trajectory]), **axes)
+
+
+def _lacking(term: MissingTerm) -> Finding:
+    """Report a term that a model lacks, with the error that this causes."""
+    name = "a thrust curve of higher degree" if term.term == DEGREE else f"the term {term.term}"
+    evidence = f"the loss would fall by {100 * term.gain:.2g} %"
+    if term.largest:
+        size = abs(term.shift[term.largest])
+        evidence += f", and {term.largest} would change by {size:.3g}"
+    remedy = f"Add +{term.term} (`--model`)."
+    if term.term == DEGREE:
+        remedy = "Use a higher degree (`--degree`)."
+    return Finding("physics", f"The model lacks {name}", evidence, remedy)
