@@ -129,14 +129,13 @@ function draw(stamp) {
   table.clear();
   leaveTrail(seen, now);
   table.drawTrail(trail.map(point => point && [point[0], point[1], (now - point[2]) / TRAIL]));
-  if (thinking && thought && (hello.live || status.phase === "play")) {
-    if (thought.predicted) table.drawPath(thought.predicted, hello.colors.grey);
-    table.drawIntention(thought);
-  }
+  const shown = thinking && (hello.live || status.phase === "play") ? thought : null;
+  if (shown?.predicted) table.drawPath(shown.predicted, hello.colors.grey);
   const { left, right } = hello.colors, [one, other] = hello.sides;
   const commands = drawSide(one, seen.craft, left, seen.commands);
   if (!seen.hidden) table.drawPuck(seen.puck);
   drawSide(other, mallet, right, commands);
+  if (shown) table.drawIntention(shown);  // its words lie above the craft
   for (const [number, sent] of sentAt) {
     if (number > seen.heard) break;
     sentAt.delete(number);

@@ -54,6 +54,7 @@ DARK_COLORS: dict[str, Any] = COLORS | {
     "right": "#e8722a",
     "puck": "#f0e442",
     "mark": "#12161b",
+    "craft": "#84919d",
     "inkRgb": _rgb("#e8ecf0"),
     "floorRgb": _rgb("#1c2329"),
 }
