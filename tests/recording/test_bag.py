@@ -597,3 +597,15 @@ def test_files_that_metadata_lists_are_one_recording_whatever_their_names(tmp_pa
         "rosbag2_bagfile_information:\n  relative_file_paths: [early.mcap, late.mcap]\n"
     )
     assert len(read_recording(folder)["pose"]) == 960
+
+
+def test_a_topic_with_two_definitions_may_be_suggested(tmp_path: Path, topics):
+    before, after = halves(topics["/drone/control"][2])
+    other = COMMAND_TEXT.replace("motor_c_2", "motor_d_2")
+    path = write_channels(
+        tmp_path / "a.mcap",
+        ("/motors", COMMAND_TYPE, COMMAND_TEXT, before),
+        ("/motors", COMMAND_TYPE, other, after),
+    )
+    with pytest.raises(InputError, match='command = "/motors"'):
+        read_recording(path)

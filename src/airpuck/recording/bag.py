@@ -230,7 +230,7 @@ def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
         spent += len(topic.definition)
         if spent <= DEFINITION_BYTES and len(found) < _MOST_LOOKED_AT:
             found.append((name, topic))
-    return sorted(found)
+    return sorted(found, key=lambda item: item[0])
 
 
 def _no_topics(missing: list[str], log: Log) -> str:
