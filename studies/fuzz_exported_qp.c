@@ -53,7 +53,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     signed char *state = malloc((size_t)m);
     airpuck_real lower[6], upper[6];
     airpuck_qp_begin(&qp, n, r, s, numbers, working, state);
-    qp.most = 300;
+    qp.iteration_limit = 300;
     qp.penalty = AIRPUCK_F(fabs)(number(&data, &size)) + AIRPUCK_R(0.1);
     for (int i = 0; i < n * (n + 1) / 2; i++)
         qp.hessian[i] = number(&data, &size);

@@ -20,7 +20,7 @@ int access_solve(int n, int r, int s, int most, double penalty, const double *he
     airpuck_real *numbers = (airpuck_real *)malloc(count * sizeof *numbers);
     int *working = (int *)malloc(active * sizeof *working);
     airpuck_qp_begin(&qp, n, r, s, numbers, working, state);
-    qp.most = most;
+    qp.iteration_limit = most;
     qp.penalty = (airpuck_real)penalty;
     for (int i = 0; i < n; i++) {
         qp.gradient[i] = (airpuck_real)gradient[i];

@@ -185,6 +185,14 @@ def test_single_precision_decides_alike(single):
     assert np.quantile([step.command for step in found.steps], 0.99) < 2e-5
 
 
+def test_single_precision_allocates_to_opposed_propellers(tmp_path):
+    """M3's propellers are exactly opposed: rounding a column would let a pair push in vain."""
+    airpuck.export.write(PAPER["M3"], "c", tmp_path)
+    words = [program(tmp_path, "airpuck_selftest.c", *SINGLE), tmp_path / "golden.csv"]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_single_precision_finds_the_nearest_acceleration_of_four_propellers(tmp_path):
     c = CompiledController(library(FOUR, tmp_path / "c", "-DAIRPUCK_SINGLE"), FOUR)
     found = compare(TrackingController(FOUR, HOME, compiled=False), c, 400)

@@ -122,6 +122,46 @@ def test_every_way_to_end_has_its_status(program, status, solver, single):
     assert single.solve(program).status == status
 
 
+def test_limits_at_zero_without_a_gradient_are_met_exactly(solver):
+    program = unit_square(gradient=np.zeros(2), upper=np.array([0.0, 1.0]))
+    for start in ([0, 0], [1, 1]):
+        found = solver.solve(program, np.array(start))
+        assert found.status == "solved"
+        np.testing.assert_array_equal(found.x, 0.0)
+
+
+@pytest.mark.parametrize("penalty", [1e3, 1e6])
+def test_a_stiff_soft_row_gives_way_to_a_hard_limit(penalty, solver, single):
+    # x = 1 is hard, x ≤ 0 soft: the violation is 1, whatever it costs.
+    for one in (solver, single):
+        found = one.solve(
+            Program(
+                np.eye(1),
+                np.zeros(1),
+                np.ones((1, 1)),
+                np.array([1.0, -np.inf]),
+                np.array([1.0, 0.0]),
+                soft=1,
+                penalty=penalty,
+            )
+        )
+        assert found.status == "softened"
+        np.testing.assert_allclose(found.x, 1.0, rtol=1e-5)
+
+
+def test_an_infeasible_program_leaves_a_state_from_which_the_next_is_solved(solver):
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        program = draw(random, "plain", n=4, r=4)
+        closed = replace(program, lower=program.lower.copy(), upper=program.upper.copy())
+        closed.lower[:4], closed.upper[:4] = 5.0, 6.0
+        closed.lower[4:], closed.upper[4:] = -1e3, np.minimum(closed.matrix.sum(axis=1) * 5, 0) - 9
+        state = solver.solve(closed).state
+        again, cold = solver.solve(program, state), solver.solve(program)
+        assert again.status == cold.status == "solved"
+        np.testing.assert_allclose(again.x, cold.x, rtol=1e-8, atol=1e-10)
+
+
 def test_iterations_are_bounded(solver):
     program = draw(np.random.default_rng(4), "soft", n=12, r=12)
     needed = solver.solve(program).iterations

@@ -146,6 +146,7 @@ def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
             ("belief", number * (30 + n)),
             ("held", whole),
             ("commands", Held * sizes["AIRPUCK_HELD"]),
+            ("sides", ctypes.c_byte * (n + 2)),
             *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),
             *([("departs", time)] if sizes["AIRPUCK_INTERVALS"] else []),
             ("numbers", number * numbers),

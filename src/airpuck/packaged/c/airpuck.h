@@ -133,6 +133,7 @@ typedef struct {
     airpuck_belief belief;
     int held; /* Number of commands; the first one acts at the time of the belief. */
     airpuck_held commands[AIRPUCK_HELD];
+    signed char sides[AIRPUCK_MOTORS + 2]; /* Active bounds of the last thrust allocation. */
 
 #if AIRPUCK_STEPS > 0
     airpuck_plan plan;

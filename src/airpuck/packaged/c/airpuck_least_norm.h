@@ -4,12 +4,13 @@
  *     min x'x   subject to   sum of x_j columns_j = wanted  and  lower <= x <= upper.
  *
  * There are three equations, however many motors there are. So the factor of the active set is
- * small enough to be made anew in every iteration, from the variables that are not at a bound. This
- * keeps a float's digits where the costs of thrusts and slacks differ by a factor of a million. */
+ * small enough to be made anew in every iteration, from the variables that are not at a bound.
+ *
+ * All numbers are double, also in single precision: slacks cost a million times as much as thrusts,
+ * and a float has no digits for both. */
 #ifndef AIRPUCK_LEAST_NORM_H
 #define AIRPUCK_LEAST_NORM_H
 
-#include "airpuck_real.h"
 #include "airpuck_sizes.h"
 
 /* Thrusts, slacks and residuals of the equations. */
@@ -21,11 +22,21 @@ typedef enum {
     AIRPUCK_LEAST_ITERATION_LIMIT
 } airpuck_least_status;
 
+/* Sides of variables: free, at a bound, or at two equal bounds. */
+enum {
+    AIRPUCK_LEAST_FREE = 0,
+    AIRPUCK_LEAST_AT_LOWER = 1,
+    AIRPUCK_LEAST_AT_UPPER = -1,
+    AIRPUCK_LEAST_FIXED = 2
+};
+
 typedef struct {
     int n;
-    airpuck_real columns[AIRPUCK_VARIABLES][3], wanted[3];
-    airpuck_real lower[AIRPUCK_VARIABLES], upper[AIRPUCK_VARIABLES];
-    airpuck_real x[AIRPUCK_VARIABLES];
+    double columns[AIRPUCK_VARIABLES][3], wanted[3];
+    double lower[AIRPUCK_VARIABLES], upper[AIRPUCK_VARIABLES];
+    double x[AIRPUCK_VARIABLES];
+    /* Sides of the variables. The solver starts from those it finds, all free or the last ones. */
+    signed char side[AIRPUCK_VARIABLES];
     int iterations;
 } airpuck_least_norm;
 

@@ -2,6 +2,8 @@
 #include "airpuck_laws.h"
 #include "airpuck_least_norm.h"
 
+#include <string.h>
+
 enum { MOTORS = AIRPUCK_MOTORS };
 #ifdef AIRPUCK_SINGLE
 #define RESOLVED AIRPUCK_R(2e-7)
@@ -107,25 +109,32 @@ static int pose_problem(const airpuck *craft, const airpuck_real following[6],
                         airpuck_real coasting[MOTORS], airpuck_least_norm *posed)
 {
     const airpuck_tuning *tuning = &airpuck_tuned;
-    airpuck_real matrix[3][MOTORS], offset[3];
+    airpuck_real matrix[3][MOTORS], offset[3], least[MOTORS], most[MOTORS];
+    int finite = 1;
     airpuck_acceleration_map(following[2], following[5], matrix, offset);
-    airpuck_thrust_range(craft, coasting, posed->lower, posed->upper);
+    airpuck_thrust_range(craft, coasting, least, most);
     posed->n = MOTORS + 2;
     posed->iterations = 0;
+    for (int i = 0; i < MOTORS; i++) {
+        posed->lower[i] = (double)least[i];
+        posed->upper[i] = (double)most[i];
+        finite &= isfinite(least[i]) && isfinite(most[i]);
+    }
     for (int s = MOTORS; s < posed->n; s++) {
         posed->lower[s] = 0;
-        posed->upper[s] = tuning->slack_root;
+        posed->upper[s] = (double)tuning->slack_root;
     }
     for (int axis = 0; axis < 3; axis++) {
-        airpuck_real scale = axis == 2 ? tuning->arm : 1, asked = scale * craft->request[axis];
+        double scale = axis == 2 ? (double)tuning->arm : 1;
+        double asked = scale * (double)craft->request[axis], root = (double)tuning->slack_root;
         for (int i = 0; i < MOTORS; i++)
-            posed->columns[i][axis] = scale * matrix[axis][i];
-        posed->columns[MOTORS][axis] = axis == 2 ? 0 : asked / tuning->slack_root;
-        posed->columns[MOTORS + 1][axis] = axis == 2 ? asked / tuning->slack_root : 0;
-        posed->wanted[axis] = asked - scale * offset[axis];
+            posed->columns[i][axis] = scale * (double)matrix[axis][i];
+        posed->columns[MOTORS][axis] = axis == 2 ? 0 : asked / root;
+        posed->columns[MOTORS + 1][axis] = axis == 2 ? asked / root : 0;
+        posed->wanted[axis] = asked - scale * (double)offset[axis];
+        finite &= airpuck_finite(matrix[axis], MOTORS) && isfinite(posed->wanted[axis]);
     }
-    return airpuck_finite(posed->columns[0], 3 * posed->n) && airpuck_finite(posed->wanted, 3) &&
-           airpuck_finite(posed->lower, posed->n) && airpuck_finite(posed->upper, posed->n);
+    return finite;
 }
 
 /* Find the acceleration nearest to a scaled request: min |r|^2 + (small weights) x^2 with the
@@ -135,19 +144,20 @@ static int pose_problem(const airpuck *craft, const airpuck_real following[6],
 static int solve_nearest(airpuck_least_norm *posed)
 {
     airpuck_least_norm nearest = *posed;
-    airpuck_real units[MOTORS + 2];
+    double units[MOTORS + 2];
     for (int j = 0; j < MOTORS + 2; j++) {
         int slack = j >= MOTORS;
-        units[j] = slack ? airpuck_tuned.slack_root / AIRPUCK_F(sqrt)(airpuck_tuned.tie_slack)
-                         : 1 / AIRPUCK_F(sqrt)(airpuck_tuned.tie_thrust);
+        units[j] = slack ? (double)airpuck_tuned.slack_root / sqrt((double)airpuck_tuned.tie_slack)
+                         : 1 / sqrt((double)airpuck_tuned.tie_thrust);
         nearest.lower[j] /= units[j];
         nearest.upper[j] /= units[j];
         for (int axis = 0; axis < 3; axis++)
             nearest.columns[j][axis] *= units[j];
     }
     nearest.n = MOTORS + 5;
+    memset(nearest.side, AIRPUCK_LEAST_FREE, sizeof nearest.side);
     for (int axis = 0; axis < 3; axis++) {
-        airpuck_real *column = nearest.columns[MOTORS + 2 + axis];
+        double *column = nearest.columns[MOTORS + 2 + axis];
         column[0] = column[1] = column[2] = 0;
         column[axis] = 1;
         nearest.lower[MOTORS + 2 + axis] = -INFINITY;
@@ -162,16 +172,12 @@ static int solve_nearest(airpuck_least_norm *posed)
 
 static airpuck_status allocate(airpuck_least_norm *posed)
 {
-    const airpuck_real *x = posed->x;
-    if (airpuck_least_norm_solve(posed) != AIRPUCK_LEAST_SOLVED) {
-        int found = solve_nearest(posed) && airpuck_finite(x, posed->n);
-        return found ? AIRPUCK_NEAREST : AIRPUCK_FAILED;
-    }
-    if (!airpuck_finite(x, posed->n))
-        return AIRPUCK_FAILED;
-    airpuck_real slack =
-        (x[MOTORS] > x[MOTORS + 1] ? x[MOTORS] : x[MOTORS + 1]) / airpuck_tuned.slack_root;
-    return 1 - slack > 1 - airpuck_tuned.unscaled ? AIRPUCK_EXACT : AIRPUCK_SCALED;
+    const double *x = posed->x;
+    if (airpuck_least_norm_solve(posed) != AIRPUCK_LEAST_SOLVED)
+        return solve_nearest(posed) ? AIRPUCK_NEAREST : AIRPUCK_FAILED;
+    double reduced = (x[MOTORS] > x[MOTORS + 1] ? x[MOTORS] : x[MOTORS + 1]) /
+                     (double)airpuck_tuned.slack_root;
+    return reduced < (double)airpuck_tuned.unscaled ? AIRPUCK_EXACT : AIRPUCK_SCALED;
 }
 
 /* Return the thrust of one motor; set the slope of its curve. */
@@ -227,13 +233,17 @@ airpuck_status airpuck_lqr(airpuck *craft, const airpuck_target *target,
     look_ahead(craft, following);
     request(craft, following, target);
     airpuck_status status = AIRPUCK_FAILED;
+    memcpy(posed.side, craft->sides, sizeof craft->sides);
     if (pose_problem(craft, following, coasting, &posed))
         status = allocate(&posed);
+    memcpy(craft->sides, posed.side, sizeof craft->sides);
     craft->iterations += posed.iterations;
     if (status != AIRPUCK_FAILED) {
         for (int i = 0; i < MOTORS; i++) {
             /* The solver meets bounds to its tolerance; the result meets them exactly. */
-            airpuck_real force = airpuck_clipped(posed.x[i], posed.lower[i], posed.upper[i]);
+            airpuck_real force =
+                airpuck_clipped((airpuck_real)posed.x[i], (airpuck_real)posed.lower[i],
+                                (airpuck_real)posed.upper[i]);
             command[i] = airpuck_driven(i, force, coasting[i]);
         }
         if (airpuck_finite(command, MOTORS))

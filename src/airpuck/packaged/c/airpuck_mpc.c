@@ -346,7 +346,7 @@ static void form(prediction *p, airpuck_qp *qp)
         airpuck_real used = horizon->used[j / MOTORS];
         airpuck_real command = p->craft->plan.commands[j / MOTORS][j % MOTORS];
         airpuck_real above = command - airpuck_tuned.command_min;
-        qp->hessian[airpuck_qp_row(COMMANDS, j) + j - j] = used + horizon->damping;
+        qp->hessian[airpuck_qp_row(COMMANDS, j)] = used + horizon->damping;
         qp->gradient[j] = used * above;
         qp->lower[j] = -above;
         qp->upper[j] = airpuck_tuned.command_max - command;
@@ -414,7 +414,7 @@ static airpuck_qp_status improve(airpuck *craft, const airpuck_target targets[AI
         craft->request[axis] += craft->disturbance[axis];
     add_curvature(&p);
     form(&p, &qp);
-    qp.most = horizon->iterations;
+    qp.iteration_limit = horizon->iterations;
     qp.penalty = horizon->penalty;
     if (plan->astray)
         memset(plan->active, AIRPUCK_QP_INACTIVE, sizeof plan->active);

@@ -6,21 +6,22 @@
 
 #ifdef AIRPUCK_SINGLE
 #define ROUNDING FLT_EPSILON
-/* Violations, relative to the numbers they are computed from, that count as none. */
-#define FEASIBLE AIRPUCK_R(2e-6)
+/* Relative violation below which a constraint counts as met. */
+#define FEASIBLE AIRPUCK_R(2e-5)
+/* Relative error of an active limit, after refinement, above which the solution is inexact. */
+#define INEXACT AIRPUCK_R(2e-3)
 /* Squared distance of a unit normal from the span of the others below which it depends on them. */
 #define DEPENDENT AIRPUCK_R(1e-6)
 #else
 #define ROUNDING DBL_EPSILON
 #define FEASIBLE AIRPUCK_R(1e-12)
+#define INEXACT AIRPUCK_R(1e-9)
 #define DEPENDENT AIRPUCK_R(1e-14)
 #endif
-/* Squared distance below which cancellation has cost it digits; it is then computed again. */
+/* Squared distance below which cancellation makes it inaccurate; it is then computed again. */
 #define CANCELLED AIRPUCK_R(1e-2)
-/* Relative error of an active limit that remains after refinement, and is reported. */
-#define INEXACT (1000 * FEASIBLE)
 /* Iterations, for each constraint, that suggest a cycle. */
-#define CYCLING 10
+#define CYCLING 2
 /* Steps of iterative refinement, at most, for one active set. */
 #define REFINEMENTS 3
 
@@ -139,7 +140,7 @@ static airpuck_real *normal(const airpuck_qp *qp, int i, int *first)
 }
 
 /* Return the product of a constraint's normal with a vector. */
-static airpuck_real along(const airpuck_qp *qp, int i, const airpuck_real *vector)
+static airpuck_real dot_normal(const airpuck_qp *qp, int i, const airpuck_real *vector)
 {
     int first;
     const airpuck_real *m = normal(qp, i, &first);
@@ -202,6 +203,8 @@ static int transform_constraint(airpuck_qp *qp, int i)
 static airpuck_qp_status transform(airpuck_qp *qp)
 {
     int n = qp->n, m = qp->n + qp->rows;
+    if (qp->soft > 0 && !(qp->penalty > 0 && qp->penalty < INFINITY))
+        return AIRPUCK_QP_NOT_FINITE;
     if (!all_finite(n * (n + 1) / 2, qp->hessian) || !all_finite(n, qp->gradient) ||
         !all_finite(qp->rows * n, qp->matrix))
         return AIRPUCK_QP_NOT_FINITE;
@@ -220,9 +223,9 @@ static airpuck_qp_status transform(airpuck_qp *qp)
     return AIRPUCK_QP_SOLVED;
 }
 
-/* ---- The active constraints. A soft row beyond its limit has multiplier penalty + e/yield; its
- * normal is extended by an entry sqrt(yield) in a dimension of its own. The upper triangular F
- * satisfies F'F = N'N for the extended normals N; it is stored column by column. */
+/* ---- The active constraints. A soft row beyond its limit has the multiplier threshold +
+ * e/compliance; its normal is extended by sqrt(compliance) in a dimension of its own. The upper
+ * triangular F satisfies F'F = N'N for the extended normals N; it is stored column by column. */
 
 static int is_beyond(const airpuck_qp *qp, int i)
 {
@@ -235,12 +238,12 @@ static airpuck_real sign(const airpuck_qp *qp, int i)
 }
 
 /* Multiplier at which a row gives way, without its sign. */
-static airpuck_real price(const airpuck_qp *qp, int i)
+static airpuck_real threshold(const airpuck_qp *qp, int i)
 {
     return is_soft(qp, i) ? qp->penalty / qp->scale[i] : INFINITY;
 }
 
-static airpuck_real yield(const airpuck_qp *qp, int i)
+static airpuck_real compliance(const airpuck_qp *qp, int i)
 {
     return is_beyond(qp, i) ? qp->scale[i] * qp->scale[i] / qp->penalty : 0;
 }
@@ -282,14 +285,14 @@ static airpuck_real project_again(airpuck_qp *qp, int i, airpuck_real *added)
         add_normal(qp, i, 1, qp->residual);
         for (int j = 0; j < qp->active; j++)
             add_normal(qp, qp->working[j], -qp->column[j], qp->residual);
-        square = dot(qp->n, qp->residual, qp->residual) + yield(qp, i);
+        square = dot(qp->n, qp->residual, qp->residual) + compliance(qp, i);
         for (int j = 0; j < qp->active; j++)
-            square += yield(qp, qp->working[j]) * qp->column[j] * qp->column[j];
+            square += compliance(qp, qp->working[j]) * qp->column[j] * qp->column[j];
         if (pass == 1)
             return square;
         for (int j = 0; j < qp->active; j++)
-            qp->target[j] = along(qp, qp->working[j], qp->residual) -
-                            yield(qp, qp->working[j]) * qp->column[j];
+            qp->target[j] = dot_normal(qp, qp->working[j], qp->residual) -
+                            compliance(qp, qp->working[j]) * qp->column[j];
         solve_transposed(qp, qp->target);
         accumulate(qp->active, 1, qp->target, added);
         solve_factor(qp, qp->target);
@@ -310,10 +313,12 @@ static int append(airpuck_qp *qp, int i, airpuck_real multiplier)
         added[j] = dot(qp->n - from, m + from - first, before + from - other);
     }
     solve_transposed(qp, added);
-    airpuck_real square = 1 + yield(qp, i) - dot(count, added, added);
+    airpuck_real square = 1 + compliance(qp, i) - dot(count, added, added);
     if (square < CANCELLED || count >= qp->n + qp->soft)
         square = project_again(qp, i, added);
-    if (!(square > DEPENDENT) || count >= qp->n + qp->soft)
+    /* The own dimension of a stiff row may be short. */
+    airpuck_real own = is_beyond(qp, i) && compliance(qp, i) < 1 ? compliance(qp, i) : 1;
+    if (!(square > DEPENDENT * own) || count >= qp->n + qp->soft)
         return 0;
     added[count] = AIRPUCK_F(sqrt)(square);
     qp->working[count] = i;
@@ -323,7 +328,7 @@ static int append(airpuck_qp *qp, int i, airpuck_real multiplier)
 }
 
 /* Remove the active constraint at a position; rotations restore the triangle. */
-static void take_out(airpuck_qp *qp, int position)
+static void remove_active(airpuck_qp *qp, int position)
 {
     int last = qp->active - 1;
     for (int i = position; i < last; i++) {
@@ -346,9 +351,10 @@ static void take_out(airpuck_qp *qp, int position)
  * with the active constraints as equations. */
 
 /* Return how far the multiplier of constraint i can move along a direction, in units of it. */
-static airpuck_real reach(const airpuck_qp *qp, int i, airpuck_real value, airpuck_real direction)
+static airpuck_real step_to_end(const airpuck_qp *qp, int i, airpuck_real value,
+                                airpuck_real direction)
 {
-    airpuck_real s = sign(qp, i), size = s * value, rate = s * direction, w = price(qp, i);
+    airpuck_real s = sign(qp, i), size = s * value, rate = s * direction, w = threshold(qp, i);
     if (qp->state[i] == AIRPUCK_QP_EQUALITY || rate == 0)
         return INFINITY;
     if (rate < 0)
@@ -364,7 +370,7 @@ static int advance(airpuck_qp *qp, airpuck_real limit, airpuck_real *distance)
     airpuck_real fastest = 0;
     *distance = limit;
     for (int j = 0; j < qp->active; j++) {
-        airpuck_real t = reach(qp, qp->working[j], qp->dual[j], qp->target[j]);
+        airpuck_real t = step_to_end(qp, qp->working[j], qp->dual[j], qp->target[j]);
         airpuck_real rate = AIRPUCK_F(fabs)(qp->target[j]);
         /* Of several that stop it at once, the fastest is the safest to take out. */
         if (t < *distance || (t == *distance && stopped >= 0 && rate > fastest)) {
@@ -378,11 +384,11 @@ static int advance(airpuck_qp *qp, airpuck_real limit, airpuck_real *distance)
     return stopped;
 }
 
-/* Change the state of a constraint whose multiplier has reached an end of its range and moves in a
- * direction; return the multiplier. */
+/* Change the state of a constraint whose multiplier crosses an end of its range in a direction;
+ * return the multiplier at that end. */
 static airpuck_real change_state(airpuck_qp *qp, int i, airpuck_real direction)
 {
-    airpuck_real s = sign(qp, i), w = price(qp, i);
+    airpuck_real s = sign(qp, i), w = threshold(qp, i);
     if (s * direction > 0)
         qp->state[i] = s > 0 ? AIRPUCK_QP_BEYOND_LOWER : AIRPUCK_QP_BEYOND_UPPER;
     else if (is_beyond(qp, i))
@@ -393,7 +399,7 @@ static airpuck_real change_state(airpuck_qp *qp, int i, airpuck_real direction)
 }
 
 /* Leave out a constraint that depends on the active ones. */
-static void leave_out(airpuck_qp *qp, int i)
+static void skip_dependent(airpuck_qp *qp, int i)
 {
     qp->state[i] =
         qp->state[i] == AIRPUCK_QP_EQUALITY ? AIRPUCK_QP_REDUNDANT : AIRPUCK_QP_INACTIVE;
@@ -406,11 +412,11 @@ static void leave_out(airpuck_qp *qp, int i)
 static int enter(airpuck_qp *qp, int i, airpuck_real value, airpuck_real direction)
 {
     while (!append(qp, i, value)) {
-        airpuck_real own = reach(qp, i, value, direction), distance;
+        airpuck_real own = step_to_end(qp, i, value, direction), distance;
         for (int j = 0; j < qp->active; j++)
             qp->target[j] = -direction * qp->column[j];
         int stopped = advance(qp, own, &distance);
-        if (!(distance < INFINITY) || ++qp->iterations > qp->most)
+        if (!(distance < INFINITY) || ++qp->iterations > qp->iteration_limit)
             return 0;
         value += distance * direction;
         if (stopped < 0) {
@@ -421,12 +427,12 @@ static int enter(airpuck_qp *qp, int i, airpuck_real value, airpuck_real directi
         }
         int other = qp->working[stopped];
         airpuck_real moved = qp->target[stopped], edge = change_state(qp, other, moved);
-        take_out(qp, stopped);
+        remove_active(qp, stopped);
         if (qp->state[other] == AIRPUCK_QP_INACTIVE || append(qp, other, edge))
             continue;
         /* A soft row has come back to its limit, where its normal depends on the others'. */
         if (!append(qp, i, value))
-            leave_out(qp, i);
+            skip_dependent(qp, i);
         i = other;
         value = edge;
         direction = moved > 0 ? AIRPUCK_R(1.0) : AIRPUCK_R(-1.0);
@@ -435,10 +441,10 @@ static int enter(airpuck_qp *qp, int i, airpuck_real value, airpuck_real directi
 }
 
 /* Right-hand side of the equation of an active constraint. */
-static airpuck_real wanted(const airpuck_qp *qp, int i)
+static airpuck_real right_hand_side(const airpuck_qp *qp, int i)
 {
     airpuck_real s = sign(qp, i), limit = s > 0 ? qp->lower[i] : qp->upper[i];
-    return is_beyond(qp, i) ? limit + s * price(qp, i) * yield(qp, i) : limit;
+    return is_beyond(qp, i) ? limit + s * threshold(qp, i) * compliance(qp, i) : limit;
 }
 
 /* Start with the constraints that the caller marked as active; equalities come first. */
@@ -450,9 +456,9 @@ static void begin_active(airpuck_qp *qp)
             if (qp->state[i] == AIRPUCK_QP_INACTIVE ||
                 (qp->state[i] == AIRPUCK_QP_EQUALITY) != equalities)
                 continue;
-            airpuck_real value = is_beyond(qp, i) ? sign(qp, i) * price(qp, i) : 0;
+            airpuck_real value = is_beyond(qp, i) ? sign(qp, i) * threshold(qp, i) : 0;
             if (!append(qp, i, value))
-                leave_out(qp, i);
+                skip_dependent(qp, i);
         }
 }
 
@@ -463,7 +469,7 @@ static int solve_active(airpuck_qp *qp, int refine)
 {
     airpuck_real distance;
     for (int j = 0; j < qp->active && !refine; j++)
-        qp->target[j] = wanted(qp, qp->working[j]);
+        qp->target[j] = right_hand_side(qp, qp->working[j]);
     solve_transposed(qp, qp->target);
     solve_factor(qp, qp->target);
     if (!refine)
@@ -473,14 +479,15 @@ static int solve_active(airpuck_qp *qp, int refine)
         return 1;
     int i = qp->working[stopped];
     airpuck_real moved = qp->target[stopped], value = change_state(qp, i, moved);
-    take_out(qp, stopped);
+    remove_active(qp, stopped);
+    /* This can fail only if the iterations are spent. */
     if (qp->state[i] != AIRPUCK_QP_INACTIVE)
         enter(qp, i, value, moved > 0 ? AIRPUCK_R(1.0) : AIRPUCK_R(-1.0));
     return 0;
 }
 
-/* Set u from the multipliers. Return the largest error of the equations that the active constraints
- * are, relative to `size`, and put the errors into `target`. */
+/* Set u from the multipliers. Return the largest residual of the active constraints, relative to
+ * `size`, and put the residuals into `target`. */
 static airpuck_real set_point(airpuck_qp *qp, airpuck_real *size)
 {
     airpuck_real largest = 0;
@@ -491,10 +498,11 @@ static airpuck_real set_point(airpuck_qp *qp, airpuck_real *size)
             AIRPUCK_F(sqrt)(dot(qp->n, qp->gradient, qp->gradient));
     for (int j = 0; j < qp->active; j++) {
         int i = qp->working[j];
-        airpuck_real right = wanted(qp, i);
-        qp->target[j] = right - along(qp, i, qp->x) - yield(qp, i) * qp->dual[j];
-        airpuck_real relative = AIRPUCK_F(fabs)(qp->target[j]) / (*size + AIRPUCK_F(fabs)(right));
-        largest = larger(largest, relative);
+        airpuck_real right = right_hand_side(qp, i);
+        qp->target[j] = right - dot_normal(qp, i, qp->x) - compliance(qp, i) * qp->dual[j];
+        if (qp->target[j] != 0)
+            largest = larger(largest, AIRPUCK_F(fabs)(qp->target[j]) /
+                                          (*size + AIRPUCK_F(fabs)(right)));
     }
     return largest;
 }
@@ -509,7 +517,7 @@ static int violated(const airpuck_qp *qp, airpuck_real size, airpuck_real *direc
         int out = qp->state[i] == AIRPUCK_QP_INACTIVE || qp->state[i] == AIRPUCK_QP_REDUNDANT;
         if (!out || qp->scale[i] == 0)
             continue;
-        airpuck_real value = along(qp, i, qp->x);
+        airpuck_real value = dot_normal(qp, i, qp->x);
         airpuck_real below = qp->lower[i] - value, above = value - qp->upper[i];
         airpuck_real by = larger(below, above), limit = below > above ? qp->lower[i] : qp->upper[i];
         if (by > most && by > FEASIBLE * (size + AIRPUCK_F(fabs)(limit))) {
@@ -527,7 +535,7 @@ static airpuck_qp_status finish(airpuck_qp *qp, airpuck_real error)
     int softened = 0;
     accumulate(qp->n, -1, qp->gradient, qp->x);
     for (int i = 0; i < qp->n; i++)
-        qp->x[i] = along(qp, i, qp->x) / qp->scale[i];
+        qp->x[i] = dot_normal(qp, i, qp->x) / qp->scale[i];
     for (int j = 0; j < qp->active; j++)
         softened |= is_beyond(qp, qp->working[j]);
     if (!all_finite(qp->n, qp->x))
@@ -545,7 +553,7 @@ airpuck_qp_status airpuck_qp_solve(airpuck_qp *qp)
     if (status != AIRPUCK_QP_SOLVED)
         return status;
     begin_active(qp);
-    while (qp->iterations++ < qp->most) {
+    while (qp->iterations++ < qp->iteration_limit) {
         if (!solve_active(qp, refined > 0)) {
             refined = 0;
             continue;
@@ -571,5 +579,7 @@ airpuck_qp_status airpuck_qp_solve(airpuck_qp *qp)
             break;
         }
     }
-    return qp->iterations > qp->most ? AIRPUCK_QP_ITERATION_LIMIT : AIRPUCK_QP_INFEASIBLE;
+    if (qp->iterations > qp->iteration_limit)
+        return AIRPUCK_QP_ITERATION_LIMIT;
+    return AIRPUCK_QP_INFEASIBLE;
 }

@@ -25,7 +25,8 @@ typedef enum {
     AIRPUCK_QP_INFEASIBLE,      /* No x satisfies the constraints that are not soft. */
     AIRPUCK_QP_ITERATION_LIMIT, /* Not solved within the iteration limit. */
     AIRPUCK_QP_NOT_CONVEX,      /* H is not positive definite. */
-    AIRPUCK_QP_NOT_FINITE       /* A number of the problem or of its solution is not finite. */
+    AIRPUCK_QP_NOT_FINITE       /* A number of the problem or its solution is not finite, or the
+                                   penalty is not positive. */
 } airpuck_qp_status;
 
 /* How a constraint takes part in the solution. The sign of its multiplier is the sign of the state;
@@ -43,14 +44,15 @@ enum {
 /* A problem. Its arrays lie in the caller's memory, so it lives only during one control step. */
 typedef struct {
     int n, rows, soft; /* Sizes: variables, rows of A, soft ones among them. */
-    int most;          /* Iteration limit. */
-    airpuck_real penalty;
+    int iteration_limit;
+    airpuck_real penalty; /* Of soft rows; positive. */
 
     /* To be filled in by the caller; the solver overwrites them. H is its upper triangle, row by
      * row; A is stored row by row. */
     airpuck_real *hessian, *gradient, *matrix, *lower, *upper;
 
-    /* The result. `dual` belongs to the active constraints in `working`, in scaled units. */
+    /* The result; x is defined only if the problem is solved. `dual` belongs to the active
+     * constraints in `working`, in scaled units. */
     airpuck_real *x, *dual;
     int *working, active, iterations;
     /* State of each constraint: the solver starts from the one it finds here. */
