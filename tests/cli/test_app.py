@@ -4,7 +4,6 @@ import contextlib
 import io
 import json
 import os
-import runpy
 from functools import partial
 from pathlib import Path
 
@@ -304,14 +303,3 @@ def test_errors_that_cannot_be_printed_keep_their_status(monkeypatch):
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-
-
-def test_an_interrupted_start_is_one_line(monkeypatch, capsys):
-    def interrupted():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("airpuck.cli.main", interrupted)
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module("airpuck", run_name="__main__")
-    assert ended.value.code == 130
-    assert capsys.readouterr().err == "airpuck: interrupted\n"

@@ -47,6 +47,7 @@ EVERYTHING = TwinSettings(
         gaps_s=((3.0, 3.5),),
         clock_offset_s=-3.0,
         clock_drift=-1e-5,
+        stamp_step_s=0.001,
     ),
     on_board=OnBoard(
         rate_hz=0.0,

@@ -20,6 +20,7 @@ from airpuck.flight.track import recorded_set_points
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.thrust import thrust
+from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.pipeline import clean_streams
 from airpuck.recording.stream import Recording
@@ -188,7 +189,8 @@ def replay(
         problem = "only the LQR has gains; use --regulator lqr"
         raise InputError(problem, field="--fit-gains")
     _, commands, aligned = clean_streams(recording, model.vehicle)
-    pose = recording["pose"]
+    # Aligned times are those of the poses without repetitions.
+    pose, _ = at_exposure(recording["pose"])
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError("must be two fractions of the length, 0 <= A < B <= 1", field="span")
     time, sent = commands.time, commands.values
