@@ -33,7 +33,6 @@ RESPONSE_LIMIT = 0.015
 #: Largest systematic error of those accelerations, relative to the model's: a craft with 0.6 times
 #: the modelled thrust settles. Below, flights in simulation decide.
 WRONG_LIMIT = 0.4
-#: Errors of parameters count beyond this many standard errors, and beyond a share of the largest
 #: Largest error of the accelerations with motors at `LOW_SPEED`, relative to the model's: between
 #: 30 % (M2 with twice the inertia, which settles) and 46 % (quadratic curves, which do not).
 LOW_LIMIT = 0.35

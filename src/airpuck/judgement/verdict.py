@@ -38,6 +38,7 @@ from airpuck.judgement.rehearsal import Rehearsal, rehearse
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.time_scale import patience
 
+#: Errors of parameters count beyond this many standard errors, and beyond a share of the largest
 #: accelerations, a delay [s] and a share of the low thrusts that the regression itself errs by.
 _SIGNIFICANT, _LEAST_SHARE, _LEAST_DELAY, _LEAST_LOW = 4.0, 0.05, 2e-3, 0.15
 #: Relative standard error above which a quantity is called unknown.
