@@ -109,6 +109,9 @@ def _become(case: dict[str, Any], errors: int) -> None:
     os.close(errors)
     os.dup2(os.open(os.devnull, os.O_RDWR), 1)
     os.dup2(1, 0)
+    # As at a command's start: Python's old streams remember other files.
+    sys.stdout = open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.argv = ["airpuck", *case["arguments"]]
     # A report needs flights of 90 s, a test does not.
     airpuck.report.demo.demo = partial(airpuck.report.demo.demo, duration=8.0)

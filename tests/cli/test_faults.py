@@ -69,7 +69,8 @@ def test_with_a_model_nothing_is_fitted(bag):
 def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
     out = ("-o", tmp_path / "m.toml", "--report", tmp_path / "r", "--json", tmp_path / "f.json")
     process = airpuck("identify", bag, *out)
-    assert process.returncode == 0, process.stderr
+    # Eight seconds hardly determine the timing: the recording may count as suspect.
+    assert process.returncode in (0, 2), process.stderr
     assert "1 jump" in next(x for x in process.stdout.splitlines() if x.startswith("left out: "))
     assert json.loads((tmp_path / "f.json").read_text())["faults"]["spans"]
     assert "windows overlap a fault" in (tmp_path / "r" / "index.html").read_text()

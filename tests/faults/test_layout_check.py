@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.faults import layout_check
+from airpuck.faults import layout_check, propeller_check
 from airpuck.faults.axis_signs import AxisSigns
 from airpuck.faults.effect_match import match_effects, rotation, turned
 from airpuck.faults.layout_check import check_layout
@@ -397,7 +397,7 @@ def test_a_zigzag_course_determines_neither_floor_nor_strengths():
     check = check_layout(flight, vehicle)
     # The table is level and smooth, and the layout right, but drag explains the motion as well.
     assert not check.floor and not check.remarks and not check.wrong
-    assert {one.verdict for one in check.propellers} == {layout_check.UNDETERMINED}
+    assert {one.verdict for one in check.propellers} == {propeller_check.UNDETERMINED}
 
 
 @pytest.mark.slow

@@ -77,12 +77,17 @@ def check_stopped() -> None:
         raise Stopped(_Pending.number)
 
 
+def forget_stopped() -> None:
+    """Count the last signal as handled."""
+    _Pending.number = None
+
+
 @contextmanager
 def until_stopped() -> Iterator[None]:
     """Let a signal end the block, but not what follows: the usual end of a session."""
     with suppress(KeyboardInterrupt):
         yield
-    _Pending.number = None
+    forget_stopped()
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from typer.main import get_command
 
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.kinds import unknown
-from airpuck.boundary.signals import SIGNALLED, Stopped, stoppable
+from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable
 from airpuck.cli.names import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
@@ -195,6 +195,7 @@ def _say(message: str, status: int = 2) -> int:
 
 def _say_stopped(stopped: Stopped) -> int:
     """Print that a signal has ended the command; return the exit status."""
+    forget_stopped()
     words = f"; {stopped.words}" if stopped.words else ""
     return _say(f"interrupted{words}", SIGNALLED + stopped.number)
 

@@ -60,7 +60,7 @@ def _differences(
     modelled = modelled_acceleration(fine, model)
     time, period = trajectory.time, trajectory.sample_period
     known = np.append(trajectory.measured, np.zeros(_SAMPLES - 1, dtype=bool))
-    whole = np.lib.stride_tricks.sliding_window_view(known, _SAMPLES).all(axis=1)
+    whole = np.asarray(np.lib.stride_tricks.sliding_window_view(known, _SAMPLES).all(axis=1))
     first = trajectory.window_starts(_SAMPLES, 1, whole)
     index = first + np.arange(_SAMPLES)[:, None]
     inner = parts * first + np.arange((_SAMPLES - 1) * parts + 1)[:, None]
@@ -95,7 +95,7 @@ def _grouped(
 
 
 def _variances(
-    channels: Sequence[Float[np.ndarray, "3 G"]],
+    channels: Sequence[Float[np.ndarray, "3 _"]],
 ) -> tuple[Float[np.ndarray, " 2"], float]:
     """Return the variances of position [m²] and yaw [rad²] at rest, and of the stamps [s²]."""
     usual = np.array([found[1].mean() for found in channels])
