@@ -95,7 +95,7 @@ dist-python: dev  ## try the wheel of dist/ with another Python: PYTHON=python3.
 	PATH="$$PATH:$(BIN)" uv pip install --quiet --python build/python/bin/python --no-deps dist/*.whl
 	$(call test_installed,build/python)
 
-results-quick: dev  ## recompute tables of docs/results.md in a minute; which numbers no longer hold?
+results-quick: dev  ## recompute docs/tables in a minute; which numbers no longer hold?
 	$(BIN)/python studies/tables.py --check
 
 studies: dev  ## the long studies; then ten minutes of the live loop on an otherwise idle machine

@@ -1,4 +1,4 @@
-"""The speeds stated in the README and docs/results.md, measured by one command.
+"""The speeds stated in the README and benchmarks/README.md, measured by one command.
 
 python -m benchmarks
 """

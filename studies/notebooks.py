@@ -43,7 +43,8 @@ def measured(page: Path) -> str:
         wall, used = time.monotonic() - begin, processor() - before
     (title,) = re.findall(r"^# (.*)$", page.read_text("utf-8"), re.MULTILINE)[:1]
     return (
-        f"| [{title}](tutorials/{page.name}) | {used:.0f} | {wall:.0f} | {os.getloadavg()[0]:.1f} |"
+        f"| [{title}](../tutorials/{page.name}) | {used:.0f} | {wall:.0f} "
+        f"| {os.getloadavg()[0]:.1f} |"
     )
 
 

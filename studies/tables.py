@@ -1,4 +1,4 @@
-"""Tables of docs/results.md that take seconds each: write them, or check them.
+"""Tables of the documentation that take seconds each: write them, or check them.
 
     AIRPUCK_DATA=... python studies/tables.py          # write docs/tables, which the page includes
     AIRPUCK_DATA=... python studies/tables.py --check  # print numbers that no longer hold; exit 1

@@ -21,7 +21,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 def test_the_site_builds_without_a_warning(tmp_path):
     # A copy, since pages are generated into it; the notebooks run in `make docs` only.
     shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "reference"))
-    for folder in ("examples", "studies"):
+    for folder in ("examples", "studies", "benchmarks"):
         shutil.copytree(DOCS.parent / folder, tmp_path / folder)
     built = subprocess.run(
         [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "site"],
@@ -71,6 +71,7 @@ def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
 def test_each_command_on_a_page_exists_with_its_options():
     commands = get_command(cli).commands  # pyright: ignore[reportAttributeAccessIssue]
     pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("*.md"), *DOCS.parent.glob("examples/*.md")]
+    pages += [*DOCS.parent.glob("studies/*.md"), *DOCS.parent.glob("benchmarks/*.md")]
     wrong, count = {}, 0
     for page in pages:
         if {"_build", "reference"} & set(page.parts) or page.name == "CHANGELOG.md":
@@ -85,6 +86,35 @@ def test_each_command_on_a_page_exists_with_its_options():
                 wrong[f"{page.name}: airpuck {name}{words}"] = unknown
     assert count > 100
     assert not wrong
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub names them."""
+    text = re.sub(r"^(```+).*?^\1", "", page.read_text("utf-8"), flags=re.S | re.M)
+    titles = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    plain = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", title).lower() for title in titles)
+    return {re.sub(r"[^\w\- ]", "", title).strip().replace(" ", "-") for title in plain}
+
+
+def test_each_link_between_pages_leads_to_a_file_and_a_heading_that_exist():
+    root = DOCS.parent
+    pages = [*root.glob("*.md"), *DOCS.rglob("*.md")]
+    for folder in ("studies", "benchmarks", "examples"):
+        pages += (root / folder).rglob("*.md")
+    dead, count = [], 0
+    for page in pages:
+        if {"_build", "reference"} & set(page.relative_to(root).parts):
+            continue
+        text = re.sub(r"^(```+).*?^\1|`[^`]*`", "", page.read_text("utf-8"), flags=re.S | re.M)
+        for link in re.findall(r"\]\(([^)\s]+)\)", text):
+            path, _, anchor = link.partition("#")
+            if ":" in link or "reference/" in path:  # other sites, and pages made for the site
+                continue
+            target, count = (page.parent / path if path else page), count + 1
+            if not target.exists() or (anchor and anchor not in anchors(target)):
+                dead.append(f"{page.relative_to(root)}: {link}")
+    assert count > 300
+    assert not dead
 
 
 def test_no_line_begins_with_a_percent_sign():

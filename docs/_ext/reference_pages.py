@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,11 @@ import json_keys
 
 import airpuck
 
-#: Pages outside docs/ that are part of the site, by their link.
-_OUTSIDE = {"../examples/README.md": "examples.md"}
+#: Folders beside docs/ whose Markdown files are pages of the site.
+_OUTSIDE = ("studies", "benchmarks", "examples")
+_LINK = re.compile(r"\]\(([^)\s#:]+)(#[^)\s]*)?\)")
+#: A line that only links a table becomes the table.
+_TABLE = re.compile(r"^\[[^\]]+\]\((\.\./docs/tables/\w+\.md)\)$", re.MULTILINE)
 #: What the examples use; tests/test_docstring_examples.py runs them.
 _SHARED = """Examples begin with:
 
@@ -50,6 +55,7 @@ def _write(app: Any) -> None:
     pages["json.md"] = json_keys.page()
     pages |= {f"python_{name}.rst": _members(name, names) for name, names in _groups().items()}
     pages["python_export.rst"] = _exports()
+    pages |= _outside(Path(app.srcdir))
     folder.mkdir(exist_ok=True)
     for path in folder.iterdir():
         if path.name not in pages:
@@ -60,10 +66,40 @@ def _write(app: Any) -> None:
             path.write_text(text, encoding="utf-8")
 
 
+def _outside(docs: Path) -> dict[str, str]:
+    """Copy the pages beside docs/, by their names on the site."""
+    pages = {}
+    for folder in _OUTSIDE:
+        for path in (docs.parent / folder).rglob("*.md"):
+            place = path.relative_to(docs.parent)
+            text = _TABLE.sub(r"```{include} \1\n```", path.read_text(encoding="utf-8"))
+            text = text.replace("{include} ../docs/", "{include} ../")
+            pages[_site_name(place)] = _moved(text, place.parent, Path("docs/reference"))
+    return pages
+
+
+def _site_name(place: Path) -> str:
+    """Name the page that shows a file beside docs/."""
+    return "_".join(place.parts)
+
+
+def _moved(text: str, home: Path, now: Path) -> str:
+    """Rewrite the links of a page that is shown in another folder, relative to the project."""
+
+    def link(match: re.Match[str]) -> str:
+        target = Path(os.path.normpath(home / match[1]))
+        if target.suffix == ".md" and target.parts[0] in _OUTSIDE:
+            target = Path("docs/reference") / _site_name(target)
+        return f"]({os.path.relpath(target, now)}{match[2] or ''})"
+
+    return _LINK.sub(link, text)
+
+
 def _relink(app: Any, page: str, source: list[str]) -> None:
     """Redirect links to pages that exist only on the site."""
-    for link, own in _OUTSIDE.items():
-        source[0] = source[0].replace(f"]({link}", f"]({own}")
+    if not page.startswith("reference/"):
+        home = Path("docs") / Path(page).parent
+        source[0] = _moved(source[0], home, home)
 
 
 def _groups() -> dict[str, list[str]]:

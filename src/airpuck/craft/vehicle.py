@@ -69,7 +69,7 @@ class Propeller(Section):
     reverse: Annotated[float, pydantic.Field(gt=0, le=_REVERSE)] | None = None
 
 
-#: Propellers of one make whose thrusts were identified differ by up to 5 % (docs/results.md).
+#: Identified thrusts of propellers of one make differ by up to 5 % (studies/weak_motors.md).
 THRUST_SPREAD = 0.05
 
 

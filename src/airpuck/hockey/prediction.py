@@ -17,7 +17,7 @@ from airpuck.physics.puck import PuckState, coast, time_of
 from airpuck.physics.puck_on_table import PuckOnTable, Touch
 
 #: Standard deviations of parameters that were not identified on this table. Restitution: the
-#: scatter of single bounces of a real puck (docs/results.md, a real puck); others are guesses.
+#: scatter of single bounces of a real puck (studies/real_puck.md); others are guesses.
 _ASSUMED = {"drag_1_s": 0.05, "spin_drag_1_s": 0.1, "rail.restitution": 0.07, "rail.grip": 0.1}
 #: White accelerations by air and slope: [m/s²/√Hz] and [rad/s²/√Hz].
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0

@@ -8,7 +8,7 @@ A slightly wrong model prepares data that agree with it a little too well: they 
 information than they seem to. As for any two-step estimate, the derivative of the scores with
 respect to the first step's parameters belongs to the information (Murphy and Topel, Journal of
 Business and Economic Statistics 3, 1985). Without it, 95 % intervals contain the truth in 92 % of
-all cases (docs/results.md).
+all cases (studies/coverage.md).
 """
 
 from __future__ import annotations
