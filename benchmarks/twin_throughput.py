@@ -1,9 +1,9 @@
-"""Integration steps per second of a fleet of twins.
+"""Seconds of flight per second of a batch of twins.
 
     python benchmarks/twin_throughput.py
 
-Every craft has a separate radio, so each steps at different times; every 24th frame is kept. Values
-are medians. "same radio" means that all craft share their step times.
+Every craft has a separate radio, so each steps at different times. Values are medians. "same radio"
+means that all craft share their step times.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from airpuck.model.model_file import read_model
-from airpuck.twin.fleet import fly_fleet
+from airpuck.twin.batch import TwinBatch
 
 
 def main() -> None:
@@ -32,23 +32,22 @@ def main() -> None:
     held = np.random.default_rng(0).uniform(0.03, 1, (round(options.seconds / 0.2), n))
     command = np.repeat(held, 20, axis=0)
     print(f"{options.model}, {options.seconds:g} s of flight, on {jax.devices()[0].device_kind}")
-    print(f"{'craft':>7} {'precision':>9} {'own radio':>13} {'same radio':>13}   steps/s")
+    print(f"{'craft':>7} {'own radio':>13} {'same radio':>13}   seconds of flight per second")
     for craft in options.craft:
-        for precision in ("double", "single"):
-            speeds = []
-            for seeds in (range(craft), (0,)):
-                poses = np.zeros((3, craft))
+        batch = TwinBatch(model, craft, options.seconds)
+        speeds = []
+        for seeds in (range(craft), [0] * craft):
 
-                def fly(seeds=seeds, poses=poses, precision=precision):
-                    begun = time.perf_counter()
-                    flight = fly_fleet(
-                        model, command, seeds=seeds, poses=poses, every=24, precision=precision
-                    )
-                    return flight.steps / (time.perf_counter() - begun)
+            def fly(batch=batch, seeds=seeds, craft=craft):
+                begun = time.perf_counter()
+                batch.reset(np.arange(craft), np.zeros((craft, 3)), seeds)
+                for row in command:
+                    batch.step(np.broadcast_to(row, (craft, n)))
+                return craft * options.seconds / (time.perf_counter() - begun)
 
-                fly()  # compiles
-                speeds.append(statistics.median(fly() for _ in range(options.runs)))
-            print(f"{craft:7d} {precision:>9} {speeds[0]:13.2e} {speeds[1]:13.2e}", flush=True)
+            fly()  # compiles
+            speeds.append(statistics.median(fly() for _ in range(options.runs)))
+        print(f"{craft:7d} {speeds[0]:13.0f} {speeds[1]:13.0f}", flush=True)
 
 
 if __name__ == "__main__":

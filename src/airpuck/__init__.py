@@ -11,6 +11,8 @@ from __future__ import annotations
 
 #: Public name -> its module.
 _HOME: dict[str, str] = {}
+#: Former public names, with their replacement.
+_FORMER = {"fly_fleet": "TwinBatch"}
 
 
 def _home() -> dict[str, str]:
@@ -52,7 +54,8 @@ def __getattr__(name: str) -> object:
             public = checked(public)
         globals()[name] = public
         return public
-    raise AttributeError(f"module 'airpuck' has no attribute {name!r}")
+    remedy = f"; use airpuck.{_FORMER[name]}" if name in _FORMER else ""
+    raise AttributeError(f"module 'airpuck' has no attribute {name!r}{remedy}")
 
 
 def _version() -> str:

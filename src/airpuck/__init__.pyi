@@ -93,7 +93,7 @@ from airpuck.report import plot as plot
 from airpuck.report.animation import animate as animate
 from airpuck.report.reproduce import reproduce as reproduce
 from airpuck.twin.experiments import excite as excite, track as track
-from airpuck.twin.fleet import fly_fleet as fly_fleet
+from airpuck.twin.batch import TwinBatch as TwinBatch
 from airpuck.twin.settings import (
     TwinSettings as TwinSettings,
     read_twin_settings as read_twin_settings,

@@ -425,7 +425,7 @@ def commands_at_random(seed, duration):
 def test_intervals_hold_the_truth():
     from airpuck.craft.table import Table
     from airpuck.preprocessing.pipeline import preprocess
-    from airpuck.twin.fleet import fly_fleet
+    from airpuck.twin.batch import TwinBatch
     from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings
 
     flights, delay = 60, 5 / 240
@@ -436,13 +436,16 @@ def test_intervals_hold_the_truth():
         on_board=OnBoard(rate_hz=0.0),
         effects=Effects(),
     )
-    commands = np.stack([commands_at_random(seed, 20.0) for seed in range(flights)], axis=-1)
-    fleet = fly_fleet(TRUTH, commands, seeds=range(flights), settings=settings)
+    commands = np.stack([commands_at_random(seed, 20.0) for seed in range(flights)], axis=1)
+    batch = TwinBatch(TRUTH, flights, 20.0, settings=settings, logs=True)
+    batch.reset(np.arange(flights), np.zeros((flights, 3)), range(flights))
+    for row in commands:
+        batch.step(row)
     held = []
     for craft in range(flights):
         # A command acts from the next sample on, on average half a sample late. This error is
         # common to all flights, so no interval includes it.
-        trajectory = preprocess(fleet.recording(craft), delay=delay - 0.5 / 240)
+        trajectory = preprocess(batch.recording(craft), delay=delay - 0.5 / 240)
         known = identify(trajectory).uncertainty
         low, high = known.intervals.T
         true, has = TRUTH.parameters.to_vector(), np.isfinite(low)

@@ -9,7 +9,7 @@ from airpuck import InputError
 from airpuck.craft.actuators import OnOff
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.twin.fleet import fly_fleet
+from airpuck.twin.batch import TwinBatch
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -100,7 +100,7 @@ def test_unequal_packets_in_a_period_wait_until_half_of_it_has_passed() -> None:
     assert speed == pytest.approx(FORCE * (0.01 + 0.09) / MASS, rel=1e-2)
 
 
-def test_a_fleet_refuses_valves() -> None:
+def test_a_batch_rejects_valves() -> None:
     model = craft()
     with pytest.raises(InputError, match="use Twin"):
-        fly_fleet([model, replace(model)], np.zeros((3, 1)))
+        TwinBatch([model, replace(model)], 2, 1.0)

@@ -43,8 +43,10 @@ if TYPE_CHECKING:
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
 Row = dict[str, Figure]
-#: Longest total flight time of a fleet [s], about a gigabyte.
+#: Longest total flight time of a fleet [s], about a gigabyte of commands.
 _MOST_FLOWN = 100_000
+#: Time between commands of a fleet [s].
+_PERIOD = 0.01
 
 
 def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
@@ -252,8 +254,6 @@ class Fleet(Item):
     duration_s: Duration = 0.5
     hold_s: Annotated[Hold, pydantic.Field(ge=0.01)] = 0.2
     amplitude: Amplitude = 1.0
-    #: Precision of the arithmetic.
-    precision: Literal["double", "single"] = "double"
     #: Settings of the twin, which override the packaged settings.
     twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
 
@@ -268,20 +268,19 @@ class Fleet(Item):
         """Fly; see `Item.run`."""
         model = read_model(self.model)
         lowest, n = model.vehicle.command_min, model.vehicle.n_propellers
-        hold, steps = round(self.hold_s / 0.01), max(1, round(self.duration_s / 0.01))
+        hold, steps = round(self.hold_s / _PERIOD), max(1, round(self.duration_s / _PERIOD))
         rng = np.random.default_rng([self.seed, 8])
         drawn = rng.uniform(lowest, max(lowest, self.amplitude), (-(-steps // hold), n))
         # Random seeds, so items of one campaign share none.
         seeds = rng.integers(2**62, size=self.craft).tolist()
-        flight = airpuck.fly_fleet(
-            [model, *(varied(model, self.spread, seed) for seed in seeds)],
-            np.repeat(drawn, hold, axis=0)[:steps],
-            seeds=[self.seed, *seeds],
-            settings=self.twin,
-            precision=self.precision,
-        )
-        apart = flight.state[:, :3, 1:] - flight.state[:, :3, :1]
-        return [named("apart", displacement) for displacement in apart[-1].T]
+        models, size = [model, *(varied(model, self.spread, s) for s in seeds)], self.craft + 1
+        longest = steps * _PERIOD
+        batch = airpuck.TwinBatch(models, size, longest, settings=self.twin, period=_PERIOD)
+        batch.reset(np.arange(size), np.zeros((size, 3)), [self.seed, *seeds])
+        for step in range(steps):
+            batch.step(np.broadcast_to(drawn[step // hold], (size, n)))
+        pose = batch.final_state()[:3]
+        return [named("apart", displacement) for displacement in (pose[:, 1:] - pose[:, :1]).T]
 
 
 class Fitting(Identification):

@@ -65,7 +65,9 @@ class CourseVectorEnv(gymnasium.vector.VectorEnv[Observation, np.ndarray, np.nda
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(space, num_envs)
         self._seen = Seen(num_envs, space, ("pose",), settings.motion_capture.clock_offset_s)
-        self._batch = TwinBatch(craft, settings, num_envs, limit_s, PERIOD, self.np_random)
+        self._batch = TwinBatch(
+            craft, num_envs, limit_s, settings=settings, period=PERIOD, rng=self.np_random
+        )
         self._generators: list[np.random.Generator] = []
         self._over = np.zeros(num_envs, bool)
 

@@ -13,10 +13,6 @@ from scipy.special import ndtri
 from airpuck.model.model_file import Model
 from airpuck.twin.settings import Radio, TwinSettings
 
-#: Number of craft in a fleet that are handled together: enough that calls cost little, few enough
-#: that arrays of a long flight stay small.
-_TOGETHER = 64
-
 
 def passage(
     settings: Radio,
@@ -110,26 +106,17 @@ def heard_commands(
     settings: TwinSettings,
     sent: Float[np.ndarray, " K"],
     seeds: Sequence[int],
-    delays: Sequence[float],
+    delays: Float[np.ndarray, " B"],
 ) -> tuple[Float[np.ndarray, "E B"], Int[np.ndarray, "E B"]]:
-    """Return which command the motors of each craft of a fleet follow, and from when on.
+    """Return which command the motors of each craft of a batch follow, and from when on.
 
     Equivalent to a `RadioLink` for each craft; commands by index, ``len(sent)``: stop.
     """
-    batches = [slice(begin, begin + _TOGETHER) for begin in range(0, len(seeds), _TOGETHER)]
-    changes = []
-    for craft in batches:
-        # The same random numbers as in a `RadioLink`.
-        chance = [np.random.default_rng([s, 0]).random((len(sent), 2)) for s in seeds[craft]]
-        delay = np.array(delays[craft])[:, None]
-        arrival = passage(settings.radio, delay, sent, np.array(chance))
-        changes.append(_changes(arrival, settings.radio.timeout_s, settings.motors.unarmed_s))
-    # There is always a next packet to wait for.
-    times = np.full((max(when.shape[1] for when, _ in changes) + 1, len(seeds)), np.inf)
-    heard = np.full(times.shape, len(sent), dtype=np.int32)
-    for craft, (when, what) in zip(batches, changes, strict=True):
-        times[: when.shape[1], craft], heard[: what.shape[1], craft] = when.T, what.T
-    return times, heard
+    # The same random numbers as in a `RadioLink`.
+    chance = np.array([np.random.default_rng([s, 0]).random((len(sent), 2)) for s in seeds])
+    arrival = passage(settings.radio, delays[:, None], sent, chance)
+    times, heard = _changes(arrival, settings.radio.timeout_s, settings.motors.unarmed_s)
+    return times.T, heard.T
 
 
 def _changes(

@@ -88,7 +88,7 @@ class Sensor:
         columns = COLUMNS[self.kind]
         stamps, arrivals, values = zip(*self._logged, strict=True) if self._logged else ((), (), ())
         table = np.array(values).reshape(-1, len(columns))
-        return Stream(_nanoseconds(stamps), _nanoseconds(arrivals), table, columns)
+        return Stream(nanoseconds(stamps), nanoseconds(arrivals), table, columns)
 
 
 class SensorSet:
@@ -128,7 +128,7 @@ class SensorSet:
         return {kind: stream for kind, stream in streams.items() if len(stream)}
 
 
-def _nanoseconds(times: Sequence[float]) -> Int[np.ndarray, " N"]:
+def nanoseconds(times: Sequence[float] | Float[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """Convert times of the flight to the recorder's clock."""
     return EPOCH_NS + np.rint(np.array(times, dtype=float) * 1e9).astype(np.int64)
 
@@ -180,5 +180,5 @@ def command_stream(
 def log_stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
     """Return messages with the controller's time."""
     times, values = zip(*logged, strict=True)
-    stamp = _nanoseconds(times)
+    stamp = nanoseconds(times)
     return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)
