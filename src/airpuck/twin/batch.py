@@ -158,7 +158,15 @@ class TwinBatch:
     def step(
         self, commands: Float[np.ndarray, "B n"], moving: Bool[np.ndarray, " B"] | None = None
     ) -> None:
-        """Send commands, and advance the craft that are `moving`, by default all, by a period."""
+        """Send commands, and advance the craft by a period.
+
+        Parameters
+        ----------
+        commands : array, shape (B, n)
+            Motor commands, 0 to 1.
+        moving : array of bool, shape (B,), optional
+            Which craft fly; by default all.
+        """
         commands = numbers_of(commands, self._sent.shape[1:], "commands")
         if not ((commands >= 0) & (commands <= 1)).all():
             raise InputError("must lie in [0, 1]", field="commands")
@@ -192,7 +200,13 @@ class TwinBatch:
     def measured(
         self,
     ) -> tuple[Bool[np.ndarray, " B"], Float[np.ndarray, " B"], Float[np.ndarray, "B 3"]]:
-        """Return the latest pose that has arrived: whether there is one, its stamp, its values."""
+        """Return the latest pose of each craft that has arrived.
+
+        Returns
+        -------
+        tuple of array
+            Whether there is one; its stamp [s]; x, y [m] and yaw [rad].
+        """
         there = self._arrival <= self._period * self.steps
         latest = np.where(there, self._number, -1).argmax(axis=0)
         capture = self.settings.motion_capture
@@ -200,11 +214,28 @@ class TwinBatch:
         return np.asarray(there.any(axis=0)), stamp, self._poses[latest, self._rows]
 
     def final_state(self) -> Float[np.ndarray, "s B"]:
-        """Return the true states at the end of the latest period, which no event may share."""
+        """Return the true states at the end of the latest period.
+
+        Returns
+        -------
+        array, shape (6 + n, B)
+            As `state`, which may be older: of the last event.
+        """
         return self._at(self._period * self.steps)
 
     def recording(self, row: int) -> Recording:
-        """Return what a recorder would have logged of one craft since its reset."""
+        """Return what a recorder would have logged of one craft since its reset.
+
+        Parameters
+        ----------
+        row : int
+            Which craft.
+
+        Returns
+        -------
+        Recording
+            Poses and commands.
+        """
         if not self._logs:
             raise InputError("keeps no poses; make it with logs=True", field="batch")
         seen, capture = self._seen[row], self.settings.motion_capture
