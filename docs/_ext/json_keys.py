@@ -6,6 +6,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from file_formats import attribute_note, summary
@@ -56,6 +57,8 @@ def page() -> str:
         if "to_json" in vars(kind) and also[:1] and also[0].startswith("Also"):
             lines += ["", " ".join(also[0].split()).replace("``", "`")]
         lines.append("")
+    plain = Path(__file__).with_name("plain_json.txt").read_text(encoding="utf-8")
+    lines += ["## Commands without a class of their own", "", plain]
     return "\n".join(lines)
 
 

@@ -21,10 +21,8 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "own_law" / "pid.py"
 PID = f"{EXAMPLE}:PID"
 
 
-def test_the_example_is_short_and_as_the_docs_have_it():
-    docs = (EXAMPLE.parents[2] / "docs" / "control.md").read_text()
+def test_the_example_is_short():
     code = EXAMPLE.read_text().partition("\n\n")[2]
-    assert f"```python\n{code}```" in docs
     assert len([line for line in code.splitlines() if line.strip()]) <= 25
 
 

@@ -453,7 +453,7 @@ def read_mapping(path: str | os.PathLike[str]) -> RecordingMapping:
     ----------
     path : path-like
         A TOML file with any of the tables ``[topics]``, ``[pose]``, ``[puck]``, ``[command]``,
-        ``[wheels]``; see ``docs/your_own_craft.md``.
+        ``[wheels]``; see ``docs/mapping.md``.
 
     Returns
     -------

@@ -1,0 +1,305 @@
+"""Pictures of the guides, each from a simulated flight or a stated measurement.
+
+    python docs/pictures.py              # all of them, in a minute
+    python docs/pictures.py control      # one
+
+They are as wide as a phone shows, on a white ground, so that they are legible in dark mode, too.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc, Circle, FancyArrowPatch
+
+import airpuck
+from airpuck.control.tuning import tuning_for
+from airpuck.report import style
+
+FOLDER = Path(__file__).parent / "images"
+#: Width [in] and resolution [1/in]: text of 9 pt is as large as a phone's own.
+WIDTH, RESOLUTION = 4.4, 220
+TEXT: dict[Any, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "legend.fontsize": 8.5,
+    "font.family": "DejaVu Sans",
+}
+#: Three set points of a flight, with the times at which they begin [s].
+SET_POINTS = airpuck.SetPoints(
+    [0.0, 0.5, 2.5, 4.5], [(0, 0, 0), (0.7, 0.25, 1.5), (-0.6, -0.2, -1.0), (0, 0, 0)]
+)
+#: Plain names of the rungs that the pictures compare.
+RUNGS = {"M0": "without motor lag (M0)", "M3": "full model (M3)"}
+#: Seconds for one fit of M3 to the paper's training flight (benchmarks/README.md).
+FIT_TIMES = (
+    ("airpuck, second fit in a process", 0.30),
+    ("airpuck, whole process", 5.6),
+    ("NumPy + SciPy, warm", 12.2),
+    ("Adam, the paper's settings", 67.0),
+)
+
+
+def new(height: float) -> Figure:
+    """Return a figure of the common width [in]."""
+    return Figure(figsize=(WIDTH, height), dpi=RESOLUTION, layout="constrained", facecolor="white")
+
+
+@functools.cache
+def truth() -> Any:
+    """Return the true model of every simulated flight."""
+    return airpuck.read_model("paper:M3")
+
+
+@functools.cache
+def flight(seed: int) -> Any:
+    """Fly the excitation experiment for 30 s, and prepare the recording."""
+    return airpuck.preprocess(airpuck.excite(truth(), 30.0, seed=seed))
+
+
+@functools.cache
+def fit(rung: str) -> Any:
+    """Identify a rung from the first flight."""
+    return airpuck.identify(flight(1), rung)
+
+
+@functools.cache
+def evaluation(rung: str) -> Any:
+    """Evaluate a rung on the second flight."""
+    return airpuck.evaluate(fit(rung).model, flight(2))
+
+
+def frames() -> Figure:
+    """Show the body frame, and where each angle of a vehicle file begins."""
+    figure = new(4.3)
+    axes = figure.add_subplot(aspect="equal", xlim=(-1.55, 1.55), ylim=(-1.4, 1.6))
+    axes.axis("off")
+    axes.add_patch(Circle((0, 0), 1.0, facecolor="#f5f5f5", edgecolor=style.GREY))
+    arrow(axes, (0, 0), (0, 1.35), style.BLACK, 2.0)
+    arrow(axes, (0, 0), (-1.35, 0), style.BLACK, 2.0)
+    axes.text(0.06, 1.36, "x forward", va="bottom")
+    axes.text(-1.4, 0.1, "y left", va="bottom")
+    corners = (("front_left", 135, 315), ("front_right", 45, 45), ("rear_left", 225, 225))
+    for name, at, direction in (*corners, ("rear_right", 315, 135)):
+        # The page shows forward up, so every angle of the body frame is turned by 90°.
+        place = 0.72 * np.array([math.cos(math.radians(at)), math.sin(math.radians(at))])
+        push = 0.5 * np.array(
+            [math.cos(math.radians(direction + 90)), math.sin(math.radians(direction + 90))]
+        )
+        axes.add_patch(Circle(tuple(place), 0.09, facecolor="white", edgecolor=style.BLUE))
+        arrow(axes, place, place + push, style.BLUE, 2.2)
+        side = -1 if place[0] < 0 else 1
+        axes.text(
+            0.98 * side, 1.32 * place[1], f"{name}\n{direction}°", color=style.BLUE, va="center",
+            ha="right" if side < 0 else "left",
+        )  # fmt: skip
+    axes.add_patch(Arc((0, 0), 0.9, 0.9, theta1=90, theta2=135, color=style.VERMILLION, lw=1.5))
+    arrow(axes, (-0.30, 0.33), (-0.335, 0.295), style.VERMILLION, 1.5)
+    axes.text(-0.1, 0.56, "+", color=style.VERMILLION, ha="center", fontsize=13)
+    axes.text(
+        0, -1.38, "Arrows: where a propeller pushes the craft.\nAngles: from x, counter-clockwise.",
+        ha="center", va="bottom",
+    )  # fmt: skip
+    return figure
+
+
+def arrow(axes: Axes, start: Any, end: Any, color: str, width: float) -> None:
+    """Draw an arrow."""
+    axes.add_patch(
+        FancyArrowPatch(tuple(start), tuple(end), arrowstyle="-|>", mutation_scale=11,
+                        shrinkA=0, shrinkB=0, color=color, lw=width)
+    )  # fmt: skip
+
+
+def usage() -> Figure:
+    """Show what goes into `identify`, and what comes out."""
+    figure = new(4.6)
+    above, below = figure.subplots(2, 1, height_ratios=(1, 1.6))
+    one = flight(1)
+    part = (one.time > 12.0) & (one.time < 15.0)
+    for k, (name, color) in enumerate((("x", style.BLUE), ("y", style.VERMILLION))):
+        above.plot(one.time[part], one.state[part, k], color=color, label=f"{name} [m]")
+    above.set(title="In: poses and commands of a flight", xlabel="time [s]")
+    above.legend(ncols=2)
+    airpuck.plot.thrust(fit("M3").model, below)
+    below.set(title="Out: the thrust of each motor, with 95 % bands", xlabel="motor speed φ")
+    return figure
+
+
+def method() -> Figure:
+    """Show one window: what the encoder sees, and what is predicted."""
+    figure, one = new(4.4), flight(2)
+    above, below = figure.subplots(2, 1, sharex=True)
+    judged = evaluation("M3")
+    window = int(np.argsort(np.linalg.norm(judged.at_horizon[:2], axis=0))[len(judged.start) // 2])
+    begin = int(np.searchsorted(one.time, judged.start[window]))
+    around = slice(begin - 24, begin + 52)
+    now = one.time[begin]
+    above.plot(one.time[around] - now, 1e3 * (one.state[around, 0] - one.state[begin, 0]), ".",
+               ms=3, color=style.GREY, label="measured")  # fmt: skip
+    steps = np.arange(1, judged.errors.shape[0] + 1)
+    found = one.state[begin + steps, 0] + judged.errors[:, 0, window]
+    above.plot(one.time[begin + steps] - now, 1e3 * (found - one.state[begin, 0]),
+               color=style.VERMILLION, label="predicted")  # fmt: skip
+    above.axvspan(-0.083, 0, color=style.SKY, alpha=0.25, lw=0, label="the encoder sees this")
+    above.set(ylabel="x [mm]", title="One window: past, present, 0.2 s ahead")
+    above.legend(loc="upper left")
+    below.step(one.time[around] - now, one.input[around], where="post")
+    below.axvspan(-0.083, 0, color=style.SKY, alpha=0.25, lw=0)
+    below.set(xlabel="time from the start of the prediction [s]", ylabel="commands in force")
+    return figure
+
+
+def control() -> Figure:
+    """Fly three set points with both laws, and show the distance to them."""
+    figure = new(3.4)
+    axes = figure.add_subplot()
+    for law, color in (("lqr", style.GREY), ("mpc", style.VERMILLION)):
+        tuning = tuning_for(truth()).with_regulator(law)
+        recording, _ = airpuck.track(truth(), SET_POINTS, 6.5, seed=1, tuning=tuning)
+        pose = recording["pose"]
+        time = (pose.stamp_ns - pose.stamp_ns[0]) / 1e9
+        wanted = np.array([at(t) for t in time])
+        axes.plot(time, 1e2 * np.linalg.norm(pose.values[:, :2] - wanted[:, :2], axis=1),
+                  color=color, label=law.upper())  # fmt: skip
+    axes.set(xlabel="time [s]", ylabel="distance to the set point [cm]", ylim=(0, None),
+             title="Three set points with both laws")  # fmt: skip
+    axes.legend()
+    return figure
+
+
+def at(time: float) -> tuple[float, ...]:
+    """Return the set point in force."""
+    return SET_POINTS.poses[max(0, int(np.searchsorted(SET_POINTS.times, time, "right")) - 1)]
+
+
+def twin() -> Figure:
+    """Show a command on its way: sent, in force after the radio, and what the motor does."""
+    figure = new(3.6)
+    axes = figure.add_subplot()
+    recording = airpuck.excite(truth(), 6.0, seed=3)
+    command = recording["command"]
+    time = (command.stamp_ns - recording["pose"].stamp_ns[0]) / 1e9
+    values = command.values[:, 0]
+    jump = int(np.argmax(np.abs(np.diff(values[(time > 2)])))) + int((time <= 2).sum())
+    delay, lag = truth().transport_delay, float(truth().parameters.motor_time_constant)
+    begin = time[jump]
+    shown = np.linspace(begin - 0.05, begin + 0.25, 601)
+    held = values[np.clip(np.searchsorted(time, shown, "right") - 1, 0, None)]
+    acting = values[np.clip(np.searchsorted(time + delay, shown, "right") - 1, 0, None)]
+    speed = np.empty_like(acting)
+    speed[0], step = acting[0], shown[1] - shown[0]
+    for k in range(1, len(shown)):
+        speed[k] = acting[k] + (speed[k - 1] - acting[k]) * math.exp(-step / lag)
+    ahead = 1e3 * (shown - begin)
+    axes.step(ahead, held, color=style.GREY, where="post", label="command as sent")
+    axes.step(ahead, acting, color=style.BLUE, where="post", label="command at the motor")
+    axes.plot(ahead, speed, color=style.VERMILLION, label="motor speed")
+    axes.annotate("", (1e3 * delay, 0.5), (0, 0.5), arrowprops={"arrowstyle": "<->"})
+    axes.text(500 * delay, 0.52, "d", ha="center")
+    axes.set(xlabel="time [ms]", ylabel="fraction of full speed",
+             title="From a command to the motor: delay d, lag τ")  # fmt: skip
+    axes.legend()
+    return figure
+
+
+def comparison() -> Figure:
+    """Compare the time of one fit."""
+    figure = new(2.3)
+    axes = figure.add_subplot(xscale="log", xlim=(0.1, 400))
+    names, seconds = [name for name, _ in FIT_TIMES], [value for _, value in FIT_TIMES]
+    colors = [style.BLUE if "airpuck" in name else style.GREY for name in names]
+    axes.barh(names, seconds, color=colors)
+    for k, value in enumerate(seconds):
+        axes.text(1.15 * value, k, f"{value:g} s", va="center")
+    axes.invert_yaxis()
+    axes.set(xlabel="seconds for the same fit of M3")
+    axes.grid(False)
+    return figure
+
+
+def prediction() -> Figure:
+    """Show measured and predicted poses, as on the report's page."""
+    figure = new(4.6)
+    airpuck.plot.predictions(flight(2), evaluation("M3"), figure)
+    return figure
+
+
+def horizon() -> Figure:
+    """Show errors over the time ahead, as on the report's page."""
+    figure = new(5.2)
+    airpuck.plot.horizon([evaluation("M0"), evaluation("M3")], figure.subplots(3, 1, sharex=True))
+    return figure
+
+
+def thrust() -> Figure:
+    """Show thrust curves, as on the report's page."""
+    figure = new(3.4)
+    airpuck.plot.thrust(fit("M3").model, figure.add_subplot())
+    return figure
+
+
+def excitation() -> Figure:
+    """Compare thrust curves after an excitation and after a hover."""
+    figure = new(4.6)
+    hover, _ = airpuck.track(truth(), airpuck.SetPoint(0.0, 0.0, 0.0), 20.0)
+    quiet = airpuck.identify(airpuck.preprocess(hover), "M3")
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    for axes, one, title in zip(
+        panels, (fit("M3"), quiet), ("after an excitation", "after a hover"), strict=True
+    ):
+        airpuck.plot.thrust(one.model, axes)
+        axes.set(title=title, ylim=(-0.5, 2.0))
+        axes.get_legend().remove()
+    panels[0].set_xlabel("")
+    return figure
+
+
+def error() -> Figure:
+    """Show how far a prediction is off while a flight goes on."""
+    figure = new(3.0)
+    axes = figure.add_subplot()
+    for rung, color in (("M0", style.GREY), ("M3", style.BLUE)):
+        judged = evaluation(rung)
+        axes.plot(judged.start, 1e3 * np.linalg.norm(judged.at_horizon[:2], axis=0), ".-", ms=3,
+                  color=color, label=RUNGS[rung])  # fmt: skip
+    axes.set(xlabel="time of flight [s]", ylabel="error after 0.2 s [mm]", yscale="log",
+             title="How far each prediction was off")  # fmt: skip
+    axes.legend()
+    return figure
+
+
+PICTURES: dict[str, Callable[[], Figure]] = {
+    "frames": frames,
+    "usage": usage,
+    "method": method,
+    "control": control,
+    "twin": twin,
+    "comparison": comparison,
+    "prediction": prediction,
+    "horizon": horizon,
+    "thrust": thrust,
+    "excitation": excitation,
+    "error": error,
+}
+
+
+def main(names: list[str]) -> None:
+    """Draw the named pictures, or all."""
+    for name in names or PICTURES:
+        with mpl.rc_context(TEXT):
+            PICTURES[name]().savefig(FOLDER / f"guide_{name}.png")
+        print(FOLDER / f"guide_{name}.png")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
