@@ -35,7 +35,7 @@ define test_installed
 	env -u PYTHONPATH $(1)/bin/python -m pytest -n 0 -m "not slow" --hypothesis-profile quick $(CORE_TESTS)
 endef
 
-.PHONY: help install dev live play demo test test-all test-browser lint format docs dist dist-python results-quick studies bench clean
+.PHONY: help install dev live play demo test test-all test-browser lint format docs notebooks dist dist-python results-quick studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -75,7 +75,10 @@ test-all: dev  ## all tests but the studies and the browser; those in real time 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
 	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py
 
-docs: dev  ## the site, in docs/_build/html; its notebooks run once and are cached
+docs: dev  ## the site, in docs/_build/html, in a minute or two; notebooks without their outputs
+	AIRPUCK_DOCS_NOTEBOOKS=off $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+
+notebooks: dev  ## the same with outputs: runs the notebooks whose sources have changed, at first all
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
 dist: dev  ## wheel and sdist, the wheel tried in a fresh environment, and all licences: in dist/

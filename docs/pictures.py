@@ -278,6 +278,17 @@ def error() -> Figure:
     return figure
 
 
+def animated() -> None:
+    """Fly to the paper's set points with predictive control, and animate the flight."""
+    model = airpuck.read_model("paper:M4")
+    goals = airpuck.SetPoints(
+        [0.0, 0.5, 2.5, 4.5], [(0, 0, 0), (1, 0.3, 1.5), (0.5, -0.3, -1), (0, 0, 0)]
+    )
+    tuning = tuning_for(model).with_regulator("mpc")
+    recording, log = airpuck.track(model, goals, 6.2, tuning=tuning)
+    airpuck.animate(recording, FOLDER / "flight.gif", log=log, frames_per_second=20.0)
+
+
 PICTURES: dict[str, Callable[[], Figure]] = {
     "frames": frames,
     "usage": usage,
@@ -295,7 +306,10 @@ PICTURES: dict[str, Callable[[], Figure]] = {
 
 def main(names: list[str]) -> None:
     """Draw the named pictures, or all."""
-    for name in names or PICTURES:
+    for name in names or [*PICTURES, "flight"]:
+        if name == "flight":
+            animated()
+            continue
         with mpl.rc_context(TEXT):
             PICTURES[name]().savefig(FOLDER / f"guide_{name}.png")
         print(FOLDER / f"guide_{name}.png")

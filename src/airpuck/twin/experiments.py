@@ -9,11 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.pilot import Pilot
-from airpuck.control.reference import Reference
+from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -24,6 +23,9 @@ from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
+
+#: Laws as titles of pages and animations name them.
+_LAWS = {"lqr": "a linear regulator", "mpc": "predictive control"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +203,6 @@ def track(
     """
     tuning = tuning or tuning_for(model)
     _check_duration(duration, tuning)
-    if gain is not None:
-        gain = numbers_of(gain, (3, 6), "gain")
     truth = truth or model
     if len(truth.vehicle.columns) != len(model.vehicle.columns):
         raise InputError(
@@ -223,7 +223,9 @@ def track(
             reject_disturbance=reject_disturbance,
         )
     log = fly(pilot, twin, duration, tuning.period_s, on_board=on_board)
-    source = f"{model.name} tracking on a twin of {truth.name}, seed {seed}"
+    law = "a pilot" if make_pilot else _LAWS.get(tuning.regulator.kind, "a law of its own")
+    goal = "set points" if isinstance(reference, SetPoints) else "its target"
+    source = f"flying to {goal} with {law} ({model.name} on a twin of {truth.name}, seed {seed})"
     return replace(twin.recording(), source=source), log
 
 
