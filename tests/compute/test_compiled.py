@@ -44,7 +44,7 @@ def test_the_program_is_the_function_in_double_precision():
     assert jax.config.read("jax_enable_x64") == before
 
 
-def test_what_computes_the_same_is_compiled_once():
+def test_equal_functions_are_compiled_once():
     alike = replace(DYNAMICS, thrust=np.array(DYNAMICS.thrust))
     assert moved(alike, 0.01) is moved(DYNAMICS, 0.01)
 
@@ -64,7 +64,7 @@ def test_a_method_is_one_of_its_object():
         assert program(Scale(factor).apply, np.ones(1), compiled=True)(np.ones(1))[0] == factor
 
 
-def test_what_computes_something_else_is_not():
+def test_different_functions_are_compiled_separately():
     programs = {
         moved(DYNAMICS, 0.01),
         moved(DYNAMICS, 0.02),

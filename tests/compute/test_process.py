@@ -74,7 +74,7 @@ def settings(monkeypatch):
     return {name: value for name, value in os.environ.items() if name.startswith("JAX_")}
 
 
-def test_a_user_decides_otherwise(cache, monkeypatch):
+def test_a_users_setting_of_the_cache_takes_precedence(cache, monkeypatch):
     monkeypatch.setenv(FOLDER, "mine")
     assert settings(monkeypatch) == {FOLDER: "mine"}
     assert not cache.exists()

@@ -97,7 +97,7 @@ def test_polynomials_at_quarter_turns():
     np.testing.assert_allclose(cos + 1j * sin, 1j ** turns.astype(float), atol=1e-14)
 
 
-def test_what_is_no_number_stays_so():
+def test_non_finite_angles_have_no_finite_cosine():
     with jax.enable_x64(True):
         assert not jnp.isfinite(jnp.stack(cos_sin(jnp, jnp.array([np.nan, np.inf])))).any()
 

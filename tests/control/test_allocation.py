@@ -106,7 +106,7 @@ def test_both_solvers_agree():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_feasible_requests_get_the_papers_solution(solver):
+def test_feasible_requests_get_the_solution_of_the_paper(solver):
     ours = allocator(solver)
     outcomes = set()
     for problem, infeasibility in sample():
@@ -156,7 +156,7 @@ def test_infeasible_requests_get_the_nearest_acceleration(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_what_thrusts_within_the_bounds_give_is_met(solver):
+def test_a_request_that_thrusts_within_bounds_can_meet_is_met(solver):
     ours, random, exact = allocator(solver), np.random.default_rng(3), 0
     for _ in range(100):
         _, matrix, offset, low, high = random_problem(random)
@@ -173,7 +173,7 @@ def test_what_thrusts_within_the_bounds_give_is_met(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_without_bounds_in_the_way_thrusts_are_the_least_squares_ones(solver):
+def test_without_active_bounds_thrusts_are_the_least_squares_solution(solver):
     ours, random = allocator(solver), np.random.default_rng(4)
     for _ in range(20):
         request, matrix, offset, _, _ = random_problem(random)
@@ -202,7 +202,7 @@ def test_a_request_twice_too_large_is_halved(solver):
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_thrust_that_cannot_be_taken_away_is_met_halfway(solver):
+def test_residual_thrust_gives_the_nearest_acceleration(solver):
     # The right propeller gives at least 1 N, the left one at most 0.5 N. So the craft accelerates
     # to the right by at least 0.5 m/s², the nearest to a request to the left.
     ours = ThrustAllocator(4, 1.0, SLACK_WEIGHT, solver)
@@ -262,7 +262,7 @@ def test_any_number_of_propellers_is_allocated_as_the_paper_would(solver, n):
 @pytest.mark.parametrize("where", range(5))
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_what_is_not_a_number_gives_the_lowest_thrusts_and_no_after_effect(solver, bad, where):
+def test_nan_gives_the_lowest_thrusts_without_side_effects(solver, bad, where):
     ours, fresh = allocator(solver), allocator(solver)
     good = random_problem(np.random.default_rng(11))
     if where < 3:
@@ -295,7 +295,7 @@ def test_a_failing_solver_gives_the_lowest_thrusts(monkeypatch, kind, answer):
 
 
 @pytest.mark.parametrize("kind", [Daqp, Piqp])
-def test_bounds_that_cross_have_no_solution_and_no_after_effect(kind):
+def test_crossed_bounds_have_no_solution_and_no_side_effects(kind):
     solver, a = kind(np.full(8, 2.0), np.full(8, 1e-8)), np.eye(3, 8)
     lower, upper = np.zeros(11), np.ones(11)
     lower[8:] = upper[8:] = 0.5
@@ -307,7 +307,7 @@ def test_bounds_that_cross_have_no_solution_and_no_after_effect(kind):
     np.testing.assert_allclose(solver.constrained(a, lower, upper), expected, atol=5e-6)
 
 
-def test_an_answer_does_not_depend_on_the_question_before_it():
+def test_a_solution_does_not_depend_on_the_previous_problem():
     ours, random = allocator(), np.random.default_rng(21)
     for _ in range(50):
         one, other = random_problem(random), random_problem(random)

@@ -44,7 +44,7 @@ def test_a_square_craft_by_hand():
     assert not found.sentences
 
 
-def test_left_and_right_are_told_apart():
+def test_a_push_to_the_right_is_not_counted_as_a_push_to_the_left():
     found = control_authority(nominal_model(craft((0, 0.05, 270), (0, -0.05, 270))))
     assert found.alone["right"] == pytest.approx(2 / 0.2)
     assert found.together["left"] == 0
@@ -77,7 +77,7 @@ def test_propellers_that_all_turn_one_way_are_named():
     )
 
 
-def test_two_opposed_propellers_only_go_to_and_fro():
+def test_two_opposed_propellers_push_along_one_line_only():
     found = control_authority(nominal_model(craft((0.05, 0, 180), (-0.05, 0, 0))))
     assert found.alone["forward"] == pytest.approx(1 / 0.2)
     assert found.alone["back"] == pytest.approx(1 / 0.2)
@@ -85,7 +85,7 @@ def test_two_opposed_propellers_only_go_to_and_fro():
     assert "no propeller pushes it to the left" in found.sentences
 
 
-def test_idle_thrusts_that_cannot_cancel_are_said():
+def test_idle_thrusts_that_cannot_cancel_are_reported():
     found = control_authority(nominal_model(craft((0.05, 0, 0), (-0.05, 0, 0), lowest=0.1)))
     assert found.alone["forward"] == pytest.approx(2 / 0.2)
     assert "no propeller pushes it back" in found.sentences

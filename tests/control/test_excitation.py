@@ -81,7 +81,7 @@ def test_signals_are_held_as_long_as_asked(hold):
     np.testing.assert_array_equal(changed, np.diff(turn) > 0)
 
 
-def test_signals_go_on_with_the_time_though_steps_are_missed():
+def test_signals_follow_the_clock_when_steps_are_missed():
     whole = at_rest(pilot(seed=3), 200)
     excitation = pilot(seed=3)
     at_rest(excitation, 1)
@@ -173,7 +173,7 @@ def test_three_propellers_that_only_push_are_too_few():
         pilot(craft(3))
 
 
-def test_how_much_all_propellers_give_at_least_by_trial():
+def test_the_weakest_effort_agrees_with_a_random_search():
     for model in (MODEL, craft(4), craft(5), craft(6)):
         found = weakest_effort(model)
         gyration = np.sqrt(model.parameters.inertia / model.vehicle.mass_kg)
@@ -248,7 +248,7 @@ def test_a_margin_that_leaves_no_room_is_refused(margin):
     assert caught.value.field == "margin"
 
 
-def test_how_far_a_craft_needs_to_stop_by_hand():
+def test_the_braking_distance_agrees_with_a_hand_calculation():
     # In its weakest direction the paper's craft pushes with two and with one half propeller …
     full = sum(VEHICLE.nominal.thrust_N)
     weakest = min(
@@ -269,7 +269,7 @@ def test_how_far_a_craft_needs_to_stop_by_hand():
         assert (excitation.pauses > paused) == pauses
 
 
-def test_without_poses_for_long_the_motors_idle_and_then_go_on():
+def test_motors_idle_during_a_long_pause_of_poses_and_then_resume():
     excitation = pilot(seed=3)
     at_rest(excitation, 10)
     step = excitation.step(0.09 + 0.2)
@@ -357,7 +357,7 @@ def test_a_plan_reads_back_as_it_was(tmp_path, amplitude):
     assert read_excitation_plan(tmp_path / "plan.toml") == plan
 
 
-def test_what_is_left_out_is_the_papers(tmp_path):
+def test_missing_keys_have_the_values_of_the_paper(tmp_path):
     (tmp_path / "plan.toml").write_text("hold_s = 0.1\n")
     plan = read_excitation_plan(tmp_path / "plan.toml")
     assert plan == ExcitationPlan(amplitude=1.0, hold_s=0.1, duration_s=90.0, margin_m=0.05)

@@ -51,7 +51,7 @@ def test_a_disturbance_moves_a_craft_at_rest_by_half_its_square_of_time():
     np.testing.assert_allclose(felt, np.tile(PUSH, (8, 1)), atol=1e-4)
 
 
-def test_slopes_are_those_of_finite_differences():
+def test_derivatives_equal_finite_differences():
     states, _, onward, felt = linearised(np, DRAGGED, 0.02, START, COMMANDS, PUSH)
     before, tiny = np.concatenate([START[None], states[:-1]]), 1e-6
     for k in range(len(COMMANDS)):
@@ -74,7 +74,7 @@ def test_slopes_are_those_of_finite_differences():
 
 
 @pytest.mark.slow
-def test_compiled_it_is_the_same():
+def test_the_compiled_program_gives_the_same_result():
     given = START, COMMANDS, PUSH
 
     def all_of(xp, start, commands, push):
@@ -104,7 +104,7 @@ PLAN = RANDOM.uniform(0.2, 0.8, (3, 6))
 
 
 @given(st.integers(-20, 20), st.floats(-3, 3))
-def test_whole_turns_of_target_and_craft_do_not_count(turns, yaw):
+def test_adding_whole_turns_to_target_or_craft_changes_nothing(turns, yaw):
     wanted, turned = np.zeros(6), np.zeros(6)
     wanted[2], turned[2] = yaw, yaw + 2 * np.pi * turns
     one, other = (posed(PLAN, each).error for each in (wanted, turned))
@@ -112,7 +112,7 @@ def test_whole_turns_of_target_and_craft_do_not_count(turns, yaw):
     assert abs(one[0, 2]) < np.pi + 0.1
 
 
-def test_at_half_a_turn_the_way_round_is_kept():
+def test_near_half_a_turn_the_direction_of_rotation_is_kept():
     wanted = np.zeros(6)
     wanted[2] = STATE[2] - np.pi + 0.01  # a little more than half a turn to the left
     assert posed(PLAN, wanted).way > 3
@@ -177,7 +177,7 @@ def test_limits_are_met_by_changes_that_reach_them():
     assert (share <= np.linalg.norm(reached[:, :2] - (0.5, 0.1), axis=1) + 1e-12).all()
 
 
-def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
+def test_the_hessian_includes_the_curvature_of_the_thrust_curves():
     # One short step: only the thrusts are nonlinear, so the Hessian of the cost is known.
     blocks, h = Blocks(0.01, (1,)), 0.01
     regulator = default_tuning().regulator
@@ -208,7 +208,7 @@ def test_the_bend_of_the_thrust_curves_is_in_the_hessian():
     assert np.abs(left_out[1, ~wanted_less]).max() < left_out[0].max() / 2
 
 
-def test_over_several_steps_the_bend_counts_what_follows_from_each():
+def test_the_curvature_is_weighted_by_the_effect_on_all_later_steps():
     blocks, step = Blocks(0.01, (12,)), 0.01
     regulator = default_tuning().regulator
     w = regulator.weights
@@ -237,7 +237,7 @@ def test_over_several_steps_the_bend_counts_what_follows_from_each():
         assert s.bend[:, motor] @ speed**2 == pytest.approx(bent, rel=0.02)
 
 
-def test_straight_thrust_curves_do_not_bend():
+def test_linear_thrust_curves_add_no_curvature():
     straight = MODEL.parameters.thrust * [1.0, 0.0, 0.0]
     model = replace(MODEL, parameters=replace(MODEL.parameters, thrust=straight))
     assert not posed(PLAN, np.zeros(6), model=model).bend.any()
@@ -245,7 +245,7 @@ def test_straight_thrust_curves_do_not_bend():
 
 @examples(50)
 @given(st.floats(0, 0.11), st.lists(st.integers(1, 4), min_size=2, max_size=6))
-def test_a_shifted_plan_gives_what_was_planned(elapsed, lengths):
+def test_a_shifted_plan_has_the_means_of_the_old_plan(elapsed, lengths):
     blocks = Blocks(0.02, tuple(lengths))
     plan = np.random.default_rng(len(lengths)).uniform(size=(len(lengths), 2))
     shifted = blocks.shifted(plan, elapsed)
@@ -341,7 +341,7 @@ def riccati(s: Stages, effort: np.ndarray, used: np.ndarray, least: float) -> np
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_limits_it_is_the_riccati_solution(seed):
+def test_without_limits_the_solution_equals_the_riccati_regulator(seed):
     blocks = Blocks(0.02, (1,) * 12)
     s, condensed = problem(seed, blocks), solver_of(blocks, (-1e6, 1e6))
     found = condensed.solve(condensed.form(np, s))
@@ -362,7 +362,7 @@ def penalised(solver: Condensed, formed, change: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(("seed", "tight"), [(1, 9.0), (2, 3.0), (3, 1.0), (4, 0.1), (5, 0.02)])
-def test_it_agrees_with_highs(seed, tight):
+def test_the_solution_agrees_with_highs(seed, tight):
     blocks = Blocks(0.02, (2, 3, 3))
     s, condensed = problem(seed, blocks, tight=tight), solver_of(blocks, (0.0, 1.0))
     formed = condensed.form(np, s)
@@ -415,14 +415,14 @@ def test_a_limit_that_can_be_kept_is_kept_to_the_last_digit():
         assert (reached <= upper[m:] + 1e-5).all()
 
 
-def test_numbers_that_are_not_finite_have_no_answer():
+def test_non_finite_numbers_give_no_solution():
     blocks = Blocks(0.02, (2, 2))
     s = problem(0, blocks)._replace(error=np.full((4, 6), np.nan))
     solver = solver_of(blocks, (0.0, 1.0))
     assert solver.solve(solver.form(np, s)) is None
 
 
-def test_an_answer_that_takes_too_long_is_none():
+def test_a_solution_beyond_the_iteration_limit_is_not_used():
     blocks = Blocks(0.02, (1,) * 8)
     s, short = problem(4, blocks, tight=0.02), regulator().model_copy(update={"iterations": 1})
     solver = Condensed(craft(0.0, 1.0), blocks, short, 2)

@@ -62,7 +62,7 @@ def cost(gain, a, b, q, r):
     return np.trace(solve_discrete_lyapunov(closed.T, q + gain.T @ r @ gain))
 
 
-def test_no_gain_nearby_costs_less():
+def test_the_gain_is_a_minimum_of_the_cost():
     a, b = point_mass(0.01)
     q, r = np.diag([8.6, 8.6, 24.0, 0.8, 0.8, 1.0]), 0.1 * np.eye(3)
     best = lqr(a, b, q, r)
@@ -73,7 +73,7 @@ def test_no_gain_nearby_costs_less():
         assert cost(away, a, b, q, r) > least
 
 
-def test_packaged_tuning_gives_the_gains_that_flew():
+def test_the_packaged_tuning_gives_the_gains_of_the_real_flights():
     tuning = default_tuning()
     k = regulator(tuning.weights, tuning.period_s)
     position, speed, yaw, spin = 9.04, 5.07, 15.0, 6.28
@@ -93,7 +93,7 @@ def test_rates_need_no_weight():
     assert np.abs(np.linalg.eigvals(a - b @ k)).max() < 1
 
 
-def test_step_response_of_the_closed_loop_is_python_controls():
+def test_the_step_response_of_the_closed_loop_agrees_with_python_control():
     tuning = default_tuning()
     h, target = tuning.period_s, np.array([0.5, -0.3, 1.2, 0.0, 0.0, 0.0])
     a, b = point_mass(h)
@@ -174,7 +174,7 @@ def test_rotation_error_begins_as_half_the_angle():
     np.testing.assert_allclose(rotation_error(spin, h), [5e-6, 5e-6], rtol=1e-6)
 
 
-def test_a_weak_motor_counts_as_one_with_less_thrust():
+def test_a_weak_motor_is_modelled_with_less_thrust():
     rng = np.random.default_rng(0)
     dynamics = published_model("M3").dynamics
     weak = rng.uniform(0.3, 1.0, 6)

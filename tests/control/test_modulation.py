@@ -79,7 +79,7 @@ def controller(name: str) -> TrackingController:
     return found
 
 
-def test_the_estimator_is_told_of_pulses() -> None:
+def test_the_estimator_receives_the_pulses_that_were_sent() -> None:
     # From rest, thrusters 2 and 5 of the Stanford craft push along x with 0.2 N each.
     pilot, pulse = controller("freeflyer2"), np.array([0, 0, 0.4, 0, 0, 0.4, 0, 0])
     pilot.sent(0.0, pulse)

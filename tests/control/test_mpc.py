@@ -98,7 +98,7 @@ def at_rest(x: float, y: float, yaw: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_it_reaches_set_points_that_an_lqr_needs_longer_for():
+def test_mpc_reaches_set_points_sooner_than_the_lqr():
     target, settled = np.array([0.6, -0.2, 2.8]), []
     for ours in (free(), TrackingController(MODEL, HOME)):
         states, steps = closed_loop(ours, SetPoint(*target), 2.0, at_rest(-0.6, 0.2, 0.0))
@@ -110,7 +110,7 @@ def test_it_reaches_set_points_that_an_lqr_needs_longer_for():
     np.testing.assert_allclose(states[-1, :3], target, atol=0.02)
 
 
-def test_it_flies_a_craft_with_delay_that_is_another_than_believed():
+def test_mpc_flies_a_craft_whose_delay_differs_from_the_model():
     ours = TrackingController(MODEL, SetPoint(0.3, 0.1, 1.0), tuned())
     _, poses, steps = fly(ours, 1.5)
     np.testing.assert_allclose(poses[-1], [0.3, 0.1, 1.0], atol=5e-3)
@@ -133,7 +133,7 @@ def test_the_closed_loop_is_that_of_the_physics_by_another_integrator():
     np.testing.assert_allclose(*commands, atol=2e-4)
 
 
-def test_what_it_expects_is_what_comes():
+def test_the_predicted_states_are_the_flown_states():
     states, steps = closed_loop(free(), SetPoint(0.5, 0.1, 1.0), 0.6, at_rest(0.0, 0.0, 0.0))
     ahead = steps[20].prediction
     assert ahead is not None
@@ -142,7 +142,7 @@ def test_what_it_expects_is_what_comes():
     assert "motor" in ahead.active
 
 
-def test_the_step_that_learns_of_a_set_point_expects_what_its_commands_do():
+def test_the_first_step_after_a_new_set_point_predicts_its_own_commands():
     ours, craft = law(), Estimate(0.0, at_rest(0.0, 0.0, 0.0), np.full(6, 0.3), np.zeros(3))
     for _ in range(10):
         ours.steer(craft, 0.0)
@@ -184,7 +184,7 @@ def test_a_rendezvous_is_kept(yaw):
 
 
 @pytest.mark.parametrize("sharp", [(1e9, 1e9), (1e9, 0.0), (0.0, 1e9), (0.0, 0.0), (3.0, 0.2)])
-def test_the_way_to_a_rendezvous_is_the_cheapest(sharp):
+def test_the_path_to_a_rendezvous_has_the_least_cost(sharp):
     # A double integrator with an error and a drift, under piecewise constant pushes: least squares.
     left, effort, apart, drift = 0.7, 0.3, 0.2, -0.5
     pieces = 500
@@ -266,7 +266,7 @@ def test_limits_of_speed_spin_fence_and_discs_are_kept():
     assert {"speed", "spin", "disc", "rail"} <= active
 
 
-def test_a_table_smaller_than_the_craft_has_an_answer():
+def test_a_table_smaller_than_the_craft_still_gives_a_command():
     ours = law(Table(length_m=0.1, width_m=0.1))
     _, steps = closed_loop(ours, SetPoint(0.5, 0.0, 0.0), 0.2, at_rest(0.2, 0.0, 0.0))
     assert {one.status for one in steps} <= {"softened", "iteration limit"}
@@ -295,7 +295,7 @@ def test_fence_and_discs_may_be_exchanged_in_flight():
     np.testing.assert_array_equal(controller.fence, [(0.1, -0.4), (0.5, 0.4)])
 
 
-def test_without_an_answer_the_plan_the_lqr_and_idling_motors_follow(monkeypatch):
+def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeypatch):
     ours = law()
     controller = ours.law
     assert isinstance(controller, MPC)
@@ -328,7 +328,7 @@ def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
         assert (step.command <= most).all()
 
 
-def test_the_lqr_that_steers_in_its_place_is_that_of_the_tuning():
+def test_the_fallback_lqr_has_the_weights_of_the_tuning():
     ours, lqr = law(), TrackingController(MODEL, HOME)
     craft = Estimate(0.0, at_rest(0.1, 0.0, 0.5), np.full(6, 0.3), np.zeros(3))
     ours.law._solver.solve = lambda formed: None
@@ -342,7 +342,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-5, 5)
 
 @examples(60)
 @given(st.lists(anything, min_size=6, max_size=6), st.lists(anything, min_size=3, max_size=3))
-def test_whatever_is_believed_commands_are_finite_and_within_limits(state, push):
+def test_for_any_estimate_commands_are_finite_and_within_limits(state, push):
     with np.errstate(all="ignore"):
         craft = Estimate(0.0, np.array(state), np.full(6, 0.3), np.array(push))
         free().reference = SetPoint(0.4, 0.0, 1.0)

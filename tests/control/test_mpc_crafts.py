@@ -62,7 +62,7 @@ def test_a_craft_with_other_propellers_reaches_its_set_point(propellers, duratio
     assert (np.abs(flown_then - expected) < [0.02, 0.02, 0.1]).all()
 
 
-def test_a_dead_motor_that_is_seen_goes_into_the_prediction():
+def test_the_prediction_uses_the_estimated_share_of_a_dead_motor():
     motor, thrust = 2, M4.dynamics.thrust.copy()
     thrust[motor] = 0.0
     truth = replace(M4.dynamics, thrust=thrust)
@@ -75,7 +75,7 @@ def test_a_dead_motor_that_is_seen_goes_into_the_prediction():
     assert ends["actuation"] < 0.2 * ends["kalman"]
 
 
-def test_excitation_steers_by_the_regulator_whatever_the_tuning_says():
+def test_excitation_uses_the_lqr_whatever_law_the_tuning_names():
     pilot = Excitation(M4, tuning=MPC)
     assert isinstance(pilot.controller.law, LQR)
     assert pilot.controller.tuning == default_tuning()

@@ -46,18 +46,18 @@ def test_without_a_pose_there_is_no_control():
 
 
 @pytest.mark.parametrize("jump", [(0.12, 0, 0), (0, -0.12, 0), (0, 0, 1.2)])
-def test_a_pose_that_jumps_is_not_believed_and_the_next_good_one_is(craft, jump):
+def test_a_jumping_pose_is_rejected_and_the_next_good_pose_accepted(craft, jump):
     assert craft.see(*(np.array([0.2, 0.1, 0.3]) + jump)) == "jumping pose"
     np.testing.assert_allclose(craft.place(), (0.2, 0.1, 0.3), atol=0.01)
     assert craft.see(0.2, 0.1, 0.3) is None
 
 
 @pytest.mark.parametrize("move", [(0.08, 0, 0), (0, 0, 0.8), (0, 0, 4 * math.pi)])
-def test_a_pose_that_a_craft_can_have_is_believed(craft, move):
+def test_a_pose_within_reach_of_the_craft_is_accepted(craft, move):
     assert craft.see(*(np.array([0.2, 0.1, 0.3]) + move)) is None
 
 
-def test_a_jump_that_lasts_is_believed_after_fifty_milliseconds(craft):
+def test_a_jump_that_persists_for_fifty_milliseconds_is_accepted(craft):
     began = craft.time + FRAME
     while craft.time < began + 0.045:
         assert craft.see(0.6, -0.2, 2.0) == "jumping pose"
@@ -68,12 +68,12 @@ def test_a_jump_that_lasts_is_believed_after_fifty_milliseconds(craft):
     np.testing.assert_allclose(craft.place(), (0.6, -0.2, 2.0), atol=1e-3)
 
 
-def test_poses_that_do_not_agree_with_each_other_are_never_believed(craft):
+def test_mutually_inconsistent_poses_are_never_accepted(craft):
     for k in range(40):
         assert craft.see(0.6, 0.2 * (-1) ** k, 0.3) == "jumping pose"
 
 
-def test_poses_become_stale_after_fifty_milliseconds_and_begin_anew(craft):
+def test_a_pose_is_stale_after_fifty_milliseconds_and_the_next_one_restarts(craft):
     assert craft.gate.refusal(craft.time + 0.0499) is None
     assert craft.gate.is_recent(craft.time - 0.0499)
     assert craft.gate.refusal(craft.time + 0.0501) == "stale pose"
@@ -84,7 +84,7 @@ def test_poses_become_stale_after_fifty_milliseconds_and_begin_anew(craft):
     np.testing.assert_allclose(craft.place(), (-0.8, 0.3, -2.0), atol=1e-3)
 
 
-def test_old_stamps_are_left_out_unless_the_clock_went_back(craft):
+def test_old_stamps_are_ignored_unless_the_clock_was_set_back(craft):
     gate, pose = craft.gate, np.array([0.9, 0.0, 0.0])
     for old in (0.0, 0.01, 0.049):
         assert not gate.offer(craft.filter, craft.time - old, pose)
@@ -96,7 +96,7 @@ def test_old_stamps_are_left_out_unless_the_clock_went_back(craft):
 
 
 @pytest.mark.parametrize("time, pose", [(math.nan, (0, 0, 0)), (1.2, (math.nan, 0, 0))])
-def test_what_is_not_a_number_is_bad_input_until_a_good_pose_comes(craft, time, pose):
+def test_a_nan_pose_is_bad_input_until_the_next_good_pose(craft, time, pose):
     assert not craft.gate.offer(craft.filter, time, np.array(pose, dtype=float))
     assert craft.gate.refusal(craft.time) == "bad input"
     assert craft.see(0.2, 0.1, 0.3) is None
@@ -132,7 +132,7 @@ class Spinning(KalmanFilter):
         self.restarts.append(time)
 
 
-def test_poses_that_agree_restart_an_estimate_with_which_some_agree_by_chance():
+def test_consistent_poses_restart_a_lost_estimate():
     gate, estimate = PoseGate(), Spinning()
     for k in range(25):
         gate.offer(estimate, k * FRAME, np.zeros(3))

@@ -27,13 +27,13 @@ def pairs():
 
 
 @pytest.mark.study
-def test_its_cost_is_within_some_percent_of_the_converged_solution(pairs):
+def test_the_cost_of_the_law_is_within_a_few_percent_of_the_converged_solution(pairs):
     assert min(pair.solved for pair in pairs) == 1
     ratio = sum(pair.ours for pair in pairs) / sum(pair.converged for pair in pairs)
     assert 0.999 < ratio < 1.03
 
 
-def test_whatever_comes_a_command_is_finite_within_limits_and_says_what_it_is():
+def test_for_any_input_a_command_is_finite_within_limits_and_has_a_status():
     found = hostile.thrown(flights.law("mpc"), 200, compiled=False)
     assert found.wrong == 0
     assert found.statuses.total() == len(found.spent) == 200
@@ -42,7 +42,7 @@ def test_whatever_comes_a_command_is_finite_within_limits_and_says_what_it_is():
 
 
 @pytest.mark.study
-def test_no_rail_is_met_on_the_way_to_targets_beside_it_though_packets_get_lost():
+def test_no_rail_is_touched_near_rails_even_with_packet_loss():
     tuning = flights.law("mpc")
     # Every other target lies within a centimetre of a rail; these do.
     passages = [rails.passed(seed, tuning, 0.3, 1.2) for seed in range(1, 41, 10)]

@@ -27,7 +27,7 @@ time = st.floats(-100, 100)
 
 
 @given(time, st.floats(0, 1))
-def test_a_set_point_is_a_pose_at_rest_for_ever(now, ahead):
+def test_a_set_point_is_a_constant_pose_with_zero_velocity(now, ahead):
     target = SetPoint(0.1, -0.2, 7.0).at(now, ahead)
     np.testing.assert_array_equal(target.state, [0.1, -0.2, 7.0, 0, 0, 0])
     np.testing.assert_array_equal(target.acceleration, np.zeros(3))
@@ -110,7 +110,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_the_pose(share, seed):
     np.testing.assert_allclose(here.acceleration, bend, atol=2e-2)
 
 
-def test_no_other_curve_through_the_poses_bends_less():
+def test_a_path_has_the_least_curvature_of_all_curves_through_its_poses():
     # Definition of the cubic spline with its ends at rest: the least ∫ a² among all such curves.
     times, poses = path()
     fine = np.linspace(times[0], times[-1], 20001)
@@ -143,7 +143,7 @@ def test_outside_its_times_a_path_stands_still(away):
         np.testing.assert_array_equal(target.acceleration, np.zeros(3))
 
 
-def test_the_yaw_of_a_path_may_go_round():
+def test_the_yaw_of_a_path_may_exceed_a_full_turn():
     times = np.linspace(0, 4, 41)
     turning = np.stack([0 * times, 0 * times, 2 * np.pi * times], axis=1)
     target = TimedPath(times, turning).at(2.0, 0.0)
@@ -172,7 +172,7 @@ def test_paths_that_make_no_sense_are_refused(times, poses, problem):
     assert error.value.field == "path"
 
 
-def test_what_the_caller_changes_later_changes_no_path():
+def test_a_path_copies_the_arrays_of_the_caller():
     times, poses = path()
     curve, kept = TimedPath(times, poses), TimedPath(times.copy(), poses.copy())
     times *= 2
@@ -180,7 +180,7 @@ def test_what_the_caller_changes_later_changes_no_path():
     np.testing.assert_array_equal(curve.at(1.0, 0.0).state, kept.at(1.0, 0.0).state)
 
 
-def test_all_of_them_are_references():
+def test_every_target_is_a_reference():
     times, poses = path()
     for reference in (
         SetPoint(0, 0, 0),
@@ -191,7 +191,7 @@ def test_all_of_them_are_references():
 
 
 @given(st.integers(-5, 5), st.floats(-3, 3))
-def test_whole_turns_of_the_target_ask_for_nothing(turns, yaw):
+def test_adding_whole_turns_to_the_target_requests_nothing(turns, yaw):
     controller = turner()
     craft = Estimate(0.0, np.array([0, 0, yaw, 0, 0, 0.0]), IDLE, np.zeros(3))
     here, there = SetPoint(0.1, 0, 0.5), SetPoint(0.1, 0, 0.5 + 2 * np.pi * turns)
@@ -234,7 +234,7 @@ def test_a_rendezvous_that_makes_no_sense_is_refused(state, precision, field):
     assert error.value.field == field
 
 
-def test_a_rendezvous_is_chased_at_its_velocity_and_then_what_follows():
+def test_a_rendezvous_targets_its_velocity_until_its_time():
     meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=SetPoint(0.0, 0.0, 0.3))
     np.testing.assert_allclose(meet.at(0.7, 0.1).state, [0.1, 0.1, 0.2, 2.0, 0.0, -1.0])
     np.testing.assert_allclose(meet.at(1.0, 0.0).state, meet.state)
@@ -249,7 +249,7 @@ def test_a_rendezvous_is_chased_at_its_velocity_and_then_what_follows():
     np.testing.assert_allclose(after.states[:, 2], 0.3)
 
 
-def test_what_is_asked_for_at_a_rendezvous_is_to_be_there_and_then_what_follows():
+def test_a_rendezvous_requests_its_state_until_its_time_and_then_what_follows():
     first = Rendezvous(2.0, (-0.2, 0.0, 0.1, -1.0, 0.0, 0.0), then=SetPoint(0.0, 0.0, 0.3))
     meet = Rendezvous(1.0, (0.5, 0.1, 0.0, 2.0, 0.0, -1.0), then=first)
     np.testing.assert_array_equal(asked(meet, -5.0), meet.state)

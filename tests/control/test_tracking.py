@@ -31,7 +31,7 @@ from ..apparatus.closed_loops import (
 )
 
 
-def test_the_loop_on_the_nominal_craft_is_python_controls_linear_one():
+def test_the_loop_on_the_nominal_craft_agrees_with_the_linear_loop_of_python_control():
     # Without saturation the motors give what the regulator requested one period ago:
     # x⁺ = A x + B v, v⁺ = -K (x⁺ - target). Thrusts, motors and turning drop out.
     target = np.array([0.02, -0.03, 0.4, 0, 0, 0])
@@ -109,7 +109,7 @@ def test_a_step_in_one_program_is_a_prediction_and_its_steering(monkeypatch, com
 
 
 @pytest.mark.parametrize("far", [SetPoint(100, -100, 0), SetPoint(0, 0, 3.1), SetPoint(1e6, 0, 0)])
-def test_a_request_too_large_is_no_error(far):
+def test_a_request_beyond_the_limits_is_not_an_error(far):
     ours = controller(far)
     last = hold_still(ours)
     step = ours.step(last)
@@ -188,7 +188,7 @@ def test_a_path_is_followed_closely_thanks_to_its_feed_forward():
     assert errors[0] < 0.2 * errors[1]
 
 
-def test_a_path_is_followed_in_time_though_the_radio_is_slow():
+def test_a_path_is_followed_in_time_over_a_slow_radio():
     # 0.3 m/s: a path read one transport delay too early or too late is 5 cm away.
     times = np.linspace(0, 4, 41)
     angle = 2 * np.pi * np.clip(times - 0.5, 0, 3) / 3
@@ -200,7 +200,7 @@ def test_a_path_is_followed_in_time_though_the_radio_is_slow():
     assert np.abs(poses[:, :2] - wanted)[when > 1.5].max() < 0.012
 
 
-def test_a_reference_is_asked_for_when_the_command_will_have_acted():
+def test_a_reference_is_evaluated_when_the_command_will_have_acted():
     asked = []
 
     class Asked:

@@ -50,7 +50,7 @@ def test_a_single_jump_idles_once_and_is_forgotten(jump):
 
 
 @pytest.mark.parametrize("jump", [[0.09, 0, 0], [0, 0.09, 0], [0, 0, 0.9], [0, 0, 2 * np.pi]])
-def test_what_a_craft_can_do_is_no_jump(jump):
+def test_a_motion_within_the_crafts_limits_is_not_a_jump(jump):
     ours = controller()
     last = hold_still(ours)
     ours.pose(last + FRAME, np.array(jump))
@@ -58,7 +58,7 @@ def test_what_a_craft_can_do_is_no_jump(jump):
 
 
 @pytest.mark.parametrize("rate", [100.0, 1000.0, 2000.0])
-def test_it_is_time_that_makes_poses_credible_not_their_number(rate):
+def test_poses_are_accepted_after_a_time_not_after_a_count(rate):
     ours = controller()
     for k in range(12):
         ours.pose(k / rate, NOTHING)
@@ -72,7 +72,7 @@ def test_it_is_time_that_makes_poses_credible_not_their_number(rate):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_poses_at_random_are_never_believed(seed):
+def test_random_poses_are_never_accepted(seed):
     random = np.random.default_rng(seed)
     ours = controller()
     last = hold_still(ours)
@@ -83,7 +83,7 @@ def test_poses_at_random_are_never_believed(seed):
         idles(ours.step(last + k * FRAME), "jumping pose")
 
 
-def test_after_long_doubts_the_old_prediction_is_no_reason_to_believe():
+def test_after_a_long_pause_a_pose_is_not_accepted_for_matching_the_old_prediction():
     ours = controller()
     last = hold_still(ours)
     for k in range(1, 25):
@@ -95,7 +95,7 @@ def test_after_long_doubts_the_old_prediction_is_no_reason_to_believe():
     assert ours.step(last + 37 * FRAME).flies
 
 
-def test_poses_that_jump_to_and_fro_are_not_believed_for_50_ms():
+def test_alternating_poses_are_rejected_for_50_ms():
     ours = controller()
     last = hold_still(ours)
     for k in takewhile(lambda k: k * FRAME < 0.05, count(1)):
@@ -106,7 +106,7 @@ def test_poses_that_jump_to_and_fro_are_not_believed_for_50_ms():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_a_pose_that_is_not_a_number_idles_the_motors_until_the_next(bad):
+def test_a_nan_pose_idles_the_motors_until_the_next_pose(bad):
     ours = controller()
     last = hold_still(ours)
     for place in range(3):
@@ -138,7 +138,7 @@ def test_a_pose_may_be_any_three_numbers(kind):
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0), np.zeros(6), np.zeros((1, 3))])
-def test_a_pose_of_another_shape_is_refused_and_leaves_no_trace(pose):
+def test_a_pose_of_the_wrong_shape_is_rejected_without_side_effects(pose):
     ours = controller()
     with pytest.raises(InputError, match="must be 3 numbers"):
         ours.pose(0.0, pose)
@@ -149,7 +149,7 @@ def test_a_pose_of_another_shape_is_refused_and_leaves_no_trace(pose):
     assert ours.step(last).flies
 
 
-def test_arrays_that_the_caller_uses_again_are_copied():
+def test_arrays_of_the_caller_are_copied():
     ours, same = controller(), controller()
     pose, command = np.zeros(3), np.zeros(6)
     for k in range(60):
@@ -169,7 +169,7 @@ def test_arrays_that_the_caller_uses_again_are_copied():
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-def test_commands_belong_to_the_caller(compiled):
+def test_a_returned_command_is_a_copy(compiled):
     ours = controller(compiled=compiled)
     for last in (0.0, hold_still(ours)):
         step = ours.step(last)
@@ -190,7 +190,7 @@ def flown(told, steps: int = 40) -> tuple[TrackingController, Step]:
     return ours, step
 
 
-def test_sensors_on_board_reach_the_filter_with_the_noises_of_the_tuning(monkeypatch):
+def test_the_filter_uses_on_board_sensors_with_the_noise_of_the_tuning(monkeypatch):
     ours, heard = controller(), []
     ours.pose(0.0, NOTHING)
     for kind in ("imu", "mouse"):
@@ -216,7 +216,7 @@ def test_before_the_first_step_a_command_without_a_time_is_ignored(wrong):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_a_sent_command_that_is_not_a_number_is_taken_as_not_sent(bad):
+def test_a_sent_nan_command_is_ignored(bad):
     def told(k, time, command):
         return time, np.where(np.arange(6) == 2, bad, command) if k == 20 else command
 
@@ -230,7 +230,7 @@ def test_a_sent_command_that_is_not_a_number_is_taken_as_not_sent(bad):
 
 
 @pytest.mark.parametrize("wrong", [1000.0, 1.0, np.nan, np.inf, -np.inf])
-def test_a_command_is_sent_now_if_its_time_cannot_be(wrong):
+def test_an_impossible_sending_time_is_replaced_by_now(wrong):
     def told(k, time, command):
         return (time + wrong if k == 20 else time), command
 
@@ -256,7 +256,7 @@ def test_a_sent_command_of_another_shape_is_refused_and_leaves_no_trace(command)
 
 
 @pytest.mark.parametrize("poses", [0, 12])
-def test_a_pause_of_the_cameras_costs_neither_memory_nor_knowledge_of_the_motors(poses):
+def test_a_pause_of_the_cameras_keeps_memory_bounded_and_the_motor_estimate(poses):
     ours = controller()
     hold_still(ours, poses)
     random = np.random.default_rng(0)

@@ -121,7 +121,7 @@ def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
     assert np.abs(np.linalg.eigvals(a - b @ gain)).max() < 1 + 1e-9
 
 
-def test_every_number_of_a_file_arrives_where_it_belongs(tmp_path):
+def test_every_number_of_a_file_is_read_into_its_own_field(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(GOOD)
     tuning = read_tuning(path)
@@ -133,7 +133,7 @@ def test_every_number_of_a_file_arrives_where_it_belongs(tmp_path):
     assert (noise.disturbance_density, noise.angular_disturbance_density) == (0.3, 0.4)
 
 
-def test_what_a_file_leaves_out_is_as_packaged(tmp_path):
+def test_missing_keys_have_the_packaged_values(tmp_path):
     path, packaged = tmp_path / "mine.toml", default_tuning()
     path.write_text("[weights]\nyaw = 7.0\n")
     weights = packaged.weights.model_copy(update={"yaw": 7.0})

@@ -99,6 +99,6 @@ def test_switches_survive_a_file(tmp_path: Path) -> None:
     assert read_vehicle(tmp_path / "again.toml").actuators == switches.actuators
 
 
-def test_switches_open_from_one_half_on() -> None:
+def test_a_switch_opens_at_a_command_of_one_half() -> None:
     _, drive = OnOff(kind="on_off").drive(np.zeros(1), np.array([[0.0, 0.4, 0.5, 1.0]]))
     assert drive.tolist() == [[0, 0, 1, 1]]

@@ -41,7 +41,7 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path):
     assert found.puck.mallet == Puck().mallet
 
 
-def test_what_was_not_identified_is_assumed(tmp_path):
+def test_numbers_that_were_not_identified_are_marked_as_assumed(tmp_path):
     assert "rail.restitution" in Puck().assumed
     assert not {"rail.restitution", "drag_1_s"} & set(EVERYTHING.puck.assumed)
     assert "mallet.grip" in EVERYTHING.puck.assumed
@@ -70,7 +70,7 @@ def test_the_defaults_are_the_published_ones():
         ("[goal]\nwidth_m = 0.3", "goal"),
     ],
 )
-def test_what_makes_no_table_is_refused(tmp_path, text, field):
+def test_an_impossible_table_is_rejected(tmp_path, text, field):
     path = tmp_path / "table.toml"
     path.write_text(text)
     with pytest.raises(InputError) as error:

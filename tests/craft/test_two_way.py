@@ -15,7 +15,7 @@ from airpuck.model.model_file import nominal_model
 from ..apparatus.two_way_craft import triangle
 
 
-def test_each_way_is_a_propeller_of_the_model(tmp_path: Path) -> None:
+def test_each_direction_of_an_actuator_is_a_propeller_of_the_model(tmp_path: Path) -> None:
     vehicle = triangle(tmp_path)
     assert vehicle.columns == ("a", "b", "c", "wheel")
     assert vehicle.propeller_names == (
@@ -31,7 +31,7 @@ def test_each_way_is_a_propeller_of_the_model(tmp_path: Path) -> None:
     assert read_vehicle(tmp_path / "again.toml") == vehicle
 
 
-def test_one_way_craft_have_no_further_columns(tmp_path: Path) -> None:
+def test_craft_without_reverse_have_no_additional_columns(tmp_path: Path) -> None:
     vehicle = default_vehicle()
     assert vehicle.columns == vehicle.propeller_names
     vehicle.save(tmp_path / "holohover.toml")
@@ -98,7 +98,7 @@ def test_errors_name_the_field(old: str, new: str, message: str, tmp_path: Path)
         triangle(tmp_path, **{old: new})
 
 
-def test_kinds_name_what_other_stages_ask_for(tmp_path: Path) -> None:
+def test_a_vehicle_lists_its_kinds_of_actuators(tmp_path: Path) -> None:
     assert default_vehicle().actuation.kinds == ("propeller",)
     kinds = triangle(tmp_path).actuation.kinds
     assert kinds == ("propeller", "reversible propeller", "reaction wheel")

@@ -149,7 +149,7 @@ def test_copies_have_the_positions_of_their_own_propellers():
     assert vehicle.positions is positions
 
 
-def test_a_craft_drawn_in_millimetres_is_told_so(quad):
+def test_a_layout_in_millimetres_is_recognised(quad):
     text = QUAD.replace("mass_kg = 0.2", "mass_kg = 0.2\nradius_m = 80.0")
     quad.write_text(text.replace("0.05]", "50.0]"))
     with pytest.raises(InputError, match=r"radius_m = 80 .*: millimetres\?"):

@@ -44,7 +44,7 @@ def test_the_json_has_every_span():
     assert figures["usable"] == pytest.approx(0.955)
 
 
-def test_a_long_gap_counts_by_its_time_and_not_by_its_poses():
+def test_a_gap_counts_by_its_duration_not_by_its_poses():
     time = FLIGHT.time[(FLIGHT.time < 1.0) | (FLIGHT.time > 6.0)]
     kept = {
         "time": time,

@@ -169,7 +169,7 @@ def test_spans_keep_their_confidence_in_a_file(flight, tmp_path):
 
 
 @pytest.mark.parametrize("given", ["bags/training", Path("bags/training"), ["bag"], 5, object()])
-def test_what_is_no_trajectory_is_told_how_to_become_one(given):
+def test_a_raw_recording_is_rejected_with_the_command_to_preprocess_it(given):
     with pytest.raises(InputError, match=r"not a Trajectory: airpuck.load_trajectory\(path\)"):
         as_trajectories(given)
 

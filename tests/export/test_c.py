@@ -58,7 +58,7 @@ def exported(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[pytest.mark.study] * (n in ("M1", "M2", "M3"))) for n in MODELS]
 )
-def test_commands_and_states_are_pythons(name, tmp_path):
+def test_commands_and_states_equal_those_of_python(name, tmp_path):
     model = MODELS[name]
     python = TrackingController(model, HOME, compiled=False)
     c = CompiledController(library(model, tmp_path / "c"), model)
@@ -340,7 +340,7 @@ def test_a_flight_on_the_twin_ends_where_pythons_does(tmp_path):
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-7)
 
 
-def test_what_has_no_c_is_named(tmp_path):
+def test_features_without_c_code_are_named(tmp_path):
     tuning = default_tuning()
     for model, chosen, name in (
         (M4, tuning.with_estimator("actuation"), "actuation"),

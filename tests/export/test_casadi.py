@@ -43,7 +43,7 @@ def numbers(value):
 
 
 @pytest.mark.parametrize("model", CRAFT.values(), ids=CRAFT)
-def test_they_are_the_package_s_own_dynamics(model):
+def test_casadi_functions_equal_the_dynamics_of_the_package(model):
     made = functions(model)
     for state, command in zip(*random_states(model, 50), strict=True):
         rate, scale = model.derivative(state, command), 1 + np.abs(state).max()
@@ -55,7 +55,7 @@ def test_they_are_the_package_s_own_dynamics(model):
 
 
 @pytest.mark.parametrize("model", [PAPER["M3"], ALL_EFFECTS], ids=["M3", "all effects"])
-def test_their_derivatives_are_jax_s(model):
+def test_derivatives_of_casadi_functions_agree_with_jax(model):
     z, u = casadi.SX.sym("z", 12), casadi.SX.sym("u", 6)
     rate = functions(model)["continuous"](z, u)
     slopes = casadi.Function("slopes", [z, u], [casadi.jacobian(rate, z), casadi.jacobian(rate, u)])

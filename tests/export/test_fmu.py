@@ -325,7 +325,7 @@ def test_commands_do_not_overtake_each_other(unit: Path) -> None:
 
 
 @pytest.mark.slow
-def test_no_call_does_harm(unit: Path, tmp_path: Path) -> None:
+def test_no_sequence_of_calls_causes_a_crash(unit: Path, tmp_path: Path) -> None:
     sources = [*(unit / "sources").glob("*.c"), ABUSE]
     program = build(tmp_path / "abuse", sources, *SANITIZED, f"-I{HEADERS}")
     done = subprocess.run([program], capture_output=True, text=True, check=False)

@@ -117,7 +117,7 @@ def test_a_file_with_the_delay_beside_the_parameters_is_read(older):
     assert inflow.coefficient == 0.125
 
 
-def test_all_survive_a_file(older, tmp_path):
+def test_all_fields_survive_a_file(older, tmp_path):
     for model in (older(), published_model("M4"), nominal_model(older().vehicle)):
         model.save(tmp_path / "again.toml")
         same(read_model(tmp_path / "again.toml"), model)
@@ -165,7 +165,7 @@ def test_published_models_are_read_by_name():
         read_model("paper:M9")
 
 
-def test_a_bare_name_is_told_how_published_parameters_are_called(tmp_path, monkeypatch):
+def test_a_bare_model_name_gets_a_hint_at_the_published_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"M3: there is no such file; .* are paper:M3"):
         read_model("M3")
@@ -175,7 +175,7 @@ def test_a_bare_name_is_told_how_published_parameters_are_called(tmp_path, monke
         read_model(tmp_path)
 
 
-def test_a_file_of_another_kind_is_told_what_it_is(tmp_path):
+def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path):
     default_vehicle().save(tmp_path / "craft.toml")
     with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
         read_model(tmp_path / "craft.toml")

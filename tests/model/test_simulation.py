@@ -162,7 +162,7 @@ def test_samples_have_the_covariance_of_the_estimate():
 
 
 @pytest.mark.slow
-def test_samples_follow_the_key_and_are_crafts():
+def test_samples_depend_on_the_key_and_are_valid_craft():
     model = uncertain({0: 0.2, 18: 2e-4})  # wide enough to leave the bounds
     first = [m.parameters.to_vector() for m in model.sample(20, key=jax.random.key(3))]
     again = [m.parameters.to_vector() for m in model.sample(20, key=jax.random.key(3))]
@@ -173,7 +173,7 @@ def test_samples_follow_the_key_and_are_crafts():
 
 
 @pytest.mark.parametrize("period", [0, -0.01, np.nan, np.array([0.01, 0.0])])
-def test_a_period_that_is_no_time_is_refused(period):
+def test_a_period_that_is_not_positive_is_rejected(period):
     state, command = state_and_command()
     with pytest.raises(InputError, match="period: must be above 0 s"):
         M3.simulate(state, np.tile(command, (2, 1)), period)

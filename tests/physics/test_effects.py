@@ -97,7 +97,7 @@ def test_gravity_is_that_of_the_earth():
     assert pytest.approx(9.81, abs=0.01) == GRAVITY
 
 
-def test_a_propeller_that_moves_along_its_thrust_loses_some():
+def test_a_propeller_that_moves_along_its_thrust_loses_thrust():
     # motor_a_1 pushes left: moving left at 2 m/s costs 0.1·2, moving right gains as much.
     inflow, one = Inflow.of(LAYOUT, 0.1), np.ones(6)
     a_1, a_2 = named("motor_a_1"), named("motor_a_2")
@@ -197,7 +197,7 @@ def test_effects_act_one_after_the_other():
     ],
 )
 @given(motions)
-def test_an_effect_of_nothing_changes_no_number(effects, motion):
+def test_an_effect_with_zero_coefficients_changes_nothing(effects, motion):
     speed = np.linspace(0.1, 0.9, 6)
     np.testing.assert_array_equal(
         accelerate(effects, motion, speed), acceleration(np, BASE, np.array(motion), speed)

@@ -23,7 +23,7 @@ def test_agrees_with_the_matrix_exponential(speed, command, duration, tau):
 
 
 @given(unit, unit, st.floats(1e-4, 0.05), st.floats(1e-4, 0.05), st.floats(1e-3, 0.2))
-def test_two_steps_are_one(speed, command, first, second, tau):
+def test_two_half_steps_equal_one_step(speed, command, first, second, tau):
     halfway = motor_step(np, speed, command, first, tau)
     assert motor_step(np, halfway, command, second, tau) == pytest.approx(
         motor_step(np, speed, command, first + second, tau), abs=1e-12
@@ -31,7 +31,7 @@ def test_two_steps_are_one(speed, command, first, second, tau):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.sampled_from([0.0, 1e-4, 0.03, 5.0]))
-def test_all_samples_at_once_are_one_after_another(seed, count, tau):
+def test_filtering_all_samples_at_once_equals_stepping(seed, count, tau):
     rng = np.random.default_rng(seed)
     time, command = np.cumsum(rng.uniform(1e-3, 9e-3, count)), rng.random((count, 2))
     expected = command[:1]

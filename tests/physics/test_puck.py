@@ -161,7 +161,7 @@ def test_equal_elastic_discs_exchange_their_speeds():
     assert (first.vx, second.vx) == pytest.approx((0.5, -1.5))
 
 
-def test_a_mallet_that_gives_no_way():
+def test_a_mallet_acts_as_a_moving_rail():
     # In its own frame the disc is a rail: v' = w + e (w - v).
     body = disc(vx=-2.0)
     strike(body, Disc(0.0, 0.0, vx=3.0, radius=0.05), 1.0, 0.0, Contact(restitution=0.8))
@@ -229,7 +229,7 @@ def bounced(first, second, law, normal):
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("walled", [False, True])
-def test_bounces_are_those_of_pymunk(seed, walled):
+def test_bounces_agree_with_pymunk(seed, walled):
     rng = np.random.default_rng(seed)
     angle = rng.uniform(-np.pi, np.pi)
     nx, ny = math.cos(angle), math.sin(angle)
@@ -286,7 +286,7 @@ def test_a_contact_at_the_middle_gives_back_pushes_and_keeps_to_the_cone(
 
 
 @given(st.floats(-5, 0), speeds, share, st.floats(0, 2), share, arms, arms)
-def test_no_contact_gives_energy(normal, slip, restitution, friction, grip, arm_n, arm_t):
+def test_no_contact_adds_energy(normal, slip, restitution, friction, grip, arm_n, arm_t):
     k_nn, k_tt, k_nt = k = mobility(MASS, INERTIA, arm_n, arm_t)
     n, t = contact_impulse(PlainNumbers, k, normal, slip, restitution, friction, grip)
     work = n * (normal + (k_nn * n + k_nt * t) / 2) + t * (slip + (k_nt * n + k_tt * t) / 2)

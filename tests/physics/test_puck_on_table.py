@@ -74,7 +74,7 @@ def test_with_drag_the_time_of_the_first_bounce_is_closed():
 
 
 @pytest.mark.parametrize("steps", [1, 7, 1000])
-def test_steps_do_not_matter(steps):
+def test_the_flight_of_a_puck_does_not_depend_on_the_step(steps):
     puck = PuckOnTable(PLAY, PuckState(0.1, 0.2, 0.0, 3.0, 2.0, 20.0))
     whole = PuckOnTable(PLAY, PuckState(0.1, 0.2, 0.0, 3.0, 2.0, 20.0))
     for k in range(steps):
@@ -97,7 +97,7 @@ def test_a_puck_in_a_goal_stays_there_until_it_is_placed():
     assert puck.goal == 0
 
 
-def test_posts_keep_out_what_does_not_fit():
+def test_a_disc_that_does_not_fit_is_stopped_by_the_posts():
     # At every distance from the long axis: it enters within the opening minus a radius.
     half, radius = PLAY.table.goal_width_m / 2, PLAY.puck.radius_m
     for beside in np.linspace(0.001, 0.4, 81):
@@ -110,7 +110,7 @@ def test_posts_keep_out_what_does_not_fit():
 
 @pytest.mark.parametrize("speed", [1.0, 10.0, 1000.0])
 @pytest.mark.parametrize("give_way", [True, False])
-def test_no_speed_tunnels_through_a_disc(speed, give_way):
+def test_no_puck_tunnels_through_a_disc_at_any_speed(speed, give_way):
     puck = PuckOnTable(BILLIARD, PuckState(0.0, 0.0, 0.0, speed, 0.0))
     disc = craft(0.5, 0.0) if give_way else mallet(0.5, 0.0)
     hit = puck.run(0.45 / speed, [disc])
@@ -126,7 +126,7 @@ def test_no_speed_tunnels_through_a_disc(speed, give_way):
         assert puck.state.vx == pytest.approx(-speed)
 
 
-def test_a_moving_mallet_is_met_on_the_way():
+def test_a_moving_mallet_is_hit_at_the_exact_time():
     # They approach at 7 m/s; the puck leaves at 2 · 4 + 3.
     puck = PuckOnTable(BILLIARD, PuckState(-0.5, 0.0, 0.0, 3.0, 0.0))
     puck.run(0.1, [mallet(0.1, 0.0, vx=-4.0, duration=0.1)])
@@ -220,7 +220,7 @@ def test_random_games(hundred):
 
 
 @pytest.mark.parametrize("seed", range(1, 5))
-def test_a_whole_flight_is_that_of_pymunk(seed):
+def test_a_whole_flight_agrees_with_pymunk(seed):
     rng = np.random.default_rng(seed)
     law = Contact(restitution=0.85, grip=1.0, friction=0.2)
     puck = Puck(drag_1_s=0.0, spin_drag_1_s=0.0, rail=law)

@@ -96,7 +96,7 @@ def test_chords_that_begin_anywhere_lie_above_the_kinks_of_the_frontier(yaw):
         assert np.interp([kink - 10, kink + 10], moments, table).mean() >= best - 1e-9
 
 
-def test_motors_cannot_have_other_speeds():
+def test_motor_speeds_stay_within_their_proven_range():
     times, speed = np.array([0.0, 0.01, 0.03, 1.0]), np.linspace(0.1, 0.9, 6)
     low, high = motor_range(M3, speed, times)
     for command in (0.03, 0.5, 1.0):
@@ -132,7 +132,7 @@ def test_a_refutation_two_percent_too_strong_refutes_a_flight(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 17])
-def test_the_bound_of_a_flight_as_fast_as_any_is_close(seed):
+def test_the_bound_is_close_for_the_fastest_flights(seed):
     _, asked, weight, time = sharp(seed)
     assert time < 1.02 * lower_bound(asked, weight, 1.3 * time) <= 1.02 * time
 
@@ -149,7 +149,7 @@ def test_a_craft_that_must_turn_to_brake_is_certain_to_hit_the_rail_ahead(direct
         assert unavoidable_rail(asked) == certain
 
 
-def test_what_may_help_to_brake_makes_a_crash_less_certain():
+def test_effects_that_may_brake_weaken_the_proof_of_a_crash():
     """The slope of the table, and a centre of mass that moves as the craft turns."""
     state = np.array([Table().reach(M3.vehicle.radius_m)[0] - 0.1, 0, np.pi, 1.05, 0, 0])
     aside = replace(M3, parameters=replace(M3.parameters, center_of_mass=np.array([0.01, 0.0])))
@@ -177,7 +177,7 @@ class Gust(Wind):
 
 
 @pytest.mark.parametrize("effect", [Boost(), Wind(), Gust()])
-def test_an_effect_that_states_no_bounds_leaves_none(effect):
+def test_an_effect_without_bounds_gives_no_lower_bound(effect):
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
     unknown = replace(asked, model=affected(M3, effect))
     assert lower_bound(unknown, along_x(0.6), 0.6) is None

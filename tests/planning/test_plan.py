@@ -77,7 +77,7 @@ def integrated(model, path):
 
 
 @pytest.mark.slow
-def test_a_double_integrator_takes_two_root_d_over_a():
+def test_a_double_integrator_needs_two_root_d_over_a():
     for distance, via in ((0.3, ()), (1.0, [(0.5, 0.0)])):  # the way point is where it brakes
         found = airpuck.plan(one_axis(), at_rest(0), at_rest(distance), via=via, intervals=20)
         known = 2 * np.sqrt(distance / ACCELERATION)
@@ -184,13 +184,13 @@ def test_of_all_final_yaws_the_search_finds_one_of_the_best():
 
 
 @pytest.mark.study
-def test_four_times_as_fine_a_grid_agrees(metre):
+def test_a_grid_four_times_as_fine_agrees(metre):
     finer = airpuck.plan(M3, (-0.5, 0, 0), (0.5, 0, 0), intervals=160)
     assert finer.duration == pytest.approx(metre.duration, rel=5e-3)
 
 
 @pytest.mark.slow
-def test_a_neighbouring_plan_is_a_start_of_its_own(metre):
+def test_a_neighbouring_plan_can_start_a_search(metre):
     found = airpuck.plan(M3, (-0.48, 0.01, 0), (0.5, 0, 0), table=Table(), warm=metre)
     assert [start.name for start in found.starts] == ["the neighbouring plan"]
     assert found.duration == pytest.approx(metre.duration, rel=0.05)
@@ -220,7 +220,7 @@ def test_way_points_rails_discs_and_limits_are_kept():
 
 
 @pytest.mark.slow
-def test_an_open_goal_is_reached_sooner(metre):
+def test_a_goal_with_free_components_is_reached_sooner(metre):
     goal = Goal(0.5, 0.0, None, None)
     free = airpuck.plan(M3, (-0.5, 0, 0), goal, table=Table(), intervals=20)
     assert 0.9 * free.duration < free.lower_bound < free.duration < 0.8 * metre.duration
@@ -259,7 +259,7 @@ def coasting() -> Plan:
     return Plan(M3, np.array([0.0, 0.5]), states, np.full((1, 6), M3.vehicle.command_min), None)
 
 
-def test_a_plan_moves_between_its_beginning_and_its_end_only(coasting):
+def test_a_plan_moves_only_between_its_start_and_its_end(coasting):
     flown = coasting.starting(2.0)
     before, during, after = (flown.at(now, 0.01).state for now in (1.9, 2.2, 2.6))
     np.testing.assert_allclose(before, np.zeros(6))
@@ -313,7 +313,7 @@ def test_a_plan_file_gives_the_plan_back(metre, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_did_not_converge_is_refused(metre, monkeypatch):
+def test_a_plan_that_did_not_converge_is_rejected(metre, monkeypatch):
     # The disc blocks the table from rail to rail.
     asked = {"start": (-0.9, 0, 0), "goal": (0.9, 0, 0), "table": Table()}
     with pytest.raises(InputError, match="no plan was found from any of 1 starts"):

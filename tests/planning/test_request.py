@@ -47,12 +47,12 @@ def test_wrong_requests_are_refused_by_name(wrong, field, words):
 
 
 @pytest.mark.parametrize("name", ["reserve", "spin", "speed", "margin"])
-def test_limits_have_limits(name):
+def test_limits_out_of_range_are_rejected(name):
     with pytest.raises(InputError, match=name):
         Limits(**{name: -1.0})
 
 
-def test_a_craft_that_can_just_stop_is_let_through():
+def test_a_craft_that_can_just_stop_is_accepted():
     # v²/2a alone, without the time that motors take to start.
     speed = 1.5
     room = speed**2 / 2 / 7.95
@@ -70,7 +70,7 @@ def test_the_shorter_way_round_comes_first_and_the_other_only_if_it_may_be_faste
     assert checked(goal=Goal(0.5, 0, 7.0, turn="exact")).goal_yaws() == (7.0,)
 
 
-def test_the_reserve_is_a_share_of_every_motors_thrust():
+def test_the_reserve_is_a_fraction_of_each_motors_thrust():
     command = checked(limits=Limits(reserve=0.2)).highest_command
     curves = M3.dynamics.thrust
     force = sum(curves[:, k] * command ** (k + 1) for k in range(curves.shape[1]))

@@ -50,7 +50,7 @@ def test_an_idling_motor_follows_a_higher_command_later():
     np.testing.assert_array_equal(motors.follow(1.2, BOTH)[0], 0.6)
 
 
-def test_changing_the_command_while_starting_does_not_begin_anew():
+def test_changing_the_command_during_a_start_does_not_restart_it():
     motors = unit(starting_delay_s=0.1)
     motors.follow(0.0, np.array([0.2, 0.0]))
     motors.follow(0.06, np.array([0.9, 0.0]))
@@ -67,7 +67,7 @@ def test_a_motor_that_idled_again_starts_slowly_again():
     np.testing.assert_array_equal(motors.follow(0.51, go), go)
 
 
-def test_a_start_given_up_does_not_count():
+def test_an_aborted_start_does_not_count():
     motors, go = unit(starting_delay_s=0.1), np.array([0.6, 0.0])
     motors.follow(0.0, go)
     motors.follow(0.05, np.zeros(2))
@@ -84,7 +84,7 @@ def test_a_stalled_motor_stands_and_the_other_does_not():
     np.testing.assert_array_equal(motors.follow(1.5, BOTH), BOTH)
 
 
-def test_the_command_handed_in_is_left_alone():
+def test_the_command_of_the_caller_is_not_modified():
     command = BOTH.copy()
     unit(stalls=(Stall(motor="right", start_s=0.0, stop_s=9.0),)).follow(1.0, command)
     unit(starting_delay_s=1.0).follow(0.0, command)
@@ -107,7 +107,7 @@ def test_a_stall_of_an_unknown_motor_is_refused():
         st.tuples(st.floats(1e-3, 0.5), st.floats(0, 1), st.floats(0, 1)), max_size=10
     ),
 )
-def test_nothing_changes_by_itself_before_the_next_change(unarmed, delay, stall, commands):
+def test_motors_are_constant_until_the_next_stated_change(unarmed, delay, stall, commands):
     start, length = stall
     stalls = (Stall(motor="left", start_s=start, stop_s=start + length),)
     motors = unit(unarmed_s=unarmed, starting_delay_s=delay, stalls=stalls)
@@ -138,7 +138,7 @@ def test_a_weak_motor_gives_its_share_while_it_is_weak():
     assert [motors.next_change(t) for t in (0.5, 1.0, 1.5, 2.0, 3.0)] == [1, 1.5, 2, 3, np.inf]
 
 
-def test_a_loss_of_a_motor_that_is_not_there_is_refused():
+def test_a_loss_of_an_unknown_motor_is_rejected():
     with pytest.raises(InputError) as caught:
         unit(weak=(Weakness(motor="middle", start_s=0.0, stop_s=1.0, share=0.5),))
     assert caught.value.field == "motors.weak"

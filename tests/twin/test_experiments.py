@@ -170,7 +170,7 @@ def test_a_flight_of_one_command_can_be_read_back(tmp_path, plant):
         ("gain", np.full((3, 6), np.nan)),
     ],
 )
-def test_what_no_flight_can_begin_with_is_named(field, value, plant_m4):
+def test_an_invalid_start_of_a_flight_is_named(field, value, plant_m4):
     with pytest.raises(InputError) as caught:
         track(M4, SetPoint(0, 0, 0), 0.1, plant=plant_m4, **{field: value})
     assert caught.value.field == field
@@ -179,7 +179,7 @@ def test_what_no_flight_can_begin_with_is_named(field, value, plant_m4):
             excite(TRUTH, 0.1, value)
 
 
-def test_values_of_no_such_kind_are_refused_where_nothing_checks_types():
+def test_wrong_types_are_rejected_without_a_type_checker():
     code = """
 import numpy as np
 from airpuck import InputError, read_model, track
@@ -229,6 +229,6 @@ def test_a_craft_with_a_dead_motor_keeps_its_set_points_if_it_is_noticed(plant_m
 
 
 @pytest.mark.study
-def test_looking_after_the_motors_does_no_harm_to_a_healthy_craft(plant_m4):
+def test_estimating_the_motors_does_not_degrade_a_healthy_craft(plant_m4):
     kalman, actuation = (faulty_flight(e, Motors(), plant_m4) for e in ("kalman", "actuation"))
     np.testing.assert_allclose(actuation, kalman, rtol=0.1)

@@ -170,7 +170,7 @@ def test_a_hand_keeps_to_its_limits_and_arrives(target):
         ({"puck": PuckState(0.0, 0.0), "mallet": (0.5,)}, "mallet"),
     ],
 )
-def test_what_is_no_place_is_refused(plant, given, field):
+def test_an_invalid_position_is_rejected(plant, given, field):
     with pytest.raises(InputError) as error:
         Twin(MODEL, plant=plant, **given)
     assert error.value.field == field
@@ -223,7 +223,7 @@ def test_crafts_that_meet_keep_momentum_and_do_not_tunnel(plant, speed):
     assert after[3] < before[3]
 
 
-def test_a_puck_between_two_crafts_gives_each_what_it_takes_from_the_other(plant):
+def test_a_puck_between_two_craft_conserves_momentum(plant):
     poses = [(-0.5, 0.0, 0.0), (0.5, 0.0, math.pi)]
     world, twins = two_crafts(plant, poses, 0, 0.001, 0, 4.0)
     world.run(0.5)

@@ -51,7 +51,7 @@ def test_courses_are_on_the_table():
 
 
 @pytest.mark.slow
-def test_points_and_discs_are_no_task_for_a_set_point_and_motion_no_start(planned):
+def test_plans_with_way_points_or_a_moving_start_have_no_set_point_flight(planned):
     states = planned.samples[1]
     x, y = states[len(states) // 2, :2].tolist()  # the plan passes there
     past = replace(planned, via=((x, y),), keep_out=((x, y, 0.05),))

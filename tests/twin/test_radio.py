@@ -72,7 +72,7 @@ def test_packets_in_flight_arrive_one_after_the_other():
     np.testing.assert_allclose(times, 0.025 + PERIOD * np.arange(50), atol=1e-12)
 
 
-def test_delays_have_mean_and_spread_as_set():
+def test_delays_have_the_stated_mean_and_spread():
     # The jitter is so small that no packet waits for another, and no delay is negative.
     times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.001), 5000))
     late = times - PERIOD * (numbers - 1)
@@ -105,7 +105,7 @@ def test_a_packet_waits_for_the_one_before_it():
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.1, 0.3, 1.0])
-def test_packets_are_lost_as_often_as_set(loss):
+def test_packets_are_lost_at_the_stated_rate(loss):
     seen = flown(link(loss=loss), 4000)
     numbers = received(seen)[1]
     share = 1 - len(set(numbers)) / 4000
@@ -219,7 +219,7 @@ DELAYS = [0.0, 0.004, 0.021, 0.05]
         Radio(loss=1.0),
     ],
 )
-def test_every_craft_hears_what_a_single_one_would(radio, unarmed):
+def test_each_craft_of_a_batch_receives_the_packets_of_a_single_twin(radio, unarmed):
     default = default_twin_settings()
     motors = default.motors.model_copy(update={"unarmed_s": unarmed})
     flown = default.model_copy(update={"radio": radio, "motors": motors})

@@ -37,7 +37,7 @@ def seconds(stamps):
     return (stamps - EPOCH_NS) * 1e-9
 
 
-def test_samples_come_at_the_rate_and_without_rounding_adding_up():
+def test_sample_times_follow_the_rate_without_accumulating_rounding():
     one = sensor(rate=240.0)
     for k in range(24_000):
         assert one.due == k / 240
@@ -46,7 +46,7 @@ def test_samples_come_at_the_rate_and_without_rounding_adding_up():
     assert np.abs(seconds(stream.stamp_ns) - np.arange(24_000) / 240).max() < 1e-9
 
 
-def test_noise_is_white_normal_and_of_the_size_set():
+def test_noise_is_white_and_normal_with_the_stated_size():
     values = measured(sensor(noise=NOISE), 8000).values
     errors = (values - [0.1, 0.2, 0.3]) / NOISE
     for channel in errors.T:
@@ -61,7 +61,7 @@ def test_without_noise_the_truth_is_measured():
     np.testing.assert_allclose(measured(sensor(), 5).values, [[0.1, 0.2, 0.3]] * 5, atol=1e-15)
 
 
-def test_the_truth_handed_in_is_left_alone():
+def test_the_true_state_of_the_caller_is_not_modified():
     truth = np.array([0.0, 0.0, 9.0])
     sensor(noise=NOISE).measure(truth)
     np.testing.assert_array_equal(truth, [0, 0, 9])
@@ -97,7 +97,7 @@ def test_messages_do_not_overtake_each_other():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
-def test_samples_are_dropped_as_often_as_set(share):
+def test_samples_are_dropped_at_the_stated_rate(share):
     count = len(measured(sensor(dropped=share), 5000))
     assert 1 - count / 5000 == pytest.approx(
         share, abs=4 * math.sqrt(share * (1 - share) / 5000) + 1e-12

@@ -52,7 +52,7 @@ def test_all_moves_of_a_flight_are_reported_however_many(imitated):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_poses_that_are_missing_at_the_end_of_a_dwell_are_said_to_be(tmp_path):
+def test_missing_poses_at_the_end_of_a_dwell_are_reported(tmp_path):
     settings = default_twin_settings()
     capture = settings.motion_capture.model_copy(update={"gaps_s": ((1.2, 1.45),)})
     flown = tracking_study(
@@ -98,7 +98,7 @@ def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     assert 0 < content["step_ms"]["p50"] <= content["step_ms"]["p99"]
 
 
-def test_json_has_null_for_what_is_no_number(capsys):
+def test_json_has_null_for_nan(capsys):
     from pathlib import Path
 
     write_json(Path("-"), {"a": [np.nan, (float("inf"), 1.0)], "b": {"c": 2, "d": None}})

@@ -93,7 +93,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path, pl
     assert one["bag_0.mcap"] != other["bag_0.mcap"]
 
 
-def test_how_often_one_listens_does_not_change_the_flight(plant):
+def test_the_flight_does_not_depend_on_how_often_measurements_are_read(plant):
     commands = signals(1.0)
     twin, heard = flown(NOISY, commands, plant)
     again, more = Twin(MODEL, NOISY, pose=(0.0, 0.0, 0.3), plant=plant), []
@@ -136,7 +136,7 @@ def test_a_delay_between_two_frames_is_not_rounded(plant):
 
 
 @pytest.mark.slow
-def test_battery_sag_takes_its_share_of_the_thrust():
+def test_battery_sag_reduces_the_thrust():
     settings = QUIET.model_copy(
         update={"effects": Effects(battery_sag_1_s=0.4), "radio": Radio(delay_s=0, timeout_s=9)}
     )
@@ -154,7 +154,7 @@ def test_battery_sag_takes_its_share_of_the_thrust():
     assert heard[2.6] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_an_accelerometer_feels_what_pushes_and_no_more():
+def test_an_accelerometer_measures_thrust_but_not_the_slope():
     # On a table that slopes along x, one motor runs while the battery empties.
     on_board = QUIET.on_board.model_copy(update={"rate_hz": 100.0})
     changes = {"on_board": on_board, "radio": Radio(delay_s=0, timeout_s=9)}
@@ -183,7 +183,7 @@ def test_an_accelerometer_feels_what_pushes_and_no_more():
     assert np.hypot(*felt[0.4].values[:2]) < 0.9 * np.hypot(*felt[0.0].values[:2])
 
 
-def test_a_radio_clips_and_sends_no_nonsense(plant):
+def test_a_radio_clips_commands_and_rejects_nan(plant):
     twin = Twin(MODEL, QUIET, plant=plant)
     twin.send(np.array([-0.5, 1.5, 0.3, 0.0, 1.0, 0.2]))
     np.testing.assert_array_equal(
@@ -267,7 +267,7 @@ def test_preprocessing_finds_the_delay_though_frames_are_missing(plant):
     assert found_delay(NOISY, plant) == pytest.approx(0.0208, abs=1.5 / 240)
 
 
-def test_a_craft_nobody_commands_stays_where_it_stands(plant):
+def test_a_craft_without_commands_stays_at_rest(plant):
     twin = Twin(MODEL, QUIET, plant=plant, pose=(0.4, -0.2, 1.0))
     twin.wait_until(0.5)
     np.testing.assert_array_equal(twin.state, [0.4, -0.2, 1.0, *[0.0] * 9])
@@ -281,7 +281,7 @@ def test_without_sensors_on_board_there_are_only_poses(plant):
     assert set(twin.recording().streams) == {"pose"}
 
 
-def test_time_stands_where_it_was_asked_to(plant):
+def test_waiting_ends_at_the_requested_time(plant):
     twin = Twin(MODEL, QUIET, plant=plant)
     for time in (0.0, 0.1, 0.1, 0.1 + 1e-12, 0.7):
         twin.wait_until(time)

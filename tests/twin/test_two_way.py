@@ -71,7 +71,7 @@ def test_a_propeller_pushes_back_by_its_own_strength(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("commanded", ["torque", "speed"])
-def test_a_modulator_joins_both_ways(commanded: str, tmp_path: Path) -> None:
+def test_a_modulator_combines_both_directions(commanded: str, tmp_path: Path) -> None:
     model = nominal_model(triangle(tmp_path, f'commanded = "{commanded}"'))
     tuning = default_tuning()
     modulator = modulator_for(model, tuning)
