@@ -192,7 +192,7 @@ def twin() -> Figure:
     values = command.values[:, 0]
     jump = int(np.argmax(np.abs(np.diff(values[(time > 2)])))) + int((time <= 2).sum())
     delay, lag = truth().transport_delay, float(truth().parameters.motor_time_constant)
-    begin = time[jump]
+    begin = time[jump + 1]
     shown = np.linspace(begin - 0.05, begin + 0.25, 601)
     held = values[np.clip(np.searchsorted(time, shown, "right") - 1, 0, None)]
     acting = values[np.clip(np.searchsorted(time + delay, shown, "right") - 1, 0, None)]
@@ -208,7 +208,7 @@ def twin() -> Figure:
     axes.text(500 * delay, 0.52, "d", ha="center")
     axes.set(xlabel="time [ms]", ylabel="fraction of full speed",
              title="From a command to the motor: delay d, lag τ")  # fmt: skip
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -222,7 +222,8 @@ def comparison() -> Figure:
     for k, value in enumerate(seconds):
         axes.text(1.15 * value, k, f"{value:g} s", va="center")
     axes.invert_yaxis()
-    axes.set(xlabel="seconds for the same fit of M3")
+    axes.set_xticks([0.1, 1, 10, 100], ["0.1", "1", "10", "100"])
+    axes.set(xlabel="seconds for a fit of M3")
     axes.grid(False)
     return figure
 
@@ -231,6 +232,9 @@ def prediction() -> Figure:
     """Show measured and predicted poses, as on the report's page."""
     figure = new(4.6)
     airpuck.plot.predictions(flight(2), evaluation("M3"), figure)
+    for axes in figure.axes:
+        if axes.get_title("left").startswith("predicted minus"):
+            axes.set_title("error", loc="left")  # the narrow column has no room for more
     return figure
 
 
