@@ -71,10 +71,21 @@ class Peer:
             errors[k] = np.stack([x, y, yaw]) - self.target[k]
         return (WEIGHTS[:, None] * errors).ravel()
 
-    def fit(self, theta):
+    def errors(self, theta):
+        """Predict all windows; returns predicted minus measured poses, shape (T, 3, W)."""
+        return self.residual(theta).reshape(self.target.shape) / WEIGHTS[:, None]
+
+    def fit(self, theta, loss="linear", scale=1.0):
         """Minimise from `theta`; returns scipy's result."""
         low = np.full(len(theta), -np.inf)
         low[18], low[19] = 1e-6, 1e-4
         return least_squares(
-            self.residual, theta, bounds=(low, np.inf), x_scale="jac", ftol=1e-6, xtol=1e-6
+            self.residual,
+            theta,
+            bounds=(low, np.inf),
+            x_scale="jac",
+            ftol=1e-6,
+            xtol=1e-6,
+            loss=loss,
+            f_scale=scale,
         )

@@ -22,7 +22,7 @@ OUTAGES = ((2.0, 2.5), (6.0, 6.5), (9.5, 10.0))
 
 @pytest.fixture(scope="module")
 def faulty():
-    """A flight whose motors stop three times, unlike in the log."""
+    """A flight, prepared by others, whose motors stop three times, unlike in the log."""
     flight = fly(MODEL, duration=12.0)
     heard = flight.command.copy()
     for begin, end in OUTAGES:
@@ -32,12 +32,13 @@ def faulty():
     flown = rollout(np, MODEL.dynamics, first, heard[:-1, :, None], steps)
     state = np.concatenate([first.T, flown[..., 0]])[:, :6]
     noise = np.random.default_rng(0).normal(size=state.shape)
-    return replace(flight, state=state + noise * [1e-5, 1e-5, 1e-4, 1e-3, 1e-3, 1e-2])
+    state += noise * [1e-5, 1e-5, 1e-4, 1e-3, 1e-3, 1e-2]
+    return replace(flight, state=state, delay_known=False)
 
 
 @pytest.fixture(scope="module")
 def fit(faulty):
-    return identify(faulty, "M3", preparation=Preparation(faults="exclude"))
+    return identify(faulty, "M3")
 
 
 @pytest.mark.slow

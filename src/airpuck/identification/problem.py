@@ -87,9 +87,7 @@ class Problem:
     @property
     def excludes_faults(self) -> bool:
         """Whether faults are searched for and excluded."""
-        default = "exclude" if self._delays_known else "keep"
-        wanted = (self.preparation.faults or default) == "exclude"
-        return wanted and not self.loss.whole
+        return self.preparation.faults == "exclude" and not self.loss.whole
 
     @property
     def learns_delay(self) -> bool:

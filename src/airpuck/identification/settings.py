@@ -218,11 +218,10 @@ class Preparation(Settings):
 
     Attributes
     ----------
-    faults : {"exclude", "keep"} or None
+    faults : {"exclude", "keep"}
         Whether to exclude windows in which motors or radio failed: a first fit finds them
-        (`airpuck.find_faults`), the next excludes them. None: yes, unless a recording was prepared
-        by others (`Trajectory.delay_known`), so that fits to a published data set stay comparable.
-        There is no search if one window spans the whole trajectory.
+        (`airpuck.find_faults`), the next excludes them. Published fits keep them. There is no
+        search if one window spans the whole trajectory.
     delay : {"fit", "fixed"} or None
         Whether the transport delay is learned, as a continuous parameter for all recordings;
         otherwise each recording's own delay is used, in whole samples. None: `LevenbergMarquardt`
@@ -243,12 +242,9 @@ class Preparation(Settings):
     HEADING: ClassVar = "Preparation of the recordings"
 
     faults: Annotated[
-        Literal["exclude", "keep"] | None,
-        Setting(
-            "Exclude or keep spans where motors or the radio failed. By default they are excluded, "
-            "but kept for recordings prepared elsewhere (data.pt).",
-        ),
-    ] = None
+        Literal["exclude", "keep"],
+        Setting("Exclude or keep spans where motors or the radio failed."),
+    ] = "exclude"
     delay: Annotated[
         Literal["fit", "fixed"] | None,
         Setting(
