@@ -269,7 +269,7 @@ def excitation() -> Figure:
 
 
 def error() -> Figure:
-    """Show how far a prediction is off while a flight goes on."""
+    """Show the error of each prediction over the flight."""
     figure = new(3.0)
     axes = figure.add_subplot()
     for rung, color in (("M0", style.GREY), ("M3", style.BLUE)):

@@ -15,6 +15,8 @@ import airpuck
 from airpuck.cli.app import app as cli
 
 DOCS = Path(__file__).parents[1] / "docs"
+#: Lines that people write in docs/; details belong beside the studies.
+MOST_LINES = 6_000
 
 
 @pytest.mark.slow
@@ -115,6 +117,17 @@ def test_each_link_between_pages_leads_to_a_file_and_a_heading_that_exist():
                 dead.append(f"{page.relative_to(root)}: {link}")
     assert count > 300
     assert not dead
+
+
+def test_the_guides_stay_short():
+    written = [
+        page
+        for page in DOCS.rglob("*.md")
+        if not {"_build", "reference", "tables"} & set(page.relative_to(DOCS).parts)
+    ]
+    lines = sum(len(page.read_text("utf-8").splitlines()) for page in written)
+    assert lines <= MOST_LINES
+    assert len((DOCS / "results.md").read_text("utf-8").splitlines()) <= 150
 
 
 def test_no_line_begins_with_a_percent_sign():
