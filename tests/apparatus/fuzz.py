@@ -219,6 +219,12 @@ def _csv(folder: Path) -> Path:
     return folder / "csv" / "optitrack_drone_pose.csv"
 
 
+def _utf16(folder: Path) -> Path:
+    path = _csv(folder)
+    path.write_text(path.read_text(), encoding="utf-16")
+    return path
+
+
 def _metadata(folder: Path) -> Path:
     from tests.apparatus.bags import rosbags_folder
 
@@ -384,6 +390,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
         "Vicon export": Kind(_vicon, m.table_damaged, _read_vicon),
         "metadata.yaml": Kind(_metadata, text, _read_parent),
         "csv": Kind(_csv, m.table_damaged, _read_parent),
+        "UTF-16": Kind(_utf16, m.bytes_damaged, _read_parent),
         "definition": Kind(_definition, text, _read_definition),
         "IDL": Kind(
             functools.partial(_written, name="a.idl", text=_IDL),
@@ -466,7 +473,8 @@ def work(names: Sequence[str], first: int, count: int, done: int) -> None:
     """Run cases here, reporting each before and after; skip the first `done` of the first kind."""
     import warnings
 
-    import airpuck.cli  # noqa: F401
+    import airpuck.cli
+    import airpuck.judgement.verdict  # noqa: F401 # slow to import on a busy machine
 
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))

@@ -125,7 +125,7 @@ def array_damaged(content: bytes, rng: random.Random) -> bytes:
         case 1:
             kind = rng.choice(["f4", "i8", "c16", "U3", "S5", "M8[s]", "?", "f8,i4", ">f8"])
             array = np.zeros(array.shape, kind)
-        case 2 if array.dtype.kind == "f":
+        case 2 if array.dtype.kind == "f" and array.size:
             array = array.copy()
             array.flat[rng.randrange(array.size)] = rng.choice([np.nan, np.inf, 1e308, -5.0])
         case 3:

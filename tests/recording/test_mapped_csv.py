@@ -320,7 +320,7 @@ def test_lists_of_several_lengths(tmp_path: Path):
 
 def test_an_entry_that_lists_do_not_have(tmp_path: Path):
     values = 'values = ["value[0]", "value[1]", "value[2]", "value[4]"]'
-    with pytest.raises(InputError, match="lists have 4 entries, counted from 0"):
+    with pytest.raises(InputError, match=r"value has 4 entries, so there is no value\[4\]"):
         read_cells(tmp_path, ["[1, 0, 1, 1]"] * N, values)
 
 

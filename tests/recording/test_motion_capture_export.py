@@ -295,6 +295,14 @@ def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
     assert recording.warnings == ("2 blank poses are left out",)
 
 
+def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_order(tmp_path: Path):
+    tilted = vicon().replace("RX", "RU").replace("RZ", "RX").replace("RU", "RZ")
+    poses = read_vicon(tmp_path, tilted)["pose"].values
+    vectors = ROTATION.as_rotvec()[:, ::-1]
+    yaw = Rotation.from_rotvec(vectors).as_euler("ZYX")[:, 0]
+    assert poses[:, 2] == pytest.approx(yaw, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("text", "pose", "says"),
     [
@@ -303,6 +311,9 @@ def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
         (vicon(), {"time": "Frame"}, "is a Vicon export, whose rate gives the times"),
         (vicon().replace("\n100\n", "\nfast\n"), {}, "is a Vicon export without its rate"),
         (vicon().replace("TX", "UX"), {}, "has no column TX"),
+        (vicon().replace("RY", "UY"), {}, "has no column RY"),
+        (vicon(quaternion=True).replace("RW,", "").replace("RY", "UY"), {}, "has no column RY"),
+        (vicon().replace("rad,mm,mm,mm", "rad"), {}, "is a Vicon export without the units"),
         (vicon().replace("Sub Frame", "Part"), {}, "has no row Frame, Sub Frame"),
         ("Objects\n", {}, "has no row Frame, Sub Frame"),
     ],

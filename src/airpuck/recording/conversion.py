@@ -74,8 +74,9 @@ def poses_of(
     if kind in ("quaternion", "matrix"):
         # Some programs write zeros when they lose the body.
         orientation = np.where(orientation.any(axis=1, keepdims=True), orientation, np.nan)
-    if kind == "vector":
-        kind, orientation = "quaternion", _quaternions(orientation * mapping.size("angle"))
+    turned = kind == "vector"
+    if turned:
+        orientation = _quaternions(orientation * mapping.size("angle"))
     if index[:2].max() >= position.shape[1]:
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
@@ -87,8 +88,9 @@ def poses_of(
         yaw = np.full(len(position), np.nan)
     elif kind == "yaw":
         yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
-    elif kind == "quaternion":
-        _check_order(orientation, mapping, names)
+    elif turned or kind == "quaternion":
+        if not turned:
+            _check_order(orientation, mapping, names)
         x, y, z = (orientation[:, index] * sign).T
         yaw = yaw_of(x, y, z, orientation[:, 3])
     else:

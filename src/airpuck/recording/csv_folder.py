@@ -8,17 +8,17 @@ columns of other files; exports of motion capture programs are recognised.
 from __future__ import annotations
 
 import csv
+import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int64, Shaped
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
-from airpuck.craft.vehicle import unnamed_columns
+from airpuck.recording.cdr import Field
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.csv_table import (
     CsvTable,
@@ -28,9 +28,8 @@ from airpuck.recording.csv_table import (
     plain_table,
     read_rows,
 )
-from airpuck.recording.files import listing, new_folder, sha256, shortened
+from airpuck.recording.files import listing, new_folder, sha256
 from airpuck.recording.mapping import (
-    ENTRY,
     CommandMapping,
     Orientation,
     PoseMapping,
@@ -38,30 +37,20 @@ from airpuck.recording.mapping import (
     Topics,
     completed,
 )
-from airpuck.recording.message import PATHS, columns_of
+from airpuck.recording.message import PATHS, STAMP
 from airpuck.recording.motion_capture_export import VICON, is_export, read_export
-from airpuck.recording.stream import (
-    COLUMNS,
-    COMMANDS,
-    POSES,
-    Recording,
-    Stream,
-    command_stream,
-    left_out,
-    pose_stream,
-)
+from airpuck.recording.stream import COMMANDS, POSES, Recording, Stream, left_out
+from airpuck.recording.topic_stream import place_of, section_of, stream_of
 
 #: Suffixes of CSV files.
 TABLES = (".csv", ".tsv")
 _RECEIVED = "log_time_ns"
-_SECONDS, _NANOSECONDS = "header.stamp.sec", "header.stamp.nanosec"
+_SECONDS, _NANOSECONDS = STAMP
 _FRAME = "header.frame_id"
 _POSITION = PATHS["pose"]["geometry_msgs/msg/PoseStamped"][:2]
 _HEIGHT = "pose.position.z"
 _YAW = "pose.orientation.yaw"
 _QUATERNION = tuple(f"pose.orientation.{axis}" for axis in "wxyz")
-#: int64 nanoseconds end in the year 2262.
-_LATEST_SECOND = 2**63 // SECOND_NS - 1
 #: Mapping to write if columns are not the authors'.
 _TO_WRITE = {
     "pose": 'time = "...", position = ["...", "..."], orientation = "..."',
@@ -192,113 +181,104 @@ def _file_name(topic: str) -> str:
 def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream, tuple[str, ...]]:
     """Read a stream from a file, and describe what was left out."""
     rows = read_rows(path)
-    if stream == "pose":
-        exported = read_export(rows, mapping.pose.body)
-        if exported is None:
-            return _poses(plain_table(rows), mapping.pose)
+    own, msgtype = section_of(stream, "", mapping), ""
+    exported = read_export(rows, mapping.pose.body) if stream == "pose" else None
+    if exported is None:
+        table = plain_table(rows)
+    else:
         table, usual = exported
-        if mapping.pose.time not in ("", usual["time"]):
+        if own.time not in ("", usual["time"]):
             program = rows.cells[0][0].strip()
             program = "Vicon" if program in VICON else "motion capture"
             problem = f"is a {program} export, whose rate gives the times; leave out `time`"
             raise InputError(problem, file=path, field="pose.time")
-        own = completed(mapping.pose, usual).model_copy(update={"body": ""})
-        return _poses(table, own)
-    table = plain_table(rows)
-    if stream in COMMANDS:
-        return _commands(table, mapping.of_commands(stream))
-    if stream in POSES:
-        return _poses(table, mapping.of_poses(stream), stream)
-    types = list(PATHS[stream].values())
-    names = next((names for names in types if set(names).issubset(table.columns)), types[0])
-    stamp, received = _times(table)
-    values = columns_of(stream, [table.numbers(name) for name in names])
-    return Stream(stamp, received, values, COLUMNS[stream]), table.warnings
-
-
-def _usual_position(table: CsvTable) -> tuple[str, ...]:
-    """Return the columns of the position, including the height if every row has one."""
-    heights = table.columns.get(_HEIGHT, ())
-    return (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
-
-
-def _poses(
-    table: CsvTable, mapping: PoseMapping, stream: str = "pose"
-) -> tuple[Stream, tuple[str, ...]]:
-    """Choose the columns of poses: those in the mapping, or the authors'."""
-    # The authors' conversion added the yaw; a plain conversion contains only the quaternion.
-    plain = set(_QUATERNION).issubset(table.columns) and _YAW not in table.columns
-    usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
-    position = mapping.position or _usual_position(table)
-    orientation = mapping.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
-    if stream == "puck" and mapping.orientation is None and mapping.position:
-        orientation = Orientation("none", ())  # A camera sees the puck's position, not its angle.
-    names = (*position, *orientation.columns)
-    _require(stream, table, names, mapping)
-    table = of_body(table, mapping.body, (mapping.time, mapping.interval, *names), stream)
-    table, clock = _timed(table, mapping)
-    table, blank = table.without_blank(position, orientation.columns)
-    time, received = _own_times(table, mapping, clock)
-    values = np.stack([table.numbers(name) for name in names], axis=1)
-    parts = values[:, : len(position)], values[:, len(position) :]
-    made = pose_stream(time, *parts, orientation.kind, mapping, received, orientation.columns)
-    check_digits(table, made)
-    return made, table.warnings + left_out("poses", blank)
-
-
-def _commands(table: CsvTable, mapping: CommandMapping) -> tuple[Stream, tuple[str, ...]]:
-    """Choose the columns of commands: those in the mapping, or the authors' motors."""
-    names = mapping.values
-    if not names and set(mapping.propellers).issubset(table.columns):
-        names = mapping.propellers
-    if not names:
-        others = [
-            name
-            for name in table.columns
-            if name not in (_RECEIVED, mapping.time, mapping.interval)
-            and not name.startswith("header.")
-        ]
-        names = tuple([name for name in others if name.startswith("motor")] or others)
-    columns = tuple(_column(table, name)[0] for name in names)
-    _require("command", table, columns, mapping)
-    if not names:
-        raise InputError(
-            f"has no column of a motor (it has {listing(table.columns)})", file=table.path
-        )
-    table, clock = _timed(table, mapping)
-    table, blank = table.without_blank(columns)
-    time, received = _own_times(table, mapping, clock)
-    if mapping.bits and len(names) == 1:
-        values = table.masks(names[0])[:, None]
+        own = completed(own, usual).model_copy(update={"body": ""})
+    groups: tuple[Sequence[str], ...] = ()
+    if isinstance(own, PoseMapping):
+        own, groups = _of_poses(stream, table, own)
+    elif stream in COMMANDS:
+        own = own.model_copy(update={"values": _values(table, own)})
+        groups = (tuple(place_of(name, table.columns).path for name in own.values),)
     else:
-        values = np.column_stack([_numbers(table, name) for name in names])
-        if values.shape[1] != len(names) or names != columns:
-            names = unnamed_columns(values.shape[1])
-    made = command_stream(time, values, names, mapping, received)
-    check_digits(table, made)
-    return made, table.warnings + left_out("commands", blank)
+        types = PATHS[stream].items()
+        fits = (kind for kind, names in types if set(names) <= set(table.columns))
+        msgtype = next(fits, next(iter(PATHS[stream])))
+    names = tuple(itertools.chain(*groups))
+    if groups:
+        _require(stream, table, names, own)
+    if isinstance(own, PoseMapping):
+        table = of_body(table, own.body, (own.time, own.interval, *names), stream)
+    timed = _timed(table, own)
+    table, blank = timed.without_blank(*groups)
+    made = _converted(stream, msgtype, table, own)
+    if groups:
+        check_digits(table, made)
+    kind = "commands" if stream in COMMANDS else "poses"
+    return made, table.warnings + left_out(kind, blank)
 
 
-def _column(table: CsvTable, name: str) -> tuple[str, int | None]:
-    """Return the column that a name means, and which entry of its lists."""
-    entry = None if name in table.columns else ENTRY.fullmatch(name)
-    return (entry[1], int(entry[2])) if entry else (name, None)
+def _of_poses(
+    stream: str, table: CsvTable, own: PoseMapping
+) -> tuple[PoseMapping, tuple[Sequence[str], Sequence[str]]]:
+    """Choose the columns of positions and orientations: those in the mapping, or the authors'."""
+    heights = table.columns.get(_HEIGHT, ())
+    level = (*_POSITION, _HEIGHT) if heights and all(map(str.strip, heights)) else _POSITION
+    # The authors' conversion added the yaw; a plain conversion contains only the quaternion.
+    plain = set(_QUATERNION) <= set(table.columns) and _YAW not in table.columns
+    usual = Orientation("quaternion", _QUATERNION[1:] + _QUATERNION[:1])
+    orientation = own.orientation or (usual if plain else Orientation("yaw", (_YAW,)))
+    if stream == "puck" and own.orientation is None and own.position:
+        orientation = Orientation("none", ())  # A camera sees the puck's position, not its angle.
+    found = {"position": own.position or level, "orientation": orientation}
+    return own.model_copy(update=found), (found["position"], orientation.columns)
 
 
-def _numbers(table: CsvTable, name: str) -> Float[np.ndarray, "N *k"]:
-    """Return a column of numbers, all entries of its lists, or the entry in the name."""
-    column, entry = _column(table, name)
-    texts = table.columns[column]
-    if entry is None and not (texts and is_list(texts[0])):
-        return table.numbers(column)
-    values = table.lists(column)
-    if entry is not None and entry >= values.shape[-1]:
-        raise InputError(
-            f"its lists have {values.shape[-1]} entries, counted from 0",
-            file=table.path,
-            field=shortened(name),
-        )
-    return values if entry is None else values[:, entry]
+def _values(table: CsvTable, own: CommandMapping) -> tuple[str, ...]:
+    """Choose the columns of commands: those in the mapping, or the authors' motors."""
+    if own.values:
+        return own.values
+    if own.propellers and set(own.propellers) <= set(table.columns):
+        return own.propellers
+    times = (_RECEIVED, own.time, own.interval)
+    names = [n for n in table.columns if n not in times and not n.startswith("header.")]
+    names = [name for name in names if name.startswith("motor")] or names
+    if not names:
+        _require("command", table, (), own)
+        problem = f"has no column of a motor (it has {listing(table.columns)})"
+        raise InputError(problem, file=table.path)
+    return tuple(names)
+
+
+def _converted(
+    stream: str, msgtype: str, table: CsvTable, own: PoseMapping | CommandMapping
+) -> Stream:
+    """Convert a table like the messages of a topic with a field for each column."""
+
+    def read(names: Sequence[str]) -> dict[str, np.ndarray]:
+        return {name: cells(name) for name in names}
+
+    def cells(name: str) -> np.ndarray:
+        if not own.time and name in STAMP:
+            return table.numbers(name, int)
+        if name == own.time:
+            exact = own.size("time") == 1 / SECOND_NS and not own.interval
+            return table.times(name, exact=exact)
+        if isinstance(own, CommandMapping) and own.bits:
+            return table.masks(name)
+        texts = table.columns.get(name, ())
+        return table.lists(name) if texts and is_list(texts[0]) else table.numbers(name)
+
+    if own.interval:
+        own = own.model_copy(update={"time": own.interval})
+    logged = _RECEIVED in table.columns and not own.time
+    received = table.numbers(_RECEIVED, int) if logged else np.zeros(len(table.lines), np.int64)
+    if isinstance(own, PoseMapping):
+        own = own.model_copy(update={"body": ""})  # the table has the rows of one
+    stamps = () if _RECEIVED in table.columns and _SECONDS not in table.columns else STAMP
+    names = dict.fromkeys((*table.columns, *stamps, *PATHS.get(stream, {}).get(msgtype, ())))
+    fields = [Field(name, "<f8") for name in names]
+    made, _ = stream_of(stream, msgtype, fields, read, received, own)
+    return made if logged else replace(made, received_ns=made.stamp_ns)
 
 
 def _require(
@@ -307,14 +287,12 @@ def _require(
     """Raise InputError for missing columns, listing all of them and the mapping to write."""
     times = tuple(name for name in (mapping.time, mapping.interval) if name)
     if not times and _RECEIVED not in table.columns:
-        times = (_SECONDS, _NANOSECONDS)
+        times = STAMP
     missing = [name for name in (*times, *names) if name not in table.columns]
     if missing:
         keys = _TO_WRITE.get(stream, _TO_WRITE["pose"])
         # A user who names columns does not expect the authors' stamps.
-        unnamed = not (mapping.time or mapping.interval) and set(missing).issubset(
-            {_SECONDS, _NANOSECONDS}
-        )
+        unnamed = not (mapping.time or mapping.interval) and set(missing).issubset(STAMP)
         problem = "no column is named for the time" if unnamed else "there is no such column"
         raise InputError(
             f"{problem}; name columns in a file for --mapping: {stream} = "
@@ -324,10 +302,10 @@ def _require(
         )
 
 
-def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvTable, str]:
-    """Replace a column of intervals by times; return the name of the column of times, too."""
+def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> CsvTable:
+    """Replace a column of intervals by times."""
     if not mapping.interval:
-        return table, mapping.time
+        return table
     texts = list(table.columns[mapping.interval])
     if texts and not texts[0].strip():
         texts[0] = "0"  # The first row has no predecessor.
@@ -340,34 +318,7 @@ def _timed(table: CsvTable, mapping: PoseMapping | CommandMapping) -> tuple[CsvT
         raise InputError(problem, file=table.path, field=mapping.interval)
     with np.errstate(over="ignore"):  # reported with the time that follows from it
         times = list(map(repr, np.cumsum(steps).tolist()))
-    return replace(table, columns={**table.columns, mapping.interval: times}), mapping.interval
-
-
-def _own_times(
-    table: CsvTable, mapping: PoseMapping | CommandMapping, time: str
-) -> tuple[Shaped[np.ndarray, " N"], Int64[np.ndarray, " N"] | None]:
-    """Return the stamps that the mapping names, and the authors' arrival times if present."""
-    if time:
-        exact = mapping.size("time") == 1 / SECOND_NS and not mapping.interval
-        return table.times(time, exact=exact), None
-    stamp, received = _times(table)
-    return stamp.astype("datetime64[ns]"), received
-
-
-def _times(table: CsvTable) -> tuple[Int64[np.ndarray, " N"], Int64[np.ndarray, " N"]]:
-    """Return header stamps and recorder times; either replaces the other if it is missing."""
-    if _RECEIVED in table.columns and _SECONDS not in table.columns:
-        received = table.numbers(_RECEIVED, int)
-        return received, received
-    seconds, nanoseconds = table.numbers(_SECONDS, int), table.numbers(_NANOSECONDS, int)
-    if len(seconds) and np.abs(seconds).max() > _LATEST_SECOND:
-        raise InputError(
-            "holds seconds beyond the year 2262; are they nanoseconds?",
-            file=table.path,
-            field=_SECONDS,
-        )
-    stamp = seconds * SECOND_NS + nanoseconds
-    return stamp, table.numbers(_RECEIVED, int) if _RECEIVED in table.columns else stamp
+    return replace(table, columns={**table.columns, mapping.interval: times})
 
 
 def write_csv(

@@ -54,7 +54,8 @@ _OWN = {
 }
 #: Frames named in messages; the other messages are in the world's frame.
 _FRAMES = {**dict.fromkeys(COMMANDS, "body"), "imu": "body", "mouse": "body"}
-_STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+#: Fields of a header's stamp, and the columns of the authors' files.
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 
 
 def parse_definition(msgtype: str, text: str, *, idl: bool) -> Types:
@@ -165,7 +166,7 @@ def _known_types() -> Types:
 
 def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
     """Return the fields of the time stamp, if any."""
-    return _STAMP if {field.path for field in fields}.issuperset(_STAMP) else ()
+    return STAMP if {field.path for field in fields}.issuperset(STAMP) else ()
 
 
 def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:

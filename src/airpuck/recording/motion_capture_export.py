@@ -25,7 +25,7 @@ _SUBFRAME = "Sub Frame"
 #: Columns of a Vicon body: a rotation vector, or a quaternion, and the position.
 _VICON_ROTATIONS = {"quaternion": ("RX", "RY", "RZ", "RW"), "vector": ("RX", "RY", "RZ")}
 _VICON_POSITION = ("TX", "TY", "TZ")
-_VICON_UNITS = {"m": "m", "cm": "cm", "mm": "mm", "rad": "rad", "deg": "deg"}
+_VICON_UNITS = ("m", "cm", "mm")
 _LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm"}
 _FRAME, _TIME = "Frame", "Time"
 _POSITION = ("X", "Y", "Z")
@@ -137,16 +137,24 @@ def _vicon(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
         for place, (name, of) in enumerate(zip(names, bodies, strict=False))
         if of == chosen
     }
-    kinds = _VICON_ROTATIONS.items()
-    kind, rotation = next((i for i in kinds if set(i[1]) <= places.keys()), ("vector", ("RX",)))
+    kind = "quaternion" if "RW" in places else "vector"
+    rotation = _VICON_ROTATIONS[kind]
     _check_places(places, (*_VICON_POSITION, *rotation), rows.path)
-    units = {rows.cells[header + 1][places[name]].strip() for name in ("TX", *rotation[:3])}
+    below = dict(enumerate(rows.cells[header + 1] if header + 1 < len(rows.cells) else ()))
+    length, angle = (below.get(places[name], "").strip() for name in ("TX", "RX"))
+    if length not in _VICON_UNITS:
+        raise InputError("is a Vicon export without the units of its columns", file=rows.path)
     counted = {_FRAME: 0, _SUBFRAME: 1} | places
     end = next(
         (k for k in range(header + 2, len(rows.cells)) if not rows.cells[k][0].strip().isdigit()),
         len(rows.cells),
     )
-    kept = replace(rows, cells=rows.cells[:end], lines=rows.lines[:end], ends=rows.ends or end < 0)
+    kept = replace(
+        rows,
+        cells=rows.cells[:end],
+        lines=rows.lines[:end],
+        ends=rows.ends or end < len(rows.cells),
+    )
     table = table_below(kept, header + 1, counted)
     frames = table.numbers(_FRAME, int)
     columns = {**table.columns, _TIME: list(map(repr, ((frames - 1) / rate).tolist()))}
@@ -154,7 +162,7 @@ def _vicon(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
         "time": _TIME,
         "position": _VICON_POSITION,
         "orientation": Orientation(kind, rotation),
-        "units": tuple(_VICON_UNITS[unit] for unit in sorted(units) if unit in _VICON_UNITS),
+        "units": (length, "deg" if angle == "deg" else "rad"),
     }
 
 

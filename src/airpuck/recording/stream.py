@@ -20,7 +20,7 @@ from airpuck.recording.conversion import (
     propellers_of,
     stamps_of,
 )
-from airpuck.recording.mapping import CommandMapping, PoseMapping, RecordingMapping
+from airpuck.recording.mapping import PoseMapping, RecordingMapping
 
 #: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a
 #: game: the goals of both sides, the event (`airpuck.hockey.game.KINDS`), and the side concerned.
@@ -230,13 +230,13 @@ class Recording:
         axes = 2 if pose.shape[1] == 3 else 3
         kind = "yaw" if axes == 2 else "quaternion"
         try:
-            made = pose_stream(stamps, pose[:, :axes], pose[:, axes:], kind, mapping.pose)
-            commanded = command_stream(
-                command_stamps,
-                command,
-                unnamed_columns(command.shape[1]),
-                mapping.command.model_copy(update=known),
-            )
+            values = poses_of(pose[:, :axes], pose[:, axes:], kind, mapping.pose)
+            at = stamps_of(stamps, mapping.pose)
+            made = Stream(at, at, values, COLUMNS["pose"])
+            own = mapping.command.model_copy(update=known)
+            at = stamps_of(command_stamps, own)
+            names = propellers_of(unnamed_columns(command.shape[1]), own)
+            commanded = Stream(at, at, commands_of(command, own), names)
         except InputError as error:
             raise InputError(error.problem, file=source, field=error.field) from error
         made, blank = without_lost(of_cameras(made, mapping.pose))
@@ -303,34 +303,6 @@ def joined(parts: Sequence[Stream]) -> Stream:
 def of_cameras(poses: Stream, mapping: PoseMapping) -> Stream:
     """Return poses with what a mapping states of their stamps."""
     return replace(poses, rate_hz=mapping.rate_hz, exact=mapping.stamps == "exact")
-
-
-def pose_stream(
-    time: Shaped[np.ndarray, " N"],
-    position: Float[np.ndarray, "N d"],
-    orientation: Float[np.ndarray, "N k"],
-    kind: str,
-    mapping: PoseMapping,
-    received: Int64[np.ndarray, " N"] | None = None,
-    names: Sequence[str] = (),
-) -> Stream:
-    """Return poses in our units and axes."""
-    values = poses_of(position, orientation, kind, mapping, names)
-    stamps = stamps_of(time, mapping)
-    return Stream(stamps, stamps if received is None else received, values, COLUMNS["pose"])
-
-
-def command_stream(
-    time: Shaped[np.ndarray, " N"],
-    values: Float[np.ndarray, "N k"],
-    names: tuple[str, ...],
-    mapping: CommandMapping,
-    received: Int64[np.ndarray, " N"] | None = None,
-) -> Stream:
-    """Return commands as fractions of full command."""
-    stamps, commands = stamps_of(time, mapping), commands_of(values, mapping)
-    arrived = stamps if received is None else received
-    return Stream(stamps, arrived, commands, propellers_of(names, mapping))
 
 
 def rows_of(stream: Stream, chosen: Shaped[np.ndarray, " M"]) -> Stream:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from airpuck.recording.mapping import (
     RecordingMapping,
     completed,
 )
-from airpuck.recording.message import PATHS, definitions, stamp_paths
+from airpuck.recording.message import PATHS, STAMP, definitions, stamp_paths
 from airpuck.recording.stream import COLUMNS, COMMANDS, POSES, Stream
 from airpuck.recording.unpacking import TopicLog
 
@@ -66,6 +66,8 @@ _USUAL: Mapping[str, Mapping[str, Any]] = {
     },
 }
 
+#: int64 nanoseconds end in the year 2262.
+_LATEST_SECOND = 2**63 // SECOND_NS - 1
 _ACCEPTED = (
     "a message of numbers of one type, one for each motor or an array of them, with or without a "
     "header (std_msgs/msg/Float64MultiArray, sensor_msgs/msg/JointState, own types)"
@@ -83,9 +85,9 @@ class Place(NamedTuple):
     entry: int | None
 
 
-def _place(name: str) -> Place:
-    """Parse the name of a field, or of an array's entry (``data[2]``)."""
-    entry = ENTRY.fullmatch(name)
+def place_of(name: str, known: Container[str]) -> Place:
+    """Parse the name of a known field, or of an array's entry (``data[2]``)."""
+    entry = None if name in known else ENTRY.fullmatch(name)
     return Place(entry[1], int(entry[2])) if entry else Place(name, None)
 
 
@@ -129,8 +131,8 @@ def command_places(msgtype: str, fields: Sequence[Field], given: Sequence[str] =
             f"holds {shortened(msgtype)}, but a command is {_ACCEPTED}; choose its fields, as in "
             f'command = {{values = ["..."]}}, out of {listing(field.path for field in fields)}'
         )
-    places = [_place(name) for name in chosen]
     known = [field.path for field in fields if _number(field.code)]
+    places = [place_of(name, known) for name in chosen]
     unknown = [place.path for place in places if place.path not in known]
     if unknown:
         problem = f"has no number {', '.join(unknown)} (it has {listing(known)})"
@@ -143,6 +145,7 @@ def commands_in(
 ) -> tuple[tuple[str, ...], Float[np.ndarray, "N n"]]:
     """Return the values in decoded messages, and their names there."""
     joints = found.get(_JOINT_NAMES)
+    joints = joints if joints is not None and joints.dtype.kind == "U" else None
     if joints is not None and not given:
         places = [place for place in places if found[place.path].shape[1]]
         if len(places) > 1:
@@ -313,7 +316,7 @@ def stream_of(
     bodies = (_CHILD,) if isinstance(own, PoseMapping) and codes.get(_CHILD) == "string" else ()
     checks = (_VALID,) if msgtype == _PX4_LOCAL and _VALID in codes else ()
     paths = (*times, *names, *bodies, *checks)
-    found = read(tuple(dict.fromkeys(_place(name).path for name in paths)))
+    found = read(tuple(dict.fromkeys(place_of(name, codes).path for name in paths)))
     if isinstance(own, PoseMapping) and (bodies or own.body):
         mine = _rows_of_body(found.get(_CHILD), own.body, stream)
         found = {path: values[mine] for path, values in found.items()}
@@ -325,7 +328,7 @@ def stream_of(
             raise InputError("contains no horizontal position; name a topic of motion capture")
         if checks:
             values[~seen] = np.nan
-    stamp = _stamps([_at(found, _place(name)) for name in times], own)
+    stamp = _stamps([_at(found, place_of(name, found)) for name in times], own)
     if stamp is None:
         arrived = received + round(own.start_s * SECOND_NS)
         return Stream(arrived, received, values, columns), False
@@ -345,7 +348,7 @@ def _rows_of_body(names: np.ndarray | None, body: str, stream: str) -> Any:
 
 def _is_number(name: str, codes: Mapping[str, str]) -> bool:
     """Return whether a type has a single number of this name."""
-    path, entry = _place(name)
+    path, entry = place_of(name, codes)
     code = codes.get(path, "")
     return bool(_number(code)) and (code[0] == "<") == (entry is None)
 
@@ -363,7 +366,7 @@ def section_of(
 
 
 def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:
-    return np.stack([_at(found, _place(path)) for path in paths], axis=1, dtype=np.float64)
+    return np.stack([_at(found, place_of(path, found)) for path in paths], axis=1, dtype=np.float64)
 
 
 def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping) -> Plan:
@@ -390,7 +393,7 @@ def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:
     position = mapping.position or usual[:split]
     kind = "yaw" if level else "quaternion"
     orientation = mapping.orientation or Orientation(kind, usual[split:])
-    if not position or not orientation.columns:
+    if not position or not (orientation.columns or orientation.kind == "none"):
         raise InputError("name the fields of both, position and orientation", field="pose")
     paths = (*position, *orientation.columns)
 
@@ -411,6 +414,9 @@ def _stamps(
     if mapping.time:
         return stamps_of(times[0], mapping)
     seconds, nanoseconds = (time.astype(np.int64) for time in times)
+    if len(seconds) and np.abs(seconds).max() > _LATEST_SECOND:
+        problem = "holds seconds beyond the year 2262; are they nanoseconds?"
+        raise InputError(problem, field=STAMP[0])
     stamps = seconds * SECOND_NS + nanoseconds
     if len(stamps) and not stamps.any():
         return None
