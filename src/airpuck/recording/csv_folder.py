@@ -23,6 +23,7 @@ from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.csv_table import (
     CsvTable,
     check_digits,
+    collecting_no_garbage,
     is_list,
     of_body,
     plain_table,
@@ -107,7 +108,8 @@ def read_csv(
             path = _file_of(stream, folder, mapping, needs, single)
             if path is None:
                 continue
-            streams[stream], said = _stream(stream, path, mapping)
+            with collecting_no_garbage():
+                streams[stream], said = _stream(stream, path, mapping)
             hashes[path.name] = sha256(path)
             warnings += said
         except InputError as error:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import itertools
 import os
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from operator import and_, ne
@@ -174,15 +175,21 @@ def _mask(text: str) -> float:
     return value
 
 
-def read_rows(path: Path) -> Rows:
-    """Split a CSV file into cells of text."""
+@contextlib.contextmanager
+def collecting_no_garbage() -> Iterator[None]:
+    """Pause the search for garbage: it takes half of the time, and cells form no cycles."""
     collecting = gc.isenabled()
-    gc.disable()  # cells are no garbage, and looking for some takes half of the time
+    gc.disable()
     try:
-        numbered = list(csv_rows(path, _separator(path)))
+        yield
     finally:
         if collecting:
             gc.enable()
+
+
+def read_rows(path: Path) -> Rows:
+    """Split a CSV file into cells of text."""
+    numbered = list(csv_rows(path, _separator(path)))
     if not numbered:
         raise InputError("is empty", file=path)
     with path.open("rb") as file:
@@ -263,13 +270,16 @@ def of_body(table: CsvTable, body: str, known: Sequence[str], stream: str) -> Cs
     The body's name is in a column that is not `known` to hold something else.
     """
     spare = sorted(table.columns.keys() - set(known), key=lambda name: not _BODY.search(name))
-    columns = {name: list(map(str.strip, table.columns[name])) for name in spare}
-    named = [texts for name, texts in columns.items() if _BODY.search(name)]
+    named = [name for name in spare if _BODY.search(name)]
+    columns = {
+        name: list(map(str.strip, table.columns[name])) for name in (spare if body else named)
+    }
     if body:
         texts = next((texts for texts in columns.values() if body in texts), [])
-        chosen_body(texts or itertools.chain.from_iterable(named), body, table.path, stream)
+        others = itertools.chain.from_iterable(columns[name] for name in named)
+        chosen_body(texts or others, body, table.path, stream)
         return table.where([text == body for text in texts])
-    for texts in named:
+    for texts in columns.values():
         found = list(dict.fromkeys(texts))
         changes = sum(map(ne, texts, texts[1:]))
         # Rows of several bodies alternate; other columns count, or change a few times.
