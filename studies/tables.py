@@ -81,7 +81,7 @@ def reproduced() -> dict[str, str]:
 
     def parameter(title: str, label: str, scale: float, digits: int) -> list[str]:
         def cell(rung: str) -> str:
-            known = fits[rung]["parameters"].get(label)
+            known = fits[rung]["values"].get(label)
             if known is None or known["standard_error"] is None:
                 return ""
             value, error = scale * known["value"], scale * known["standard_error"]

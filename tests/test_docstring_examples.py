@@ -9,7 +9,7 @@ import pytest
 import airpuck
 
 #: Examples that take over 1.5 s alone.
-SLOW = {"Game", "PredictionBands", "ResidualTests", "Selection", "Study"}
+SLOW = {"Game", "PredictionBands", "ResidualTests", "Study"}
 SLOW |= {"animate", "plan", "resid", "study"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 

@@ -63,10 +63,6 @@ from airpuck.identification.fit_result import Fit as Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from airpuck.identification.settings import Loss as Loss, Preparation as Preparation
 from airpuck.identification.puck import identify_puck as identify_puck
-from airpuck.identification.selection import (
-    Selection as Selection,
-    select_model as select_model,
-)
 from airpuck.model.model_file import Model as Model, read_model as read_model
 from airpuck.model.parameters import Parameters as Parameters
 from airpuck.model.rungs import named_rung as named_rung

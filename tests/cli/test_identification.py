@@ -34,12 +34,12 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path, undrawn):
     assert "scale is fixed by Newton's law" in process.stdout
     assert "resamplings: 100 %" in process.stderr
     figures = json.loads((tmp_path / "fit.json").read_text())
-    lag = figures["parameters"]["motor_time_constant"]
+    lag = figures["values"]["motor_time_constant"]
     low, high = lag["interval_95"]
     assert low < lag["value"] < high
     assert lag["standard_error"] > 0
     assert len(lag["bootstrap_95"]) == 2
-    assert figures["parameters"]["inertia"]["standard_error"] is None
+    assert figures["values"]["inertia"]["standard_error"] is None
     assert figures["identifiability"]["free"] - figures["identifiability"]["rank"] == 6
     assert figures["uncertainty"]["seed"] == 3
     assert read_model(tmp_path / "m.toml").uncertainty.bootstrap.seed == 3

@@ -37,7 +37,7 @@ def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
     read = read_model(tmp_path / "model.toml").uncertainty.bootstrap
     np.testing.assert_array_equal(read.lower, again.lower)
     np.testing.assert_array_equal(read.upper, again.upper)
-    figures = found.to_json()["parameters"]["inertia"]
+    figures = found.to_json()["values"]["inertia"]
     low, high = figures["interval_95"]
     assert low < figures["value"] < high
     assert figures["bootstrap_95"][0] < figures["value"] < figures["bootstrap_95"][1]

@@ -9,12 +9,25 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.items import Fitting
-from airpuck.model.model_file import published_model, read_model
+from airpuck.model.model_file import nominal_model, published_model, read_model
 from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.commands import airpuck as command
 
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
+FILE = {
+    "name": "square",
+    "mass_kg": 0.21,
+    "command_min": 0.05,
+    "propellers": [
+        {"name": f"m{k}", "position_m": place, "direction_deg": angle}
+        for k, (place, angle) in enumerate(
+            [((0.05, 0.05), 315), ((0.05, -0.05), 45), ((-0.05, 0.05), 225), ((-0.05, -0.05), 135)]
+        )
+    ],
+    "nominal": {"thrust_N": [0.0, 0.6], "inertia_kg_m2": 5e-4, "transport_delay_s": 0.02},
+}
+OTHER = nominal_model(airpuck.Vehicle.model_validate(FILE))
 TWINS = {
     "healthy": {},
     "tilt": {"effects": {"tilt_rad": (0.03, 0.02)}},
@@ -22,6 +35,10 @@ TWINS = {
     "weak motor": {
         "motors": {"weak": [{"motor": "motor_b_1", "start_s": 0.0, "stop_s": 1e6, "share": 0.7}]}
     },
+    "dish": {"effects": {"dish_rad_m": (0.06, 0.04, 0.0)}},
+    "friction": {"effects": {"friction_SI": (0.1, 0.5)}},
+    "inflow": {"effects": {"inflow_s_m": 0.15}},
+    "other craft": {},
 }
 TERMS = {"healthy": [], "tilt": ["tilt"], "drag": ["drag"], "weak motor": []}
 
@@ -32,28 +49,36 @@ def recorded(name, duration=15.0, seed=1):
     for section, values in TWINS[name].items():
         content[section].update(values)
     settings = airpuck.TwinSettings.model_validate(content)
-    return airpuck.excite(TRUTH, duration, seed, settings=settings)
+    return airpuck.excite(
+        OTHER if name == "other craft" else TRUTH, duration, seed, settings=settings
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TWINS)
 def test_python_command_line_and_campaign_give_the_same_model(name, tmp_path):
-    bag, file = tmp_path / "bag", tmp_path / "model.toml"
+    bag, file, craft = tmp_path / "bag", tmp_path / "model.toml", tmp_path / "craft.toml"
     airpuck.write_bag(recorded(name), bag)
-    study = airpuck.study(bag)
-    assert study.model.name.split("+")[1:] == TERMS[name]
-    done = command("identify", bag, "--model", "auto", "-o", file, "--json", "-", "-q")
-    figures = json.loads(done.stdout)
-    (row,) = Fitting(recordings=(str(bag),)).run()
+    vehicle = (OTHER if name == "other craft" else TRUTH).vehicle
+    vehicle.save(craft)
+    study = airpuck.study(bag, vehicle)
+    fit = airpuck.identify(airpuck.load_trajectory(bag, vehicle))
+    if name in TERMS:
+        assert study.model.name.split("+")[1:] == TERMS[name]
+        assert study.selection.missing == ()
+    options = ("--model", "auto", "--vehicle", craft, "-o", file, "--json", "-", "-q")
+    figures = json.loads(command("identify", bag, *options).stdout)
+    (row,) = Fitting(recordings=(str(bag),), model="auto", vehicle=str(craft)).run()
     found, own = read_model(file), study.model
-    assert found.name == own.name
-    vectors = [one.parameters.to_vector() for one in (found, own)]
-    np.testing.assert_allclose(*vectors, rtol=1e-6)
+    assert found.name == own.name == fit.model.name
+    for other in (found, fit.model):
+        vectors = [one.parameters.to_vector() for one in (other, own)]
+        np.testing.assert_allclose(*vectors, rtol=1e-6)
     assert row["inertia"] == pytest.approx(study.model.parameters.inertia, rel=1e-6)
-    assert row["suspect_recording"] == 0
+    assert row["suspect_recording"] == 0 and row["trusted"] == study.verdict.trusted
     assert figures["verdict"]["outcome"] == study.verdict.outcome
-    assert figures["findings"] == study.to_json()["findings"]
-    assert study.selection.missing == ()
+    for key in ("findings", "parameters", "controller"):
+        assert figures[key] == study.to_json()[key]
     if name == "weak motor":
         assert any("motor_b_1" in one.cause for one in study.findings)
 
@@ -87,3 +112,30 @@ def test_a_mirrored_recording_ends_with_its_cause_and_all_files(tmp_path):
     study = airpuck.study(bag)
     with pytest.raises(InputError, match="wrong sign of the y axis"):
         study.verdict.check_recording(bag)
+
+
+@pytest.mark.slow
+def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
+    content = default_twin_settings().model_dump()
+    content["effects"]["battery_sag_1_s"] = 0.15 / 15.0
+    settings = airpuck.TwinSettings.model_validate(content)
+    recording = airpuck.excite(TRUTH, 15.0, 3, settings=settings)
+    study = airpuck.study(recording, TRUTH.vehicle, model="M3")
+    (change,) = [one for one in study.selection.missing if one.term.startswith("change")]
+    # The twin loses 15 % from the beginning to the end.
+    assert change.term == "change of all" and change.value[0] == pytest.approx(-0.15, abs=0.04)
+    assert "less thrust at the end" in next(one.cause for one in study.findings)
+
+
+@pytest.mark.slow
+def test_an_error_of_all_directions_is_named_with_its_size():
+    turned = [
+        one.model_copy(update={"direction_deg": one.direction_deg + 3.0})
+        for one in TRUTH.vehicle.propellers
+    ]
+    vehicle = TRUTH.vehicle.model_copy(update={"propellers": tuple(turned)})
+    recording = airpuck.excite(replace(TRUTH, vehicle=vehicle), 15.0, 4)
+    study = airpuck.study(recording, TRUTH.vehicle, model="M3")
+    (missing,) = [one for one in study.selection.missing if one.term == "direction"]
+    assert np.degrees(missing.value[0]) == pytest.approx(3.0, abs=0.6)
+    assert "point +3" in study.findings[0].cause or "point +2" in study.findings[0].cause

@@ -38,6 +38,7 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.identification.fit_result import Fit
+    from airpuck.identification.structure import ModelStructure
     from airpuck.twin.tracking_study import Tracked
 
 #: A number; null in JSON stands for NaN.
@@ -63,7 +64,7 @@ def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
 def _known_rung(name: str) -> str:
     """Check that a rung exists."""
     try:
-        named_rung(name)
+        named_rung("M3" if name == "auto" else name)
     except InputError as error:
         raise ValueError(error.problem) from None
     return name
@@ -234,7 +235,7 @@ class Recovery(TwinItem, Identification):
         )
         data = airpuck.preprocess(recording, truth.vehicle)
         fit = airpuck.identify(data, self.model or "M3", loss=self.loss(data))
-        delay = as_received(truth, self.twin, default_tuning().period_s).transport_delay
+        delay = as_received(truth, self.twin, tuning_for(truth).period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
 
@@ -319,14 +320,14 @@ class Fitting(Identification):
 
     def run(self) -> list[Row]:
         """Fit; see `Item.run`."""
-        from airpuck.judgement.study import causes_of
+        from airpuck.judgement.study import judged
 
         if self.resamplings:
             return self._resampled()
-        fit = self.fit()
-        causes = causes_of(self._load(self.recordings[0]), fit.model.vehicle)
+        fit, structure = self._structured()
+        said = judged(fit, structure, self._parts()).verdict
         row = _progress(fit) | {"windows": float(fit.windows)} | _labelled(fit.model)
-        row["suspect_recording"] = float(any(cause.suspect for cause in causes))
+        row |= {key: float(said.outcome == key) for key in ("trusted", "suspect_recording")}
         if self.validation is not None:
             row |= named("rmse", airpuck.evaluate(fit.model, self._load(self.validation)).rmse)
         return [row]
@@ -337,13 +338,19 @@ class Fitting(Identification):
 
     def fit(self) -> Fit:
         """Identify a model; `start_spread` and the seed set the start."""
+        return self._structured()[0]
+
+    def _parts(self) -> list[Trajectory]:
+        """Return the parts of the recordings to learn from."""
+        trajectories = [self._load(name) for name in self.recordings]
+        return [one.slice(*self.span) if self.span else one for one in trajectories]
+
+    def _structured(self) -> tuple[Fit, ModelStructure]:
         from airpuck.identification.problem import mean_delay
         from airpuck.identification.structure import structured
 
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
-        trajectories = [self._load(name) for name in self.recordings]
-        if self.span is not None:
-            trajectories = [trajectory.slice(*self.span) for trajectory in trajectories]
+        trajectories = self._parts()
         structure: dict[str, Any] = {"degree": self.degree, "frame": self.frame}
         name = self.model or ("M3" if self.start_spread else None)
         start = None
@@ -355,7 +362,7 @@ class Fitting(Identification):
             learned = rung.mask(nominal, craft)
             start = nominal.with_vector(np.where(learned, elsewhere, nominal.to_vector()))
         given: Any = {"vehicle": craft, "initial": start, "loss": self.loss(trajectories[0])}
-        return structured(trajectories, name, **structure, **given)[0]
+        return structured(trajectories, name, **structure, **given)
 
     def _resampled(self) -> list[Row]:
         """Fit to resampled data, each time starting from the fit to all data."""
@@ -465,18 +472,7 @@ def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:
 
 
 def recovery_errors(model: Model, truth: Model) -> Row:
-    """Return relative errors of a model; of α and the centre of mass, differences.
-
-    Parameters
-    ----------
-    model, truth : Model
-        Of the same craft.
-
-    Returns
-    -------
-    dict
-        By quantity.
-    """
+    """Return relative errors of a model; of α and the centre of mass, differences."""
     found, true = model.parameters, truth.parameters
     return {
         "thrust": float(thrust_error(model, truth).max()),

@@ -55,20 +55,21 @@ def evaluate(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.coasting import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
-    from airpuck.judgement.study import causes_of
-    from airpuck.judgement.verdict import verdict
+    from airpuck.judgement.study import judged_on
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    causes = causes_of(trajectory, judged.vehicle, mapping)
-    said = verdict(judged, trajectory, found, causes=causes)
+    said = judged_on(judged, trajectory, found, mapping)
     since = better_from(found, trajectory)
     page = None
     if output is not None:
         from airpuck.report.evaluation_report import evaluation_report
 
-        page = evaluation_report([judged], [found], trajectory, output, origin=origin())
+        known = {judged.name: said}
+        page = evaluation_report(
+            [judged], [found], trajectory, output, verdicts=known, origin=origin()
+        )
     shown = error_table([model], [found], trajectory), every_start_table([model], [found])
     figures = {
         **found.to_json(),

@@ -69,6 +69,8 @@ class Propeller(Section):
     reverse: Annotated[float, pydantic.Field(gt=0, le=_REVERSE)] | None = None
 
 
+#: Usual tolerances of a vehicle file: callipers, the frame's symmetry, kitchen scales.
+TOLERANCES = {"position_error_m": 5e-4, "direction_error_deg": 1.0, "mass_error": 0.005}
 #: Identified thrusts of propellers of one make differ by up to 5 % (studies/weak_motors.md).
 THRUST_SPREAD = 0.05
 
@@ -102,6 +104,9 @@ class Vehicle(Section):
         Free text.
     mass_kg : float
         Total mass as flown.
+    position_error_m, direction_error_deg, mass_error : float
+        Tolerances of the propellers' positions and directions, and of the mass (relative): standard
+        errors, which the bars of identified parameters include.
     radius_m : float
         Outer radius, for rails and pictures.
     command_min, command_max : float
@@ -128,6 +133,9 @@ class Vehicle(Section):
 
     name: str
     mass_kg: Positive
+    position_error_m: NonNegative = TOLERANCES["position_error_m"]
+    direction_error_deg: NonNegative = TOLERANCES["direction_error_deg"]
+    mass_error: Fraction = TOLERANCES["mass_error"]
     radius_m: Positive = 0.07
     command_min: Fraction = 0.0
     command_max: Fraction = 1.0
@@ -147,6 +155,9 @@ class Vehicle(Section):
         content["actuators"] = _without_null(content["actuators"])
         if not self.wheels:
             del content["wheels"]
+        for name, usual in TOLERANCES.items():
+            if content[name] == usual:
+                del content[name]
         if self.nominal.thrust_spread == THRUST_SPREAD:
             del content["nominal"]["thrust_spread"]
         if self.actuators == Propellers():

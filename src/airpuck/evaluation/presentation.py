@@ -15,6 +15,7 @@ from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import LAG
 from airpuck.model.rungs import RUNGS
+from airpuck.model.tolerances import bar
 from airpuck.physics.thrust import thrust
 
 #: Placeholder for a value that the data do not determine.
@@ -165,7 +166,7 @@ def _value(
     model: Model, label: str, unit: str, quantity: Callable[[Model], Any], *, learned: bool
 ) -> Value:
     """Evaluate anything computed from the parameters."""
-    error = float(model.standard_error(quantity)) if learned else np.nan
+    error = float(bar(model, quantity)) if learned else np.nan
     quantile = model.known.quantile if model.known else np.nan
     return Value(label, unit, float(quantity(model)), error, quantile, learned)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.control.tuning import default_tuning
+from airpuck.control.tuning import tuning_for
 from airpuck.craft.table import Table
 from airpuck.estimate.kalman import HeldCommands, KalmanFilter
 from airpuck.estimate.motor_regression import normal_equations, solved, with_effectiveness
@@ -187,7 +187,7 @@ class HealthMonitor:
 
     def __init__(self, model: Model, *, memory: float = 5.0, compiled: bool = True) -> None:
         self.model, self._memory = model, memory
-        noise = default_tuning().estimation.noise
+        noise = tuning_for(model).estimation.noise
         self._filter = KalmanFilter(model, noise, compiled=compiled)
         self._free = np.array(Table().reach(model.vehicle.radius_m)) - _AT_RAIL
         n = model.vehicle.n_propellers

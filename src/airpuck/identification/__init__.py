@@ -1,5 +1,5 @@
 """Identification: from trajectories to a model.
 
-Entry points: `fit.identify`, `problem.Loss`, `problem.Preparation`, `objective.PredictionLoss`,
-`bootstrap.bootstrap`, `selection.select_model`, `puck.identify_puck`.
+Entry points: `structure.identify`, `problem.Loss`, `problem.Preparation`, `bootstrap.bootstrap`,
+`objective.PredictionLoss`, `puck.identify_puck`.
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +21,6 @@ from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
-    Iteration,
     Method,
     Outcome,
     information_of_weights,
@@ -61,9 +60,6 @@ from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
 from airpuck.preprocessing.time_scale import is_slow
 
-#: Number of preparations assumed in the errors if the first used the nominal model: nearly all,
-#: since what poses do not determine keeps its nominal value.
-_ALONG_NOMINAL = 50
 #: Step of a difference quotient by a wheel's lag, in its standard errors.
 _LAG_STEP = 0.1
 
@@ -72,68 +68,18 @@ def identify(
     trajectories: Trajectory | Sequence[Trajectory],
     model: str | Rung = "M3",
     *,
-    vehicle: Vehicle | None = None,
-    initial: Parameters | None = None,
-    loss: Loss | None = None,
     method: Method | Literal["lm", "adam"] | None = None,
-    preparation: Preparation | None = None,
-    progress: Callable[[Iteration], None] = lambda _: None,
+    **given: Any,
 ) -> Fit:
-    """Identify a model by minimising its multi-step prediction error (eq. combined_loss).
-
-    Parameters
-    ----------
-    trajectories : Trajectory or sequence of Trajectory
-        Data of one craft.
-    model : str or Rung, default "M3"
-        The rung of the model ladder; see `airpuck.named_rung` for degrees and frames.
-    vehicle : Vehicle, optional
-        The craft; by default the craft that the trajectories were preprocessed for, or the paper's.
-    initial : Parameters, optional
-        Initial parameters; by default the vehicle's nominal values.
-    loss : Loss, optional
-        Which prediction errors count, and their weights.
-    method : Method or {"lm", "adam"}, optional
-        `LevenbergMarquardt()` or "lm", the default; `Adam()` or "adam".
-    preparation : Preparation, optional
-        Whether faults are left out, the delay is learned and packets are retimed.
-    progress : callable, optional
-        Called after every iteration of the optimiser.
-
-    Returns
-    -------
-    Fit
-        The model, and details of the fit.
-
-    Raises
-    ------
-    InputError
-        If the data do not fit the vehicle or are too short, or the model does not exist.
-
-    Examples
-    --------
-    >>> fit = airpuck.identify(trajectory, "M0")
-    >>> fit.converged
-    True
-    >>> fit.model.save("model.toml")
-    """
+    """Fit one model by minimising its error (eq. combined_loss); `given`: fields of `Problem`."""
     began = time.perf_counter()
     if isinstance(method, str):
         method = chosen(method, {"lm": LevenbergMarquardt, "adam": Adam}, "method")()
-    problem = Problem.of(
-        trajectories,
-        model,
-        vehicle=vehicle,
-        initial=initial,
-        loss=loss,
-        method=method,
-        preparation=preparation,
-        progress=progress,
-    )
+    problem = Problem.of(trajectories, model, method=method, **given)
     solution = Solution(problem, problem.trajectories)
     try:
         solution = minimize(retime(leave_out_faults(solution)))
-        if loss is None or loss.encoder_time is None:
+        if (given.get("loss") or Loss()).encoder_time is None:
             solution = remember(solution)
         return judge(solution, began)
     except InputError as error:
@@ -374,7 +320,8 @@ def _uncertainty(solution: Solution, quadratic: Quadratic, model: Model) -> Unce
         mixed, hessian = score_derivatives(
             loss, solution.trajectories, model, packets, known.standard_errors
         )
-        rounds = _ALONG_NOMINAL if along else rounds
+        # Preparation with the nominal model leaves its values where poses determine nothing.
+        rounds = None if along else rounds
         known = grown(known, error_growth(mixed, hessian, space.basis, rounds))
     if model.delay_jitter is not None:
         delay = parameters.mask(frozenset({"transport_delay"}))

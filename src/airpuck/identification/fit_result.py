@@ -125,21 +125,21 @@ class Fit(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
-        Also ``faults``: ``share_of_windows`` left out and ``spans``; ``parameters`` by label:
+        Also ``faults``: ``share_of_windows`` left out and ``spans``; ``values`` by label:
         ``value``, ``identified``, ``standard_error``, ``interval_95``, ``bootstrap_95``; and
         ``uncertainty``: ``clusters``, ``notes``, of a bootstrap ``replicates`` and ``seed``.
 
         Returns
         -------
         dict
-            ``model, loss, iterations, converged, windows, wall_s, warnings, parameters,
-            uncertainty, identifiability, delay_jitter, faults, history``.
+            ``model, loss, iterations, converged, windows, wall_s, warnings, values, uncertainty,
+            identifiability, delay_jitter, faults, history``.
         """
         known = {"uncertainty": _uncertainty_json(self.uncertainty)}
-        return super().to_json() | {"parameters": _parameters_json(self.model)} | known
+        return super().to_json() | {"values": _values_json(self.model)} | known
 
 
-def _parameters_json(model: Model) -> dict[str, dict[str, Any]]:
+def _values_json(model: Model) -> dict[str, dict[str, Any]]:
     """Return every parameter with its errors, by label; None if there are no errors."""
     known, figures = model.known, {}
     labels = model.parameters.labels(model.vehicle.propeller_names)

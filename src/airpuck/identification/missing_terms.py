@@ -20,8 +20,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
 from airpuck.evaluation.main_quantities import main_quantities
-from airpuck.identification.fit_result import Fit
-from airpuck.identification.objective import Quadratic
+from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.uncertainty import varying
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
@@ -43,6 +42,12 @@ _FEWEST = 6
 _STATIONARY = frozenset({"pair_interaction"})
 #: The term that is not an effect: a higher degree of the thrust curves.
 DEGREE = "degree"
+#: Prefix of what changed steadily during the recording: ``all`` thrusts, one motor's thrust, or the
+#: ``delay``; and smallest changes from beginning to end that are told, relative and in seconds.
+CHANGE, ALL, DELAY = "change of ", "all", "delay"
+_LEAST_CHANGE, _LEAST_LATER = 0.04, 3e-3
+#: Part of a term's information that the model's own parameters must leave.
+_OWN = 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,8 @@ class MissingTerm(Result):
     Attributes
     ----------
     term : str
-        Name of the term in a rung's name; ``degree``: a higher degree of the thrust curves.
+        Name of the term in a rung's name; ``degree``: a higher degree of the thrust curves; or what
+        changed, such as ``change of all``, ``change of motor_1`` (thrusts) or ``change of delay``.
     probability : float
         Probability of such a gradient by chance.
     gain : float
@@ -86,27 +92,30 @@ class MissingTerm(Result):
     @property
     def significant(self) -> bool:
         """Whether chance does not explain it."""
-        return self.probability < _LEVEL
+        if not self.term.startswith(CHANGE):
+            return self.probability < _LEVEL
+        least = _LEAST_LATER if self.term == CHANGE + DELAY else _LEAST_CHANGE
+        return self.probability < _LEVEL and abs(self.value[0]) > least
 
     @property
     def worthwhile(self) -> bool:
         """Whether held-out parts of the data are predicted noticeably better with it."""
-        return self.held_out > _NOTICEABLE
+        return self.held_out > _NOTICEABLE and not self.term.startswith(CHANGE)
 
 
-def missing_terms(fit: Fit) -> tuple[MissingTerm, ...]:
-    """Test every term that a fit's model lacks; return the significant ones, the strongest first.
+def missing_terms(model: Model, loss: PredictionLoss | None) -> tuple[MissingTerm, ...]:
+    """Test every term that a model lacks; return the significant ones, the strongest first.
 
     Terms explain much of each other: once the strongest is found, the others are tested beside it.
     """
-    if fit.objective is None or fit.objective.clusters is None or not fit.model.free.any():
+    if loss is None or loss.clusters is None or not model.free.any():
         return ()
-    tests = _Tests.of(fit)
+    tests = _Tests.of(model, loss)
     found: list[MissingTerm] = []
     while True:
         tested = [t for t in tests.tested([one.term for one in found]) if t.significant]
         if not tested:
-            return _with_shifts(fit.model, found)
+            return _with_shifts(model, found)
         found.append(max(tested, key=lambda one: one.gain))
 
 
@@ -124,23 +133,25 @@ class _Tests:
     entries: dict[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]]
 
     @classmethod
-    def of(cls, fit: Fit) -> _Tests:
+    def of(cls, model: Model, loss: PredictionLoss) -> _Tests:
         """Evaluate the loss once, with all terms at zero."""
-        model, loss = fit.model, fit.objective
-        assert loss is not None
         whole = _with_all_terms(model)
         quadratic = loss.quadratic(whole)
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
+        changes = _changes(model, whole, loss) if len(quadratic.scores) >= _FEWEST else {}
+        quadratic = _changing(quadratic, np.array([*changes.values()]).reshape(-1, len(labels)))
         hessian = quadratic.hessian
         inside = varying(hessian[np.ix_(own, own)], model.parameters, model.free).basis
-        basis = np.zeros((len(labels), inside.shape[1]))
+        basis = np.zeros((len(hessian), inside.shape[1]))
         basis[own] = inside
         lower, _ = whole.bounds()
         entries = {}
         for term, mask in _terms(model, whole, own):
             entries[term] = (np.flatnonzero(mask), lower[mask])
+        for number, term in enumerate(changes, start=len(labels)):
+            entries[term] = (np.array([number]), np.array([-np.inf]))
         return cls(model, quadratic, basis, own, entries)
 
     def tested(self, beside: list[str]) -> Iterator[MissingTerm]:
@@ -168,7 +179,10 @@ class _Tests:
         while kept:
             mixed = basis.T @ hessian[:, kept]
             effective = scores[:, kept] - scores @ basis @ mixed
-            information = hessian[np.ix_(kept, kept)] - mixed.T @ mixed
+            whole = hessian[np.ix_(kept, kept)]
+            information = whole - mixed.T @ mixed
+            if not (np.diag(information) > _OWN * np.diag(whole)).all():
+                return None
             value = -_solved(information, effective.sum(axis=0))
             impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 and positive[e]]
             if not impossible:
@@ -236,13 +250,46 @@ def _with_all_terms(model: Model) -> Parameters:
     """Return the parameters with every missing term at zero."""
     parameters, degree = model.parameters, np.shape(model.parameters.thrust)[1]
     added: dict[str, Any] = {}
+    direct = parameters.configuration_matrix is not None
     for name, quantity in EFFECTS.items():
-        if getattr(parameters, name) is None and name not in _STATIONARY:
+        unused = name in _STATIONARY or (direct and quantity.in_matrix)
+        if getattr(parameters, name) is None and not unused:
             start = quantity.start
             added[name] = np.zeros(len(start)) if isinstance(start, tuple) else 0.0
     if degree < numbers.DEGREE.high and _can_bend(model, degree + 1):
         added["thrust"] = change_degree(np.asarray(parameters.thrust), degree + 1)
     return replace(parameters, **added)
+
+
+def _changes(
+    model: Model, whole: Parameters, loss: PredictionLoss
+) -> dict[str, Float[np.ndarray, " Q"]]:
+    """Return by name the directions in which parameters may change during a recording."""
+    if len(loss.windows.trajectories) > 1:
+        return {}
+    thrusts, found = whole.mask(frozenset({"thrust"})), {}
+    vector, size = whole.to_vector(), np.shape(whole.thrust)
+    rows = np.zeros((size[0], len(vector)))
+    for row, unit in zip(rows, np.eye(size[0]), strict=True):
+        row[thrusts] = np.repeat(unit, size[1]) * vector[thrusts]
+    names = model.vehicle.propeller_names
+    found = {ALL: rows.sum(axis=0), **dict(zip(names, rows, strict=True))}
+    if model.delay_learned:
+        found[DELAY] = whole.mask(frozenset({"transport_delay"})).astype(float)
+    return {CHANGE + name: direction for name, direction in found.items()}
+
+
+def _changing(quadratic: Quadratic, directions: Float[np.ndarray, "V Q"]) -> Quadratic:
+    """Add coefficients of directions in which the parameters change linearly with the blocks."""
+    scores, informations = quadratic.scores, quadratic.informations
+    time = np.linspace(-0.5, 0.5, len(scores))[:, None, None]
+    wide = np.eye(scores.shape[1]) + 0 * time
+    wide = np.concatenate([wide, time * directions], axis=1)
+    return Quadratic(
+        quadratic.cluster_losses,
+        np.einsum("gp,gvp->gv", scores, wide),
+        wide @ informations @ np.swapaxes(wide, 1, 2),
+    )
 
 
 def _can_bend(model: Model, degree: int) -> bool:

@@ -42,8 +42,6 @@ _GOLDEN = (5**0.5 - 1) / 2
 #: Eigenvalue of the information, relative to the largest, below which a direction has no
 #: information.
 _UNINFORMED = 1e-8
-#: Growth of an error, in typical errors, from which it counts as unlimited.
-_UNLIMITED = 1e3
 #: Step of the difference quotients, in standard errors: small enough that packets move by a small
 #: part of a sample.
 _STEP = 0.1
@@ -184,23 +182,24 @@ def error_growth(
     mixed: Float[np.ndarray, "P P"],
     hessian: Float[np.ndarray, "P P"],
     basis: Float[np.ndarray, "P R"],
-    rounds: int,
+    rounds: int | None,
 ) -> Float[np.ndarray, "P P"]:
     """Return 1 + K + K² + …, by which repeated preparation multiplies errors in the data.
 
     If the preparation of the data has an error e, the estimate has an additional error K e, K =
-    -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary. Where the sum
-    diverges, the preparation decides about the estimate, and the data hold no information.
+    -H⁻¹ M. Columns of `basis` are the directions in which the estimate can vary. Without a number
+    of rounds the first preparation is arbitrary, and the result is (1 - K)⁻¹: the response of the
+    estimate that agrees with its own preparation. That exists even where the sum diverges, as for K
+    = -1.2; the data hold no information only where K = 1.
     """
     inverse = np.linalg.pinv(basis.T @ hessian @ basis, rcond=_UNINFORMED, hermitian=True)
     once = -basis @ inverse @ basis.T @ mixed
-    total = np.eye(len(once))
-    size = np.linalg.norm(basis, axis=1)
-    unit = np.divide(size, size[:, None], where=size[:, None] > 0, out=np.zeros_like(once))
+    one = np.eye(len(once))
+    if rounds is None:
+        return np.linalg.inv(one - once)
+    total = one
     for _ in range(rounds):
-        total = np.eye(len(once)) + once @ total
-        if np.abs(total * unit).max() > _UNLIMITED:
-            break
+        total = one + once @ total
     return total
 
 

@@ -8,7 +8,7 @@ campaigns and studies use this policy, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -17,17 +17,22 @@ import numpy as np
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, as_trajectories, vehicle_of
+from airpuck.data.trajectory import Trajectory, vehicle_of
 from airpuck.faults.strengths import usual_rung
 from airpuck.identification import fit as fitting
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms
+from airpuck.identification.problem import prediction_loss
+from airpuck.identification.retiming import retime_packets
 from airpuck.identification.settings import Loss, Preparation
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import Rung, named_rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame
+from airpuck.preprocessing.pipeline import Source, load_all
+from airpuck.recording.mapping import RecordingMapping
 
 #: Name that stands for the policy, as if no model were named.
 AUTO = "auto"
@@ -67,10 +72,11 @@ class ModelStructure(Result):
 
 
 def identify(
-    trajectories: Trajectory | Sequence[Trajectory],
+    recordings: Source | Iterable[Source],
     model: str | Rung | None = None,
     *,
     vehicle: Vehicle | None = None,
+    mapping: RecordingMapping | None = None,
     initial: Parameters | None = None,
     loss: Loss | None = None,
     method: Method | Literal["lm", "adam"] | None = None,
@@ -81,13 +87,15 @@ def identify(
 
     Parameters
     ----------
-    trajectories : Trajectory or sequence of Trajectory
+    recordings : path-like, Recording, Trajectory, or a sequence of these
         Data of one craft.
     model : str or Rung, optional
         The rung of the model ladder; see `airpuck.named_rung` for degrees and frames. By default,
         or if it is "auto": M3 with the terms that the recordings clearly show.
     vehicle : Vehicle, optional
         The craft; by default the craft that the trajectories were preprocessed for, or the paper's.
+    mapping : RecordingMapping, optional
+        Topics, files, columns, units and axes of recordings that are named by their paths.
     initial : Parameters, optional
         Initial parameters, for a named model; by default the vehicle's nominal values.
     loss : Loss, optional
@@ -118,19 +126,20 @@ def identify(
     """
     options: dict[str, Any] = {"vehicle": vehicle, "initial": initial, "loss": loss}
     options |= {"method": method, "preparation": preparation, "progress": progress}
-    return structured(trajectories, model, **options)[0]
+    return structured(recordings, model, mapping=mapping, **options)[0]
 
 
 def structured(
-    trajectories: Trajectory | Sequence[Trajectory],
+    recordings: Source | Iterable[Source],
     model: str | Rung | None = None,
     *,
+    mapping: RecordingMapping | None = None,
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
     **options: Any,
 ) -> tuple[Fit, ModelStructure]:
     """Identify a model, and test what it lacks; `options` are those of `identify`."""
-    trajectories = as_trajectories(trajectories)
+    trajectories = load_all(recordings, options.get("vehicle"), mapping)
     craft = options.get("vehicle") or vehicle_of(trajectories)
     free = model is None or model == AUTO
     # The published method, and a start of the user's own, are for one structure.
@@ -139,14 +148,25 @@ def structured(
     rung = named_rung(name, degree=degree, frame=frame) if isinstance(name, str) else name
     assert rung is not None
     fit = fitting.identify(trajectories, rung, **options)
-    missing = missing_terms(fit)
+    missing = missing_terms(fit.model, fit.objective)
     added = tuple(one for one in missing if one.worthwhile) if usual else ()
     if not added:
         return _widened(fit, missing), ModelStructure(rung.name, rung.name, (), missing)
     richer = _richer(rung, [one.term for one in added], np.shape(fit.model.parameters.thrust)[1])
     fit = fitting.identify(trajectories, richer, **options)
-    missing = missing_terms(fit)
+    missing = missing_terms(fit.model, fit.objective)
     return _widened(fit, missing), ModelStructure(rung.name, richer.name, added, missing)
+
+
+def lacking_on(model: Model, trajectory: Trajectory) -> tuple[MissingTerm, ...]:
+    """Test what a model lacks on another recording, whatever its own parameters are there."""
+    if not model.delay_learned:
+        return ()
+    lag = float(np.max(model.dynamics.lag))
+    loss = Loss().suited([trajectory], model.vehicle).remembering(lag)
+    prepared, _ = retime_packets([trajectory], model)
+    options: dict[str, Any] = {"frame": model.frame, "learns_delay": True}
+    return missing_terms(model, prediction_loss(loss, prepared, model.vehicle, **options))
 
 
 def _richer(rung: Rung, terms: Sequence[str], degree: int) -> Rung:

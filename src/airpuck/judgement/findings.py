@@ -13,13 +13,11 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.finding import Finding, by_cause
 from airpuck.boundary.numbers import percent
-from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.coasting import coasting
 from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
-from airpuck.faults.layout_check import check_layout
 from airpuck.faults.strengths import Strengths
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.parameters import LAG
@@ -237,39 +235,6 @@ def first_causes(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     if ordered and ordered[0].suspect:
         return tuple(one for one in ordered if one.kind == ordered[0].kind)
     return ordered
-
-
-def layout_causes(trajectory: Trajectory, vehicle: Vehicle, **options: Any) -> list[Finding]:
-    """Return wrong units, axes, directions and order, as the commands' effects show them."""
-    check = check_layout(trajectory, vehicle, **options)
-    if not check.conclusive:
-        return []
-    shown, found = f"commands explain {percent(check.explained)} of the acceleration", []
-    if check.length_ratio != 1:
-        cause = f"The craft moves {check.length_ratio:g} times as far as its turns imply"
-        remedy = 'Correct the unit of length in the mapping file, such as pose.units = ["mm"].'
-        found.append(Finding("units", cause, shown, remedy))
-    if check.mirrored:
-        cause = f"The pose is logged with the wrong sign of {' and '.join(check.signs.names)}"
-        line = check.signs.line(check.axes)
-        found.append(Finding("axes", cause, shown, f"Correct the mapping file, in [pose]: {line}"))
-    if check.reversed:
-        cause = "All propellers push the other way"
-        remedy = "direction_deg is the direction of the thrust, not of the air: add 180 to each."
-        found.append(Finding("signs", cause, shown, remedy))
-    swapped = [one for one in check.propellers if one.verdict.startswith("behaves like")]
-    if swapped and not check.mirrored and not check.reversed:
-        cause = "; ".join(f"{one.name} acts like {one.behaves_like}" for one in swapped)
-        remedy = "Check the motors' order and wiring with `airpuck check`."
-        found.append(Finding("order", cause, shown, remedy))
-    if check.inertia_ratio != 1:
-        cause = (
-            f"Forces and moments agree if the inertia is {check.inertia_ratio:.1g} times the "
-            "vehicle file's"
-        )
-        remedy = "Correct inertia_kg_m2, mass_kg or the propellers' positions."
-        found.append(Finding("mass", cause, shown, remedy))
-    return found
 
 
 def actuator_causes(strengths: Strengths) -> list[Finding]:

@@ -99,7 +99,7 @@ def _margin(model: Model, craft: Model, settings: TwinSettings, tuning: Tuning, 
     )
     plant = build_plant(craft, settings, compiled=False)
     twin = Twin(craft, settings, plant=plant, seed=seed)
-    arrives = _time_there(model)
+    arrives = time_there(model)
     with np.errstate(all="ignore"):  # as compiled programs compute
         fly(pilot, twin, arrives + _STAYS, tuning.period_s)
     time, state = twin.truth
@@ -109,7 +109,7 @@ def _margin(model: Model, craft: Model, settings: TwinSettings, tuning: Tuning, 
     return 0.0 if twin.contacts or not math.isfinite(worst) else 1 / max(worst, 1e-3)
 
 
-def _time_there(model: Model) -> float:
+def time_there(model: Model) -> float:
     """Return the deadline for the craft's arrival [s]."""
     pushes = np.maximum(largest_acceleration(model), 1e-9)
     least = max(

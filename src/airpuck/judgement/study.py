@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.finding import Finding
 from airpuck.boundary.notebook import html_table
+from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory, vehicle_of
+from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
+from airpuck.faults.causes import recording_findings
+from airpuck.faults.layout_findings import AXES
 from airpuck.faults.strengths import Strengths, actuator_strengths
 from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
-from airpuck.identification.missing_terms import DEGREE, MissingTerm
+from airpuck.identification.missing_terms import ALL, CHANGE, DEGREE, DELAY, MissingTerm
 from airpuck.identification.settings import Loss, Preparation
-from airpuck.identification.structure import ModelStructure, structured
-from airpuck.judgement.findings import actuator_causes, layout_causes
+from airpuck.identification.structure import ModelStructure, lacking_on, structured
+from airpuck.judgement.findings import actuator_causes
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.model.rungs import Rung
 from airpuck.physics.rigid_body import CenterOfMassFrame
-from airpuck.preprocessing.pipeline import load_trajectory, preprocess
+from airpuck.preprocessing.pipeline import Source, load_all, load_trajectory
 from airpuck.recording.mapping import RecordingMapping
-from airpuck.recording.stream import Recording
-
-#: A recording: its path, what was read from it, or what was preprocessed.
-Given = str | os.PathLike[str] | Recording | Trajectory
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,12 +101,12 @@ class Study(Result):
         Returns
         -------
         dict
-            Those of the fit, and ``verdict``, ``findings``, ``controller``, ``strengths`` and
-            ``selection``; with another recording ``validation``.
+            Those of the fit, and ``verdict``, ``findings``, ``parameters``, ``controller``,
+            ``strengths`` and ``selection``; with another recording ``validation``.
         """
         said = self.verdict.to_json()
         figures = {**self.fit.to_json(), "verdict": said}
-        figures |= {key: said[key] for key in ("findings", "controller")}
+        figures |= {key: said[key] for key in ("findings", "parameters", "controller")}
         figures |= {"strengths": self.strengths.to_json(), "selection": self.selection.to_json()}
         if self.evaluation is not None:
             figures["validation"] = self.evaluation.to_json()
@@ -113,10 +114,10 @@ class Study(Result):
 
 
 def study(
-    recordings: Given | Sequence[Given],
+    recordings: Source | Iterable[Source],
     vehicle: Vehicle | None = None,
     model: str | Rung | None = None,
-    validation: Given | None = None,
+    validation: Source | None = None,
     *,
     mapping: RecordingMapping | None = None,
     span: tuple[float, float] | None = None,
@@ -178,12 +179,12 @@ def study(
     >>> study.findings[0].kind
     'physics'
     """
-    several = isinstance(recordings, Sequence) and not isinstance(recordings, str)
-    listed: Any = recordings if several else [recordings]
-    training = tuple(loaded(one, vehicle, mapping) for one in listed)
+    training = load_all(recordings, vehicle, mapping)
     if span is not None:
-        training = tuple(one.slice(*span) for one in training)
-    other = None if validation is None else loaded(validation, vehicle, mapping)
+        training = [one.slice(*span) for one in training]
+    other = None
+    if validation is not None:
+        other = load_trajectory(validation, vehicle, mapping=mapping)
     fit, structure = structured(
         training,
         model,
@@ -200,17 +201,6 @@ def study(
     return judged(fit, structure, training, other, mapping=mapping, laws=laws)
 
 
-def loaded(
-    recording: Given, vehicle: Vehicle | None = None, mapping: RecordingMapping | None = None
-) -> Trajectory:
-    """Return the trajectory of a recording, whatever form it has."""
-    if isinstance(recording, Trajectory):
-        return recording
-    if isinstance(recording, Recording):
-        return preprocess(recording, vehicle)
-    return load_trajectory(recording, vehicle, mapping=mapping)
-
-
 def judged(
     fit: Fit,
     structure: ModelStructure,
@@ -224,33 +214,59 @@ def judged(
     model = fit.model
     found = None if validation is None else evaluate(model, validation)
     strengths = actuator_strengths(model, training[0])
+    axes = AXES if mapping is None else mapping.pose.axes
     causes = [
-        *causes_of(training[0], model.vehicle, mapping),
+        *recording_findings(training[0], model.vehicle, axes),
         *actuator_causes(strengths),
         *map(_lacking, structure.missing),
     ]
-    said = verdict(model, validation or training[0], found, causes=causes, laws=laws)
+    shown = validation or training[0]
+    said = verdict(model, shown, found, causes=causes, laws=laws, axes=axes)
     return Study(fit, structure, said, strengths, tuple(training), validation, found)
 
 
-def causes_of(
+def judged_on(
+    model: Model,
     trajectory: Trajectory,
-    vehicle: Vehicle | None = None,
+    evaluation: Evaluation,
     mapping: RecordingMapping | None = None,
-) -> list[Finding]:
-    """Return what is wrong with a recording, whatever the model."""
-    axes = {} if mapping is None else {"axes": mapping.pose.axes}
-    return layout_causes(trajectory, vehicle or vehicle_of([trajectory]), **axes)
+) -> Verdict:
+    """Judge a model by its predictions of a recording, and by what it lacks there."""
+    missing: tuple[MissingTerm, ...] = ()
+    with suppress(InputError):  # Too short for windows of a fit.
+        missing = lacking_on(model, trajectory)
+    axes = AXES if mapping is None else mapping.pose.axes
+    causes = [_lacking(one) for one in missing]
+    return verdict(model, trajectory, evaluation, causes=causes, axes=axes)
 
 
 def _lacking(term: MissingTerm) -> Finding:
     """Report a term that a model lacks, with the error that this causes."""
-    name = "a thrust curve of higher degree" if term.term == DEGREE else f"the term {term.term}"
     evidence = f"the loss would fall by {100 * term.gain:.2g} %"
-    if term.largest:
-        size = abs(term.shift[term.largest])
-        evidence += f", and {term.largest} would change by {size:.3g}"
-    remedy = f"Add +{term.term} (`--model`)."
+    if term.largest and not term.term.startswith(CHANGE):
+        evidence += f", and {term.largest} would change by {abs(term.shift[term.largest]):.3g}"
+    if term.term.startswith(CHANGE):
+        return Finding("change", *_changed(term.term.removeprefix(CHANGE), term.value[0], evidence))
+    if term.term == "direction":
+        turned = f"{math.degrees(term.value[0]):+.1f}"
+        cause = f"All thrusts point {turned}° away from the vehicle file's directions"
+        remedy = f"Add {turned} to each direction_deg, or use +direction (`--model`)."
+        return Finding("layout", cause, evidence, remedy)
     if term.term == DEGREE:
-        remedy = "Use a higher degree (`--degree`)."
+        name, remedy = "a thrust curve of higher degree", "Use a higher degree (`--degree`)."
+    else:
+        name, remedy = f"the term {term.term}", f"Add +{term.term} (`--model`)."
     return Finding("physics", f"The model lacks {name}", evidence, remedy)
+
+
+def _changed(what: str, change: float, evidence: str) -> tuple[str, str, str]:
+    """Describe what changed from the beginning of a recording to its end."""
+    if what == DELAY:
+        when = "later" if change > 0 else "earlier"
+        cause = f"At its end, commands act {1e3 * abs(change):.1f} ms {when} than at its beginning"
+        return cause, evidence, "Check the clocks and the radio."
+    who, check = (what, "this motor") if what != ALL else ("All propellers", "the battery")
+    how = "more" if change > 0 else "less"
+    gives = "give" if what == ALL else "gives"
+    cause = f"{who} {gives} {percent(abs(change))} {how} thrust at the end than at the beginning"
+    return cause, evidence, f"Check {check}, or learn from a part (`--span`)."

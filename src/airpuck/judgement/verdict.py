@@ -25,6 +25,7 @@ from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS
 from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
 from airpuck.faults.causes import recording_findings
+from airpuck.faults.layout_findings import AXES
 from airpuck.judgement.findings import (
     Evidence,
     first_causes,
@@ -143,6 +144,7 @@ def verdict(
     *,
     causes: Sequence[Finding] = (),
     laws: Sequence[str] = (),
+    axes: Sequence[str] = AXES,
 ) -> Verdict:
     """Judge whether a model can be trusted for control.
 
@@ -158,6 +160,8 @@ def verdict(
         What other checks have found.
     laws : sequence of str, optional
         Laws to fly besides the default one; MPC takes seconds.
+    axes : sequence of str, optional
+        Axes of the mapping file, in which lines for it are written.
 
     Returns
     -------
@@ -165,8 +169,8 @@ def verdict(
         The outcome, in words.
     """
     evidence = Evidence(model, trajectory, evaluation)
-    if trajectory is not None and not any(cause.suspect for cause in causes):
-        causes = [*causes, *recording_findings(trajectory, model.vehicle)]
+    if trajectory is not None:
+        causes = [*recording_findings(trajectory, model.vehicle, axes), *causes]
     outcome, found, flown = _decided(evidence, causes)
     if flown and trajectory is not None and evidence.effects is not None:
         others = [law for law in laws if law not in flown]

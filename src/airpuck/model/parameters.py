@@ -18,7 +18,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity
 from airpuck.physics.effects import Effect, Layout
-from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix
+from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics, configuration_matrix, turned
 
 #: Times, and the longest that a craft could be flown with [s]; numerical derivatives at 0 step
 #: below it by less than this [s].
@@ -211,12 +211,14 @@ class Parameters(_Values):
         Dynamics
             Coefficients for the physics.
         """
-        configuration = self.configuration_matrix
+        configuration, directions = self.configuration_matrix, vehicle.directions
+        if self.thrust_direction is not None:
+            directions = turned(xp, directions, self.thrust_direction)
         if configuration is None:
             configuration = configuration_matrix(
                 xp,
                 vehicle.positions,
-                vehicle.directions,
+                directions,
                 vehicle.mass_kg,
                 self.inertia,
                 self.angle_offset,

@@ -60,8 +60,8 @@ class Quantity:
     shown: tuple[str, float, str] | None = None
     #: Default value; …: required, None: it is not modelled.
     default: Any = ...
-    #: For an optional effect: its class, the term in a rung's name, the initial value of a fit, and
-    #: its keys in a twin's settings if they differ from `key`.
+    #: If it is optional: its class if it is an effect beside Π, the term in a rung's name, the
+    #: initial value of a fit, and keys in a twin's settings if they differ from `key`.
     effect: type[Effect] | None = None
     term: str = ""
     start: float | tuple[float, ...] = 0.0
@@ -106,6 +106,9 @@ QUANTITIES = (
     Quantity("configuration_matrix", "configuration_matrix_SI", "1/kg, 1/kg, 1/(kg m)", "Π",
              "directly learned map from thrusts to body accelerations", Rows,
              labels=_matrix_entries, rungs=("M4",), default=None),
+    Quantity("thrust_direction", "thrust_direction_rad", "rad", "δ",
+             "rotation of all thrusts against the vehicle file's directions", bounds=(-0.5, 0.5),
+             in_matrix=True, default=None, term="direction", shown=("mrad", 1e3, ".1f")),
     Quantity("drag", "drag_SI", "1/s, 1/m, 1/s, 1/rad", "c₁, c₂, d₁, d₂",
              "linear and quadratic drag of the velocity and of the spin",
              tuple[float, float, float, float], bounds=(0.0, np.inf),
@@ -142,5 +145,5 @@ QUANTITIES = (
 )
 # fmt: on
 
-#: Quantities of the optional effects, by name.
-EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.effect is not None}
+#: Optional quantities, by name.
+EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.term}

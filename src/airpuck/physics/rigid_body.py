@@ -87,6 +87,13 @@ def register_pytrees() -> None:
         register_pytree(kind)
 
 
+def turned(xp: Any, vectors: Any, angle: Any) -> Any:
+    """Turn vectors, shape (n, 2), counter-clockwise."""
+    cos, sin = xp.cos(angle), xp.sin(angle)
+    x, y = vectors[:, 0], vectors[:, 1]
+    return xp.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+
+
 def configuration_matrix(
     xp: Any,
     positions: Any,
@@ -103,11 +110,9 @@ def configuration_matrix(
     acceleration. The angle offset α turns both positions (n, 2) and directions (n, 2). A reaction
     wheel has no direction, only a couple: a moment per unit of its thrust.
     """
-    cos, sin = xp.cos(angle_offset), xp.sin(angle_offset)
-    dx = cos * directions[:, 0] - sin * directions[:, 1]
-    dy = sin * directions[:, 0] + cos * directions[:, 1]
-    px = cos * positions[:, 0] - sin * positions[:, 1] - center_of_mass[0]
-    py = sin * positions[:, 0] + cos * positions[:, 1] - center_of_mass[1]
+    dx, dy = turned(xp, directions, angle_offset).T
+    px, py = turned(xp, positions, angle_offset).T
+    px, py = px - center_of_mass[0], py - center_of_mass[1]
     return xp.stack([dx / mass, dy / mass, (px * dy - py * dx + couples) / inertia])
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -59,9 +60,12 @@ _NO_DELAY_BELOW = 0.3
 #: Correlation below which the commands do not explain the motion.
 _WEAK_CORRELATION = 0.5
 
+#: A recording: its path, what was read from it, or what was preprocessed.
+Source = str | os.PathLike[str] | Recording | Trajectory
+
 
 def load_trajectory(
-    path: str | os.PathLike[str],
+    path: Source,
     vehicle: Vehicle | None = None,
     *,
     mapping: RecordingMapping | None = None,
@@ -72,9 +76,10 @@ def load_trajectory(
 
     Parameters
     ----------
-    path : path-like
+    path : path-like, Recording or Trajectory
         Anything that `read_recording` reads, the authors' data.pt (or its folder), or an .npz
-        written by `Trajectory.save`.
+        written by `Trajectory.save`. What was read already is preprocessed; what was preprocessed
+        already is returned as it is.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
     mapping : RecordingMapping, optional
@@ -101,6 +106,10 @@ def load_trajectory(
     >>> trajectory.propellers[0]
     'motor_a_1'
     """
+    if isinstance(path, Trajectory):
+        return path
+    if isinstance(path, Recording):
+        return preprocess(path, vehicle, delay=delay)
     path = Path(path)
     archive = path / "data.pt" if path.is_dir() else path
     preprocessed = path.suffix == ".npz" or (archive.suffix == ".pt" and archive.is_file())
@@ -115,6 +124,17 @@ def load_trajectory(
     if preprocessed:
         return read_authors_experiment(archive)
     return preprocess(read_recording(path, mapping=mapping, topics=topics), vehicle, delay=delay)
+
+
+def load_all(
+    recordings: Source | Iterable[Source],
+    vehicle: Vehicle | None = None,
+    mapping: RecordingMapping | None = None,
+) -> list[Trajectory]:
+    """Return the trajectories of one or several recordings, whatever form each has."""
+    several = isinstance(recordings, Iterable) and not isinstance(recordings, str)
+    listed: Any = recordings if several else [recordings]
+    return [load_trajectory(one, vehicle, mapping=mapping) for one in listed]
 
 
 def preprocess(

@@ -272,6 +272,7 @@ def evaluation_report(
     names: Sequence[str] = (),
     differences: Sequence[str] = (),
     fits: Sequence[FitMeasures] = (),
+    verdicts: Mapping[str, Verdict] | None = None,
     origin: Origin | None = None,
 ) -> Path:
     """Write a page that compares models of one craft on one recording.
@@ -292,6 +293,8 @@ def evaluation_report(
         Sentences on how the models differ.
     fits : sequence of FitMeasures, optional
         Their fit to the recording, in the same order.
+    verdicts : mapping of str to Verdict, optional
+        Known verdicts by display name; other models are judged here.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -309,12 +312,12 @@ def evaluation_report(
     models = [replace(model, name=name) for model, name in zip(models, names, strict=True)]
     named = [replace(one, model=name) for one, name in zip(evaluations, names, strict=True)]
     judged = JudgedModels(trajectory, tuple(named))
-    verdicts = {
-        model.name: verdict(model, trajectory, one)
+    said = {
+        model.name: (verdicts or {}).get(model.name) or verdict(model, trajectory, one)
         for model, one in zip(models, named, strict=True)
     }
     vehicle = models[0].vehicle
-    sections = [verdict_section(verdicts, judged.best.model), *judged_sections(judged, vehicle)]
+    sections = [verdict_section(said, judged.best.model), *judged_sections(judged, vehicle)]
     if differences:
         text = Text(differences, bullets=True)
         sections.append(PageSection("differences", "Do the models differ?", (text,)))

@@ -89,10 +89,14 @@ class OnBoard(Section):
     mouse_noise_m_s: NonNegative = 0.01
 
 
+#: Optional quantities that are effects of their own.
+_EFFECTS = {name: q for name, q in EFFECTS.items() if q.effect is not None}
+
+
 def _effect_fields() -> dict[str, Any]:
     """Return one field for each coefficient of the optional physics; zero: off."""
     entries: dict[str, Any] = {}
-    for q in EFFECTS.values():
+    for q in _EFFECTS.values():
         several = {Pair: (Pair, (0.0, 0.0)), Triple: (Triple, (0.0, 0.0, 0.0))}
         field = several.get(q.toml, (NonNegative, 0.0))
         entries |= dict.fromkeys(q.settings or (q.key,), field)
@@ -108,7 +112,7 @@ class Effects(pydantic.create_model("Coefficients", __base__=Section, **_effect_
     def coefficients(self) -> dict[str, Any]:
         """Return the coefficients of the active effects, by name."""
         values = {}
-        for name, quantity in EFFECTS.items():
+        for name, quantity in _EFFECTS.items():
             value = tuple(getattr(self, key) for key in quantity.settings or (quantity.key,))
             values[name] = value if quantity.settings else value[0]
         return {name: value for name, value in values.items() if np.any(value)}
