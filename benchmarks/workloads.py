@@ -9,6 +9,7 @@ import argparse
 import json
 import resource
 import statistics
+import sys
 import time
 from pathlib import Path
 
@@ -122,7 +123,10 @@ def peer(options):
 
 def adam(options):
     """Run Adam with the published fits' settings, until it reaches the loss of the peer's fit."""
-    from airpuck import Adam, Loss, identify
+    sys.path.append(str(Path(__file__).parents[1] / "studies"))
+    from adam import Adam
+
+    from airpuck import Loss, identify
 
     class Reached(Exception):
         pass

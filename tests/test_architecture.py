@@ -128,7 +128,6 @@ def test_imports_go_downwards():
     [
         ("matplotlib", {"report"}),
         ("jax", {"compute", "evaluation", "identification", "twin"}),
-        ("optax", {"identification"}),
         (
             "scipy",
             {
@@ -207,7 +206,7 @@ def test_the_modules_of_a_package_do_not_import_each_other_in_a_circle(package):
 
 
 #: Packages that take long to import.
-HEAVY = {"casadi", "cyclonedds", "jax", "matplotlib", "optax", "rosbags", "scipy"}
+HEAVY = {"casadi", "cyclonedds", "jax", "matplotlib", "rosbags", "scipy"}
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,6 @@ from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
 from airpuck.hockey.rules import Rules as Rules
 from airpuck.hockey.skills import skills as skills
 from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
-from airpuck.identification.adam import Adam as Adam
 from airpuck.identification.bootstrap import bootstrap as bootstrap
 from airpuck.identification.fit import identifiability as identifiability
 from airpuck.identification.structure import identify as identify

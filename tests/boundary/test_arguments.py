@@ -44,8 +44,8 @@ def test_what_is_no_argument_is_named(name):
     [
         (partial(airpuck.evaluate, M3, None), "trajectory: must be Trajectory, not None"),
         (
-            partial(airpuck.identify, (), method="adan"),
-            "method: must be 'lm' or 'adam', not 'adan'; did you mean 'adam'?",
+            partial(airpuck.tracking_study, [M3], M3, controller="papr"),
+            "controller: must be 'paper' or 'full', not 'papr'; did you mean 'paper'?",
         ),
         (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
@@ -54,7 +54,6 @@ def test_what_is_no_argument_is_named(name):
         (partial(airpuck.Span, np.nan, 1.0, "gap"), "start: must be a finite number, not nan"),
         (partial(airpuck.skills, M3, episodes=-1), "episodes: must be from 1 to 100000"),
         (partial(airpuck.LevenbergMarquardt, tolerance=np.inf), "tolerance: must be a finite"),
-        (partial(airpuck.Adam, inertia_factor=np.nan), "inertia_factor: must be a finite"),
         (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
         (
             partial(M3.simulate, np.zeros(12), np.full((3, 6), 1500.0)),

@@ -16,14 +16,14 @@ import scipy.stats
 from airpuck import campaign
 from airpuck.campaigns import campaign as module
 from airpuck.campaigns.campaign import Campaign, read_result, statistics, write_result
-from airpuck.campaigns.items import Fleet, Recovery
+from airpuck.campaigns.items import Recovery, Tracking
 from airpuck.campaigns.spec import Entry
 from airpuck.campaigns.workers import ItemResult, compute
 
 from ..apparatus.commands import airpuck, refused
 
 ENTRIES = tuple(
-    Entry(f"key{number}", {"spread": spread, "model": ["a", "b"]}, Fleet(seed=number))
+    Entry(f"key{number}", {"spread": spread, "model": ["a", "b"]}, Tracking(seed=number))
     for number, spread in enumerate((0.1, 0.1, 0.2))
 )
 RESULTS = (

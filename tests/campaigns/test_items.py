@@ -8,15 +8,16 @@ import pytest
 from airpuck import identify, load_trajectory, tracking_study
 from airpuck.campaigns.items import (
     Fitting,
-    Fleet,
     ShortestTime,
     Tracking,
     recovery_errors,
     varied,
 )
 from airpuck.hockey.minimal_time import read_minimal_times
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.csv_folder import write_csv
+from airpuck.twin.batch import TwinBatch
+from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.synthetic_flights import record
 
@@ -84,15 +85,23 @@ def test_recovery_errors_by_hand():
 
 
 @pytest.mark.slow
-def test_craft_of_a_fleet_come_apart_as_much_as_they_differ():
-    item = Fleet(craft=64, duration_s=0.3, hold_s=0.3, twin={"radio": {"jitter_s": 0.0}}, seed=2)
-    same, near, far = (
-        np.array([list(row.values()) for row in item.model_copy(update={"spread": s}).run()])
-        for s in (0.0, 0.01, 0.02)
-    )
-    assert (same == 0).all()
+def test_varied_craft_come_apart_as_much_as_they_differ():
+    model, size = read_model("paper:M3"), 65
+    settings = default_twin_settings().with_delay(0.02)
+    radio = settings.radio.model_copy(update={"jitter_s": 0.0})
+    settings = settings.model_copy(update={"radio": radio})
+    moved = []
+    for spread in (0.0, 0.01, 0.02):
+        models = [model, *(varied(model, spread, seed) for seed in range(1, size))]
+        batch = TwinBatch(models, size, 0.3, settings=settings)
+        batch.reset(np.arange(size), np.zeros((size, 3)), range(size))
+        for _ in range(30):
+            batch.step(np.tile([0.9, 0.1, 0.4, 0.2, 0.7, 0.1], (size, 1)))
+        pose = batch.final_state()[:3]
+        moved.append((pose[:, 1:] - pose[:, :1]).std(axis=1))
+    assert (moved[0] == 0).all()
     # The same factors with twice the spread: to first order twice the distance.
-    np.testing.assert_allclose(far.std(axis=0), 2 * near.std(axis=0), rtol=0.1)
+    np.testing.assert_allclose(moved[2], 2 * moved[1], rtol=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def test_keys_follow_the_content_of_files_not_their_place(spec, tmp_path):
 
 def test_a_setting_given_twice_is_computed_once(spec):
     # The seed is part of an item even if it does not affect the setting.
-    assert len(read_spec(spec('kind = "fleet"\nseeds = [3, 3]'))) == 1
+    assert len(read_spec(spec('kind = "tracking"\nseeds = [3, 3]'))) == 1
 
 
 @pytest.mark.parametrize(
@@ -98,8 +98,8 @@ def test_a_setting_given_twice_is_computed_once(spec):
         ('kind = "tracking"\ngrid.dwell_s = [2.0, 2.0]', ("grid.dwell_s", "twice")),
         ('kind = "tracking"\nseeds = 2000000', ("2000000 items",)),
         ('kind = "tracking"\nseeds = 1000000000', ("1000000000 items", "fewer seeds")),
-        ('kind = "fleet"\nbase.craft = 1000000000', ("1000000000 craft", "fewer craft")),
-        ('kind = "fleet"\nbase.duration_s = 1e308', ("duration_s", "from 0.01 to 3600 s")),
+        ('kind = "fleet"', ("kind", "airpuck.TwinBatch")),
+        ('kind = "recovery"\nbase.duration_s = 1e308', ("duration_s", "from 0.01 to 3600 s")),
         ('kind = "recovery"\nbase.hold_s = 1e300', ("hold_s", "from 0.001 to 60 s")),
         ('kind = "fit"', ("recordings", "missing")),
         ('kind = "fit"\nbase = {recordings = ["."], model = "M9"}', ("model", "no model 'M9'")),

@@ -12,10 +12,8 @@ import pytest
 
 import airpuck as package
 from airpuck import write_bag, write_csv
-from airpuck.boundary.errors import InputError
 from airpuck.cli.app import commands, main
 from airpuck.cli.inputs import published_flights
-from airpuck.identification.adam import Adam
 from airpuck.model.model_file import read_model
 from airpuck.report import demo
 
@@ -173,16 +171,6 @@ def test_check_agrees_and_disagrees(bag, tmp_path):
     assert process.returncode == 2
     assert 'axes = ["x", "y", "z"]' in process.stdout
     assert process.stderr.splitlines()[-1].endswith(": the y axis")
-
-
-def test_adam(bag, tmp_path, monkeypatch):
-    def noted(adam, *_):
-        raise InputError(f"{adam.epochs} epochs")
-
-    # tests/identification learns with it.
-    monkeypatch.setattr(Adam, "minimize", noted)
-    options = ("--adam", "7", "-o", tmp_path / "m.toml", "--faults", "keep")
-    assert refused(airpuck("identify", bag, *options), "7 epochs")
 
 
 def test_excite_says_how_often_a_rail_was_met(tmp_path):

@@ -55,9 +55,7 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path, undrawn):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--bootstrap", 20, "--adam", 1), ("--adam", "--bootstrap")),
         (("--bootstrap", 3), ("--bootstrap",)),
-        (("--model", "auto", "--adam", 1), ("--adam", "--model auto")),
         (("--model", "M4", "--com-frame", "world"), ("--com-frame: has no effect on M4",)),
         (("--seed", 1), ("--seed: has no effect without --bootstrap",)),
         (("-v", "-q"), ("--verbose: has no effect with --quiet",)),

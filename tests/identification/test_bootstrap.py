@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studies.adam import Adam
 
 from airpuck.boundary.errors import InputError
-from airpuck.identification.adam import Adam
 from airpuck.identification.bootstrap import bootstrap, resampled_estimates
 from airpuck.identification.fit import identify
 from airpuck.identification.packet_delays import PacketDelays
@@ -43,7 +43,7 @@ def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
     assert figures["bootstrap_95"][0] < figures["value"] < figures["bootstrap_95"][1]
 
 
-def test_adam_has_standard_errors_but_no_bootstrap():
+def test_a_fit_by_another_optimiser_has_standard_errors_but_no_bootstrap():
     fit = identify(noisy(duration=8.0), "M2", method=Adam(epochs=1))
     assert np.isfinite(fit.uncertainty.standard_errors[fit.model.free]).any()
     with pytest.raises(InputError, match="bootstrap"):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studies.adam import Adam
 
 from airpuck.data.trajectory import Span
 from airpuck.identification import problem
-from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import read_model
@@ -81,7 +81,7 @@ def test_iterations_go_on_after_the_faults_are_out(fit):
 
 
 @pytest.mark.study
-def test_adam_leaves_them_out_too(faulty, fit):
+def test_a_fit_by_another_optimiser_leaves_them_out_too(faulty, fit):
     other = identify(faulty, "M3", method=Adam(epochs=1), preparation=Preparation(faults="exclude"))
     # Its first fit uses the given delay, so confidences differ slightly.
     assert [[(s.start, s.stop, s.cause) for s in spans] for spans in other.exclusion.faults] == [

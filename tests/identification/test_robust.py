@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studies.adam import Adam
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.identification.adam import Adam
 from airpuck.identification.fit import identify
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
@@ -81,7 +81,7 @@ def test_iterations_are_counted_on(faulty):
 
 
 @pytest.mark.slow
-def test_adam_is_not_robust(clean):
+def test_another_optimiser_is_not_robust(clean):
     with pytest.raises(InputError, match="robust"):
         identify(clean, "M3", method=Adam(epochs=1), loss=ROBUST)
 

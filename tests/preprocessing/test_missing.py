@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from studies.adam import batch_loss
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Trajectory
@@ -11,7 +12,6 @@ from airpuck.data.windows import make_windows
 from airpuck.evaluation.coasting import better_from
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.evaluation.innovations import innovations
-from airpuck.identification.adam import batch_loss
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.settings import Loss

@@ -128,7 +128,6 @@ STRIDE = Range(1, 10_000, "more samples than a flight has would leave no window"
 WINDOW = Range(0.001, 60, "at least a sample; predictions of a minute are pure noise", "s")
 HORIZON = Range(0.001, 10, "predictions beyond a few seconds are pure noise", "s")
 SPACING = Range(0, 60, "windows farther apart leave most of a flight out", "s")
-EPOCHS = Range(1, 100_000, "each takes about a second")
 DEGREE = Range(1, 9, "higher powers are indistinguishable")
 WEIGHT = Range(0, 1e6, "with more, no other error counts")
 REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes most of a second")

@@ -44,10 +44,6 @@ if TYPE_CHECKING:
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
 Row = dict[str, Figure]
-#: Longest total flight time of a fleet [s], about a gigabyte of commands.
-_MOST_FLOWN = 100_000
-#: Time between commands of a fleet [s].
-_PERIOD = 0.01
 
 
 def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
@@ -238,50 +234,6 @@ class Recovery(TwinItem, Identification):
         delay = as_received(truth, self.twin, tuning_for(truth).period_s).transport_delay
         delay_error = {"delay_s": fit.model.transport_delay - delay}
         return [{**recovery_errors(fit.model, truth), **delay_error, **_progress(fit)}]
-
-
-class Fleet(Item):
-    """A batch of varied craft in open loop, compared with one craft that obeys the model."""
-
-    SOURCES: ClassVar = {"model": of_file}
-
-    #: Model of the craft.
-    model: str = "paper:M3"
-    #: Random spread of the craft, as ``truth_spread`` of other kinds.
-    spread: Spread = 0.0
-    #: Number of craft.
-    craft: Count = 500
-    #: Length of the flight; new random commands up to `amplitude` every `hold_s`.
-    duration_s: Duration = 0.5
-    hold_s: Annotated[Hold, pydantic.Field(ge=0.01)] = 0.2
-    amplitude: Amplitude = 1.0
-    #: Settings of the twin, which override the packaged settings.
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
-
-    @pydantic.model_validator(mode="after")
-    def _fits_in_memory(self) -> Fleet:
-        if self.craft * self.duration_s > _MOST_FLOWN:
-            flown = f"{self.craft} craft for {self.duration_s:g} s"
-            raise ValueError(f"{flown} take gigabytes; use fewer craft and more seeds")
-        return self
-
-    def run(self) -> list[Row]:
-        """Fly; see `Item.run`."""
-        model = read_model(self.model)
-        lowest, n = model.vehicle.command_min, model.vehicle.n_propellers
-        hold, steps = round(self.hold_s / _PERIOD), max(1, round(self.duration_s / _PERIOD))
-        rng = np.random.default_rng([self.seed, 8])
-        drawn = rng.uniform(lowest, max(lowest, self.amplitude), (-(-steps // hold), n))
-        # Random seeds, so items of one campaign share none.
-        seeds = rng.integers(2**62, size=self.craft).tolist()
-        models, size = [model, *(varied(model, self.spread, s) for s in seeds)], self.craft + 1
-        longest = steps * _PERIOD
-        batch = airpuck.TwinBatch(models, size, longest, settings=self.twin, period=_PERIOD)
-        batch.reset(np.arange(size), np.zeros((size, 3)), [self.seed, *seeds])
-        for step in range(steps):
-            batch.step(np.broadcast_to(drawn[step // hold], (size, n)))
-        pose = batch.final_state()[:3]
-        return [named("apart", displacement) for displacement in (pose[:, 1:] - pose[:, :1]).T]
 
 
 class Fitting(Identification):

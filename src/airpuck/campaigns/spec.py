@@ -18,7 +18,6 @@ from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.campaigns.items import (
     Count,
     Fitting,
-    Fleet,
     Item,
     Natural,
     Recovery,
@@ -33,7 +32,6 @@ KINDS = {
     "tracking": Tracking,
     "recovery": Recovery,
     "fit": Fitting,
-    "fleet": Fleet,
     "shortest_time": ShortestTime,
     "match": Match,
 }
@@ -41,11 +39,21 @@ KINDS = {
 _MOST = 100_000
 
 
+def _named_anew(kind: Any) -> Any:
+    """Check that a kind is not a former one."""
+    if kind == "fleet":
+        raise ValueError("'fleet' is no longer a kind; step many craft with airpuck.TwinBatch")
+    return kind
+
+
 class Spec(Section):
     """Content of a spec file."""
 
     #: Kind of the items.
-    kind: Literal["tracking", "recovery", "fit", "fleet", "shortest_time", "match"]
+    kind: Annotated[
+        Literal["tracking", "recovery", "fit", "shortest_time", "match"],
+        pydantic.BeforeValidator(_named_anew),
+    ]
     #: Number of seeds from 0, or a list of seeds.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.

@@ -111,7 +111,6 @@ def _rung_names() -> list[str]:
         "com_frame",
         "stride",
         "yaw_weight",
-        "adam",
         "bootstrap",
         "seed",
     ),
@@ -146,15 +145,6 @@ def identify(
     com_frame: ComFrame = "body",
     stride: Stride = None,
     yaw_weight: YawWeight = 0.1,
-    adam: Annotated[
-        int | None,
-        Setting(
-            "Fit by Adam, as in the paper, for N epochs; the default is Levenberg-Marquardt.",
-            numbers.EPOCHS,
-            "N",
-            heading="Optimiser",
-        ),
-    ] = None,
     bootstrap: Annotated[
         int | None,
         Setting(
@@ -185,13 +175,11 @@ def identify(
         raise InputError("has no effect with --quiet; leave out one of them", field="--verbose")
     if seed and bootstrap is None:
         raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
-    if adam is not None and (bootstrap is not None or model == "auto"):
-        raise InputError("takes neither --bootstrap nor --model auto", field="adam")
     training = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
     other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
-    if stride is not None or adam is not None:
-        loss = replace(loss, spacing=(stride or 0) * training[0].sample_period)
+    if stride is not None:
+        loss = replace(loss, spacing=stride * training[0].sample_period)
     with show_progress(quiet) as progress, show_time_left("resamplings", quiet) as tell:
         found = study(
             training,
@@ -202,7 +190,6 @@ def identify(
             degree=degree,
             frame=com_frame,
             loss=loss,
-            method=None if adam is None else airpuck.Adam(epochs=adam),
             preparation=preparation,
             bootstrap=bootstrap or 0,
             seed=seed,

@@ -172,9 +172,7 @@ def show_progress(quiet: bool) -> Iterator[Any]:
 
 def _line(iteration: Iteration) -> str:
     """Describe one iteration."""
-    held_out = iteration.test_loss
-    tail = "" if held_out is None else f", held out {held_out:.4e}"
-    return f"iteration {iteration.number}: loss {iteration.loss:.4e}{tail}"
+    return f"iteration {iteration.number}: loss {iteration.loss:.4e}"
 
 
 def error_table(

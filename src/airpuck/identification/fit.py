@@ -6,17 +6,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck import __version__
-from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification.adam import Adam
 from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -67,15 +65,11 @@ _LAG_STEP = 0.1
 def identify(
     trajectories: Trajectory | Sequence[Trajectory],
     model: str | Rung = "M3",
-    *,
-    method: Method | Literal["lm", "adam"] | None = None,
     **given: Any,
 ) -> Fit:
     """Fit one model by minimising its error (eq. combined_loss); `given`: fields of `Problem`."""
     began = time.perf_counter()
-    if isinstance(method, str):
-        method = chosen(method, {"lm": LevenbergMarquardt, "adam": Adam}, "method")()
-    problem = Problem.of(trajectories, model, method=method, **given)
+    problem = Problem.of(trajectories, model, **given)
     solution = Solution(problem, problem.trajectories)
     try:
         solution = minimize(retime(leave_out_faults(solution)))

@@ -27,12 +27,10 @@ _AROUND = (0.4, 0.6)
 class Iteration:
     """One step of an optimiser."""
 
-    #: 0 is the start. Otherwise a step of Levenberg-Marquardt, or an epoch of Adam.
+    #: 0 is the start.
     number: int
     #: Prediction loss on the training windows.
     loss: float
-    #: The same on held-out windows, if the optimiser uses any.
-    test_loss: float | None = None
 
 
 @dataclass(frozen=True)

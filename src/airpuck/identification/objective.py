@@ -267,11 +267,11 @@ class PredictionLoss:
     frame : {"body", "world"}
         The frame in which the offset of the centre of mass is constant.
     multiplicity : array, shape (W,), or None
-        How often each window counts, for resampling; None: once. Adam ignores it.
+        How often each window counts, for resampling; None: once.
     continuous_delay : bool
         Whether commands act after the transport delay in θ, each step under their mean
         (`Windows.delayed`). Otherwise they act as the windows hold them, by whole samples, whatever
-        θ says. Adam ignores it.
+        θ says.
     clusters : array of int, shape (W,), or None
         The cluster of each window, 0 … G-1, for `quadratic`; None: a single cluster.
     """

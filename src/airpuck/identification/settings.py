@@ -28,7 +28,7 @@ _SAME_RATE = 0.05
 Stride = Annotated[
     int | None,
     Setting(
-        "Samples from one window to the next; by default 29 ms, or 1 sample with --adam",
+        "Samples from one window to the next; by default 29 ms",
         numbers.STRIDE,
         "N",
         heading="Prediction errors to minimise",
@@ -249,7 +249,7 @@ class Preparation(Settings):
         Literal["fit", "fixed"] | None,
         Setting(
             "Fit the transport delay, or use each recording's own. By default it is fitted if the "
-            "method is lm, the model has a motor lag, and the recordings are raw.",
+            "method is Levenberg-Marquardt, the model has a motor lag, and the recordings are raw.",
         ),
     ] = None
     retimings: int = 2

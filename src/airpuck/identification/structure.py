@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def identify(
     mapping: RecordingMapping | None = None,
     initial: Parameters | None = None,
     loss: Loss | None = None,
-    method: Method | Literal["lm", "adam"] | None = None,
+    method: Method | None = None,
     preparation: Preparation | None = None,
     progress: Callable[[Iteration], None] = lambda _: None,
 ) -> Fit:
@@ -100,8 +100,8 @@ def identify(
         Initial parameters, for a named model; by default the vehicle's nominal values.
     loss : Loss, optional
         Which prediction errors count, and their weights.
-    method : Method or {"lm", "adam"}, optional
-        `LevenbergMarquardt()` or "lm", the default; `Adam()` or "adam".
+    method : Method, optional
+        The optimiser; by default `LevenbergMarquardt()`.
     preparation : Preparation, optional
         Whether faults are left out, the delay is learned and packets are retimed.
     progress : callable, optional

@@ -39,7 +39,7 @@ def loss_history_figure(
 ) -> Figure:
     """Draw the loss of each fit over the iterations of its optimiser.
 
-    Dashed: the reference parameters on the same windows. Thin: windows that an optimiser held out.
+    Dashed: the reference parameters on the same windows.
     """
     figure = style.new_figure(6.4, 3.6)
     axes = figure.add_subplot()
@@ -54,9 +54,6 @@ def loss_history_figure(
         numbers = [iteration.number for iteration in fit.history]
         losses = [scale * iteration.loss for iteration in fit.history]
         axes.plot(numbers, losses, marker="o" if len(numbers) < 60 else None, ms=4, color=color)
-        held_out = [i.test_loss for i in fit.history if i.test_loss is not None]
-        if len(held_out) == len(numbers):
-            axes.plot(numbers, scale * np.array(held_out), lw=0.8, color=color)
         if fit.model.name in reference:
             axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=style.DASHED)
     unit = f"$10^{{{exponent}}}$" if narrow else "–"
