@@ -9,12 +9,8 @@ from matplotlib.collections import PolyCollection
 from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model
-from airpuck.report.fault_report import (
-    confidence,
-    fault_color,
-    fault_report,
-    fault_timeline_figure,
-)
+from airpuck.report.fault_report import fault_report
+from airpuck.report.prediction_figures import error_timeline_figure, fault_color
 
 from ..apparatus.synthetic_flights import fly
 
@@ -34,7 +30,7 @@ def flight():
 @pytest.fixture(scope="module")
 def figure(flight):
     evaluation = evaluate(published_model("M3"), flight)
-    return fault_timeline_figure(SPANS, evaluation, (0.0, 6.0))
+    return error_timeline_figure(evaluation, SPANS)
 
 
 def test_each_cause_has_a_row_and_each_span_its_place(figure):
@@ -57,10 +53,6 @@ def test_causes_have_colours():
     assert len({fault_color(cause) for cause in causes}) == len(causes)
 
 
-def test_a_recording_without_faults_can_be_drawn(flight):
-    assert fault_timeline_figure((), evaluate(published_model("M3"), flight), (0.0, 6.0)).axes
-
-
 def test_the_page_lists_what_was_found(flight, tmp_path):
     marked = replace(flight, excluded=SPANS[2:3])
     found = (SPANS[0], SPANS[1], SPANS[3])
@@ -71,5 +63,5 @@ def test_the_page_lists_what_was_found(flight, tmp_path):
 
 
 def test_a_probability_is_never_rounded_to_certainty():
-    assert confidence(SPANS[0]) == "0.99"
-    assert confidence(SPANS[2]) == "measured"
+    assert SPANS[0].certainty == "0.99"
+    assert SPANS[2].certainty == "measured"

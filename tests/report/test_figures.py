@@ -4,7 +4,6 @@ import io
 import re
 import subprocess
 import sys
-from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -15,7 +14,7 @@ from PIL import Image
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.physics.thrust import thrust
 from airpuck.report.craft import craft_figure
-from airpuck.report.fit_figures import loss_history_figure, parameter_figure, thrust_figure
+from airpuck.report.fit_figures import parameter_figure, thrust_figure
 from airpuck.report.prediction_figures import (
     error_distribution_figure,
     error_timeline_figure,
@@ -25,7 +24,7 @@ from airpuck.report.prediction_figures import (
 )
 from airpuck.report.style import RESOLUTION, drawn, propeller_colors, propeller_groups
 
-from ..apparatus.models import fit_of, model_of
+from ..apparatus.models import model_of
 
 FIGURES = {
     "craft": lambda s, j: craft_figure(s.models[0].vehicle),
@@ -38,8 +37,6 @@ FIGURES = {
     "path": lambda s, j: path_figure(j.trajectory, s.models[0].vehicle),
     "thrust": lambda s, j: thrust_figure(s.models[3:], s.training, list(s.reference.values())[3:]),
     "thrust alone": lambda s, j: thrust_figure(s.models[:1]),
-    "loss": lambda s, j: loss_history_figure(s.fits, s.reference_losses),
-    "loss alone": lambda s, j: loss_history_figure(s.fits[:1]),
     "parameters": lambda s, j: parameter_figure(s.models, s.reference),
 }
 UNIT = re.compile(r"\[.+\]$")
@@ -131,11 +128,3 @@ def test_thrust_figure_shows_the_curve(study):
     x, y = axes.lines[0].get_data()
     expected = thrust(np.asarray(model.parameters.thrust)[:1], np.asarray(x)[None])[0]
     np.testing.assert_allclose(y, expected)
-
-
-def test_held_out_losses_are_drawn(study):
-    fit = study.fits[0]
-    history = tuple(replace(i, test_loss=1.1 * i.loss) for i in fit.history)
-    plain = loss_history_figure([fit]).axes[0]
-    both = loss_history_figure([replace(fit_of(fit.model), history=history)]).axes[0]
-    assert len(both.lines) == len(plain.lines) + 1

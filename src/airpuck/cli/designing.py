@@ -13,7 +13,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load, read_controls
-from airpuck.cli.output import report, show_time_left, table, warn
+from airpuck.cli.output import draw, report, show_time_left, table, warn
 from airpuck.control.settings import Criterion, ProposedDuration, ProposedMargin
 
 if TYPE_CHECKING:
@@ -82,11 +82,7 @@ def design(
         figures["check"] = {"usual": usual.to_json(), "proposal": checked.to_json()}
     if output is not None:
         found.proposal.plan.save(output)
-    if figure is not None:
-        from airpuck.report.fit_figures import design_figure
-        from airpuck.report.style import write_png
-
-        write_png(design_figure(found, checked), figure)
+    draw(figure, "fit_figures.design_figure", found, checked)
     tables = _candidate_table(found), error_table(found, checked)
     report(figures, json_file, *tables, *summary(found), output, figure)
 

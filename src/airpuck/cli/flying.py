@@ -14,7 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import origin, report, show, warn
+from airpuck.cli.output import page, report, show, warn
 from airpuck.control.settings import ControllerKind, Dwell
 
 if TYPE_CHECKING:
@@ -53,12 +53,8 @@ def replay(
         fit_gains=fit_gains,
         span=span or (0.0, 1.0),
     )
-    page = None
-    if output is not None:
-        from airpuck.report.control_report import replay_report
-
-        page = replay_report(result, craft, settings.period_s, output, origin())
-    report(result.to_json(), json_file, *_replay_lines(result), page)
+    written = page(output, "control_report.replay_report", result, craft, settings.period_s)
+    report(result.to_json(), json_file, *_replay_lines(result), written)
 
 
 @app.command(rich_help_panel=PANEL, rare=("tuning", "twin", "seed"))
@@ -182,17 +178,14 @@ def track(
         settings=twin,
         tuning=controls,
     )
-    page = None
-    if output is not None:
-        from airpuck.report.control_report import tracking_report
-
-        of = "the paper" if setpoints is None else setpoints.name
-        page = tracking_report(tracked, plant.name, output, origin(), set_points=of)
+    of = "the paper" if setpoints is None else setpoints.name
+    content = tracked, plant.name
+    written = page(output, "control_report.tracking_report", *content, set_points=of)
     for flight in tracked:
         warn(flight.warnings)
     # The top level holds the last model's keys, too: with one model there is nothing to look up.
     flown = [flight.to_json() for flight in tracked]
-    report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), page)
+    report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), written)
 
 
 @app.command(rich_help_panel=PANEL)

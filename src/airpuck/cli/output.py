@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,26 @@ def origin() -> Origin:
     moment = moment if moment <= _LATEST else time.time()
     date = datetime.fromtimestamp(moment, UTC).strftime("%Y-%m-%d %H:%M UTC")
     return Origin(date, shlex.join(["airpuck", *map(without_home, sys.argv[1:])]))
+
+
+def page(folder: Path | None, name: str, *content: Any, **options: Any) -> Path | None:
+    """Write a page if its folder is given; `name`: module.function in `airpuck.report`."""
+    return folder and _reported(name)(*content, out=folder, origin=origin(), **options)
+
+
+def draw(path: Path | None, name: str, *content: Any) -> Path | None:
+    """Write a figure as a PNG if its path is given; see `page`."""
+    if path is not None:
+        from airpuck.report.style import write_png
+
+        write_png(_reported(name)(*content), path)
+    return path
+
+
+def _reported(name: str) -> Any:
+    """Return a function of the reports, whose libraries take long to import."""
+    module, _, function = name.partition(".")
+    return getattr(import_module(f"airpuck.report.{module}"), function)
 
 
 def say(quiet: bool) -> Any:

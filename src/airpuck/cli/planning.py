@@ -15,7 +15,7 @@ from airpuck.boundary.kinds import unknown
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
-from airpuck.cli.output import report, show_time_left, table
+from airpuck.cli.output import draw, report, show_time_left, table
 from airpuck.planning.settings import Limits
 
 if TYPE_CHECKING:
@@ -108,12 +108,8 @@ def plan(
     )
     if output is not None:
         found.save(output)
-    if figure is not None:
-        from airpuck.report.plan_figures import plan_figure
-        from airpuck.report.style import write_png
-
-        write_png(plan_figure(found, rails), figure)
-    report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, figure)
+    drawn = draw(figure, "plan_figures.plan_figure", found, rails)
+    report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, drawn)
 
 
 @app.command(rich_help_panel=_PANEL)
@@ -170,11 +166,7 @@ def race(
             tuning=inputs.read_controls(tuning, regulator, belief),
             progress=progress,
         )
-    if figure is not None:
-        from airpuck.report.plan_figures import race_figure
-        from airpuck.report.style import write_png
-
-        write_png(race_figure(found, settings.table), figure)
+    draw(figure, "plan_figures.race_figure", found, settings.table)
     if animation is not None:
         airpuck.animate(found.recording, animation, vehicle=belief.vehicle)
     report(found.to_json(), json_file, _race_table(found), figure, animation)

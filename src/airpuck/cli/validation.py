@@ -21,7 +21,7 @@ from airpuck.cli.inputs import (
     load_for,
     read_given,
 )
-from airpuck.cli.output import error_table, every_start_table, origin, report, table, warn
+from airpuck.cli.output import error_table, every_start_table, page, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -62,14 +62,9 @@ def evaluate(
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = judged_on(judged, trajectory, found, mapping)
     since = better_from(found, trajectory)
-    page = None
-    if output is not None:
-        from airpuck.report.evaluation_report import evaluation_report
-
-        known = {judged.name: said}
-        page = evaluation_report(
-            [judged], [found], trajectory, output, verdicts=known, origin=origin()
-        )
+    content = [judged], [found], trajectory
+    known = {judged.name: said}
+    written = page(output, "evaluation_report.evaluation_report", *content, verdicts=known)
     shown = error_table([model], [found], trajectory), every_start_table([model], [found])
     figures = {
         **found.to_json(),
@@ -80,7 +75,7 @@ def evaluate(
         **left_out_json(trajectory),
     }
     report(
-        figures, json_file, *said.sentences, *shown, str(since), left_out_words(trajectory), page
+        figures, json_file, *said.sentences, *shown, str(since), left_out_words(trajectory), written
     )
     said.check_recording(recording)
 
@@ -139,11 +134,8 @@ def faults(
         warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
         healthy = fit.model
     found = airpuck.find_faults(trajectory, on_table_of(healthy, trajectory))
-    strengths, page = actuator_strengths(healthy, trajectory), None
-    if output is not None:
-        from airpuck.report.fault_report import fault_report
-
-        page = fault_report(trajectory, found, healthy, output, origin())
+    strengths = actuator_strengths(healthy, trajectory)
+    written = page(output, "fault_report.fault_report", trajectory, found, healthy)
     spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
     healthy_part = trajectory.leave_out(found)
     usable = float(healthy_part.usable.mean())
@@ -156,7 +148,7 @@ def faults(
         "strengths": strengths.to_json(),
     }
     rows = [
-        [f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, _confidence(s)]
+        [f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, s.certainty]
         for s in listed_spans(spans, _MOST_SPANS)
     ]
     headings = ("from s", "to s", "cause", "confidence")
@@ -166,7 +158,7 @@ def faults(
     what = "passing faults" if strengths.remarkable else "any fault"
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without {what}"
     left, throughout = left_out_words(healthy_part), strengths.sentences
-    report(figures, json_file, shown, folded, left, share, *throughout, page)
+    report(figures, json_file, shown, folded, left, share, *throughout, written)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -241,12 +233,9 @@ def compare(
             every_start_table(called, evaluations),
         )
         shown = [*tables, *verdicts, _fit_table(called, fits), *shown]
-        if output is not None:
-            from airpuck.report.evaluation_report import evaluation_report
-
-            said: dict[str, Any] = {"names": called, "differences": verdicts, "fits": fits}
-            page = evaluation_report(read, evaluations, trajectory, output, **said, origin=origin())
-            shown.append(page)
+        said = {"names": called, "differences": verdicts, "fits": fits}
+        content = read, evaluations, trajectory
+        shown.append(page(output, "evaluation_report.evaluation_report", *content, **said))
     report(figures, json_file, *shown)
 
 
@@ -289,11 +278,8 @@ def resid(
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)
         bands = bands_of_all_horizons(judged, trajectory, tests.innovations)
-    page = None
-    if output is not None:
-        from airpuck.report.residual_report import residual_report
-
-        page = residual_report(judged, trajectory, tests, fit, output, bands, origin())
+    content = judged, trajectory, tests, fit
+    written = page(output, "residual_report.residual_report", *content, bands=bands)
     figures = {**tests.to_json(), **fit.to_json(), **left_out_json(trajectory)}
     figures["bands"] = [one.to_json() for one in bands]
     outcome = "nothing rejected" if tests.passed else "rejected"
@@ -305,7 +291,7 @@ def resid(
             f"  95 % bands {one.horizon:.1f} s ahead hold {shares} of x, y, yaw in "
             f"{len(one.start)} predictions"
         )
-    report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), page)
+    report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), written)
 
 
 def listed_spans(spans: Sequence[Span], most: int) -> list[Span]:
@@ -316,11 +302,6 @@ def listed_spans(spans: Sequence[Span], most: int) -> list[Span]:
     """
     important = sorted(spans, key=lambda s: (s.confidence == 1, s.start - s.stop))
     return sorted(important[:most], key=lambda s: s.start)
-
-
-def _confidence(span: Span) -> str:
-    """Return the confidence in the cause of a span."""
-    return "measured" if span.confidence == 1 else f"{min(span.confidence, 0.99):.2f}"
 
 
 def _presented(presentation: Presentation) -> Iterator[str | Table]:

@@ -61,6 +61,11 @@ class Span:
         if not 0 <= self.confidence <= 1:
             raise InputError("must be from 0 to 1", field="confidence")
 
+    @property
+    def certainty(self) -> str:
+        """The confidence in words, which never rounds a probability to certainty."""
+        return "measured" if self.confidence == 1 else f"{min(self.confidence, 0.99):.2f}"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,20 +57,21 @@ def replay_report(
         "At each step the controller received the poses that had arrived by then, and the recorded "
         "commands instead of its own, so differences do not accumulate."
     )
-    turning = (
-        "The discretisation assumes that a force keeps its direction over a control period h. It "
-        "turns with the craft by θ = ωh, so the velocity gained has a relative error of about θ/2."
-    )
-    error = rotation_error_figure(_fastest_spin(replay), period)
-    corrected = "The next measurement corrects this error; it affects the one-step prediction only."
     asked = Picture("replay_flight", flight_figure(replay), "Pose and set point.")
     compared = Picture("replay_commands", command_figure(replay), commands)
-    neglected = (Picture("rotation_error", error, turning), Text([corrected]))
+    spin = _fastest_spin(replay)
+    neglected = (
+        "The discretisation assumes that a force keeps its direction over a control period h. It "
+        "turns with the craft by θ = ωh, so the velocity gained has a relative error of about θ/2: "
+        f"at the fastest spin of this flight, {spin:.1f} rad/s, and h = {1e3 * period:g} ms, "
+        f"{100 * float(rotation_error(np.array(spin), np.array(period))):.1f} %. The next "
+        "measurement corrects this error; it affects the one-step prediction only."
+    )
     sections = [
         PageSection("commands", "Commands", (_agreement_table(replay), compared)),
         PageSection("flight", "Flight", (asked,)),
         PageSection("controller", "Controller", _controller_tables(replay)),
-        PageSection("discretisation", "What the discretisation neglects", neglected),
+        PageSection("discretisation", "What the discretisation neglects", [Text([neglected])]),
     ]
     lead = (
         f"{model.name}, {figures['steps']} commands between {used[0]:.1f} and {used[-1]:.1f} s: "
@@ -175,31 +176,6 @@ def flight_figure(replay: Replay) -> Figure:
     return figure
 
 
-@style.styled
-def rotation_error_figure(fastest: float, period: float) -> Figure:
-    """Draw the error of a discretisation that neglects turning within a control period."""
-    figure = style.new_figure(0.75 * style.PAGE_WIDTH, 3.0)
-    axes = figure.subplots()
-    spin = np.geomspace(0.1, 50, 200)
-    periods = sorted({0.002, 0.005, 0.01, 0.02, 0.05, period})
-    for shade, h in zip(np.linspace(0.25, 1.0, len(periods)), periods, strict=True):
-        error = 100 * rotation_error(spin, np.full_like(spin, h))
-        flown: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 2.2}
-        other: dict[str, Any] = {"color": style.BLUE, "linewidth": 1.2, "alpha": shade}
-        axes.loglog(spin, error, **flown if h == period else other)
-        style.note(axes, f"{1e3 * h:g} ms", (spin[-1], error[-1]), (4, 0), va="center", fontsize=8)
-    if fastest > 0:
-        at = 100 * float(rotation_error(np.array(fastest), np.array(period)))
-        axes.plot([fastest], [at], "o", color=style.ORANGE, markeredgecolor=style.BLACK, zorder=5)
-        words = f"fastest spin flown: {fastest:.1f} rad/s, {at:.1f} %"
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.5}
-        style.note(axes, words, (fastest, at), (8, -12), va="top", bbox=box)
-    axes.set(xlim=(spin[0], 75), xlabel="spin |ω| [rad/s]")
-    axes.set_ylabel("relative error of the\nvelocity gained in a period [%]")
-    axes.set_title("Neglected turning within a control period", loc="left")
-    return figure
-
-
 def compares_laws(flights: Sequence[Tracked]) -> bool:
     """Return whether any flight used another law than the paper's."""
     return any(flight.regulator not in (None, "lqr") for flight in flights)
@@ -213,47 +189,33 @@ def flight_colors(flights: Sequence[Tracked]) -> list[str]:
     return [colors[flight.label] for flight in flights]
 
 
-def summary(flights: Sequence[Tracked]) -> PageSection:
-    """Compare the flights in words."""
-    bullets = [
-        _joined("Settling", flights, _settled),
-        _joined("Distance from the set point, root mean square", flights, _distance),
-        _joined("Motors at full command", flights, _saturated),
-        _joined("Nearest to a rail", flights, lambda f: f"{1e3 * f.clearance.min():.0f} mm"),
-        _joined(
-            "Time per control step, median and 99 %",
-            flights,
-            lambda f: f"{f.step_times[0]:.2f} and {f.step_times[1]:.2f} ms",
-        ),
-    ]
-    return PageSection("words", "In short", [Text(bullets, bullets=True)])
-
-
-def _joined(what: str, flights: Sequence[Tracked], say: Callable[[Tracked], str]) -> str:
-    """List one finding for every flight."""
-    return f"{what}: {'; '.join(f'{flight.label} {say(flight)}' for flight in flights)}."
-
-
-def _settled(flight: Tracked) -> str:
-    """Describe where a flight settled, and how fast."""
-    times = [result.settling_time for result in flight.results]
-    done = [time for time in times if time is not None]
-    if not done:
-        return "at none of the set points"
-    where = "at every set point" if len(done) == len(times) else f"at {len(done)} of {len(times)}"
-    return f"{where}, after {np.mean(done):.2f} s on average"
-
-
-def _distance(flight: Tracked) -> str:
-    """Describe the distance of a flight from its set points."""
-    x, y, yaw = np.sqrt(np.mean(flight.twin.errors**2, axis=0))
-    return f"{1e3 * np.hypot(x, y):.0f} mm and {yaw:.2f} rad"
-
-
-def _saturated(flight: Tracked) -> str:
-    """Describe how often motors were at full command."""
-    each, some = flight.saturated.mean(), flight.saturated.any(axis=1).mean()
-    return f"{100 * each:.1f} % of commands (at least one motor: {100 * some:.0f} % of the time)"
+def summary(flights: Sequence[Tracked]) -> PageTable:
+    """Compare the flights in numbers."""
+    rows = []
+    for flight in flights:
+        times = [result.settling_time for result in flight.results]
+        done = [time for time in times if time is not None]
+        x, y, yaw = np.sqrt(np.mean(flight.twin.errors**2, axis=0))
+        cells = [
+            f"{len(done)} of {len(times)}",
+            f"{np.mean(done):.2f}" if done else "–",
+            f"{1e3 * np.hypot(x, y):.0f}",
+            f"{yaw:.2f}",
+            f"{100 * flight.saturated.mean():.1f} %",
+            f"{100 * flight.saturated.any(axis=1).mean():.0f} %",
+            f"{1e3 * flight.clearance.min():.0f}",
+            *(f"{ms:.2f}" for ms in flight.step_times),
+        ]
+        rows.append([flight.label, *cells])
+    caption = (
+        "Distance: root mean square of pose minus set point in force. Full command: share of "
+        "commands, and of the time with at least one motor. Steps on this machine, next to its "
+        "other load; airpuck fly asks the operating system for priority."
+    )
+    groups = [("", 1), ("settled", 2), ("distance", 2), ("full command", 2), ("to a rail", 1)]
+    headings = ["flight", "points", "after [s]", "[mm]", "[rad]", "of all", "any", "nearest [mm]"]
+    times = ["median [ms]", "99 % [ms]", "longest [ms]"]
+    return PageTable(caption, [*headings, *times], rows, [*groups, ("control step", 3)])
 
 
 def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
@@ -263,20 +225,25 @@ def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         "dot marks its end. Broad line: path flown. Outer frame: rails; dashed: limit of the "
         "craft's centre."
     )
-    nearest = "Clearance between the craft's edge and the nearest rail; zero is contact."
+    errors = (
+        "Pose minus the set point in force, and clearance between the craft's edge and the nearest "
+        "rail; zero is contact."
+    )
+    outcomes = _outcome_table(
+        "Outcomes of the control steps.", {flight.label: flight.outcomes for flight in flights}
+    )
     return [
         PageSection(
             "errors",
-            "Distance from the set point",
-            [Picture("errors", error_figure(flights), "Pose minus the set point in force.")],
+            "Errors and clearance",
+            [Picture("errors", error_figure(flights), errors)],
         ),
         PageSection(
             "above",
             "Paths and plans from above",
             [Picture("above", path_figure(flights), planned), _limits_table(flights)],
         ),
-        PageSection("rails", "Rails", [Picture("rails", clearance_figure(flights), nearest)]),
-        PageSection("time", "Control steps: time and outcome", _step_tables(flights)),
+        PageSection("outcomes", "Outcomes", [outcomes]),
     ]
 
 
@@ -294,58 +261,29 @@ def _limits_table(flights: Sequence[Tracked]) -> PageTable:
     )
 
 
-def _step_tables(flights: Sequence[Tracked]) -> list[PageTable]:
-    """Tabulate the time and the outcome of control steps."""
-    times = [[flight.label, *(f"{ms:.2f}" for ms in flight.step_times)] for flight in flights]
-    taken = PageTable(
-        "Time per control step on this machine, next to its other load. airpuck fly asks the "
-        "operating system for priority.",
-        ["flight", "median [ms]", "99 % [ms]", "longest [ms]"],
-        times,
-    )
-    outcomes = {flight.label: flight.outcomes for flight in flights}
-    return [taken, _outcome_table("Outcomes of the control steps.", outcomes)]
-
-
 @style.styled
 def error_figure(flights: Sequence[Tracked]) -> Figure:
-    """Draw pose minus set point over time."""
-    figure = style.new_figure(style.PAGE_WIDTH, 4.6)
-    axes = style.panels(figure, 3, 1, sharex=True)
-    for one, (name, unit, factor), channel in zip(axes, style.ERRORS, range(3), strict=True):
+    """Draw pose minus set point, and the distance to the nearest rail, over time."""
+    figure = style.new_figure(style.PAGE_WIDTH, 6.0)
+    axes = style.panels(figure, 4, 1, sharex=True)
+    colors = flight_colors(flights)
+    for one in axes:
         one.axhline(0.0, color=style.GREY, linewidth=0.8)
-        for flight, color in zip(flights, flight_colors(flights), strict=True):
-            time = flight.twin.time - flight.origin
-            one.plot(time, factor * flight.twin.errors[:, channel], color=color, linewidth=1.4)
+    for flight, color in zip(flights, colors, strict=True):
+        time = flight.twin.time - flight.origin
+        for one, (_, _, factor), error in zip(
+            axes, style.ERRORS, flight.twin.errors.T, strict=False
+        ):
+            one.plot(time, factor * error, color=color, linewidth=1.4)
+        axes[-1].plot(time, 1e3 * flight.clearance, color=color)
+    for one, (name, unit, _) in zip(axes, style.ERRORS, strict=False):
         one.set_ylabel(f"{name} [{unit}]")
-    axes[-1].set_xlabel("time [s]")
-    axes[-1].set_xlim(0.0, _end(flights))
-    style.top_legend(figure, _keys(flights))
+    axes[-1].axhline(0.0, color=style.RAIL, linewidth=3.0)
+    end = max(float(flight.twin.time[-1]) - flight.origin for flight in flights)
+    axes[-1].set(xlabel="time [s]", xlim=(0.0, end), ylabel="to a rail [mm]")
+    keys = [style.key(f.label, color) for f, color in zip(flights, colors, strict=True)]
+    style.top_legend(figure, [*keys, style.key("rail", style.RAIL, linewidth=3.0)])
     return figure
-
-
-@style.styled
-def clearance_figure(flights: Sequence[Tracked]) -> Figure:
-    """Draw the distance to the nearest rail over time."""
-    figure = style.new_figure(style.PAGE_WIDTH, 2.6)
-    axes = figure.subplots()
-    axes.axhline(0.0, color=style.RAIL, linewidth=3.0)
-    for flight, color in zip(flights, flight_colors(flights), strict=True):
-        axes.plot(flight.twin.time - flight.origin, 1e3 * flight.clearance, color=color)
-    axes.set(xlabel="time [s]", ylabel="to the nearest rail [mm]", xlim=(0.0, _end(flights)))
-    style.top_legend(figure, [*_keys(flights), style.key("rail", style.RAIL, linewidth=3.0)])
-    return figure
-
-
-def _end(flights: Sequence[Tracked]) -> float:
-    """Return the end of the time axis [s]."""
-    return max(float(flight.twin.time[-1]) - flight.origin for flight in flights)
-
-
-def _keys(flights: Sequence[Tracked]) -> list[Artist]:
-    """Return a legend entry for each flight."""
-    named = zip(flights, flight_colors(flights), strict=True)
-    return [style.key(flight.label, color) for flight, color in named]
 
 
 _LINES: dict[str, Any] = {
@@ -422,7 +360,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     commands = PageSection("inputs", "Commands", inputs)
     if not compares_laws(flights):
         return [tracking, commands]
-    return [summary(flights), tracking, *law_sections(flights), commands]
+    short = PageSection("summary", "In short", [summary(flights)])
+    return [short, tracking, *law_sections(flights), commands]
 
 
 def _tracks(flight: Tracked) -> dict[str, Track]:

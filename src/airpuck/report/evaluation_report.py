@@ -77,7 +77,7 @@ def judged_sections(
 ) -> list[PageSection]:
     """Show a flight with its predictions, the size of their errors, and when they occur.
 
-    `error_table` replaces the usual table of errors.
+    `error_table` precedes the usual table of errors.
     """
     return [
         _flight_section(judged, vehicle),
@@ -133,7 +133,8 @@ def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSe
     curves = horizon_figure(evaluations, judged.reference, label)
     blocks = (
         Text([_protocol_words(evaluations[0])]),
-        *([table, _median_table(judged)] if table else [_error_table(judged)]),
+        *((table,) if table else ()),
+        _error_table(judged),
         Picture("horizon", curves, horizon),
         Picture("error_distribution", shares, distribution),
     )
@@ -152,8 +153,8 @@ def _timeline_section(judged: JudgedModels) -> PageSection:
     if judged.faults:
         touched = touched_by(best, judged.faults)
         caption += (
-            " Shaded: known faults of this recording. The craft accelerates far less than the "
-            "commands should make it, because motors are off, the radio link is out or a motor "
+            " Above and shaded: known faults of this recording. The craft accelerates less than "
+            "the commands should make it, because motors are off, the radio link is out or a motor "
             f"does not spin up. {touched.sum()} of {len(touched)} windows overlap a fault; they "
             f"account for {squares_held(best.at_horizon, touched)} % and are not excluded."
         )
@@ -230,18 +231,6 @@ def _intervals_as_text(evaluation: Evaluation) -> list[str]:
     """Format the intervals of the errors from every start, or a dash."""
     low, high = map(errors_as_text, evaluation.every_start.interval)
     return [f"{a} … {b}" if a != "nan" else "–" for a, b in zip(low, high, strict=True)]
-
-
-def _median_table(judged: JudgedModels) -> PageTable:
-    """Tabulate median errors of the reference and the models."""
-    caption = "Median absolute error (typical window)."
-    reference = {e.model: errors_as_text(e.median_abs) for e in judged.reference}
-    rows = [
-        [e.model, *reference.get(e.model, ("", "", "")), *errors_as_text(e.median_abs)]
-        for e in judged.evaluations
-    ]
-    groups = [("", 1), (f"{judged.reference_label} parameters", 3), ("fitted here", 3)]
-    return PageTable(caption, ["model", *_CHANNELS, *_CHANNELS], rows, groups)
 
 
 def sources_section(*trajectories: Trajectory) -> PageSection:

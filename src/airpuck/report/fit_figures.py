@@ -1,4 +1,4 @@
-"""Figures of a fit and of a proposed flight: losses, thrusts, parameters, packet delays."""
+"""Figures of a fit and of a proposed flight: thrusts, parameters, packet delays."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.main_quantities import largest_accelerations, physical_thrust
 from airpuck.experiment_design.design import CheckedFlights, Design
-from airpuck.identification.fit_result import Fit
 from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
@@ -31,44 +29,6 @@ _DELAY_BINS = 24
 
 #: Drawing style of a 95 % band.
 _BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
-
-
-@style.styled
-def loss_history_figure(
-    fits: Sequence[Fit], reference: Mapping[str, float] | None = None, label: str = "published"
-) -> Figure:
-    """Draw the loss of each fit over the iterations of its optimiser.
-
-    Dashed: the reference parameters on the same windows.
-    """
-    figure = style.new_figure(6.4, 3.6)
-    axes = figure.add_subplot()
-    reference = reference or {}
-    every = [iteration.loss for fit in fits for iteration in fit.history] + list(reference.values())
-    narrow = max(every) < 10 * min(every)
-    # Within a decade, small numbers with a common exponent; beyond, powers of ten.
-    exponent = int(np.floor(np.log10(max(min(every), 1e-300)))) if narrow else 0
-    scale = 10.0**-exponent
-    for fit in fits:
-        color = style.rung_color(fit.model.name)
-        numbers = [iteration.number for iteration in fit.history]
-        losses = [scale * iteration.loss for iteration in fit.history]
-        axes.plot(numbers, losses, marker="o" if len(numbers) < 60 else None, ms=4, color=color)
-        if fit.model.name in reference:
-            axes.axhline(scale * reference[fit.model.name], color=color, lw=0.9, ls=style.DASHED)
-    unit = f"$10^{{{exponent}}}$" if narrow else "–"
-    axes.set(yscale="log", xlabel="iteration [–]", ylabel=f"loss [{unit}]")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    if narrow:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    names = [fit.model.name for fit in fits]
-    handles = [style.key(name, style.rung_color(name), marker="o", ms=4) for name in names]
-    if reference:
-        handles.append(style.key(label, lw=0.9, ls=style.DASHED))
-    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
-    return figure
 
 
 @style.styled

@@ -30,7 +30,6 @@ from airpuck.report.evaluation_report import (
 )
 from airpuck.report.fault_report import fault_section, strength_section
 from airpuck.report.fit_figures import (
-    loss_history_figure,
     packet_delay_figure,
     parameter_figure,
     thrust_figure,
@@ -47,6 +46,8 @@ from airpuck.report.page import (
 )
 from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
 
+#: Iterations of a fit that a table has room for.
+_SHOWN = 8
 #: Footnote on the standard errors in tables of parameters.
 _INTERVALS = (
     " ±: standard error, with blocks of two seconds taken as independent. A learned value without "
@@ -131,7 +132,7 @@ def _optimiser_section(study: FitStudy) -> PageSection:
             "free": f"{fit.model.free.sum()}",
             "windows": f"{fit.windows}",
             "iterations": f"{fit.iterations}",
-            "loss at start": f"{1e5 * fit.history[0].loss:.3f}",
+            "loss by iteration": " → ".join(f"{1e5 * i.loss:.3g}" for i in fit.history[-_SHOWN:]),
             "loss": f"{1e5 * fit.loss:.3f}",
         }
         if losses:
@@ -150,23 +151,19 @@ def _optimiser_section(study: FitStudy) -> PageSection:
         f"Losses in 10⁻⁵: mean squared error, weighted by ({weights}) per m, m and rad, over "
         f"windows, {settings['prediction_length']} steps and the channels x, y, γ, without "
         f"regulariser. A training window starts {every}. Each fit "
-        "prepares its own data, so compare losses within a row only. Time includes compilation "
-        "and, for parallel fits, waiting."
-    )
-    history = (
-        f"Loss over the iterations (method: {settings.get('method')}). It jumps where faults are "
-        "excluded and packets retimed."
+        "prepares its own data, so compare losses within a row only. The loss jumps where faults "
+        f"are excluded and packets retimed (the last {_SHOWN} iterations; method: "
+        f"{settings.get('method')}). Time includes compilation and, for parallel fits, waiting."
     )
     if losses:
-        history += (
-            f" Dashed: the {label} parameters on the data of the last fit of the same model, with "
-            "their own conventions of encoder and frame. A fit minimises the loss on its data, so "
-            "even the true parameters have a higher one."
+        table += (
+            f" The {label} parameters are evaluated on the data of the last fit of the same model, "
+            "with their own conventions of encoder and frame. A fit minimises the loss on its "
+            "data, so even the true parameters have a higher one."
         )
-    figure = loss_history_figure(study.fits, losses, label)
     cells = [list(row.values()) for row in rows]
-    blocks = (PageTable(table, list(rows[0]), cells), Picture("loss_history", figure, history))
-    return PageSection("optimiser", "Convergence of the fits", blocks)
+    shown = PageTable(table, list(rows[0]), cells)
+    return PageSection("optimiser", "Convergence of the fits", (shown,))
 
 
 def _parameter_section(study: FitStudy) -> PageSection:

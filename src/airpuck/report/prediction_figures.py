@@ -17,8 +17,19 @@ from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation
+from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
+from airpuck.faults.find import CONTACT, NOT_ARMED
 from airpuck.report import style
 
+#: Colours of faults, by cause.
+_COLORS = {
+    NOT_ARMED: style.PURPLE,
+    RADIO_OUT: style.VERMILLION,
+    CONTACT: style.ORANGE,
+    UNEXPLAINED: style.SKY,
+}
+#: Opacity of a fault with zero confidence.
+_FAINTEST = 0.25
 #: Share of the windows called the worst.
 WORST = 0.08
 
@@ -134,19 +145,28 @@ def draw_error_distribution(
 
 @style.styled
 def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -> Figure:
-    """Draw the error of every window over the flight.
+    """Draw the error of every window over the flight, below the faults of the recording.
 
-    The worst windows are red; titles give their share of the squared error. Known faults of the
-    recording are shaded.
+    The worst windows are red; titles give their share of the squared error.
     """
-    figure = style.new_figure(style.PAGE_WIDTH, 5.4)
-    panels = figure.subplots(3, 1, sharex=True)
+    causes = list(dict.fromkeys(span.cause for span in sorted(faults, key=lambda s: s.start)))
+    above = [0.24 * len(causes) + 0.1] if causes else []
+    figure = style.new_figure(style.PAGE_WIDTH, 5.4 + sum(above))
+    heights = [*above, 1.7, 1.7, 1.7]
+    grid = list(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    if causes:
+        _draw_faults(grid[0], faults, causes)
+    panels = grid[-3:]
     for channel, (axes, (name, unit, factor)) in enumerate(zip(panels, style.ERRORS, strict=True)):
         errors = evaluation.at_horizon[channel]
         for fault in faults:
             axes.axvspan(fault.start, fault.stop, color=style.LIGHT, lw=0)
         worst = worst_windows(errors)
-        style.draw_window_errors(axes, evaluation.start, factor * np.abs(errors), worst)
+        for chosen, color in ((~worst, style.BLUE), (worst, style.VERMILLION)):
+            time, size = evaluation.start[chosen], factor * np.abs(errors[chosen])
+            axes.vlines(time, 0, size, color=color, lw=0.9)
+            axes.plot(time, size, ".", color=color, ms=3)
+        axes.set_ylim(0, None)
         median, rmse = factor * evaluation.median_abs[channel], factor * evaluation.rmse[channel]
         axes.axhline(median, color=style.BLACK, lw=0.9)
         axes.axhline(rmse, color=style.BLACK, lw=0.9, ls=style.DASHED)
@@ -165,23 +185,29 @@ def error_timeline_figure(evaluation: Evaluation, faults: Sequence[Span] = ()) -
         style.key("RMSE", lw=0.9, ls=style.DASHED),
     ]
     if faults:
-        handles.append(Patch(color=style.LIGHT, label="known faults"))
-        _name_faults(panels[0], faults)
+        handles.append(Patch(color=style.LIGHT, label="faults"))
     style.top_legend(figure, handles)
     return figure
 
 
-def _name_faults(axes: Axes, faults: Sequence[Span]) -> None:
-    """Label each shaded fault with its cause, alternating in height where labels would overlap."""
-    axes.set_ylim(0, 1.15 * axes.get_ylim()[1])
-    height, free_from = 0.98, -np.inf
-    for fault in faults:
-        height = 0.84 if fault.stop < free_from and height > 0.9 else 0.98
-        look = {"va": "top", "fontsize": 7, "color": style.GREY}
-        place = axes.get_xaxis_transform()
-        style.note(axes, fault.cause, (fault.stop, height), (3, 0), xycoords=place, **look)
-        # Approximate width of the label on the time axis.
-        free_from = fault.stop + 0.0085 * len(fault.cause) * np.ptp(axes.get_xlim())
+def _draw_faults(axes: Axes, faults: Sequence[Span], causes: Sequence[str]) -> None:
+    """Draw faults over time, one row per cause, with the probability of each cause."""
+    for span in faults:
+        row, color = causes.index(span.cause), fault_color(span.cause)
+        # The edge keeps short faults visible.
+        look = {"color": color, "lw": 1.5, "alpha": _FAINTEST + (1 - _FAINTEST) * span.confidence}
+        axes.broken_barh([(span.start, span.stop - span.start)], (row - 0.35, 0.7), **look)
+        if span.confidence < 1:
+            small = {"va": "center", "fontsize": 6.5, "color": style.GREY}
+            style.note(axes, span.certainty, (span.stop, row), (3, 0), **small)
+    axes.set_yticks(range(len(causes)), causes)
+    axes.set_ylim(len(causes) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+
+
+def fault_color(cause: str) -> str:
+    """Return the colour of a cause."""
+    return _COLORS.get(cause, style.BLUE if cause.endswith("stalled") else style.GREY)
 
 
 #: Length of the stretch shown [s].

@@ -16,7 +16,7 @@ from typing import Any, Literal, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -200,19 +200,6 @@ def note(
 ) -> None:
     """Write a text at an offset in points from a place."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", **look)
-
-
-def draw_window_errors(
-    axes: Axes,
-    time: Float[np.ndarray, " W"],
-    size: Float[np.ndarray, " W"],
-    marked: Bool[np.ndarray, " W"],
-) -> None:
-    """Draw the error of each window over time, with marked windows in red."""
-    for chosen, color in ((~marked, BLUE), (marked, VERMILLION)):
-        axes.vlines(time[chosen], 0, size[chosen], color=color, lw=0.9)
-        axes.plot(time[chosen], size[chosen], ".", color=color, ms=3)
-    axes.set_ylim(0, None)
 
 
 def key(label: str, color: str = BLACK, **line: Any) -> Line2D:
