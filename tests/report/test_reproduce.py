@@ -86,7 +86,7 @@ def test_page_shows_everything(reproduction, data):
     } <= page.ids
     names = {path.stem for path in (reproduction.page.parent / "figures").iterdir()}
     assert {f"figure-{name}" for name in names} == {i for i in page.ids if i.startswith("figure-")}
-    assert len(names) == 11
+    assert len(names) == 10
     assert "15 of the 15 numbers" in page.text
     for row in PRINTED.values():
         for number in row:

@@ -84,6 +84,8 @@ def misfit(value: Any, hint: Any) -> str:
 
 def _alternatives(hint: Any) -> tuple[Any, ...]:
     """Return the kinds that an annotation allows."""
+    if typing.get_origin(hint) is typing.Annotated:
+        hint = hint.__origin__
     union = typing.get_origin(hint) in (typing.Union, types.UnionType)
     return typing.get_args(hint) if union else (hint,)
 
