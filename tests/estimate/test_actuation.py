@@ -94,9 +94,10 @@ def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
     assert (actuation < 0.3 * paper).all()
 
 
+@pytest.mark.parametrize("lost", [[], [3, 7], [0, 11]])
 @pytest.mark.parametrize("velocity", ["smoothed", "causal"])
 @pytest.mark.parametrize("disturbance", [(0.086, 2.1), (1e-3, 1e-2)])
-def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
+def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance, lost):
     """Against the joint normal distribution of everything, its dense covariance written down."""
     prior = EffectivenessPrior(1.0, 0.2, 0.1)
     encoder = ActuationEncoder(velocity=velocity, disturbance=disturbance, priors=(prior,))
@@ -104,7 +105,10 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     past = Past(whole.state[..., :1], whole.command[..., :1], whole.duration[..., :1])
     rng = np.random.default_rng(0)
     past.state[:, :3] += rng.normal(size=past.state[:, :3].shape) * 1e-3
-    found = encoder.estimate(MODEL.dynamics, past)
+    seen = np.delete(np.arange(12), lost)
+    found = encoder.estimate(
+        MODEL.dynamics, replace(past, measured=np.isin(np.arange(12), seen)[:, None])
+    )
 
     speed = _motor_speeds(MODEL.dynamics, past)
     by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
@@ -121,9 +125,10 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     for c in range(3):
         block = np.zeros((size, 12))
         block[:, c], block[:, 3 + c], block[:, 6:] = 1, elapsed, basis[:, c]
-        rows.append(block)
-        noise.append(covariance(encoder, c, size, step))
+        rows.append(block[seen])
+        noise.append(covariance(encoder, c, size, step)[np.ix_(seen, seen)])
     measured = [(past.state[:, c, 0] - past.state[-1, c, 0] - offset[:, c]) for c in range(3)]
+    measured = [values[seen] for values in measured]
     if velocity == "smoothed":
         for c in range(3):
             rows.append(np.eye(12)[3 + c : 4 + c])
@@ -141,6 +146,18 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance):
     np.testing.assert_allclose(found.deviation[:, 0], np.sqrt(np.diag(after)[6:]), rtol=1e-3)
     moved = found.state[:6, 0] - np.concatenate([past.state[-1, :3, 0], np.zeros(3)])
     np.testing.assert_allclose(moved, mean[:6], atol=2e-4)
+
+
+def test_the_position_at_a_lost_frame_counts_nowhere(flight):
+    lost = flight.time[np.random.default_rng(1).random(len(flight)) < 0.1]
+    windows = make_windows(replace(flight, lost=lost), 40, 50, 35)
+    past, moved = windows.past(), windows.past()
+    assert 0 < (~past.measured).sum() < 0.3 * past.measured.size
+    moved.state[:, :2] += 0.01 * ~moved.measured[:, None]
+    before, after = (ActuationEncoder().estimate(MODEL.dynamics, one) for one in (past, moved))
+    for name in ("effectiveness", "deviation", "probability"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), atol=1e-9)
+    np.testing.assert_allclose(after.state, before.state, atol=1e-9)
 
 
 def test_priors_compete_by_their_evidence(flight):

@@ -104,7 +104,8 @@ class Windows:
         starts = self.starts if starts is None else starts
         length = length or self.encoder_length
         first = starts + self.encoder_length - length
-        return gather_past(np, self.time, self.state, self.input, first, length)
+        past = gather_past(np, self.time, self.state, self.input, first, length)
+        return replace(past, measured=self.measured[first + np.arange(length)[:, None]])
 
     def future(
         self, starts: Int[np.ndarray, " B"] | None = None
@@ -130,6 +131,8 @@ class Past:
     command: Any
     #: Time from each sample to the next, shape (E - 1, B) [s].
     duration: Any
+    #: Where poses were measured, shape (E, B); None: everywhere.
+    measured: Any = None
 
 
 def gather_past(xp: Any, time: Any, state: Any, command: Any, starts: Any, length: int) -> Past:

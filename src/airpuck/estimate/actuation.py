@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.data.windows import Past
 from airpuck.estimate.motor_regression import (
@@ -178,7 +178,8 @@ class ActuationEncoder:
         elapsed = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
         step, lag = float(np.median(past.duration)), float(dynamics.motor_time_constant)
         noises = zip(self.pose_noise, self.disturbance, _unknown_start(dynamics), strict=True)
-        linear, angular = (_whitening(length, step, noise, lag) for noise in noises)
+        covariances = (_covariance(length, step, noise, lag) for noise in noises)
+        linear, angular = (_whitening(found, past.measured) for found in covariances)
         rows = []
         for c, whitening in enumerate((linear, linear, angular)):
             matrix = np.zeros((batch, length, 6 + n))
@@ -194,7 +195,7 @@ class ActuationEncoder:
     ) -> tuple[Float[np.ndarray, "B m"], Float[np.ndarray, "B m m"], Float[np.ndarray, "H B"]]:
         """Solve the regression with each prior; return the mean, weighted by evidence."""
         information, score, square = normal_equations(rows, aim)
-        measured = rows.shape[1] - 6
+        measured = rows.any(axis=2).sum(axis=1) - 6  # rows of lost frames are zero
         solutions, covariances, evidence = [], [], []
         for prior in self.priors:
             before = prior.covariance(rows.shape[2] - 6)
@@ -240,13 +241,13 @@ def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=32)
-def _whitening(
+def _covariance(
     length: int,
     step: float,
     noise: tuple[float, float, float],
     time_constant: float,
 ) -> Float[np.ndarray, "E E"]:
-    """Return the matrix that makes the residuals of an axis white, with unit variance.
+    """Return the covariance of the residuals of an axis.
 
     `noise` contains the poses' noise, the density of the accelerations, and the initial uncertainty
     of the accelerations.
@@ -256,5 +257,15 @@ def _whitening(
     fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
     # An error of the initial speeds decays with the motors' lag.
     accelerations = density**2 / step * np.eye(length) + first**2 * np.outer(fading, fading)
-    covariance = pose**2 * np.eye(length) + integral @ accelerations @ integral.T
-    return np.linalg.inv(np.linalg.cholesky(covariance))
+    return pose**2 * np.eye(length) + integral @ accelerations @ integral.T
+
+
+def _whitening(
+    covariance: Float[np.ndarray, "E E"], measured: Bool[np.ndarray, "E B"] | None
+) -> Float[np.ndarray, "*B E E"]:
+    """Return the matrix that makes measured residuals white and others zero, for each window."""
+    if measured is None or measured.all():
+        return np.linalg.inv(np.linalg.cholesky(covariance))
+    seen = measured.T
+    alone = np.where(seen[:, :, None] & seen[:, None], covariance, np.eye(len(covariance)))
+    return np.linalg.inv(np.linalg.cholesky(alone)) * seen[:, :, None]
