@@ -77,6 +77,11 @@ def check_stopped() -> None:
         raise Stopped(_Pending.number)
 
 
+def stopped_by() -> int | None:
+    """Return the number of the signal that was raised and not yet handled."""
+    return _Pending.number
+
+
 def forget_stopped() -> None:
     """Count the last signal as handled."""
     _Pending.number = None

@@ -8,6 +8,7 @@ import functools
 import os
 import signal
 import sys
+import termios
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from typer.main import get_command
 
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.kinds import unknown
-from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable
+from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
 from airpuck.cli.names import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
@@ -172,8 +173,12 @@ def main() -> None:
         command = getattr(getattr(error, "ctx", None), "command_path", "airpuck")
         code = _say(f"{error.format_message()} (see {command} --help)")
     except OSError as error:
+        closed = error.errno == errno.EIO and _terminal_closed()
         _close_output()
-        if error.errno == errno.EPIPE:
+        if closed:  # a command that runs until it is stopped could not print its results
+            number = stopped_by()
+            code = SIGNALLED + number if number else 0
+        elif error.errno == errno.EPIPE:
             code = 1  # the reader of our output has closed it
         elif error.errno in _SYSTEM_REFUSES:
             code = _say(f"{error.filename or 'output'}: cannot be used ({error.strerror})")
@@ -221,6 +226,15 @@ def _check_surroundings() -> None:
     os.environ["MPLBACKEND"] = "agg"  # figures are files
     if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
         del os.environ["SOURCE_DATE_EPOCH"]
+
+
+def _terminal_closed() -> bool:
+    """Return whether standard output was a terminal that is closed now."""
+    try:
+        termios.tcgetattr(1)
+    except termios.error as error:
+        return error.args[0] == errno.EIO
+    return False
 
 
 def _close_output() -> None:

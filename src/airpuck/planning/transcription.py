@@ -5,8 +5,10 @@ The step from node to node is `airpuck.physics.rigid_body.step`, traced with Cas
 
 from __future__ import annotations
 
+from contextlib import redirect_stderr
 from dataclasses import dataclass
 from functools import lru_cache
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -173,14 +175,15 @@ class Transcription:
         lower, upper = self._bounds(request, final_yaw, guess.durations)
         steps = self.intervals * self.legs * self.size
         clear, spin = np.ones(self._clearances), np.full(self._spins, request.limits.spin)
-        found = self._solve(
-            x0=self._packed(guess.states, guess.commands, guess.durations),
-            lbx=lower,
-            ubx=upper,
-            lbg=np.concatenate([np.zeros(steps), clear, -spin]),
-            ubg=np.concatenate([np.zeros(steps), clear * np.inf, spin]),
-            p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
-        )
+        with redirect_stderr(StringIO()):  # CasADi warns of Ctrl-C
+            found = self._solve(
+                x0=self._packed(guess.states, guess.commands, guess.durations),
+                lbx=lower,
+                ubx=upper,
+                lbg=np.concatenate([np.zeros(steps), clear, -spin]),
+                ubg=np.concatenate([np.zeros(steps), clear * np.inf, spin]),
+                p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
+            )
         check_stopped()  # IPOPT ends as if it had found no plan
         stats = self._solve.stats()
         states, commands, durations = self._unpacked(found["x"].full()[:, 0])
