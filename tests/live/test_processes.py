@@ -303,6 +303,28 @@ def test_garbage_is_survived_and_reported(table):
             graph.close()
 
 
+def test_huge_numbers_on_the_graph_end_neither_process(table):
+    pilot, watch, codec = table.fly(), table.watch, CODECS[COMMANDS]
+    watch.forget()
+    table.go(0.2, 0.1, 1e300)
+    watch.until(lambda: watch.said("numbers on /control/state_ref beyond 1e+06"))
+    impostor = Graph("impostor", domain=table.domain)
+    try:
+        hand = impostor.publisher(COMMANDS, codec.msgtype, codec.types, SENSOR)
+        for _ in range(40):
+            hand.send(codec.encode(time.time_ns(), np.full(6, 1e9)))
+            watch.run(0.02)
+    finally:
+        impostor.close()
+    watch.until(lambda: watch.said("numbers on /drone/control beyond 1e+06"))
+    assert pilot.alive
+    assert table.twin.alive
+    watch.forget()
+    table.until_flying()
+    table.go(0.2, 0.1, 0.5)
+    table.arrives(0.2, 0.1, 0.5)
+
+
 def test_a_set_point_from_the_graph_is_flown_to_unless_it_is_outside(table):
     table.fly()
     table.watch.forget()
