@@ -138,12 +138,11 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
 
 def _unpack_messages(log: Log, path: Path) -> None:
     """Unpack messages that the recorder compressed one by one."""
-    for name, entries in log.topics.items():
-        for topic in entries:
-            try:
-                topic.messages = list(map(unpacked_message, topic.messages))
-            except ValueError as error:
-                raise InputError(str(error), file=path, field=name) from error
+    for topic in log.entries:
+        try:
+            topic.messages = list(map(unpacked_message, topic.messages))
+        except ValueError as error:
+            raise InputError(str(error), file=path, field=topic.name) from error
 
 
 def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
@@ -222,15 +221,15 @@ def _decoded(
     return whole, stamped, [text]
 
 
-def _quick_to_parse(log: Log) -> list[tuple[str, TopicLog]]:
+def _quick_to_parse(log: Log) -> list[TopicLog]:
     """Return the topics suggested when one is missing; their definitions must be parsed."""
     found, spent = [], 0
-    readable = [(name, e) for name, entries in log.topics.items() for e in entries if not e.foreign]
-    for name, topic in sorted(readable, key=lambda item: len(item[1].definition)):
+    readable = [entry for entry in log.entries if not entry.foreign]
+    for topic in sorted(readable, key=lambda entry: len(entry.definition)):
         spent += len(topic.definition)
         if spent <= DEFINITION_BYTES and len(found) < _MOST_LOOKED_AT:
-            found.append((name, topic))
-    return sorted(found, key=lambda item: item[0])
+            found.append(topic)
+    return sorted(found, key=lambda entry: entry.name)
 
 
 def _no_topics(missing: list[str], log: Log) -> str:
@@ -238,7 +237,7 @@ def _no_topics(missing: list[str], log: Log) -> str:
     shown, choices = [], []
     topics = _quick_to_parse(log)
     for stream in missing:
-        found = list(dict.fromkeys(name for name, topic in topics if may_hold(stream, topic)))
+        found = list(dict.fromkeys(topic.name for topic in topics if may_hold(stream, topic)))
         shown.append(f'{stream} = "{found[0] if found else "/..."}"')
         if len(found) != 1:
             types = found or sorted(log.topics)

@@ -74,9 +74,6 @@ def poses_of(
     if kind in ("quaternion", "matrix"):
         # Some programs write zeros when they lose the body.
         orientation = np.where(orientation.any(axis=1, keepdims=True), orientation, np.nan)
-    turned = kind == "vector"
-    if turned:
-        orientation = _quaternions(orientation * mapping.size("angle"))
     if index[:2].max() >= position.shape[1]:
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
@@ -88,9 +85,8 @@ def poses_of(
         yaw = np.full(len(position), np.nan)
     elif kind == "yaw":
         yaw = orientation[:, 0] * (mapping.size("angle") * sign[2])
-    elif turned or kind == "quaternion":
-        if not turned:
-            _check_order(orientation, mapping, names)
+    elif kind == "quaternion":
+        _check_order(orientation, mapping, names)
         x, y, z = (orientation[:, index] * sign).T
         yaw = yaw_of(x, y, z, orientation[:, 3])
     else:
@@ -123,12 +119,6 @@ def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) ->
         f"mm: {level.upper()} is up; say so in a file for --mapping: pose = {{axes = [{listed}]}}",
         field="pose.position",
     )
-
-
-def _quaternions(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    """Return the quaternions of rotation vectors [rad]."""
-    half = np.linalg.norm(vectors, axis=1, keepdims=True) / 2
-    return np.hstack([vectors * np.sinc(half / np.pi) / 2, np.cos(half)])
 
 
 def _check_order(
@@ -166,7 +156,7 @@ def _check_order(
 def _matrices(
     orientation: Float[np.ndarray, "N k"], kind: str, angle: float
 ) -> Float[np.ndarray, "N 3 3"]:
-    """Return rotation matrices from matrix entries or Euler angles."""
+    """Return rotation matrices from matrix entries, rotation vectors or Euler angles."""
     if kind == "matrix":
         found = orientation.reshape(-1, 3, 3)
         finite = found[np.isfinite(orientation).all(axis=1)]
@@ -174,21 +164,11 @@ def _matrices(
         if (off > _ORTHOGONAL).any() or (np.linalg.det(finite) < 0).any():
             raise InputError("the nine columns are not a rotation matrix", field="pose.orientation")
         return found
-    parts = [_about(axis, orientation[:, k] * angle) for k, axis in enumerate(kind.lower())]
-    first, second, third = parts if kind.isupper() else parts[::-1]
-    return first @ second @ third
+    from scipy.spatial.transform import Rotation
 
-
-def _about(axis: str, angle: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 3 3"]:
-    """Return rotations about one axis."""
-    found = np.zeros((len(angle), 3, 3))
-    first = "xyz".index(axis)
-    second, third = (first + 1) % 3, (first + 2) % 3
-    found[:, first, first] = 1
-    found[:, second, second] = found[:, third, third] = np.cos(angle)
-    found[:, third, second] = np.sin(angle)
-    found[:, second, third] = -np.sin(angle)
-    return found
+    if kind == "vector":
+        return Rotation.from_rotvec(orientation * angle).as_matrix()
+    return Rotation.from_euler(kind, orientation * angle).as_matrix()
 
 
 def yaw_of(

@@ -20,7 +20,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import (
     CHUNK_BYTES,
     INDEX_BYTES,
-    MESSAGE_BYTES,
     Unpacking,
     refused,
 )
@@ -29,7 +28,6 @@ from airpuck.recording.unpacking import (
     Log,
     TopicLog,
     check_chunk_size,
-    check_message_size,
     unpacked,
 )
 
@@ -126,12 +124,7 @@ class _Sink:
         # A leftover record exceeds the limit.
         self._budget.spend(len(content), len(content) if any(records) else len(times))
         for topic, time, message in found:
-            topic.received_ns.append(time)
-            topic.messages.append(message)
-            if len(message) > MESSAGE_BYTES:
-                names = self.log.topics.items()
-                name = next(name for name, all_of in names if any(e is topic for e in all_of))
-                check_message_size(len(message), self.path, name)
+            topic.add(time, message, self.path)
         if times:
             self.log.count(len(times), min(times), max(times))
 

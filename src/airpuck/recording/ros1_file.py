@@ -20,7 +20,6 @@ from airpuck.recording.unpacking import (
     Log,
     TopicLog,
     check_chunk_size,
-    check_message_size,
     unpacked,
 )
 
@@ -56,15 +55,14 @@ class _BagRecords:
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
         self.log, self.path, self._wanted = Log(), path, wanted
         self._budget = Unpacking(path, path.stat().st_size)
-        self._topics: dict[int, tuple[str, TopicLog]] = {}
+        self._topics: dict[int, TopicLog] = {}
 
     def connection(self, header: dict[str, bytes], content: bytes) -> None:
         """Process the description of a topic by one of its publishers."""
         described = _fields(content)
         (number,) = _LENGTH.unpack(_field(header, "conn", 4))
-        title = _text(header, "topic")
         topic = ros1_topic(_text(described, "type"), _text(described, "message_definition"))
-        self._topics[number] = title, self.log.topic(title, topic)
+        self._topics[number] = self.log.topic(_text(header, "topic"), topic)
         self.log.check_topics(self.path)
 
     def message(self, header: dict[str, bytes], content: bytes) -> None:
@@ -73,14 +71,10 @@ class _BagRecords:
         seconds, nanoseconds = _TIME.unpack(_field(header, "time", 8))
         if number not in self._topics:
             return
-        name, topic = self._topics[number]
-        time = seconds * 10**9 + nanoseconds
+        topic, time = self._topics[number], seconds * 10**9 + nanoseconds
         self.log.count(1, time, time)
-        if name not in self._wanted:
-            return
-        check_message_size(len(content), self.path, name)
-        topic.received_ns.append(time)
-        topic.messages.append(content)
+        if topic.name in self._wanted:
+            topic.add(time, content, self.path)
 
     def chunk(self, header: dict[str, bytes], content: bytes) -> None:
         """Process the records of a chunk."""
@@ -197,7 +191,7 @@ def ros1_topic(kind: str, definition: str) -> TopicLog:
 
 def convert_ros1(log: Log, path: Path) -> None:
     """Turn messages of ROS 1 into CDR."""
-    for name, topic in [(name, one) for name, all_of in log.topics.items() for one in all_of]:
+    for topic in log.entries:
         if topic.encoding != ROS1:
             continue
         topic.encoding = "cdr"
@@ -210,4 +204,4 @@ def convert_ros1(log: Log, path: Path) -> None:
         # rosbags compiles definitions to code and checks no message: both can fail in any way.
         except Exception as error:
             problem = f"contains a {topic.msgtype} that cannot be decoded"
-            raise InputError(problem, file=path, field=name) from error
+            raise InputError(problem, file=path, field=topic.name) from error

@@ -49,7 +49,7 @@ def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
             database.execute("PRAGMA trusted_schema = OFF")
             _limit_steps(database, size)
             log, topics = _topics(database, path, wanted)
-            _read_messages(database, size, topics)
+            _read_messages(database, size, topics, path)
             _count(database, log)
     except InputError:
         raise
@@ -149,7 +149,9 @@ def _define(database: sqlite3.Connection, topic: TopicLog, digest: str, *, neede
     topic.definition, topic.idl = text, encoding == _IDL
 
 
-def _read_messages(database: sqlite3.Connection, left: int, topics: dict[int, TopicLog]) -> None:
+def _read_messages(
+    database: sqlite3.Connection, left: int, topics: dict[int, TopicLog], path: Path
+) -> None:
     """Read the messages of some topics, of this length together, in the order of the file."""
     places = ",".join("?" * len(topics))
     rows = database.execute(
@@ -164,8 +166,7 @@ def _read_messages(database: sqlite3.Connection, left: int, topics: dict[int, To
         topic = topics.get(number)
         if topic is None:
             raise ValueError("a message belongs to no topic")
-        topic.received_ns.append(time)
-        topic.messages.append(message)
+        topic.add(time, message, path)
 
 
 def _count(database: sqlite3.Connection, log: Log) -> None:

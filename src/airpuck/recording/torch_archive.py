@@ -210,8 +210,9 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
         raise InputError("is not a readable torch file; is it damaged?", file=file) from error
     _check(file, tensors)
     time, state = tensors["T"], tensors["X"]
-    if np.abs(np.diff(state[:, 2])).max() > np.pi:
-        state[:, 2] = np.unwrap(state[:, 2])
+    with np.errstate(invalid="ignore"):  # the trajectory checks its numbers
+        if np.abs(np.diff(state[:, 2])).max() > np.pi:
+            state[:, 2] = np.unwrap(state[:, 2])
     return Trajectory(
         time=time,
         state=state,
@@ -304,13 +305,6 @@ def _check(file: Path, tensors: Mapping[str, Float[np.ndarray, "..."]]) -> None:
         values, shape = tensors[key], (len(time), width) if width else time.shape
         if values.shape != shape:
             raise InputError(f"has the shape {values.shape}, not {shape}", file=file, field=key)
-        finite = np.isfinite(values)
-        if not finite.all():
-            row = int(np.argwhere(~finite)[0][0])
-            raise InputError(f"row {row} is not a finite number", file=file, field=key)
-    if not (np.diff(time) > 0).all():
-        row = int(np.argmin(np.diff(time) > 0)) + 1
-        raise InputError(f"time does not increase at row {row}", file=file, field="T")
     if command.min() < -_ROUNDING or command.max() > 1 + _ROUNDING:
         raise InputError(
             f"commands reach from {command.min():g} to {command.max():g}, not within [0, 1]",

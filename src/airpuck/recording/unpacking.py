@@ -10,7 +10,7 @@ import contextlib
 import itertools
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from airpuck.boundary.errors import InputError
@@ -40,6 +40,16 @@ class TopicLog:
     received_ns: list[int] = field(default_factory=list)
     #: Messages; CDR with encapsulation.
     messages: list[bytes] = field(default_factory=list)
+    #: The topic; set by its log.
+    name: str = ""
+
+    def add(self, time_ns: int, message: bytes, path: Path) -> None:
+        """Add a message; raise InputError if it is too long."""
+        if len(message) > MESSAGE_BYTES:
+            what, remedy = "contains too long a message", "choose another topic"
+            raise refused(what, MESSAGE_BYTES, remedy, file=path, field=self.name)
+        self.received_ns.append(time_ns)
+        self.messages.append(message)
 
     @property
     def foreign(self) -> bool:
@@ -61,6 +71,11 @@ class Log:
     #: Descriptions of the damage, in a few words each.
     damage: list[str] = field(default_factory=list)
 
+    @property
+    def entries(self) -> Iterator[TopicLog]:
+        """All definitions of all topics."""
+        return itertools.chain.from_iterable(self.topics.values())
+
     def count(self, n_messages: int, first_ns: int, last_ns: int) -> None:
         """Add messages to the count and the time span."""
         self.n_messages += n_messages
@@ -76,7 +91,7 @@ class Log:
             if same and len(texts) < 2:
                 ((entry.definition, entry.idl),) = texts or {("", False)}
                 return entry
-        entries.append(TopicLog(like.msgtype, like.definition, like.idl, like.encoding))
+        entries.append(replace(like, received_ns=[], messages=[], name=name))
         return entries[-1]
 
     def check_topics(self, path: Path) -> None:
@@ -89,7 +104,7 @@ class Log:
 
     def sort(self) -> None:
         """Sort messages by the recorder's clock, as readers of bags do."""
-        for topic in itertools.chain.from_iterable(self.topics.values()):
+        for topic in self.entries:
             times = topic.received_ns
             order = sorted(range(len(times)), key=times.__getitem__)
             topic.received_ns = [times[index] for index in order]
@@ -112,13 +127,6 @@ def check_chunk_size(size: int, path: Path) -> None:
     if size > CHUNK_BYTES:
         what, remedy = "contains a chunk that unpacks to too much", "record smaller chunks"
         raise refused(what, CHUNK_BYTES, remedy, file=path)
-
-
-def check_message_size(size: int, path: Path, topic: str) -> None:
-    """Raise InputError if a message is too long."""
-    if size > MESSAGE_BYTES:
-        what, remedy = "contains too long a message", "choose another topic"
-        raise refused(what, MESSAGE_BYTES, remedy, file=path, field=topic)
 
 
 def unpacked(data: bytes, compression: str, size: int) -> bytes:
