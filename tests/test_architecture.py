@@ -139,6 +139,7 @@ def test_imports_go_downwards():
                 "identification",
                 "planning",
                 "preprocessing",
+                "recording",
                 "twin",
             },
         ),
