@@ -117,9 +117,9 @@ def test_a_mirrored_recording_ends_with_its_cause_and_all_files(tmp_path):
 @pytest.mark.slow
 def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
     content = default_twin_settings().model_dump()
-    content["effects"]["battery_sag_1_s"] = 0.15 / 15.0
+    content["effects"]["battery_sag_1_s"] = 0.15 / 20.0
     settings = airpuck.TwinSettings.model_validate(content)
-    recording = airpuck.excite(TRUTH, 15.0, 3, settings=settings)
+    recording = airpuck.excite(TRUTH, 20.0, 3, settings=settings)
     study = airpuck.study(recording, TRUTH.vehicle, model="M3")
     (change,) = [one for one in study.selection.missing if one.term.startswith("change")]
     # The twin loses 15 % from the beginning to the end.
@@ -130,12 +130,12 @@ def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
 @pytest.mark.slow
 def test_an_error_of_all_directions_is_named_with_its_size():
     turned = [
-        one.model_copy(update={"direction_deg": one.direction_deg + 3.0})
+        one.model_copy(update={"direction_deg": one.direction_deg + 4.0})
         for one in TRUTH.vehicle.propellers
     ]
     vehicle = TRUTH.vehicle.model_copy(update={"propellers": tuple(turned)})
-    recording = airpuck.excite(replace(TRUTH, vehicle=vehicle), 15.0, 4)
+    recording = airpuck.excite(replace(TRUTH, vehicle=vehicle), 20.0, 4)
     study = airpuck.study(recording, TRUTH.vehicle, model="M3")
     (missing,) = [one for one in study.selection.missing if one.term == "direction"]
-    assert np.degrees(missing.value[0]) == pytest.approx(3.0, abs=0.6)
-    assert "point +3" in study.findings[0].cause or "point +2" in study.findings[0].cause
+    assert np.degrees(missing.value[0]) == pytest.approx(4.0, abs=1.2)
+    assert "All thrusts point" in next(one.cause for one in study.findings if one.kind == "layout")

@@ -12,7 +12,8 @@ from airpuck.data.windows import make_windows
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
-from airpuck.preprocessing.pipeline import preprocess
+from airpuck.preprocessing.pipeline import load_all, preprocess
+from airpuck.recording.bag_writer import write_bag
 from airpuck.recording.stream import Recording
 
 from ..apparatus.examples import examples
@@ -39,6 +40,17 @@ def test_recovers_a_synthetic_flight(recording):
     assert np.abs(error[:, :3]).max() < 1e-4
     assert np.abs(error[:, 3:5]).max() < 0.02
     assert np.abs(error[:, 5]).max() < 1.0
+
+
+def test_a_path_a_recording_and_a_trajectory_are_the_same_data(recording, tmp_path):
+    write_bag(recording, tmp_path / "bag")
+    trajectory = preprocess(recording)
+    for found in load_all([tmp_path / "bag", str(tmp_path / "bag"), recording, trajectory]):
+        np.testing.assert_allclose(found.time, trajectory.time, atol=1e-9)
+        np.testing.assert_allclose(found.state, trajectory.state, atol=1e-7)
+        np.testing.assert_array_equal(found.command, trajectory.command)
+    assert load_all(trajectory) == [trajectory]
+    assert len(load_all(tmp_path / "bag")) == 1
 
 
 @pytest.mark.slow

@@ -194,7 +194,10 @@ class _Tests:
             return None
         own = (-basis @ (mixed @ value))[self.own]
         gain = float(-value @ effective.sum(axis=0) / 2) / self.quadratic.loss
-        chance, coefficients = _by_chance(effective, information), tuple(value.tolist())
+        along = np.eye(len(hessian))[:, kept] - basis @ mixed
+        each = np.einsum("qi,gqp,pj->gij", along, self.quadratic.informations, along, optimize=True)
+        chance = _by_chance(effective, each, information, value)
+        coefficients = tuple(value.tolist())
         held_out = self._held_out(basis, kept) if chance < _LEVEL else 0.0
         return MissingTerm(term, chance, gain, held_out, coefficients, own)
 
@@ -229,20 +232,29 @@ def _solved(
     return scale * (inverse @ (scale * score))
 
 
-def _by_chance(scores: Float[np.ndarray, "G k"], information: Float[np.ndarray, "k k"]) -> float:
+def _by_chance(
+    scores: Float[np.ndarray, "G k"],
+    informations: Float[np.ndarray, "G k k"],
+    information: Float[np.ndarray, "k k"],
+    value: Float[np.ndarray, " k"],
+) -> float:
     """Return the probability of such a sum of block scores if the term were zero.
 
     The statistic is sᵀ I⁻¹ s over its expectation under the blocks' own covariance (Rao and Scott,
     Journal of the American Statistical Association 76, 1981). Unlike Hotelling's T² it needs few
-    blocks.
+    blocks. That covariance is of the scores that are left with the term, since a change in flight
+    alone makes scores differ, corrected for what each block explains of itself (HC2 of MacKinnon
+    and White, Journal of Econometrics 29, 1985).
     """
     from scipy.special import fdtrc
 
     count, size = scores.shape
-    total, centred = scores.sum(axis=0), scores - scores.mean(axis=0)
+    total, expected = scores.sum(axis=0), 0.0
     square = float(total @ _solved(information, total))
-    expected = sum(float(one @ _solved(information, one)) for one in centred)
-    expected *= count / (count - 1)
+    for score, own in zip(scores, informations, strict=True):
+        others = np.linalg.pinv(np.eye(size) - own @ np.linalg.pinv(information))
+        left = score + own @ value
+        expected += float(others @ left @ _solved(information, left))
     return float(fdtrc(size, count - 1, square / max(expected, 1e-300)))
 
 
