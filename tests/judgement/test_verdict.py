@@ -8,7 +8,7 @@ import pytest
 from airpuck.boundary.finding import Finding
 from airpuck.evaluation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.judgement.findings import LOW_LIMIT, missed_motion
+from airpuck.judgement.findings import LOW_LIMIT, Evidence
 from airpuck.judgement.rehearsal import Rehearsal
 from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, published_model
@@ -78,9 +78,10 @@ def test_an_error_within_the_limit_counts_together_with_chance(flight):
 
 
 def test_a_model_without_thrust_predicts_like_a_craft_that_coasts(flight):
-    found = missed_motion(evaluate(scaled(0.0), flight), flight)
+    still = scaled(0.0)
+    found = Evidence(still, flight, evaluate(still, flight)).missed
     np.testing.assert_allclose(found, 1, rtol=0.05)
-    assert (missed_motion(evaluate(MODEL, flight), flight) < 0.02).all()
+    assert (Evidence(MODEL, flight, evaluate(MODEL, flight)).missed < 0.02).all()
 
 
 def test_a_long_delay_makes_the_recordings_clocks_suspect(flight):

@@ -295,8 +295,7 @@ def _changing(quadratic: Quadratic, directions: Float[np.ndarray, "V Q"]) -> Qua
     """Add coefficients of directions in which the parameters change linearly with the blocks."""
     scores, informations = quadratic.scores, quadratic.informations
     time = np.linspace(-0.5, 0.5, len(scores))[:, None, None]
-    wide = np.eye(scores.shape[1]) + 0 * time
-    wide = np.concatenate([wide, time * directions], axis=1)
+    wide = np.concatenate([np.eye(scores.shape[1]) + 0 * time, time * directions], axis=1)
     return Quadratic(
         quadratic.cluster_losses,
         np.einsum("gp,gvp->gv", scores, wide),

@@ -162,8 +162,8 @@ def lacking_on(model: Model, trajectory: Trajectory) -> tuple[MissingTerm, ...]:
     """Test what a model lacks on another recording, whatever its own parameters are there."""
     if not model.delay_learned:
         return ()
-    lag = float(np.max(model.dynamics.lag))
-    loss = Loss().suited([trajectory], model.vehicle).remembering(lag)
+    loss = Loss().suited([trajectory], model.vehicle)
+    loss = loss.remembering(float(np.max(model.dynamics.lag)))
     prepared, _ = retime_packets([trajectory], model)
     options: dict[str, Any] = {"frame": model.frame, "learns_delay": True}
     return missing_terms(model, prediction_loss(loss, prepared, model.vehicle, **options))

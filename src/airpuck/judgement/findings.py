@@ -45,11 +45,6 @@ _ABLE = 0.05
 _FLY = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
 
 
-def missed_motion(evaluation: Evaluation, trajectory: Trajectory) -> Float[np.ndarray, " 3"]:
-    """Return errors of x, y and yaw relative to a craft that coasts, for a typical window."""
-    return evaluation.median_abs / np.maximum(coasting(evaluation, trajectory).median_abs, 1e-12)
-
-
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Known errors of a model."""
@@ -96,7 +91,8 @@ class Evidence:
         """Errors relative to a craft that coasts."""
         if self.evaluation is None or self.trajectory is None:
             return None
-        return missed_motion(self.evaluation, self.trajectory)
+        coasts = coasting(self.evaluation, self.trajectory).median_abs
+        return self.evaluation.median_abs / np.maximum(coasts, 1e-12)
 
 
 def incomplete(model: Model) -> list[Finding]:
@@ -105,15 +101,11 @@ def incomplete(model: Model) -> list[Finding]:
     if model.fit.get("converged") is False:
         remedy = "Run it again, with more data or a closer start."
         found.append(Finding("physics", "The fit did not converge", remedy=remedy))
-    if not float(model.parameters.motor_time_constant) > 0 and not _learned_lag(model):
+    learned = model.free[model.parameters.mask(LAG)].any()
+    if not float(model.parameters.motor_time_constant) > 0 and not learned:
         cause = "The model has no motor lag, so it expects every thrust too early"
         found.append(Finding("physics", cause, remedy="Use M3."))
     return found
-
-
-def _learned_lag(model: Model) -> bool:
-    """Return whether a model's motor lag is learned."""
-    return bool(model.free[model.parameters.mask(LAG)].any())
 
 
 def too_quiet(evidence: Evidence) -> list[Finding]:
@@ -128,7 +120,7 @@ def too_quiet(evidence: Evidence) -> list[Finding]:
     found = []
     if error[worst] > ACCELERATION_LIMIT:
         found.append(
-            f"The recording determines the largest acceleration {_way(worst)} only to "
+            f"The recording determines the largest acceleration {WAYS[worst][0]} only to "
             f"{percent(float(error[worst]))}; {percent(ACCELERATION_LIMIT)} is needed"
         )
     judged = patience(evidence.model.vehicle) * _JUDGED_RESPONSE
@@ -186,10 +178,7 @@ def too_wrong(
                 if abs(share) <= WRONG_LIMIT:
                     off[-1] += f" and uncertain by another {percent(chance)}"
         cause = f"The modelled largest acceleration is wrong: {', '.join(off)}"
-        remedy = (
-            "A richer model may help (`--model auto`), or a check of mass, inertia and motors in "
-            "the vehicle file."
-        )
+        remedy = "Leave out `--model`, or check mass, inertia and motors in the vehicle file."
         found.append(Finding("physics", cause, remedy=remedy))
     if abs(low := float(np.median(effects.low))) > LOW_LIMIT:
         cause = (
@@ -197,19 +186,13 @@ def too_wrong(
             f"{percent(abs(low))} too {'large' if low > 0 else 'small'}: the thrust curves have "
             "the wrong shape"
         )
-        remedy = "Use a richer model (`--model auto`)."
-        found.append(Finding("physics", cause, remedy=remedy))
+        found.append(Finding("physics", cause, remedy="Leave out `--model`."))
     if response > patience(model.vehicle) * RESPONSE_LIMIT:
         when = "later" if effects.later > 0 else "earlier"
         cause = f"Commands take effect {1e3 * abs(effects.later):.0f} ms {when} than modelled"
         remedy = "Use a model with a motor lag, and learn the delay (`--delay fit`)."
         found.append(Finding("physics", cause, remedy=remedy))
     return found
-
-
-def _way(number: int) -> str:
-    """Name a direction of acceleration."""
-    return WAYS[number][0]
 
 
 def _ways(relative: Float[np.ndarray, " 6"]) -> str:

@@ -232,11 +232,10 @@ def judged_on(
     mapping: RecordingMapping | None = None,
 ) -> Verdict:
     """Judge a model by its predictions of a recording, and by what it lacks there."""
-    missing: tuple[MissingTerm, ...] = ()
+    causes = list[Finding]()
     with suppress(InputError):  # Too short for windows of a fit.
-        missing = lacking_on(model, trajectory)
+        causes += map(_lacking, lacking_on(model, trajectory))
     axes = AXES if mapping is None else mapping.pose.axes
-    causes = [_lacking(one) for one in missing]
     return verdict(model, trajectory, evaluation, causes=causes, axes=axes)
 
 
@@ -265,8 +264,9 @@ def _changed(what: str, change: float, evidence: str) -> tuple[str, str, str]:
         when = "later" if change > 0 else "earlier"
         cause = f"At its end, commands act {1e3 * abs(change):.1f} ms {when} than at its beginning"
         return cause, evidence, "Check the clocks and the radio."
-    who, check = (what, "this motor") if what != ALL else ("All propellers", "the battery")
+    give, check = f"{what} gives", "this motor"
+    if what == ALL:
+        give, check = "All propellers give", "the battery"
     how = "more" if change > 0 else "less"
-    gives = "give" if what == ALL else "gives"
-    cause = f"{who} {gives} {percent(abs(change))} {how} thrust at the end than at the beginning"
+    cause = f"{give} {percent(abs(change))} {how} thrust at the end than at the beginning"
     return cause, evidence, f"Check {check}, or learn from a part (`--span`)."

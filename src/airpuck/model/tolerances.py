@@ -98,5 +98,4 @@ def _wrong(parameters: Parameters, vehicle: Vehicle, vector: Any) -> Iterator[An
         angle = np.radians(vehicle.direction_error_deg)
         directions = np.where(mine, turned(np, vehicle.directions, angle), vehicle.directions)
         yield _matrix(parameters, vehicle, vector, directions=directions)
-    heavier = vehicle.mass_kg * (1 + vehicle.mass_error)
-    yield _matrix(parameters, vehicle, vector, mass=heavier)
+    yield _matrix(parameters, vehicle, vector, mass=vehicle.mass_kg * (1 + vehicle.mass_error))
