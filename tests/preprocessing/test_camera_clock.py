@@ -109,6 +109,22 @@ def test_the_first_of_poses_that_a_logger_repeats_is_kept(faster):
     assert np.abs(off(found, kept)).max() < 0.6 / (faster * 240.0)
 
 
+@pytest.mark.parametrize("faster", [1.25, 2.0, 4.0])
+def test_a_burst_of_lost_frames_that_a_logger_fills_with_repeats_is_lost(faster):
+    time = exposures(120.0)
+    bursts = [(3.04, 3.1), (7.2, 7.3), (11.0, 11.03)]
+    seen = np.all([(time < first) | (time > last) for first, last in bursts], axis=0)
+    time, values = time[seen], np.random.default_rng(2).normal(size=(int(seen.sum()), 3))
+    logged = np.arange(0.001, time[-1], 1 / (faster * 120.0))
+    held = np.searchsorted(time, logged, side="right") - 1
+    found, warnings = at_exposure(stamped(logged, values[held]))
+    assert "120.0" in warnings[1]
+    order = np.argsort(values[:, 0])
+    kept = time[order[np.searchsorted(values[order, 0], found.values[:, 0])]]
+    assert len(kept) == len(set(held.tolist()))
+    assert np.abs(off(found, kept)).max() < 0.6 / (faster * 120.0)
+
+
 def test_a_frozen_pose_keeps_its_repeats():
     time = exposures(240.0)
     values = np.random.default_rng(2).normal(size=(len(time), 3))

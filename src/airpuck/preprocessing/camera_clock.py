@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.preprocessing.missing import longest_pause
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.stream import Stream
+from airpuck.recording.stream import Stream, rows_of
 
 #: A step below this fraction of the mean step, and the fraction of such steps, from which stamps
 #: are times of arrival.
@@ -35,9 +36,9 @@ _KEPT = 0.8
 _LOST, _FOLLOWS = 0.6, 0.02
 #: Spread of the earliest arrivals about the line, in periods, above which frames were miscounted.
 _SPREAD = 0.45
-#: Repeats of a pose, as a fraction of all poses, that a logger must have made. A run of repeats
-#: this long is a frozen pose instead [periods, s].
-_REPEATS, _FROZEN_PERIODS, _FROZEN_S = 0.005, 3, 5 / 240
+#: Repeats of a pose, as a fraction of all poses, that a logger must have made: in runs of at most
+#: this length [periods, s].
+_REPEATS, _RUN_PERIODS, _RUN_S = 0.005, 3, 5 / 240
 
 
 def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
@@ -89,21 +90,16 @@ def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     run = np.repeat(np.arange(len(first)), ends - first)
     since = time - time[first][run]
     lasted = np.append(time[first[1:]], time[-1]) - time[first]
-    frozen = lasted > max(_FROZEN_PERIODS * period, _FROZEN_S)
-    # A frozen pose, or a craft at rest, keeps the cameras' rate.
-    frame = np.floor(since / max(period, 1e-9) + 0.5)
+    if (same & (lasted <= max(_RUN_PERIODS * period, _RUN_S))[run]).sum() < _REPEATS * len(time):
+        return stream, ()
+    # A frozen pose, or a craft at rest, keeps the cameras' rate; frames are lost for shorter.
+    frozen = lasted > longest_pause(period)
+    frame, last = (np.floor(one / max(period, 1e-9) + 0.5) for one in (since, lasted))
     new = frozen[run] & np.concatenate([[True], frame[1:] > frame[:-1]])
+    new &= frame < last[run]  # the pose that ends it has the last frame
     kept = ~same | new
     dropped = int((~kept).sum())
-    if dropped < _REPEATS * len(time):
-        return stream, ()
-    kept_stream = replace(
-        stream,
-        stamp_ns=stream.stamp_ns[kept],
-        received_ns=stream.received_ns[kept],
-        values=stream.values[kept],
-    )
-    return kept_stream, (
+    return rows_of(stream, kept), (
         f"{100 * dropped / len(time):.0f} % of the poses repeat the one before, because they were "
         f"logged faster than they change ({1 / period:.0f} Hz); the first of equal poses is used",
     )
