@@ -107,10 +107,10 @@ def test_a_mirrored_recording_ends_with_its_cause_and_all_files(tmp_path):
     assert done.returncode == 2 and model.exists()
     figures = json.loads((tmp_path / "fit.json").read_text())
     assert figures["verdict"]["outcome"] == "suspect_recording"
-    assert figures["findings"][0]["kind"] == "axes"
-    assert "the y axis" in done.stderr.splitlines()[-1]
+    assert figures["findings"][0]["kind"] == "signs"
+    assert "y axis is flipped" in done.stderr.splitlines()[-1]
     study = airpuck.study(bag)
-    with pytest.raises(InputError, match="wrong sign of the y axis"):
+    with pytest.raises(InputError, match="y axis is flipped"):
         study.verdict.check_recording(bag)
 
 
