@@ -12,7 +12,7 @@ from __future__ import annotations
 #: Public name -> its module.
 _HOME: dict[str, str] = {}
 #: Former public names, with their replacement.
-_FORMER = {"fly_fleet": "TwinBatch"}
+_FORMER = {"fly_fleet": "airpuck.TwinBatch", "Adam": "studies/adam.py"}
 
 
 def _home() -> dict[str, str]:
@@ -54,7 +54,7 @@ def __getattr__(name: str) -> object:
             public = checked(public)
         globals()[name] = public
         return public
-    remedy = f"; use airpuck.{_FORMER[name]}" if name in _FORMER else ""
+    remedy = f"; use {_FORMER[name]}" if name in _FORMER else ""
     raise AttributeError(f"module 'airpuck' has no attribute {name!r}{remedy}")
 
 
