@@ -27,6 +27,7 @@ ORDER = (
     "model",
     "data",
     "recording",
+    "deviation",
     "preprocessing",
     "estimate",
     "evaluation",
@@ -132,6 +133,7 @@ def test_imports_go_downwards():
             "scipy",
             {
                 "control",
+                "deviation",
                 "evaluation",
                 "faults",
                 "flight",

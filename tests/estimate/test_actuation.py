@@ -8,16 +8,15 @@ from scipy.stats import multivariate_normal
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.windows import Past, make_windows
+from airpuck.deviation.motor_regression import accelerations_by_motor, following, twice_integrated
 
 # The regression is written down again by hand, from the same motion and motor speeds.
 from airpuck.estimate.actuation import (
     ActuationEncoder,
     EffectivenessPrior,
     _motion,
-    _motor_speeds,
 )
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.estimate.motor_regression import accelerations_by_motor, twice_integrated
 from airpuck.evaluation.evaluate import PROTOCOLS, evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
@@ -110,7 +109,7 @@ def test_the_regression_is_gaussian_conditioning(flight, velocity, disturbance, 
         MODEL.dynamics, replace(past, measured=np.isin(np.arange(12), seen)[:, None])
     )
 
-    speed = _motor_speeds(MODEL.dynamics, past)
+    speed = following(MODEL.dynamics, past.command[0], past.command[:-1], past.duration)
     by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
     basis = twice_integrated(by_motor, past.duration)[..., 0]
     whole = twice_integrated(rest + by_motor.sum(axis=2), past.duration)
@@ -199,7 +198,7 @@ def covariance(encoder, c, size, step):
 def contrast_density(encoder, past, prior):
     """Log density of those contrasts of the measurements that do not depend on pose and speed."""
     size, step = len(past.state), float(np.median(past.duration))
-    speed = _motor_speeds(MODEL.dynamics, past)
+    speed = following(MODEL.dynamics, past.command[0], past.command[:-1], past.duration)
     by_motor, rest = accelerations_by_motor(MODEL.dynamics, _motion(past, encoder.causal), speed)
     basis = twice_integrated(by_motor, past.duration)
     offset = twice_integrated(rest, past.duration) + basis.sum(axis=-2)
@@ -264,7 +263,7 @@ def test_the_motors_parts_add_up_to_the_acceleration_with_any_effects(flight):
     )
     dynamics = replace(MODEL.dynamics, effects=effects)
     past = past_of(flight, 20, 100)
-    speed = _motor_speeds(dynamics, past)
+    speed = following(dynamics, past.command[0], past.command[:-1], past.duration)
     by_motor, rest = accelerations_by_motor(dynamics, past.state, speed)
     for k in (0, 7, 19):
         whole = np.array(acceleration(np, dynamics, past.state[k, 2:6], speed[k]))

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from airpuck.deviation.model_errors import verdicts
 from airpuck.evaluation.late_packets import LatePackets
-from airpuck.evaluation.model_errors import model_errors, verdicts
+from airpuck.evaluation.residuals import model_errors
 
 MOTORS, PERIOD, SAMPLES = ("a", "b", "c", "d"), 1 / 240, 3000
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
+from airpuck.deviation.motor_regression import block_regression
 from airpuck.evaluation.statistical_tests import (
     FEWEST_BLOCKS,
-    block_regression,
     blocks,
     log_mean_square_errors,
     redrawn_means,

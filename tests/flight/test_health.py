@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from airpuck.control.reference import SetPoints
+from airpuck.deviation.model_errors import ModelError
 from airpuck.evaluation.evaluate import evaluate
-from airpuck.flight.health import Deviations, Health, HealthMonitor, Judged, deviations
+from airpuck.flight.health import Health, HealthMonitor, Judged, deviations
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
@@ -66,7 +67,7 @@ def faulty(plant):
 def test_a_healthy_craft_is_not_alarmed(plant):
     healthy = flown(plant, default_twin_settings(), HEALTHY, seed=2)
     told = watched(healthy, 3.0, 4.0, monitor=HealthMonitor(MODEL))
-    assert told[-1].found.predictions > 40
+    assert told[-1].predictions > 40
     for health in told:
         assert health.flying
         assert health.findings == ()
@@ -76,30 +77,31 @@ def test_a_healthy_craft_is_not_alarmed(plant):
 @pytest.mark.slow
 def test_a_propeller_that_weakens_in_flight_and_a_longer_delay_are_named(faulty):
     before, after = watched(faulty, FAULT, monitor=HealthMonitor(MODEL))
-    assert not any("propeller" in told for told in before.findings)
-    of_motor, of_delay = after.findings
-    assert of_motor.startswith(f"propeller {WEAK} at ")
-    assert of_delay.endswith("longer than the model's")
-    found, i = after.found, NAMES.index(WEAK)
-    assert found.value[i] == pytest.approx(SHARE, abs=3 * found.deviation[i])
-    assert found.deviation[i] < 0.03
-    assert np.argmax(found.share[:-1]) == i
-    assert found.value[-1] == pytest.approx(DELAY, abs=3 * found.deviation[-1])
-    assert found.deviation[-1] < 0.003
+    assert not set(before.names) & set(NAMES)
+    assert set(after.names) == {WEAK, "delay"}
+    assert after.findings[0].startswith("commands act ") and " later than " in after.findings[0]
+    assert after.findings[1].startswith(f"{WEAK} gives ")
+    errors = {error.name: error for error in after.errors}
+    of_motor, of_delay = errors[WEAK], errors["delay"]
+    assert of_motor.value == pytest.approx(SHARE - 1, abs=3 * of_motor.standard_error)
+    assert of_motor.standard_error < 0.03
+    assert max(after.errors[1:], key=lambda one: one.share).name == WEAK
+    assert of_delay.value == pytest.approx(DELAY, abs=3 * of_delay.standard_error)
+    assert of_delay.standard_error < 0.003
 
 
 def test_little_excitation_is_no_evidence():
-    """A loss that is certain by its standard deviation alone, and a small one."""
-    value, deviation = (
-        np.array([0.6, 0.88, 0.8, 1.0, 0.0]),
-        np.array([0.08, 0.01, 0.01, 0.01, 0.005]),
+    """A loss that would be certain without its standard error, and a small one."""
+    errors = (
+        ModelError("delay", 0.0, 0.005, 0.005, False, 1.0, 0.2),
+        ModelError("a", -0.4, 0.08, 0.05, False, 1.0, 0.7),
+        ModelError("b", -0.06, 0.01, 0.05, True, 0.2, 0.1),
+        ModelError("c", -0.2, 0.01, 0.05, True, 1e-9, 0.3),
     )
-    found = Deviations(40, np.full(3, 1e-3), value, deviation, np.array([0.7, 0.1, 0.3, 0.0, 0.2]))
-    health = Health(("a", "b", "c", "d"), True, found)
-    assert health.known.tolist() == [False, True, True, True, False]
-    assert health.findings == ("propeller c at 80 % (78 to 82 %)",)
+    health = Health(True, 40, np.full(3, 1e-3), errors)
+    assert health.findings == ("c gives 20.0 % ± 1.0 % less than modelled",)
     said = str(health)
-    assert "not known: a, delay (little excitation)" in said
+    assert "not known: delay, a (little excitation)" in said
     assert said.endswith("shares of the error: c 30 %")
     figures = health.to_json()
     assert figures["propellers"]["a"]["known"] is False
@@ -113,7 +115,7 @@ def test_errors_are_those_of_an_evaluation(faulty):
     wrong = replace(
         MODEL, parameters=replace(MODEL.parameters, thrust=1.3 * MODEL.parameters.thrust)
     )
-    error = watched(faulty, monitor=HealthMonitor(wrong, memory=100.0))[-1].found.error
+    error = watched(faulty, monitor=HealthMonitor(wrong, memory=100.0))[-1].error
     offline = evaluate(wrong, preprocess(faulty, MODEL.vehicle)).rmse
     np.testing.assert_allclose(error, offline, rtol=0.35)
 
@@ -155,7 +157,9 @@ def test_deviations_of_a_linear_world():
             lost = random.normal(size=(6, 4))
             noise = random.normal(size=6) * 0.1 + lost @ random.normal(size=4) * 0.05
             judged.append(Judged(0.1 * k, slopes @ truth + noise, slopes, lost @ lost.T))
-        found = deviations(judged, motors, 1e3, overlap=1.0, jitter=0.05, radius=1.0)
-        scores.append((found.value - [1, 1, 0] - truth) / found.deviation)
+        _, value, deviation, _ = deviations(
+            judged, motors, 1e3, overlap=1.0, jitter=0.05, radius=1.0
+        )
+        scores.append((value - truth) / deviation)
     np.testing.assert_allclose(np.std(scores, axis=0), 1.0, atol=0.2)
     np.testing.assert_allclose(np.mean(scores, axis=0), 0.0, atol=0.25)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.deviation.effect_errors import effect_errors
 from airpuck.evaluation.coasting import better_from
-from airpuck.evaluation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import read_vehicle
-from airpuck.evaluation.effect_errors import EffectErrors, effect_errors
+from airpuck.deviation.effect_errors import EffectErrors, effect_errors
 from airpuck.judgement.rehearsal import GOAL, NEAR, as_seen, flown_margin, like, rehearse
 from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model, nominal_model, published_model

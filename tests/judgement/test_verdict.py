@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.finding import Finding
-from airpuck.evaluation.effect_errors import effect_errors
+from airpuck.deviation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.judgement.findings import LOW_LIMIT, Evidence
 from airpuck.judgement.rehearsal import Rehearsal

@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from airpuck.flight.health import Deviations, Health
+from airpuck.deviation.model_errors import ModelError
+from airpuck.flight.health import Health
 from airpuck.web.panel import Gauge, health_gauges, judged, plan_gauges, timing_gauges
 
 
@@ -25,11 +26,12 @@ def test_the_plan_is_shown_while_it_is_news():
 
 
 def test_each_channel_and_each_motor_has_a_gauge():
-    found = Deviations(
-        30, np.array([8e-3, 4e-3, 0.1]), np.array([0.8, 1.0, 0.002]),
-        np.array([0.01, 0.01, 0.001]), np.array([0.6, 0.1, -0.02]),
-    )  # fmt: skip
-    health = Health(("left", "right"), True, found)
+    errors = (
+        ModelError("delay", 0.002, 0.001, 0.005, True, 1.0, -0.02),
+        ModelError("left", -0.2, 0.01, 0.05, True, 1e-9, 0.6),
+        ModelError("right", 0.0, 0.01, 0.05, True, 1.0, 0.1),
+    )
+    health = Health(True, 30, np.array([8e-3, 4e-3, 0.1]), errors)
     assert judged(health)
     (_, errors), (_, causes) = health_gauges(health)
     assert errors == [
@@ -42,11 +44,11 @@ def test_each_channel_and_each_motor_has_a_gauge():
         ("right", "100 ± 1 %", pytest.approx(0.1)),
         ("delay", "+2.0 ± 1.0 ms", pytest.approx(-0.02)),
     ]
-    assert health.findings == ("propeller left at 80 % (78 to 82 %)",)
+    assert health.findings == ("left gives 20.0 % ± 1.0 % less than modelled",)
     assert "; shares of the error: left 60 %" in str(health)
 
 
 def test_a_craft_that_is_not_judged_is_described_in_words():
-    health = Health(("left", "right"), False, Deviations(0, *np.zeros((4, 3))))
+    health = Health(False, 0, np.full(3, np.nan), ())
     assert not judged(health)
     assert health_gauges(health) == [(str(health), [])]

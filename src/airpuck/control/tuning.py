@@ -22,10 +22,10 @@ from airpuck.boundary.files import (
 from airpuck.boundary.kinds import unknown
 from airpuck.control.laws import check_law
 from airpuck.craft.actuators import OnOff
+from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model
-from airpuck.preprocessing.time_scale import patience
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")
@@ -295,7 +295,7 @@ class Tuning(Section):
         Parameters
         ----------
         times : float
-            Ratio of the durations, such as `airpuck.preprocessing.time_scale.patience`.
+            Ratio of the durations, such as `airpuck.deviation.time_scale.patience`.
 
         Returns
         -------

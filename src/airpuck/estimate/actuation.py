@@ -17,14 +17,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.data.windows import Past
-from airpuck.estimate.motor_regression import (
+from airpuck.deviation.motor_regression import (
     accelerations_by_motor,
+    following,
     normal_equations,
     solved,
     twice_integrated,
     with_effectiveness,
 )
-from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.thrust import thrust_slope
 
@@ -147,7 +147,7 @@ class ActuationEncoder:
         motor i, both integrated backwards from the present. The noise is the poses' noise plus
         white accelerations integrated twice. p and v have no prior.
         """
-        speed = _motor_speeds(dynamics, past)
+        speed = following(dynamics, past.command[0], past.command[:-1], past.duration)
         by_motor, rest = accelerations_by_motor(dynamics, _motion(past, self.causal), speed)
         basis = twice_integrated(by_motor, past.duration)
         present = np.asarray(past.state)[-1]
@@ -213,15 +213,6 @@ class ActuationEncoder:
         apart = np.array(solutions) - mean
         spread = np.array(covariances) + apart[..., :, None] * apart[..., None, :]
         return mean, np.einsum("hb,hbmk->bmk", weight, spread), weight
-
-
-def _motor_speeds(dynamics: Dynamics, past: Past) -> Float[np.ndarray, "E n B"]:
-    """Return the motor speeds over the past, from the first command on."""
-    lag = dynamics.lag, dynamics.idle_lag
-    speeds = [np.asarray(past.command[0])]
-    for command, duration in zip(past.command[:-1], past.duration, strict=True):
-        speeds.append(motor_step(np, speeds[-1], command, duration, *lag))
-    return np.array(speeds)
 
 
 def _motion(past: Past, causal: bool) -> Float[np.ndarray, "E 6 B"]:

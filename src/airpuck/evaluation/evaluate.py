@@ -19,12 +19,12 @@ from airpuck.boundary.notebook import html_table
 from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
 from airpuck.data.windows import Windows, integration_parts, make_windows
+from airpuck.deviation.time_scale import forgetting_time, showing_time
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.encoder import Encoder, PaperEncoder, StateEncoder
 from airpuck.evaluation.statistical_tests import BLOCK_S, rmse_interval
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics, rollout
-from airpuck.preprocessing.time_scale import forgetting_time, showing_time
 
 #: Names of the channels in every result, with their units.
 CHANNELS = ("x_m", "y_m", "yaw_rad")

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_samples
 from airpuck.data.trajectory import Trajectory, check_propellers
-from airpuck.estimate.axis_filter import Noise, correct, spread
+from airpuck.estimate.axis_filter import Noise, correct, process_noise, spread
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
@@ -133,38 +133,72 @@ def _costs(
     candidates: Float[np.ndarray, "C 3 2"], typical: float, given: tuple[np.ndarray, ...]
 ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
     """Return the negative concentrated log-likelihood, up to a constant, and r."""
-    ratios = _ratios(candidates).reshape(-1, 2) / typical ** np.array([3, 5])
-    none, one = np.zeros(len(ratios)), np.ones(len(ratios))
-    start = initial_covariance(np, one, ratios[:, 1], typical)
-    carry = np.zeros((len(ratios), 3)), start, none, none
-    *_, squares, logs = _compiled()((*ratios.T, start), carry, given)[0]
-    variance = squares.reshape(-1, 3) / (count := given[-1].sum())
-    return 0.5 * (count * np.log(variance) + logs.reshape(-1, 3)), variance
+    pose, added, *rest = given
+    ratios = np.zeros((*candidates.shape[:2], 3))
+    ratios[..., :2] = _ratios(candidates) / typical ** np.array([3, 5])
+    # No packet is late.
+    per_sample = pose, added[:, :, None], np.zeros_like(pose), *rest
+    squares, logs, _ = passed(ratios, 1.0, typical, per_sample)
+    variance = squares / (count := given[-1].sum())
+    return 0.5 * (count * np.log(variance) + logs), variance
+
+
+def passed(
+    ratios: Float[np.ndarray, "C 3 3"], lag: float, period: float, given: tuple[np.ndarray, ...]
+) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"], Float[np.ndarray, "N 3 s"] | None]:
+    """Pass signals through a filter for each candidate of the noises.
+
+    Candidates are ratios to the variance of the pose: of white accelerations, of disturbances, and
+    of late packets that make motors of a `lag` [s] push less or more, m' = -m/τ. Returns sums of
+    squares and of logarithms, and the innovations of a single candidate.
+    """
+    ratios, signals = ratios.reshape(-1, 3), given[1].shape[2]
+    none, start = np.zeros(len(ratios)), np.zeros((len(ratios), 4, 4))
+    start[:, :3, :3] = initial_covariance(np, none + 1, ratios[:, 1], period)
+    carry = np.zeros((len(ratios), signals, 4)), start, none, none
+    (*_, squares, logs), scaled = _compiled()((ratios, lag, start), carry, given)
+    return squares.reshape(-1, 3), logs.reshape(-1, 3), scaled
 
 
 @cache
 def _compiled() -> Any:
-    """Compile the pass over the samples: sums of squares and of logarithms."""
+    """Compile the pass over the samples, for some candidates of the noises and some signals."""
     import jax.numpy as jnp
 
     def advance(known: Any, carry: Any, now: Any) -> Any:
-        (acceleration, disturbance, start), (mean, covariance, squares, logs) = known, carry
-        pose, added, h, restart, measured, used = now
-        count, one = len(acceleration) // 3, jnp.ones_like(acceleration)
-        pose, added = jnp.tile(pose, count), jnp.tile(added, (count, 1))
-        p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
-        p = p + h * v + h * h / 2 * d + added[:, 0]
-        mean = jnp.stack([p, v + h * d + added[:, 1], d], axis=1)
-        covariance = spread(jnp, covariance, h, acceleration, disturbance)
-        innovation, variance = pose - p, covariance[:, 0, 0] + 1.0
-        one = jnp.where(measured, one, jnp.inf)
-        mean, covariance = correct(mean, covariance, 0, innovation, one)
-        squares = squares + used * innovation**2 / variance
+        (ratios, lag, start), (mean, covariance, squares, logs) = known, carry
+        pose, added, kicks, h, restart, measured, used = now
+        (count, signals, _), (acceleration, disturbance, lateness) = mean.shape, ratios.T
+        pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
+        # The first signal is the measured pose; for the others only their contribution matters.
+        pose = jnp.pad(pose[:, None], ((0, 0), (0, signals - 1)))
+        left = jnp.exp(-h / lag)
+        gone = lag * (1 - left)
+        step = jnp.array(
+            [
+                [1, h, h * h / 2, lag * (h - gone)],
+                [0, 1, h, gone],
+                [0, 0, 1, 0],
+                [0, 0, 0, left],
+            ]
+        )
+        late = lateness * jnp.tile(kicks, count // 3)
+        covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T
+        grown = process_noise(jnp, h, acceleration, disturbance)
+        covariance = covariance.at[:, :3, :3].add(grown)
+        mean = (mean @ step.T).at[..., :2].add(added)
+        innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
+        squares = squares + used * innovation[:, 0] ** 2 / variance
         logs = logs + used * jnp.log(variance)
-        fresh = jnp.stack([pose, 0 * pose, 0 * pose], axis=1)
+        gain = measured * covariance[:, :, 0] / variance[:, None]
+        mean = mean + gain[:, None] * innovation[..., None]
+        covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
+        fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
         mean = jnp.where(restart, fresh, mean)
         covariance = jnp.where(restart, start, covariance)
-        return (mean, covariance, squares, logs), None
+        # A search needs only the sums.
+        scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
+        return (mean, covariance, squares, logs), scaled
 
     return for_samples(advance)
 

@@ -11,21 +11,17 @@ the innovations.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.compute.compiled import for_samples
 from airpuck.data.trajectory import Trajectory
-from airpuck.estimate.axis_filter import process_noise
-from airpuck.estimate.motor_regression import accelerations_by_motor
+from airpuck.deviation.motor_regression import accelerations_by_motor
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import (
     Innovations,
-    initial_covariance,
     motor_speeds_at,
+    passed,
     pattern_search,
 )
 from airpuck.model.model_file import Model
@@ -82,7 +78,7 @@ def late_packets(
 
     def filtered(wanders: bool) -> tuple[Float[np.ndarray, "N 3 s"], Float[np.ndarray, " 3"]]:
         ratios, variance = _most_likely(found, one, lag, period, wanders)
-        scaled = _passed(ratios[None], lag, period, (pose, added, *per_sample))[2]
+        scaled = passed(ratios[None], lag, period, (pose, added, *per_sample))[2]
         scaled = np.where(found.used[:, None, None], scaled / np.sqrt(variance)[:, None], 0.0)
         return scaled, np.sqrt(ratios[:, 2] * variance)
 
@@ -162,7 +158,7 @@ def _most_likely(
     def costs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ratios = np.where(points > _LOWEST, 10.0**points, 0.0) * units
         ratios[..., 1] *= wanders
-        squares, logs, _ = _passed(ratios, lag, period, given)
+        squares, logs, _ = passed(ratios, lag, period, given)
         return 0.5 * (count * np.log(squares / count) + logs), squares / count, ratios
 
     densities = np.square([found.noise.acceleration, found.noise.disturbance]).T / pose[:, None]
@@ -180,58 +176,3 @@ def _most_likely(
     cost, variance, ratios = costs(some)
     best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
     return ratios[best, axis], variance[best, axis]
-
-
-def _passed(
-    ratios: Float[np.ndarray, "C 3 3"], lag: float, period: float, given: tuple[np.ndarray, ...]
-) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"], Float[np.ndarray, "N 3 s"] | None]:
-    """Return sums of squares and of logarithms, and the innovations of a single candidate."""
-    ratios, signals = ratios.reshape(-1, 3), given[1].shape[2]
-    none, start = np.zeros(len(ratios)), np.zeros((len(ratios), 4, 4))
-    start[:, :3, :3] = initial_covariance(np, none + 1, ratios[:, 1], period)
-    carry = np.zeros((len(ratios), signals, 4)), start, none, none
-    (*_, squares, logs), scaled = _compiled()((ratios, lag, start), carry, given)
-    return squares.reshape(-1, 3), logs.reshape(-1, 3), scaled
-
-
-@cache
-def _compiled() -> Any:
-    """Compile the pass over the samples, for some candidates of the noises and some signals."""
-    import jax.numpy as jnp
-
-    def advance(known: Any, carry: Any, now: Any) -> Any:
-        (ratios, lag, start), (mean, covariance, squares, logs) = known, carry
-        pose, added, kicks, h, restart, measured, used = now
-        (count, signals, _), (acceleration, disturbance, lateness) = mean.shape, ratios.T
-        pose, added = (jnp.tile(a, (count // 3,) + (1,) * (a.ndim - 1)) for a in (pose, added))
-        # The first signal is the measured pose; for the others only their contribution matters.
-        pose = jnp.pad(pose[:, None], ((0, 0), (0, signals - 1)))
-        left = jnp.exp(-h / lag)
-        gone = lag * (1 - left)
-        step = jnp.array(
-            [
-                [1, h, h * h / 2, lag * (h - gone)],
-                [0, 1, h, gone],
-                [0, 0, 1, 0],
-                [0, 0, 0, left],
-            ]
-        )
-        late = lateness * jnp.tile(kicks, count // 3)
-        covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T
-        grown = process_noise(jnp, h, acceleration, disturbance)
-        covariance = covariance.at[:, :3, :3].add(grown)
-        mean = (mean @ step.T).at[..., :2].add(added)
-        innovation, variance = pose - mean[..., 0], covariance[:, 0, 0] + 1.0
-        squares = squares + used * innovation[:, 0] ** 2 / variance
-        logs = logs + used * jnp.log(variance)
-        gain = measured * covariance[:, :, 0] / variance[:, None]
-        mean = mean + gain[:, None] * innovation[..., None]
-        covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
-        fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
-        mean = jnp.where(restart, fresh, mean)
-        covariance = jnp.where(restart, start, covariance)
-        # A search needs only the sums.
-        scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
-        return (mean, covariance, squares, logs), scaled
-
-    return for_samples(advance)

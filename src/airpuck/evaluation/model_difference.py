@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Result
+from airpuck.deviation.significance import holm
 from airpuck.evaluation.evaluate import Evaluation, known_intervals
-from airpuck.evaluation.statistical_tests import holm, rmse_ratio
+from airpuck.evaluation.statistical_tests import rmse_ratio
 
 #: Chance of any false alarm among all pairs and channels.
 LEVEL = 0.05

@@ -25,16 +25,15 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.model_errors import ModelError, tested_errors, verdicts
+from airpuck.deviation.motor_regression import block_regression
+from airpuck.deviation.significance import BAND, IN_RECORDING, LEVEL, holm
 from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import Innovations, innovations
 from airpuck.evaluation.late_packets import LatePackets, late_packets
-from airpuck.evaluation.model_errors import ModelError, model_errors, verdicts
 from airpuck.evaluation.statistical_tests import (
-    BAND,
-    LEVEL,
     Whiteness,
     beyond_least,
-    holm,
     ljung_box,
     share_text,
     with_pauses,
@@ -48,6 +47,8 @@ _NONE = 1e-10
 BODY_CHANNELS = ("forward", "left", "yaw")
 #: Largest lag [samples].
 LAGS = 25
+#: Length of a block of time behind standard errors [s]: the effect of a late packet lasts.
+_BLOCK_S = 0.5
 #: A push below this fraction of the strongest one counts as none.
 _ROUNDING = 1e-9
 
@@ -339,10 +340,35 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
         sample_period=trajectory.sample_period,
         whiteness=whiteness,
         correlations=tuple(correlations),
-        errors=tuple(errors),
+        errors=errors,
         structure=tuple(structure),
         innovations=found,
         late=late,
+    )
+
+
+def model_errors(
+    motors: Sequence[str],
+    late: LatePackets,
+    used: Bool[np.ndarray, " N"],
+    period: float,
+    delay_known: float = 0.0,
+) -> tuple[ModelError, ...]:
+    """Estimate the errors of timing, all motors and the mass together, and test them.
+
+    A delay estimated from the recording has the standard error `delay_known` [s].
+    """
+    translation = late.directions[..., 2:].sum(axis=2, keepdims=True) * [[1.0], [1.0], [0.0]]
+    regressors = np.concatenate([late.directions, translation], axis=2)[used]
+    names = "delay", "lag", *motors, "mass"
+    # In units of negligible errors, so that all columns have similar scales.
+    unit, time = IN_RECORDING.least
+    units = np.array([time, time, *[unit] * (len(names) - 2)])
+    given = regressors * units, late.steady[used], period, _BLOCK_S
+    value, covariance, blocks = block_regression(*given)
+    error = units * np.sqrt(np.diag(covariance))
+    return tested_errors(
+        names, units * value, error, blocks - 1, IN_RECORDING, delay_known=delay_known
     )
 
 

@@ -18,13 +18,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result
+from airpuck.deviation.significance import BAND, LEVEL
 
-#: Level of the residual tests.
-LEVEL = 0.01
 #: Fraction of a channel's variance below which a residual effect does not count.
 LEAST_SHARE = 0.01
-#: 99.5 % quantile of the normal distribution: half of a 99 % band, in standard deviations.
-BAND = 2.5758293035489004
 #: Length of a block [s]. The rule of Politis and White (2004) gives 0.6 to 1.6 s for the squared
 #: errors of seven real flights; faults and other disturbances last up to a few seconds.
 BLOCK_S = 3.0
@@ -106,39 +103,6 @@ def beyond_least(statistic: float, degrees: int, count: int) -> tuple[float, flo
     return p_value, max(statistic - degrees, 0.0) / count
 
 
-def block_regression(
-    columns: Float[np.ndarray, "M 3 m"],
-    values: Float[np.ndarray, "M 3"],
-    period: float,
-    block_s: float,
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"], int]:
-    """Regress three channels together; the covariance is from leaving out one block at a time.
-
-    This jackknife allows for errors that are correlated within a block, and for few blocks. Returns
-    coefficients, their covariance, and the number of blocks. Undetermined coefficients get a
-    standard error of a hundred units.
-    """
-    flat = columns.reshape(-1, columns.shape[2])
-    normal = flat.T @ flat + 1e-4 * np.eye(flat.shape[1])
-    inverse = np.linalg.inv(normal)
-    coefficients = inverse @ (flat.T @ values.reshape(-1))
-    left = values - columns @ coefficients
-    starts = np.arange(0, len(columns), max(1, round(block_s / period)))
-    blocks = len(starts)
-    scores = np.add.reduceat(np.einsum("kcm,kc->km", columns, left), starts)
-    moved = np.array(
-        [
-            np.linalg.solve(normal - np.tensordot(part, part, ((0, 1), (0, 1))), score)
-            for part, score in zip(np.split(columns, starts[1:]), scores, strict=True)
-        ]
-    )
-    spread = moved.T @ moved * (blocks - 1) / blocks
-    # At least as large as for independent innovations.
-    variance = np.diag(spread)
-    grown = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(variance, 1e-300), 1.0))
-    return coefficients, spread * np.outer(grown, grown), blocks
-
-
 def with_pauses(
     values: Float[np.ndarray, "N C"], used: Bool[np.ndarray, " N"], lags: int
 ) -> Float[np.ndarray, "L C"]:
@@ -155,19 +119,6 @@ def with_pauses(
 def share_text(share: float) -> str:
     """Write a fraction of the variance next to the threshold."""
     return f"{100 * share:.1f} % of the variance (threshold {100 * LEAST_SHARE:g} %)"
-
-
-def holm(p_values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Adjust p-values so that the chance of any false alarm among them stays below the level.
-
-    The step-down procedure of Holm (1979): the smallest is multiplied by K, the next by K - 1, ….
-    The tests need not be independent.
-    """
-    order = np.argsort(p_values, kind="stable")
-    stepped = p_values[order] * np.arange(len(p_values), 0, -1)
-    adjusted = np.empty(len(p_values))
-    adjusted[order] = np.minimum(np.maximum.accumulate(stepped), 1.0)
-    return adjusted
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:

@@ -21,9 +21,10 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.motor_regression import block_regression
+from airpuck.deviation.significance import LEVEL, holm
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
-from airpuck.evaluation.statistical_tests import LEVEL, block_regression, holm
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.estimate.motor_regression import accelerations_by_motor
+from airpuck.deviation.motor_regression import accelerations_by_motor
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 

@@ -9,9 +9,9 @@ from jaxtyping import Float
 
 from airpuck.boundary.finding import Finding, Kind
 from airpuck.boundary.results import Result
+from airpuck.deviation.window_regression import LEVEL
 from airpuck.faults.axis_signs import AxisSigns
 from airpuck.faults.propeller_check import HARMLESS, REVERSED, TURNED, TURNS, PropellerCheck
-from airpuck.preprocessing.window_regression import LEVEL
 
 #: Axes of a mapping that renames none.
 AXES = ("x", "y", "z")

@@ -24,7 +24,7 @@ from airpuck.faults.propeller_check import PropellerCheck
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.thrust import thrust
 
-#: Standard errors by which a weak actuator is below the others, apart from the usual spread.
+#: Standard errors which, with the usual spread, a weak actuator is below the others.
 _CERTAIN = 4.0
 #: Strength relative to the vehicle file below which an actuator without others is weak, and
 #: strength above which any is strong.
@@ -161,7 +161,7 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     stated = _full_thrust(nominal_model(vehicle))
     value, error = _full_thrust(model), np.asarray(model.standard_error(_full_thrust))
     quantile = model.known.quantile if model.known else _NORMAL
-    held = np.full(len(value), False)
+    held, by_check = np.full(len(value), False), value
     if trajectory is not None:
         check = checked_layout(trajectory, vehicle)
         wrong = {k: said for k, one in enumerate(check.propellers) if (said := _wrong_way(one))}
@@ -170,10 +170,11 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
         lacks = any(getattr(model.parameters, name) is None for name in check.floor)
         useless = wrong or lacks or any(one.suspect for one in check.common)
         held = (np.isfinite(error) & (error <= 0)) | bool(useless)
-        if held.any() and check.conclusive:
-            seen, spread = np.array([(p.strength, p.strength_error) for p in check.propellers]).T
-            value = np.where(held, stated * seen, value)
-            error = np.where(held, stated * spread, error)
+        if check.conclusive:
+            seen = [(p.strength, p.strength_error) for p in check.propellers]
+            by_check, spread = stated * np.transpose(seen)
+            value = np.where(held, by_check, value)
+            error = np.where(held, spread, error)
     among = np.array([not channel.is_wheel for channel in vehicle.actuation.channels])
     # An error of the mass, or of one supply, is common to all propellers, but not to wheels.
     alone = ~among | (np.count_nonzero(among) < _FEWEST)
@@ -185,7 +186,10 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
 
     relative = of_others(value)
     by_fit = np.asarray(model.standard_error(lambda one: of_others(_full_thrust(one))))
-    spread = np.where(held, np.abs(relative) * error / np.maximum(np.abs(value), _TINY), by_fit)
+    by_value = np.abs(relative) * error / np.maximum(np.abs(value), _TINY)
+    # Physics that the model lacks, such as drag, spoils the fit's thrusts more than the check's.
+    apart = np.where(alone | ~(by_fit > 0), 0.0, np.abs(of_others(by_check) - relative))
+    spread = np.where(held, by_value, np.hypot(by_fit, apart))
     verdicts = _verdicts(
         relative, spread, quantile, np.where(alone, np.nan, vehicle.nominal.thrust_spread)
     )
@@ -272,7 +276,7 @@ def _verdicts(
         below = (
             middle + half < _WEAK
             if np.isnan(spread)
-            else (1 - middle > max(_CERTAIN * single, spread))
+            else 1 - middle > math.hypot(_CERTAIN * single, spread)
         )
         if not half > 0:
             judged.append("unknown")

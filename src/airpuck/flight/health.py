@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from airpuck.control.tuning import tuning_for
 from airpuck.craft.table import Table
+from airpuck.deviation.model_errors import ModelError, tested_errors
+from airpuck.deviation.motor_regression import normal_equations, solved, with_effectiveness
+from airpuck.deviation.significance import IN_FLIGHT
 from airpuck.estimate.kalman import HeldCommands, KalmanFilter
-from airpuck.estimate.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import acceleration_map, rollout
@@ -32,18 +34,14 @@ _SILENT = 0.1
 _AT_RAIL = 0.01
 #: Largest deviation of a pose from its prediction that is not a jump [m, m, rad].
 _JUMP = (0.05, 0.05, 0.5)
-#: A deviation of a motor, or of the delay, is reported if its interval of this many standard
-#: deviations (first two numbers) excludes all deviations smaller than this [1], or this [s].
-_SURE_LOSS, _SURE_LATE, _LOSS, _LATE = 4.0, 3.0, 0.1, 0.004
-#: Standard deviations above which a value counts as unknown [1, s]: the commands change too little.
-#: Estimates then follow the noise of the poses, by which errors are judged, and are biased.
-_KNOWN_LOSS, _KNOWN_DELAY = 0.05, 0.0025
-#: Fractions of the squared error above which a deviation is reported.
+#: Fraction of the squared error from which the share of a deviation is reported.
 _NOTABLE = 0.1
 #: Predictions needed before anything is reported.
 _ENOUGH = 20
 #: Predictions are dropped after this multiple of the memory.
 _OLD = 3.0
+#: Half the 95 % interval of a normal distribution, in standard deviations.
+_NORMAL = 1.96
 #: Steps of the finite differences with respect to effectiveness and delay [1, s].
 _LOSS_STEP, _DELAY_STEP = 0.05, 0.004
 #: Time before a prediction within which commands affect it [s].
@@ -72,112 +70,67 @@ class Judged:
 
 
 @dataclass(frozen=True, eq=False)
-class Deviations:
-    """Differences between a craft and its model, and how much error they explain."""
+class Health:
+    """Errors of a model in the last seconds, and their implications for the craft."""
 
+    #: Whether the craft is being watched: poses and commands arrive, and no rail is near.
+    flying: bool
     #: Number of predictions.
     predictions: int
     #: Root mean square error of x, y [m] and yaw [rad]; NaN without predictions.
     error: Float[np.ndarray, " 3"]
-    #: Fraction of the modelled thrust that each motor delivers; last, the transport delay minus the
-    #: model's [s].
-    value: Float[np.ndarray, " m"]
-    #: Standard deviation of each value.
-    deviation: Float[np.ndarray, " m"]
-    #: Relative reduction of the sum of squared pose errors if the model had known this motor, or
-    #: the delay; yaw is weighted with the radius of gyration. NaN without predictions.
-    share: Float[np.ndarray, " m"]
-
-
-@dataclass(frozen=True, eq=False)
-class Health:
-    """Errors of a model in the last seconds, and their implications for the craft."""
-
-    #: Names of the propellers.
-    motors: tuple[str, ...]
-    #: Whether the craft is being watched: poses and commands arrive, and no rail is near.
-    flying: bool
-    #: Prediction errors, effectiveness of each motor, delay.
-    found: Deviations
-
-    @property
-    def known(self) -> Bool[np.ndarray, " m"]:
-        """Whether the commands determined each motor, and last the delay, well enough."""
-        limits = np.append(np.full(len(self.motors), _KNOWN_LOSS), _KNOWN_DELAY)
-        return (self.found.deviation <= limits) & (self.found.predictions >= _ENOUGH)
-
-    @property
-    def deviates(self) -> Bool[np.ndarray, " m"]:
-        """Marks the motors, and last the delay, that differ significantly."""
-        n = len(self.motors)
-        modelled, least = np.append(np.ones(n), 0.0), np.append(np.full(n, _LOSS), _LATE)
-        sure = np.append(np.full(n, _SURE_LOSS), _SURE_LATE)
-        apart = np.abs(self.found.value - modelled) - sure * self.found.deviation
-        return self.known & (apart > least)
+    #: Errors of the delay and of each motor; `tested` where the commands determine them.
+    errors: tuple[ModelError, ...]
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Differences from the model in words, with 95 % intervals."""
-        findings = []
-        for i in np.flatnonzero(self.deviates):
-            value, half = self.found.value[i], 1.96 * self.found.deviation[i]
-            if i < len(self.motors):
-                low, high = 100 * (value - half), 100 * (value + half)
-                findings.append(
-                    f"propeller {self.motors[i]} at {100 * value:.0f} % ({low:.0f} to {high:.0f} %)"
-                )
-            else:
-                word = "longer" if value > 0 else "shorter"
-                low, high = 1e3 * (abs(value) - half), 1e3 * (abs(value) + half)
-                findings.append(
-                    f"delay {1e3 * abs(value):.0f} ms ({low:.0f} to {high:.0f} ms) {word} than the "
-                    "model's"
-                )
-        return tuple(findings)
+        """Significant differences from the model in words."""
+        return tuple(one.verdict for one in self.errors if not one.passed)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What differs significantly: names of motors, or ``delay``."""
+        return tuple(one.name for one in self.errors if not one.passed)
 
     def __str__(self) -> str:
         if not self.flying:
             return "nothing to judge: the craft must be in flight with poses and commands"
-        if not self.found.predictions:
+        if not self.predictions:
             return "no prediction judged yet"
-        x, y, yaw = self.found.error.tolist()
+        x, y, yaw = self.error.tolist()
         text = f"after {HORIZON:g} s: x {1e3 * x:.1f} mm, y {1e3 * y:.1f} mm, yaw {yaw:.3f} rad"
-        causes = np.array([*self.motors, "delay"])
+        unknown = [one.name for one in self.errors if not one.tested]
         said = list(self.findings)
-        if not said and self.known.any():
-            said = ["known values agree with the model"]
-        if self.known.all() and not self.findings:
-            said = ["motors and delay agree with the model"]
-        if not self.known.all():
-            said.append(f"not known: {', '.join(causes[~self.known])} (little excitation)")
-        notable = self.deviates & (self.found.share > _NOTABLE)
-        shares = zip(causes[notable], self.found.share[notable], strict=True)
-        largest = [f"{name} {100 * share:.0f} %" for name, share in shares]
+        if not said and len(unknown) < len(self.errors):
+            said = [f"{'known values' if unknown else 'motors and delay'} agree with the model"]
+        if unknown:
+            said.append(f"not known: {', '.join(unknown)} (little excitation)")
+        notable = [one for one in self.errors if not one.passed and one.share > _NOTABLE]
+        largest = [f"{one.name} {100 * one.share:.0f} %" for one in notable]
         said += [f"shares of the error: {', '.join(largest)}"] if largest else []
         return "; ".join([text, *said])
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``."""
-        found = self.found
-        half = 1.96 * found.deviation
-        interval = np.column_stack([found.value - half, found.value + half]).tolist()
-        figures = np.column_stack([found.value, found.deviation, found.share]).tolist()
-        rows = [
-            (*row, span, known)
-            for row, span, known in zip(figures, interval, self.known.tolist(), strict=True)
-        ]
+
+        def row(one: ModelError, modelled: float) -> tuple[Any, ...]:
+            value, half = one.value + modelled, _NORMAL * one.standard_error
+            return value, one.standard_error, one.share, [value - half, value + half], one.tested
+
         thrust_keys = "effectiveness", "deviation", "error_share", "interval_95", "known"
         delay_keys = "difference_s", "deviation_s", "error_share", "interval_95_s", "known"
+        delay, motors = self.errors[:1], self.errors[1:]
         return {
             "flying": self.flying,
             "horizon_s": HORIZON,
-            "predictions": found.predictions,
-            "rmse_m_m_rad": found.error.tolist(),
+            "predictions": self.predictions,
+            "rmse_m_m_rad": self.error.tolist(),
             "propellers": {
-                name: dict(zip(thrust_keys, row, strict=True))
-                for name, row in zip(self.motors, rows[:-1], strict=True)
+                one.name: dict(zip(thrust_keys, row(one, 1.0), strict=True)) for one in motors
             },
-            "delay": dict(zip(delay_keys, rows[-1], strict=True)),
+            "delay": {
+                k: v for one in delay for k, v in zip(delay_keys, row(one, 0.0), strict=True)
+            },
             "findings": list(self.findings),
         }
 
@@ -239,11 +192,9 @@ class HealthMonitor:
     def health(self) -> Health:
         """Return how well the model fits, from the stored predictions."""
         names, radius = self.model.vehicle.propeller_names, self.model.radius_of_gyration
-        judged, memory = self._judged, self._memory
-        found = deviations(
-            judged, len(names), memory, overlap=_OVERLAP, jitter=_JITTER, radius=radius
-        )
-        return Health(names, self._since is not None, found)
+        given = self._judged, len(names), self._memory
+        found = deviations(*given, overlap=_OVERLAP, jitter=_JITTER, radius=radius)
+        return Health(self._since is not None, len(self._judged), *_named(names, *found))
 
     def _judge(self, end: float, state: Float[np.ndarray, " 6"]) -> None:
         """Compare the oldest prediction with the state at its end."""
@@ -295,6 +246,16 @@ class HealthMonitor:
         self._commands.drop((self._begun[0][0] if self._begun else time) - _BEFORE)
 
 
+def _named(
+    motors: Sequence[str], rmse: Float[np.ndarray, " 3"], *found: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " 3"], tuple[ModelError, ...]]:
+    """Name and test the deviations of the motors and, first, of the delay."""
+    if np.isnan(rmse).any():
+        return rmse, ()
+    value, error, share = (np.roll(one, 1) for one in found)
+    return rmse, tested_errors(("delay", *motors), value, error, math.inf, IN_FLIGHT, share=share)
+
+
 def deviations(
     judged: Sequence[Judged],
     motors: int,
@@ -303,17 +264,20 @@ def deviations(
     overlap: float,
     jitter: float,
     radius: float,
-) -> Deviations:
+) -> tuple[Float[np.ndarray, " 3"], *tuple[Float[np.ndarray, " m"], ...]]:
     """Estimate the differences by weighted least squares; the residuals give the noise.
 
     The weight of predictions decays with their age over `memory` [s]. `overlap` predictions share
     the same data, packets come late by `jitter` [s], and the yaw is weighted with the `radius` of
     gyration [m].
+
+    Returns the root mean square errors of x, y [m] and yaw [rad], the excess of each motor's
+    strength [1] and last of the delay [s], their standard deviations, and the fraction of the
+    squared pose errors that each explains alone.
     """
     prior = np.append(np.full(motors, PRIOR_LOSS), PRIOR_DELAY) ** -2.0
-    modelled = np.append(np.ones(motors), 0.0)
     if not judged:
-        return Deviations(0, np.full(3, np.nan), modelled, prior**-0.5, np.full(motors + 1, np.nan))
+        return np.full(3, np.nan), np.zeros(motors + 1), prior**-0.5, np.full(motors + 1, np.nan)
     errors = np.array([one.error for one in judged])
     slopes = np.array([one.slopes for one in judged])
     lateness = jitter**2 * np.array([one.impulses for one in judged])
@@ -332,7 +296,7 @@ def deviations(
     pose, changes = errors[:, :3] * metric, slopes[:, :3] * metric[:, None] * p
     left = np.sum((pose[..., None] - changes) ** 2, axis=(0, 1))
     rmse, sd = np.sqrt(np.mean(errors[:, :3] ** 2, axis=0)), np.sqrt(np.diag(covariance))
-    return Deviations(len(judged), rmse, modelled + p, sd, 1 - left / np.sum(pose**2))
+    return rmse, p, sd, 1 - left / np.sum(pose**2)
 
 
 def _spread(

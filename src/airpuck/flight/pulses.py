@@ -16,7 +16,7 @@ from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
-from airpuck.estimate.motor_regression import normal_equations, solved, twice_integrated
+from airpuck.deviation.motor_regression import normal_equations, solved, twice_integrated
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.thrust import thrust

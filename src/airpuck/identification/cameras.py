@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, refined
-from airpuck.estimate.motor_regression import integrated
+from airpuck.deviation.motor_regression import integrated
 from airpuck.identification.retiming import modelled_acceleration
 from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model

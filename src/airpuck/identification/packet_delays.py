@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 
 from airpuck.data.sampling import mean_hold
 from airpuck.data.trajectory import Trajectory
-from airpuck.estimate.motor_regression import (
+from airpuck.deviation.motor_regression import (
     accelerations_by_motor,
     normal_equations,
     solved,

@@ -21,7 +21,8 @@ from jaxtyping import Float, Int
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, make_windows, refined
-from airpuck.estimate.motor_regression import integrated
+from airpuck.deviation.motor_regression import integrated
+from airpuck.deviation.time_scale import measured_positions
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.packet_delays import PacketDelays, delay_response, packet_delays
 from airpuck.model.model_file import Model
@@ -30,7 +31,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import smooth_stretches
-from airpuck.preprocessing.time_scale import is_slow, measured_positions, smoothing_time
+from airpuck.preprocessing.smoothing import is_slow, smoothing_time
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9

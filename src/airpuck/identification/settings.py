@@ -150,9 +150,9 @@ class Loss(Settings):
         -------
         Loss
             With encoder and prediction at least as long as thrust takes to show above the noise of
-            poses (`airpuck.preprocessing.time_scale`), and as the slowest motors remember.
+            poses (`airpuck.deviation.time_scale`), and as the slowest motors remember.
         """
-        from airpuck.preprocessing.time_scale import forgetting_time, showing_time
+        from airpuck.deviation.time_scale import forgetting_time, showing_time
 
         slow = max(showing_time(trajectories, vehicle), forgetting_time(vehicle))
         return replace(
@@ -174,7 +174,7 @@ class Loss(Settings):
         Loss
             The same loss if its encoder is long enough.
         """
-        from airpuck.preprocessing.time_scale import FORGOTTEN
+        from airpuck.deviation.time_scale import FORGOTTEN
 
         longer = min(_SHORT * FORGOTTEN * lag, _LONGEST_ENCODER)
         enough = longer <= _SHORT**2 * (self.encoder_time or _ENCODER)

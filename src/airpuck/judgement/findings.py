@@ -14,14 +14,14 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.finding import Finding, by_cause
 from airpuck.boundary.numbers import percent
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
+from airpuck.deviation.time_scale import patience
 from airpuck.evaluation.coasting import coasting
-from airpuck.evaluation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
 from airpuck.faults.strengths import Strengths
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.parameters import LAG
-from airpuck.preprocessing.time_scale import patience
 
 #: Largest relative standard error of an acceleration that control may request, and of the response
 #: time [s]: within both, all controllers of studies/verdicts.py settle. Times are for the paper's

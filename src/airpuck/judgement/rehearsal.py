@@ -18,7 +18,7 @@ from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.effect_errors import EffectErrors
+from airpuck.deviation.effect_errors import EffectErrors
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.flight.loop import fly
 from airpuck.identification.cameras import cameras_of

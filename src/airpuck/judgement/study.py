@@ -220,7 +220,8 @@ def judged(
         *actuator_causes(strengths),
         *map(_lacking, structure.missing),
     ]
-    shown = validation or training[0]
+    spans = fit.exclusion.trajectories[0].excluded if fit.exclusion else ()
+    shown = validation or training[0].leave_out(spans)
     said = verdict(model, shown, found, causes=causes, laws=laws, axes=axes)
     return Study(fit, structure, said, strengths, tuple(training), validation, found)
 

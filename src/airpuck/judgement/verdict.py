@@ -20,6 +20,7 @@ from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
 from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.time_scale import patience
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS
@@ -37,7 +38,6 @@ from airpuck.judgement.findings import (
 )
 from airpuck.judgement.rehearsal import Rehearsal, rehearse
 from airpuck.model.model_file import Model
-from airpuck.preprocessing.time_scale import patience
 
 #: Errors of parameters count beyond this many standard errors, and beyond a share of the largest
 #: accelerations, a delay [s] and a share of the low thrusts that the regression itself errs by.

@@ -144,7 +144,7 @@ def watch_live(
     settings = replace(settings or LiveSettings(), quiet=True)
     with Process(NAME, settings) as process:
         observer, events, clock = Observer(process, model), process.events, process.clock
-        findings = ()
+        named: tuple[str, ...] = ()
         process.start("")
         process.beat.begins(clock.now)
         while process.goes_on:
@@ -155,9 +155,8 @@ def watch_live(
             health = observer.health
             report(str(health))
             level = "warning" if health.findings else "info"
-            named = tuple(finding.split(" at ")[0] for finding in health.findings)
-            if named != findings:
-                findings = named
+            if health.names != named:
+                named = health.names
                 text = ", ".join(health.findings) or "no more deviations from the model"
                 events.log(level, text)
             events.heartbeat(level, str(health), {})

@@ -11,7 +11,7 @@ from airpuck.data.sampling import usual_period
 
 #: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
 #: and 15 samples at 240 Hz [s]. Both grow in proportion for a slow craft
-#: (`airpuck.preprocessing.time_scale`).
+#: (`airpuck.deviation.time_scale`).
 POLYNOMIAL_ORDER = 3
 VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
 #: Minimum number of samples for a second derivative.

@@ -45,7 +45,7 @@ from airpuck.preprocessing.quality import (
     find_jumps,
     smooth_stretches,
 )
-from airpuck.preprocessing.time_scale import smoothing_time
+from airpuck.preprocessing.smoothing import smoothing_time
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording

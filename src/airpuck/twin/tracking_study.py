@@ -19,12 +19,12 @@ from airpuck.control.settings import DWELL, ControllerKind, Dwell
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.deviation.time_scale import patience
 from airpuck.flight.loop import FlightLog
 from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
-from airpuck.preprocessing.time_scale import patience
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant

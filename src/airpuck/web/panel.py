@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from airpuck.deviation.model_errors import ModelError
 from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99
 from airpuck.flight.health import HORIZON, Health
 from airpuck.live.events import EVENT_LEVELS
@@ -86,31 +87,35 @@ def plan_gauges(came: float, status: str, figures: Mapping[str, str], now: float
 
 def judged(health: Health) -> bool:
     """Return whether the craft flies, and has been compared with its model."""
-    return health.flying and health.found.predictions > 0
+    return health.flying and health.predictions > 0
 
 
 def health_gauges(health: Health) -> list[tuple[str, list[Gauge]]]:
     """Return errors by channel, and the contributions of propellers and delay, under headings."""
-    found = health.found
     if not judged(health):
         return [(str(health), [])]
-    x, y, yaw = found.error.tolist()
+    x, y, yaw = health.error.tolist()
     words = f"{1e3 * x:.1f} mm", f"{1e3 * y:.1f} mm", f"{yaw:.3f} rad"
     lengths = (x, y, yaw) / np.array(_FULL_ERROR)
     errors = list(map(Gauge, ("x", "y", "yaw"), words, lengths.tolist()))
-    *thrusts, (delay, sd) = np.column_stack([found.value, found.deviation]).tolist()
-    words = [f"{100 * share:.0f} ± {100 * deviation:.0f} %" for share, deviation in thrusts]
-    words.append(f"{1e3 * delay:+.1f} ± {1e3 * sd:.1f} ms")
     causes = [
-        Gauge(name, text, share) if known else Gauge(name, "unknown: too little excitation")
-        for name, text, share, known in zip(
-            (*health.motors, "delay"), words, found.share.tolist(), health.known, strict=True
-        )
+        Gauge(one.name, _against_model(one), one.share)
+        if one.tested
+        else Gauge(one.name, "unknown: too little excitation")
+        for one in (*health.errors[1:], *health.errors[:1])
     ]
     return [
         (f"Errors after {HORIZON:g} s (bar: of 16 mm, 0.5 rad)", errors),
         ("Thrust and delay against the model's (bar: of the squared error)", causes),
     ]
+
+
+def _against_model(one: ModelError) -> str:
+    """Write a motor's thrust relative to the model, or how much later commands act."""
+    value, error = one.value, one.standard_error
+    if one.name == "delay":
+        return f"{1e3 * value:+.1f} ± {1e3 * error:.1f} ms"
+    return f"{100 * (1 + value):.0f} ± {100 * error:.0f} %"
 
 
 def _severity(level: int) -> str:

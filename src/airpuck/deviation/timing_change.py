@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-#: Fewest blocks of time in a part.
-_FEWEST = 4
+#: Fewest blocks of time in a part: together at least 10 s.
+_FEWEST = 6
 #: Smallest variance [s²].
 _TINY = 1e-24
 
@@ -54,8 +54,9 @@ def timing_change(
     late = late - (others @ known).reshape(late.shape)
     owner = ((start - start[0]) / block).astype(int)
     shape = len(start), -1
-    score = _summed((late * left).reshape(shape).sum(axis=1), owner)
-    weight = _summed((late * late).reshape(shape).sum(axis=1), owner)
+    score, weight = (
+        np.bincount(owner, (late * one).reshape(shape).sum(axis=1)) for one in (left, late)
+    )
     times = start[0] + block * np.flatnonzero(weight > 0)
     score, weight = score[weight > 0], weight[weight > 0]
     cuts = np.arange(_FEWEST, len(score) - _FEWEST + 1)
@@ -79,8 +80,3 @@ def timing_change(
     degrees = sum(variances) ** 2 / spread
     p_value = 2 * float(stdtr(degrees, -abs(change[best]) / error))
     return TimingChange(float(change[best]), error, float(times[cuts[best]]), p_value)
-
-
-def _summed(values: Float[np.ndarray, " W"], owner: Int[np.ndarray, " W"]) -> np.ndarray:
-    """Sum up the values of each owner."""
-    return np.bincount(owner, values)

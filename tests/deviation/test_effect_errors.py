@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.vehicle import read_vehicle
-from airpuck.evaluation.effect_errors import effect_errors
+from airpuck.deviation.effect_errors import effect_errors
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from airpuck.evaluation.effect_errors import effect_errors
+from airpuck.deviation.effect_errors import effect_errors
+from airpuck.deviation.timing_change import timing_change
 from airpuck.evaluation.suspects import timing_suspect
-from airpuck.evaluation.timing_change import timing_change
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 

@@ -1,6 +1,6 @@
-"""Attribution of a model's innovations to errors: of a motor, mass, delay or lag.
+"""Errors of a model by name: of a motor, mass, delay or lag.
 
-The innovations are regressed on the effects of all errors together. An error is reported only if it
+All are estimated together. An error is reported only if it
 is significantly larger than a negligible one. It is tested only if the commands would have revealed
 a relevant error. Standard errors come from blocks of time, since the effect of a late packet lasts.
 """
@@ -12,19 +12,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Float
 
 from airpuck.boundary.results import Result, plain
-from airpuck.evaluation.late_packets import LatePackets
-from airpuck.evaluation.statistical_tests import BAND, LEVEL, block_regression, holm
+from airpuck.deviation.significance import BAND, IN_RECORDING, LEVEL, Thresholds, judged
 
-#: Negligible errors, and errors that a test must be able to detect: relative, and in seconds.
-_SHARE, _SHARE_SHOWN = 0.05, 0.2
-_DELAY, _DELAY_SHOWN = 0.005, 0.01
 #: Errors that are times.
 _TIMES = ("delay", "lag")
-#: Length of a block [s].
-_BLOCK_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -45,11 +39,15 @@ class ModelError(Result):
     tested: bool
     #: P-value for an error smaller than `least`, adjusted for all tests (Holm).
     p_value: float
+    #: Fraction of the squared residual that it alone explains.
+    share: float = 0.0
+    #: Level of the test.
+    level: float = LEVEL
 
     @property
     def passed(self) -> bool:
-        """Whether no error is significant at the 1 % level."""
-        return not self.tested or self.p_value >= LEVEL
+        """Whether no error is significant."""
+        return not self.tested or self.p_value >= self.level
 
     @property
     def size(self) -> str:
@@ -90,39 +88,35 @@ class ModelError(Result):
         return super().to_json() | plain(sizes)
 
 
-def model_errors(
-    motors: Sequence[str],
-    late: LatePackets,
-    used: Bool[np.ndarray, " N"],
-    period: float,
+def tested_errors(
+    names: Sequence[str],
+    value: Float[np.ndarray, " K"],
+    error: Float[np.ndarray, " K"],
+    degrees: float,
+    limits: Thresholds,
+    *,
     delay_known: float = 0.0,
-) -> list[ModelError]:
-    """Estimate the errors of all motors, the mass and the delay together, and test them.
+    share: Float[np.ndarray, " K"] | None = None,
+) -> tuple[ModelError, ...]:
+    """Name and test errors of a model.
 
-    A delay estimated from the recording has the standard error `delay_known` [s].
+    Their standard errors have the `degrees` of freedom. A delay that was estimated from the
+    recording has the standard error `delay_known` [s].
     """
-    from scipy.stats import t
-
-    translation = late.directions[..., 2:].sum(axis=2, keepdims=True) * [[1.0], [1.0], [0.0]]
-    regressors = np.concatenate([late.directions, translation], axis=2)[used]
-    names = *_TIMES, *motors, "mass"
     timing = np.array([name in _TIMES for name in names])
-    least = np.where(timing, _DELAY, _SHARE)
-    shown = np.where(timing, _DELAY_SHOWN, _SHARE_SHOWN)
-    least[0], shown[0] = least[0] + delay_known, shown[0] + delay_known
-    # In units of negligible errors, so that all columns have similar scales.
-    given = regressors * least, late.steady[used], period, _BLOCK_S
-    values, covariance, blocks = block_regression(*given)
-    deviations = np.sqrt(np.diag(covariance))
-    tested = shown / least - BAND * deviations > 1
-    p_values = t.sf((np.abs(values) - 1) / deviations, blocks - 1)
-    adjusted = np.ones(len(names))
-    adjusted[tested] = holm(p_values[tested])
-    figures = zip(names, least * values, least * deviations, least, tested, adjusted, strict=True)
-    return [
-        ModelError(name, float(v), float(d), float(s), bool(able), float(p))
-        for name, v, d, s, able, p in figures
-    ]
+    known = delay_known * np.array([name == "delay" for name in names])
+    least, shown = (
+        np.where(timing, *limit[::-1]) + known for limit in (limits.least, limits.shown)
+    )
+    tested, p_values = judged(value, error, degrees, least, shown)
+    shares = np.zeros(len(names)) if share is None else share
+    figures = zip(names, value, error, least, tested, p_values, shares, strict=True)
+    return tuple(
+        ModelError(
+            name, float(v), float(d), float(s), bool(able), float(p), float(part), limits.level
+        )
+        for name, v, d, s, able, p, part in figures
+    )
 
 
 def verdicts(errors: Sequence[ModelError]) -> list[str]:
@@ -149,10 +143,8 @@ def verdicts(errors: Sequence[ModelError]) -> list[str]:
         )
     fine = [e.name for e in errors if e.tested and e.passed]
     if fine:
-        said.append(
-            f"no error above {100 * _SHARE:.0f} % or {1e3 * _DELAY:.0f} ms is shown of "
-            + ", ".join(fine)
-        )
+        share, time = 100 * IN_RECORDING.least[0], 1e3 * IN_RECORDING.least[1]
+        said.append(f"no error above {share:.0f} % or {time:.0f} ms is shown of " + ", ".join(fine))
     return said
 
 

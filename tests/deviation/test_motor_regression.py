@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from airpuck.deviation.motor_regression import normal_equations, solved, twice_integrated
 from airpuck.estimate.kalman import HeldCommands
-from airpuck.estimate.motor_regression import normal_equations, solved, twice_integrated
 
 from ..apparatus.examples import examples
 

@@ -1,6 +1,6 @@
-"""Times of prediction and smoothing after which thrust stands out from the noise of poses.
+"""Times after which thrust stands out from the noise of poses.
 
-Both times follow from the white noise σ of the poses, their rate f, and the acceleration a that a
+They follow from the white noise σ of the poses, their rate f, and the acceleration a that a
 typical actuator causes at full command. They matter only for craft slower than the paper's.
 """
 
@@ -14,30 +14,20 @@ from jaxtyping import Float
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import usual_period
-from airpuck.data.trajectory import Trajectory, vehicle_of
+from airpuck.data.trajectory import Trajectory
 from airpuck.model.model_file import nominal_model
-from airpuck.preprocessing.derivative import (
-    VELOCITY_TIME,
-    acceleration_time,
-    shortest_stretch,
-    smooth,
-)
-from airpuck.preprocessing.quality import smooth_stretches
 
 #: Displacement that stands out, in standard deviations of the noise: fits of an air-bearing
 #: satellite are best when predictions last until about then.
 _CLEAR = 50.0
-#: Longest useful times [s]: beyond them, cables, slopes and draughts matter more than pose noise.
-_LONGEST, _LONGEST_SMOOTHING = 3.0, 0.5
+#: Longest useful time [s]: beyond it, cables, slopes and draughts matter more than pose noise.
+_LONGEST = 3.0
 #: Order of the differences of poses, which suppress motion, and their gain for white noise.
 _DIFFERENCES = 3
 _GROWN = math.comb(2 * _DIFFERENCES, _DIFFERENCES)
 #: Standard deviation of the same differences of a motion whose acceleration changes at every
 #: sample, in accelerations times squared sample periods: between 1.1 and 1.5.
 _OF_MOTION = 1.5
-#: The slope of a cubic over L has the variance 75 σ²/(f L³). Where the acceleration jumps by a, its
-#: bias is 0.039 a L at the jump and less beside it; this is the usual bias in units of a L.
-_SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
 #: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
 #: craft takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
@@ -61,48 +51,6 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
 def forgetting_time(vehicle: Vehicle) -> float:
     """Return the time after which the slowest motors have forgotten an initial speed [s]."""
     return FORGOTTEN * float(np.max(nominal_model(vehicle).dynamics.lag))
-
-
-def smoothing_time(
-    time: Float[np.ndarray, " N"], position: Float[np.ndarray, "N 2"], vehicle: Vehicle
-) -> float:
-    """Return the time over which poses are smoothed for velocities: at least 46 ms [s].
-
-    It balances the noise of the velocity and its bias where an actuator switches.
-    """
-    push = usual_push(vehicle)
-    if not push > 0 or len(time) < 2:
-        return VELOCITY_TIME
-    noise = pose_noise(time, position, push)
-    ratio = (noise / (_SLOPE_BIAS * push)) ** 2 * usual_period(time)
-    best = (1.5 * _SLOPE_NOISE * ratio) ** 0.2
-    return min(max(best, VELOCITY_TIME), _LONGEST_SMOOTHING)
-
-
-def is_slow(trajectory: Trajectory) -> bool:
-    """Return whether the poses of a recording were smoothed for longer than usual."""
-    vehicle = vehicle_of([trajectory])
-    return smoothing_time(*measured_positions(trajectory), vehicle) > VELOCITY_TIME
-
-
-def smoothed_as_measured(
-    trajectory: Trajectory, modelled: Float[np.ndarray, "N k"]
-) -> Float[np.ndarray, "N k"]:
-    """Smooth modelled accelerations like the measured ones of a slow craft.
-
-    The usual smoothing is too short to matter.
-    """
-    time = trajectory.time
-    duration = smoothing_time(*measured_positions(trajectory), vehicle_of([trajectory]))
-    if duration <= VELOCITY_TIME:
-        return modelled
-    smoothed = modelled.copy()
-    period = trajectory.sample_period
-    for part in smooth_stretches(time, trajectory.bridged, duration, trajectory.excluded):
-        if len(time[part]) >= shortest_stretch(period):
-            lasting = acceleration_time(duration)
-            smoothed[part] = smooth(time[part], modelled[part], lasting, period)
-    return smoothed
 
 
 def patience(vehicle: Vehicle) -> float:

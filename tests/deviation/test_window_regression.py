@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from airpuck.data.trajectory import Trajectory
-from airpuck.preprocessing.window_regression import LEVEL, WindowRegression, regress_windows
+from airpuck.deviation.window_regression import LEVEL, WindowRegression, regress_windows
 
 #: With so few samples a second, windows of five samples are the only ones.
 SLOW, SAMPLES = 0.8, 5

@@ -7,8 +7,9 @@ import pytest
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.time_scale import patience, showing_time
 from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration, velocity
-from airpuck.preprocessing.time_scale import patience, showing_time, smoothing_time
+from airpuck.preprocessing.smoothing import smoothing_time
 
 PAPER = default_vehicle()
 

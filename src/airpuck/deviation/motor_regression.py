@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 
 
@@ -29,12 +30,30 @@ def accelerations_by_motor(
     dynamics: Dynamics, state: Float[np.ndarray, "E z B"], speed: Float[np.ndarray, "E n B"]
 ) -> tuple[Float[np.ndarray, "E 3 n B"], Float[np.ndarray, "E 3 B"]]:
     """Return each motor's accelerations along measured states, and the remaining accelerations."""
-    everything = np.moveaxis(np.asarray(state), 1, 0)
-    motion = everything[2:6]
-    if dynamics.of_place:
-        motion = np.concatenate([motion, everything[:2]])
+    motion = motion_of(dynamics, state)
     by_motor, rest = motor_accelerations(np, dynamics, motion, np.moveaxis(speed, 1, 0))
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
+
+
+def motion_of(dynamics: Dynamics, state: Float[np.ndarray, "E z B"]) -> Float[np.ndarray, "k E B"]:
+    """Return yaw and rates, and the position if an effect depends on it."""
+    everything = np.moveaxis(np.asarray(state), 1, 0)
+    if dynamics.of_place:
+        return np.concatenate([everything[2:6], everything[:2]])
+    return everything[2:6]
+
+
+def following(
+    dynamics: Dynamics,
+    speed: Float[np.ndarray, "n B"],
+    commands: Float[np.ndarray, "e n B"],
+    durations: Float[np.ndarray, "e B"],
+) -> Float[np.ndarray, "E n B"]:
+    """Return the speeds of motors that follow commands, from given speeds on."""
+    speeds, lag = [np.asarray(speed)], (dynamics.lag, dynamics.idle_lag)
+    for command, duration in zip(commands, durations, strict=True):
+        speeds.append(motor_step(np, speeds[-1], command, duration, *lag))
+    return np.array(speeds)
 
 
 def twice_integrated(
@@ -77,3 +96,36 @@ def solved(
     """Solve normal equations with a prior's precision; return unknowns and their covariance."""
     covariance = np.linalg.inv(information + prior)
     return (covariance @ score[..., None])[..., 0], covariance
+
+
+def block_regression(
+    columns: Float[np.ndarray, "M 3 m"],
+    values: Float[np.ndarray, "M 3"],
+    period: float,
+    block_s: float,
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"], int]:
+    """Regress three channels together; the covariance is from leaving out one block at a time.
+
+    This jackknife allows for errors that are correlated within a block, and for few blocks. Returns
+    coefficients, their covariance, and the number of blocks. Undetermined coefficients get a
+    standard error of a hundred units.
+    """
+    flat = columns.reshape(-1, columns.shape[2])
+    normal = flat.T @ flat + 1e-4 * np.eye(flat.shape[1])
+    inverse = np.linalg.inv(normal)
+    coefficients = inverse @ (flat.T @ values.reshape(-1))
+    left = values - columns @ coefficients
+    starts = np.arange(0, len(columns), max(1, round(block_s / period)))
+    blocks = len(starts)
+    scores = np.add.reduceat(np.einsum("kcm,kc->km", columns, left), starts)
+    moved = np.array(
+        [
+            np.linalg.solve(normal - np.tensordot(part, part, ((0, 1), (0, 1))), score)
+            for part, score in zip(np.split(columns, starts[1:]), scores, strict=True)
+        ]
+    )
+    spread = moved.T @ moved * (blocks - 1) / blocks
+    # At least as large as for independent innovations.
+    variance = np.diag(spread)
+    grown = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(variance, 1e-300), 1.0))
+    return coefficients, spread * np.outer(grown, grown), blocks

@@ -1,0 +1,186 @@
+"""Regression of poses on possible errors of a model: one design, one solution, one covariance.
+
+Along a measured motion the modelled accelerations are a sum over the motors. Integrated twice, they
+give each motor's contribution to the poses, and any error of the model adds accelerations of its
+own. So poses over short windows, minus the model's and without the unknown initial pose and
+velocity, are linear in all errors together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from airpuck.data.trajectory import Trajectory
+from airpuck.data.windows import Windows, integration_parts, make_windows
+from airpuck.deviation.motor_regression import (
+    block_regression,
+    following,
+    motion_of,
+    twice_integrated,
+)
+from airpuck.deviation.time_scale import forgetting_time, showing_time
+from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics, acceleration
+
+#: Time before and after the present of a window [s]; the latter is longer for a slow craft. Jitter
+#: of the radio biases accelerations by 3 % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
+_PAST_S, _AHEAD_S = 40 / 240, 0.4
+#: Step of the finite differences in transport delay and lag [s].
+_STEP_S = 1e-3
+#: Integration steps per lag of an actuator, and the largest number between two poses. With a
+#: lag of 10 ms and poses every 60 ms, 6 and 12 steps agree to 11 ms in timing, and one step misses
+#: it by seconds.
+_STEPS_PER_LAG, _MOST_PARTS = 2, 12
+#: Minimum length [s] and number of the blocks of time behind the standard errors.
+_BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
+#: Order of the differences that remove slow errors; lower if windows have few poses.
+_DIFFERENCES = 3
+#: Unit of accelerations besides the motors' [m/s², rad/s²], and per speed [1/s].
+OTHER_UNIT = 0.1
+#: Information in a channel of one window beyond its initial pose and velocity: about two numbers.
+_TOLD = 2
+
+
+class PoseRegression:
+    """Poses of W windows minus a model's, and the effects of accelerations on them.
+
+    Arrays over the E samples of the windows have the batch as last axis. `moved` [s] is added to
+    the transport delay.
+    """
+
+    def __init__(self, model: Model, windows: Windows, moved: float = 0.0) -> None:
+        delay, usual = model.transport_delay, model.vehicle.nominal.transport_delay_s
+        if not model.delay_learned and not all(t.delay_known for t in windows.trajectories):
+            delay = usual
+        self.model, self.windows = model, windows
+        self._delay, self._parts = delay + moved, _parts(model.dynamics, windows)
+        self._fine = windows.refined(self._parts)
+        index = self._fine.present + np.arange(self._fine.prediction_length + 1)[:, None]
+        #: Measured states along the windows, times and motor speeds.
+        self.state = np.moveaxis(self._fine.state[index], 2, 1)
+        self.time = self._fine.time[index]
+        self.speed = self._speeds(model.dynamics, self._delay)
+        #: Which poses were measured.
+        self.real: Bool[np.ndarray, "t W"] = self._fine.measured[index[:: self._parts]]
+        elapsed = (self.time - self.time[0])[:: self._parts]
+        trend = np.stack([np.ones_like(elapsed), elapsed], axis=-1) * self.real[..., None]
+        self._basis = np.linalg.qr(trend.swapaxes(0, 1))[0]
+        #: Accelerations of the model.
+        self.modelled = self._driven(model.dynamics, self.speed)
+        moved = twice_integrated(self.modelled, np.diff(self.time, axis=0))
+        #: Residuals of the poses, window by window, in units of their root mean square.
+        left = self._of_poses((self.state[:, :3] - moved)[:, :, None])[..., 0]
+        self._spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12)
+        self.values = left / self._spread
+
+    def columns(self, accelerations: Float[np.ndarray, "E 3 m W"]) -> Float[np.ndarray, "M 3 m"]:
+        """Return the effects of accelerations on the poses."""
+        moved = self._of_poses(twice_integrated(accelerations, np.diff(self.time, axis=0)))
+        return moved / self._spread[:, None]
+
+    def noise(self, left: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, " 3"]:
+        """Return the standard deviation of white noise, beside errors that change slowly."""
+        poses = (left * self._spread).reshape(len(self.windows), -1, 3)
+        order = min(_DIFFERENCES, poses.shape[1] - 1)
+        # Differences raise the variance of white noise by this factor.
+        grown = math.comb(2 * order, order)
+        steps = np.diff(poses, n=order, axis=1)
+        whole = np.lib.stride_tricks.sliding_window_view(self.real.T, order + 1, axis=1).all(axis=2)
+        if not whole.any():
+            return np.zeros(3)
+        return np.sqrt(np.mean(steps[whole] ** 2, axis=0) / grown)
+
+    def timing(self) -> Float[np.ndarray, "E 3 2 W"]:
+        """Return the accelerations that later commands add, and slower motors, per second."""
+        dynamics = self.model.dynamics
+        slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _STEP_S)
+        later = self._driven(dynamics, self._speeds(dynamics, self._delay + _STEP_S))
+        slower = self._driven(slow, self._speeds(slow, self._delay))
+        return (np.stack([later, slower], axis=2) - self.modelled[:, :, None]) / _STEP_S
+
+    def along(self) -> Float[np.ndarray, "E 3 3 W"]:
+        """Return accelerations of 1 m/s² forward and left, and 1 rad/s² of yaw, in the world."""
+        cos, sin = np.cos(self.state[:, 2]), np.sin(self.state[:, 2])
+        turn = np.zeros((len(cos), 3, 3, cos.shape[1]))
+        turn[:, 0, 0] = turn[:, 1, 1] = cos
+        turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = -sin, sin, 1.0
+        return turn
+
+    def others(self) -> Float[np.ndarray, "E 3 5 W"]:
+        """Return constant accelerations in the world, and drag of translation and rotation."""
+        added = np.zeros((len(self.state), 3, 5, self.state.shape[2]))
+        added[:, [0, 1, 2], [0, 1, 2]] = 1.0
+        added[:, :2, 3], added[:, 2, 4] = -self.state[:, 3:5], -self.state[:, 5]
+        return added
+
+    def solve(
+        self, columns: Float[np.ndarray, "M 3 m"], units: Float[np.ndarray, " m"], block: float
+    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m m"], Float[np.ndarray, "M 3"]]:
+        """Estimate all errors together; return them, their covariance, and what they leave.
+
+        Each error has a unit, which sets the scale of a weak prior. The covariance is from blocks
+        of time of `block` [s].
+        """
+        period = self.windows.trajectories[0].sample_period
+        found, covariance, _ = block_regression(columns * units, self.values, period, block)
+        told = _TOLD * 3 * len(self.windows)
+        covariance = covariance * told / max(told - len(units), 1) * np.outer(units, units)
+        found = found * units
+        return found, covariance, self.values - columns @ found
+
+    def _of_poses(self, poses: Float[np.ndarray, "E 3 m W"]) -> Float[np.ndarray, "M 3 m"]:
+        """Remove constants and linear trends from the measured poses of each window."""
+        windows = np.moveaxis(poses[:: self._parts] * self.real[:, None, None], 3, 0)
+        flat = windows.reshape(*windows.shape[:2], -1)
+        left = flat - self._basis @ (self._basis.swapaxes(1, 2) @ flat)
+        return left.reshape(-1, *windows.shape[2:])
+
+    def _speeds(self, dynamics: Dynamics, delay: float) -> Float[np.ndarray, "E n W"]:
+        """Return the motor speeds from the present of each window on."""
+        held = self._fine.delayed(delay, self.model.vehicle.nominal.transport_delay_s)
+        past, (commands, durations, _) = held.past(), held.future()
+        before = past.command[:-1] if self.model.indexing == "start" else past.command[1:]
+        commands = np.concatenate([before, commands])
+        durations = np.concatenate([past.duration, durations])
+        return following(dynamics, past.command[0], commands, durations)[len(before) :]
+
+    def _driven(
+        self, dynamics: Dynamics, speed: Float[np.ndarray, "E n W"]
+    ) -> Float[np.ndarray, "E 3 W"]:
+        """Return the modelled accelerations along the measured motion."""
+        found = acceleration(np, dynamics, motion_of(dynamics, self.state), speed.swapaxes(0, 1))
+        return np.stack(np.broadcast_arrays(*found), axis=1)
+
+
+def judging_windows(trajectory: Trajectory, model: Model) -> tuple[Windows, float] | None:
+    """Return windows over a recording, and the length of a block [s]; None if it is too short."""
+    remembered = forgetting_time(model.vehicle)
+    before = trajectory.steps(max(_PAST_S, remembered), least=2)
+    # On a slow craft, thrust takes longer to emerge from the noise; slow motors take time to build
+    # it up.
+    lasting = max(_AHEAD_S, showing_time([trajectory], model.vehicle), remembered)
+    ahead = trajectory.steps(lasting)
+    count = len(trajectory.window_starts(before + ahead, ahead))
+    block = max(_BLOCK_S, 2 * lasting)
+    if count * lasting < _FEWEST_BLOCKS * block:
+        return None
+    return make_windows(trajectory, before, ahead, stride=ahead), block
+
+
+def _parts(dynamics: Dynamics, windows: Windows) -> int:
+    """Return the number of steps from one pose to the next that resolve the shortest lag.
+
+    If a valve's force settles within one step, its lag hardly changes the sampled forces, and the
+    regression reports many times the true error.
+    """
+    coarse = max(map(integration_parts, windows.trajectories))
+    lags = np.atleast_1d(np.asarray(dynamics.lag, dtype=float))
+    if not (lags > 0).any():
+        return coarse
+    period = max(trajectory.sample_period for trajectory in windows.trajectories)
+    needed = math.ceil(_STEPS_PER_LAG * period / lags[lags > 0].min())
+    return max(coarse, min(needed, _MOST_PARTS))
