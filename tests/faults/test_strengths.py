@@ -121,6 +121,17 @@ def test_an_uncertain_motor_is_not_named_weak():
     assert not actuator_strengths(fitted(truth(craft(6), 0.9), 0.03)).remarkable
 
 
+@pytest.mark.parametrize(("flown", "named"), [(1.0, 0), (0.85, 1)])
+def test_fit_and_recording_must_agree_before_a_motor_is_weak(flown, named):
+    """A fit that lacks some physics may be certain of a strength that the craft does not have."""
+    flight = fly(truth(craft(6), flown), 15.0, seed=3)
+    strengths = actuator_strengths(fitted(truth(craft(6), 0.85), 0.004), flight)
+    assert len(strengths.remarkable) == named
+    # The standard error includes what the recording contradicts.
+    apart = 0.85 - flown
+    assert strengths.actuators[0].of_others_error == pytest.approx(abs(apart), abs=0.03)
+
+
 def test_a_common_error_is_one_finding():
     strengths = actuator_strengths(fitted(truth(craft(6), *[0.7] * 6), 0.02))
     assert not strengths.remarkable

@@ -38,9 +38,7 @@ def accelerations_by_motor(
 def motion_of(dynamics: Dynamics, state: Float[np.ndarray, "E z B"]) -> Float[np.ndarray, "k E B"]:
     """Return yaw and rates, and the position if an effect depends on it."""
     everything = np.moveaxis(np.asarray(state), 1, 0)
-    if dynamics.of_place:
-        return np.concatenate([everything[2:6], everything[:2]])
-    return everything[2:6]
+    return np.concatenate([everything[2:6], everything[: 2 if dynamics.of_place else 0]])
 
 
 def following(

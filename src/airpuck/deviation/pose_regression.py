@@ -71,16 +71,16 @@ class PoseRegression:
         self._basis = np.linalg.qr(trend.swapaxes(0, 1))[0]
         #: Accelerations of the model.
         self.modelled = self._driven(model.dynamics, self.speed)
-        moved = twice_integrated(self.modelled, np.diff(self.time, axis=0))
+        driven = twice_integrated(self.modelled, np.diff(self.time, axis=0))
         #: Residuals of the poses, window by window, in units of their root mean square.
-        left = self._of_poses((self.state[:, :3] - moved)[:, :, None])[..., 0]
+        left = self._of_poses((self.state[:, :3] - driven)[:, :, None])[..., 0]
         self._spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12)
         self.values = left / self._spread
 
     def columns(self, accelerations: Float[np.ndarray, "E 3 m W"]) -> Float[np.ndarray, "M 3 m"]:
         """Return the effects of accelerations on the poses."""
-        moved = self._of_poses(twice_integrated(accelerations, np.diff(self.time, axis=0)))
-        return moved / self._spread[:, None]
+        driven = twice_integrated(accelerations, np.diff(self.time, axis=0))
+        return self._of_poses(driven) / self._spread[:, None]
 
     def noise(self, left: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, " 3"]:
         """Return the standard deviation of white noise, beside errors that change slowly."""
@@ -128,9 +128,8 @@ class PoseRegression:
         period = self.windows.trajectories[0].sample_period
         found, covariance, _ = block_regression(columns * units, self.values, period, block)
         told = _TOLD * 3 * len(self.windows)
-        covariance = covariance * told / max(told - len(units), 1) * np.outer(units, units)
-        found = found * units
-        return found, covariance, self.values - columns @ found
+        covariance *= told / max(told - len(units), 1) * np.outer(units, units)
+        return found * units, covariance, self.values - columns @ (found * units)
 
     def _of_poses(self, poses: Float[np.ndarray, "E 3 m W"]) -> Float[np.ndarray, "M 3 m"]:
         """Remove constants and linear trends from the measured poses of each window."""

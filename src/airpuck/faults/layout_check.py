@@ -19,7 +19,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.deviation.window_regression import LEVEL, WindowRegression, regress_windows
-from airpuck.faults.axis_signs import AxisSigns
+from airpuck.faults.axis_signs import AxisSigns, find_axis_signs
 from airpuck.faults.effect_match import force_to_moment, rotation, rotation_error
 from airpuck.faults.layout_findings import AXES, LayoutCheck
 from airpuck.faults.propeller_check import (
@@ -29,12 +29,10 @@ from airpuck.faults.propeller_check import (
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
+from airpuck.preprocessing.smoothing import smoothed_as_measured
 
 #: Explained fraction, relative to the best, from which signs count as explaining as much.
 _AS_GOOD = 0.8
-#: Explained fraction above which all signs are right, and least improvement by others; angle to a
-#: half turn within which two more signs are assumed to be wrong [rad].
-_EXPLAINED, _MARGIN, _HALF_TURN = 0.8, 0.08, 0.5
 #: Longest transport delay to try: absolute [s], or as a multiple of the vehicle file's.
 _LONGEST_DELAY, _OF_STATED_DELAY = 0.1, 2.0
 #: Standard error above which that rotation counts as unknown [rad].
@@ -87,24 +85,15 @@ def check_layout(
     True
     """
     check_propellers(vehicle, trajectory)
-    forces = _nominal_thrusts(trajectory, vehicle)
-
-    def explained(signs: AxisSigns) -> LayoutCheck:
-        return _with_signs(trajectory, vehicle, forces, signs, tuple(axes))
-
-    usual = explained(AxisSigns())
-    # A wrong sign leaves forces or moments unexplained; two of them mirror the craft.
-    if usual.explained > _EXPLAINED and usual.untouched == vehicle.n_propellers:
-        return usual
-    flips = (AxisSigns(1, y, yaw) for y, yaw in ((-1, 1), (1, -1), (-1, -1)))
-    tried = [usual, *map(explained, flips)]
-    tried += [
-        explained(one.signs.half_turned)
-        for one in tried[1:]
-        if one.explained > usual.explained + _MARGIN and np.pi - abs(one.rotation) < _HALF_TURN
+    stated, forces = nominal_model(vehicle).propeller_effects, _nominal_thrusts(trajectory, vehicle)
+    modelled = smoothed_as_measured(trajectory, (stated @ forces).T).T
+    signs = find_axis_signs(trajectory, modelled, _longest_delay(vehicle))
+    tried = [
+        _with_signs(trajectory, vehicle, forces, one, tuple(axes))
+        for one in dict.fromkeys((signs, AxisSigns()))
     ]
-    # If several choices explain as much, change as few propellers as possible: with few propellers,
-    # reversing one also mirrors the craft.
+    # A wrong sign leaves forces or moments unexplained. If several choices explain as much, change
+    # as few propellers as possible: with few propellers, reversing one also mirrors the craft.
     most = max(one.explained for one in tried)
     as_good = [one for one in tried if one.explained >= _AS_GOOD * most]
     return max(as_good, key=lambda one: one.untouched)

@@ -193,8 +193,11 @@ class HealthMonitor:
         """Return how well the model fits, from the stored predictions."""
         names, radius = self.model.vehicle.propeller_names, self.model.radius_of_gyration
         given = self._judged, len(names), self._memory
-        found = deviations(*given, overlap=_OVERLAP, jitter=_JITTER, radius=radius)
-        return Health(self._since is not None, len(self._judged), *_named(names, *found))
+        rmse, *found = deviations(*given, overlap=_OVERLAP, jitter=_JITTER, radius=radius)
+        value, error, share = (np.roll(one, 1) for one in found)
+        errors = ("delay", *names), value, error, math.inf, IN_FLIGHT
+        named = tested_errors(*errors, share=share) if self._judged else ()
+        return Health(self._since is not None, len(self._judged), rmse, named)
 
     def _judge(self, end: float, state: Float[np.ndarray, " 6"]) -> None:
         """Compare the oldest prediction with the state at its end."""
@@ -244,16 +247,6 @@ class HealthMonitor:
         while self._judged and self._judged[0].time < time - _OLD * self._memory:
             self._judged.popleft()
         self._commands.drop((self._begun[0][0] if self._begun else time) - _BEFORE)
-
-
-def _named(
-    motors: Sequence[str], rmse: Float[np.ndarray, " 3"], *found: Float[np.ndarray, " m"]
-) -> tuple[Float[np.ndarray, " 3"], tuple[ModelError, ...]]:
-    """Name and test the deviations of the motors and, first, of the delay."""
-    if np.isnan(rmse).any():
-        return rmse, ()
-    value, error, share = (np.roll(one, 1) for one in found)
-    return rmse, tested_errors(("delay", *motors), value, error, math.inf, IN_FLIGHT, share=share)
 
 
 def deviations(

@@ -16,6 +16,7 @@ from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+from airpuck.data.sampling import runs
 from airpuck.deviation.motor_regression import normal_equations, solved, twice_integrated
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
@@ -196,15 +197,15 @@ def find_pulses(
     command_time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"], idle: float
 ) -> list[tuple[int, float, float]]:
     """Find the stretches in which one motor runs and all others idle."""
-    runs = command > idle + 1e-6
-    alone = np.where(runs.sum(axis=1) == 1, runs.argmax(axis=1), -1)
-    edges = np.flatnonzero(np.diff(alone)) + 1
-    stretches = zip([0, *edges], [*edges, len(alone)], strict=True)
-    return [
-        (int(alone[first]), float(command_time[first]), float(command_time[last]))
-        for first, last in stretches
-        if alone[first] >= 0 and last < len(alone)
+    running = command > idle + 1e-6
+    alone = running.sum(axis=1) == 1
+    found = [
+        (motor, float(command_time[first]), float(command_time[last]))
+        for motor, own in enumerate(running.T)
+        for first, last in runs(own & alone)
+        if last < len(alone)
     ]
+    return sorted(found, key=lambda pulse: pulse[1])
 
 
 def _response(

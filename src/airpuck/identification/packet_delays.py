@@ -20,6 +20,7 @@ from airpuck.deviation.motor_regression import (
     solved,
     twice_integrated,
 )
+from airpuck.evaluation.evaluate import delay_for
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import acceleration
@@ -117,11 +118,7 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
     """Return the samples around all switches; None if no packet's delay can be estimated."""
     if not float(model.dynamics.motor_time_constant) > 0:
         return None
-    shift = trajectory.delay
-    if model.delay_learned:
-        assumed = model.vehicle.nominal.transport_delay_s
-        shift = trajectory.acting_delay(model.transport_delay, assumed)
-    arrival = trajectory.command_time + shift
+    arrival = trajectory.command_time + delay_for(model, trajectory)
     change = np.diff(trajectory.command, axis=0, prepend=trajectory.command[:1])
     packet = np.flatnonzero(np.abs(change).max(axis=1) > _SWITCH)
     if trajectory.steps(_LENGTH) < _FEWEST:
