@@ -50,7 +50,7 @@ ORDER = (
 LEVEL = {room: level for level, room in enumerate(ORDER)}
 MODULES = sorted(ROOT.rglob("*.py"))
 #: Lines of code in the package; the aim is 36 000.
-MOST_LINES = 40_701
+MOST_LINES = 40_700
 
 
 @cache
