@@ -5,14 +5,17 @@ VENV := .venv
 BIN := $(VENV)/bin
 WORKERS ?= auto
 
-# Planning belongs to the first commands of README.md. A comma would end the argument of a call.
-PLAY := .[plan,play]
-LIVE := .[plan,ros2,play]
+# Planning belongs to the first commands of README.md. Air hockey is a distribution of its own, which
+# requires the same version of airpuck. A comma would end the argument of a call.
+HOCKEY := packages/airpuck-hockey
+USE := -e '.[plan]' -e ./$(HOCKEY)
+LIVE := -e '.[plan,ros2,pages]' -e ./$(HOCKEY)
+DEV := -e '.[dev]' -e ./$(HOCKEY)
 
 # What `make dist` runs against the wheel, and the tools for it.
-EXTRAS := control ros2 play campaign plan px4 gym
+EXTRAS := control ros2 pages play campaign plan px4 gym
 CORE_TESTS := tests/boundary tests/craft tests/model tests/data tests/recording \
-	tests/test_docstring_examples.py
+	tests/test_docstring_examples.py $(HOCKEY)/tests/test_public_names.py
 # Or lowest-direct: the lowest versions that pyproject.toml allows.
 RESOLUTION ?= highest
 TEST_TOOLS := 'pytest>=8' 'pytest-xdist>=3.8' 'pytest-timeout>=2.3' 'hypothesis>=6.100' 'beartype>=0.19' \
@@ -24,7 +27,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 define install
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@PATH="$$PATH:$(BIN)"; { command -v uv >/dev/null || $(PIP) uv; } \
-		&& uv pip install --quiet --python $(BIN)/python -e $(1) || $(PIP) -e $(1)
+		&& uv pip install --quiet --python $(BIN)/python $(1) || $(PIP) $(1)
 	@touch $@
 endef
 
@@ -35,30 +38,29 @@ define test_installed
 	env -u PYTHONPATH $(1)/bin/python -m pytest -n 0 -m "not slow" --hypothesis-profile quick $(CORE_TESTS)
 endef
 
+PROJECTS := pyproject.toml $(HOCKEY)/pyproject.toml
+
 .PHONY: help install dev live play demo test test-all test-browser lint format docs notebooks dist dist-python results-quick studies bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-install: $(VENV)/.installed  ## set up .venv with the package and planning
-$(VENV)/.installed: pyproject.toml
-	$(call install,'.[plan]')
+install: $(VENV)/.installed  ## set up .venv with airpuck, planning and air hockey
+$(VENV)/.installed: $(PROJECTS)
+	$(call install,$(USE))
 
 dev: $(VENV)/.installed-dev  ## the same with the tools for development
-$(VENV)/.installed-dev: pyproject.toml
-	$(call install,'.[dev]')
+$(VENV)/.installed-dev: $(PROJECTS)
+	$(call install,$(DEV))
 	@touch $(VENV)/.installed
 
 live: $(VENV)/.installed-live  ## set up .venv for live flights
-$(VENV)/.installed-live: pyproject.toml
-	$(call install,'$(LIVE)')
+$(VENV)/.installed-live: $(PROJECTS)
+	$(call install,$(LIVE))
 	@touch $(VENV)/.installed
 
-play: $(VENV)/.installed-play  ## play air hockey against the craft, in the browser; ARGS="--level hard" passes options
+play: install  ## play air hockey against the craft, in the browser; ARGS="--level hard" passes options
 	$(BIN)/airpuck play $(ARGS)
-$(VENV)/.installed-play: pyproject.toml
-	$(call install,'$(PLAY)')
-	@touch $(VENV)/.installed
 
 demo: install  ## the whole workflow on simulated recordings, no download; ARGS as for play
 	$(BIN)/airpuck demo --out demo $(ARGS)
@@ -69,11 +71,11 @@ test: dev  ## the quick tests, in minutes: while you work
 # What waits for the clock leaves most of a core idle, and goes first whenever it has work to do.
 test-all: dev  ## all tests but the studies and the browser; those in real time take precedence
 	@nice -n 19 $(BIN)/python -m pytest -n $(WORKERS) -m "not realtime" --durations 15 & others=$$!; \
-	$(BIN)/python -m pytest -n 0 -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests); \
+	$(BIN)/python -m pytest -n 0 -m realtime $$(grep -rl --include='test_*.py' mark.realtime tests $(HOCKEY)/tests); \
 	realtime=$$?; wait $$others && exit $$realtime
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
-	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_page.py tests/web/test_view.py
+	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_view.py $(HOCKEY)/tests/web/test_page.py
 
 docs: dev  ## the site, in docs/_build/html, in a minute or two; notebooks without their outputs
 	AIRPUCK_DOCS_NOTEBOOKS=off $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
@@ -81,20 +83,22 @@ docs: dev  ## the site, in docs/_build/html, in a minute or two; notebooks witho
 notebooks: dev  ## the same with outputs: runs the notebooks whose sources have changed, at first all
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
-dist: dev  ## wheel and sdist, the wheel tried in a fresh environment, and all licences: in dist/
+dist: dev  ## wheels and sdists, the wheels tried in a fresh environment, and all licences: in dist/
 	rm -rf dist build/dist
 	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m build --outdir dist $(HOCKEY)
 	$(BIN)/python -m venv build/dist
-	build/dist/bin/python -m pip install --quiet --disable-pip-version-check "$$(ls dist/*.whl)[$$(echo $(EXTRAS) | tr ' ' ,)]"
+	build/dist/bin/python -m pip install --quiet --disable-pip-version-check dist/airpuck_hockey-*.whl \
+		"$$(ls dist/airpuck-*.whl)[$$(echo $(EXTRAS) | tr ' ' ,)]"
 	build/dist/bin/python studies/licences.py > dist/LICENCES.md
 	build/dist/bin/python -m pip install --quiet --disable-pip-version-check $(TEST_TOOLS)
 	$(call test_installed,build/dist)
 
-dist-python: dev  ## try the wheel of dist/ with another Python: PYTHON=python3.13
+dist-python: dev  ## try the wheels of dist/ with another Python: PYTHON=python3.13
 	rm -rf build/python
 	PATH="$$PATH:$(BIN)" uv venv --quiet --python "$(PYTHON)" build/python
 	PATH="$$PATH:$(BIN)" uv pip install --quiet --python build/python/bin/python \
-		--resolution $(RESOLUTION) -r pyproject.toml $(addprefix --extra ,$(EXTRAS)) $(TEST_TOOLS)
+		--resolution $(RESOLUTION) -r pyproject.toml $(addprefix --extra ,$(filter-out play,$(EXTRAS))) $(TEST_TOOLS)
 	PATH="$$PATH:$(BIN)" uv pip install --quiet --python build/python/bin/python --no-deps dist/*.whl
 	$(call test_installed,build/python)
 

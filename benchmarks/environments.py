@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 
 from airpuck.export.gym import ENVIRONMENTS
-from airpuck.export.gym_game import GameEnv
+from airpuck_hockey.export.gym_game import GameEnv
 
 
 def random_flights(name: str, episodes: int) -> tuple[np.ndarray, np.ndarray]:

@@ -15,12 +15,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tests.apparatus.compiled_controllers import CompiledController, Table, library
 
 import airpuck
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
+from tests.apparatus.compiled_controllers import CompiledController, Table, library
 
 
 def spent(pilot: TrackingController | CompiledController, steps: int) -> list[float]:

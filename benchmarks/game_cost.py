@@ -16,9 +16,9 @@ from types import FrameType
 import numpy as np
 
 from airpuck.compute.process import low_latency
-from airpuck.hockey.contestant import contestant
-from airpuck.hockey.game import PERIOD, Game
-from airpuck.hockey.rules import Rules
+from airpuck_hockey.game.contestant import contestant
+from airpuck_hockey.game.game import PERIOD, Game
+from airpuck_hockey.game.rules import Rules
 
 #: Parts by module: the first entry counts whose module is on the stack.
 PARTS = {

@@ -18,11 +18,11 @@ import numpy as np
 from airpuck.compute.process import low_latency
 from airpuck.craft.table import AirHockey
 from airpuck.flight.loop import control
-from airpuck.hockey.player import Player
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
+from airpuck_hockey.player.player import Player
 
 
 def served(rng: np.random.Generator) -> PuckState:

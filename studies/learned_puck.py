@@ -19,15 +19,15 @@ from one_line import run
 
 from airpuck.control.pilot import Pilot
 from airpuck.craft.table import AirHockey
-from airpuck.hockey.contestant import Contestant, contestant
-from airpuck.hockey.game import Game
-from airpuck.hockey.player import Player
-from airpuck.hockey.prediction import drawn_puck, predict_puck
-from airpuck.hockey.puck_filter import PuckFilter, PuckNoise
-from airpuck.hockey.rules import Rules
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey.game.contestant import Contestant, contestant
+from airpuck_hockey.game.game import Game
+from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.player.player import Player
+from airpuck_hockey.puck.prediction import drawn_puck, predict_puck
+from airpuck_hockey.puck.puck_filter import PuckFilter, PuckNoise
 
 #: Time ahead, and time between predictions [s]; also the ages of the game that are compared [s].
 AHEAD, EVERY, AGES = 0.5, 0.1, (0.0, 5.0, 15.0, 40.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import airpuck
-from airpuck.hockey.minimal_time import ARRIVALS, MinimalTimes, craft_of, shortest_time
+from airpuck.planning.minimal_time import ARRIVALS, MinimalTimes, craft_of, shortest_time
 
 DISTANCE = [0.0, 0.1, 0.3, 0.7, 1.3, 2.2]
 SPEED = [0.0, 0.7, 1.4, 2.1]

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 import airpuck
-from airpuck.identification.puck import seen_poses
-from airpuck.identification.puck_flights import find_flights, noise_of
+import airpuck_hockey
+from airpuck_hockey.puck.flights import find_flights, noise_of
+from airpuck_hockey.puck.identification import seen_poses
 
 #: Shorter flights contain no information about deceleration [s].
 SHORTEST = 0.15
@@ -104,7 +105,7 @@ def main() -> None:
             for value, error in zip(law["coefficients"], law["errors"], strict=True)
         )
         print(f"{name:24s} {law['criterion']:8.1f}   {terms}")
-    fit = airpuck.identify_puck(recordings, airpuck.read_table(given.table))
+    fit = airpuck_hockey.identify_puck(recordings, airpuck.read_table(given.table))
     speed, ratio = fit.rail_speed_m_s, fit.rail_ratio
     good = np.abs(ratio - np.median(ratio)) < 4 * fit.rail_scatter
     slope, level = np.polyfit(speed[good], ratio[good], 1)

@@ -22,15 +22,15 @@ from scipy.stats import binomtest
 import airpuck
 from airpuck.compute.process import keep_compiled_programs
 from airpuck.flight.loop import control
-from airpuck.hockey.player import Player, pitch_of
-from airpuck.hockey.prediction import PuckBelief, predict_path
-from airpuck.hockey.skills import Stage
 from airpuck.physics.puck import PuckState
 from airpuck.planning.attainable import strongest_push
 from airpuck.planning.settings import Limits
 from airpuck.report.style import drawn, new_figure, styled
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
+from airpuck_hockey.game.skills import Stage
+from airpuck_hockey.player.player import Player, pitch_of
+from airpuck_hockey.puck.prediction import PuckBelief, predict_path
 
 SPEEDS = np.arange(1.0, 10.5, 1.0)
 #: Step of the paths of puck and craft in the bound [s].

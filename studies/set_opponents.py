@@ -16,12 +16,12 @@ from itertools import pairwise
 import numpy as np
 from one_line import run
 
-from airpuck.hockey.contestant import contestant
-from airpuck.hockey.frame import Frame
-from airpuck.hockey.shot import flown
 from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck_hockey.game.contestant import contestant
+from airpuck_hockey.player.frame import Frame
+from airpuck_hockey.player.shot import flown
 
 OPPONENTS = ("human", "keeper", "banker", "wild", "wall")
 SPEEDS = (1.5, 2.5, 3.5, 4.5, 5.5)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import airpuck
+import airpuck_hockey
 
 #: Examples that take over 1.5 s alone.
 SLOW = {"Game", "PredictionBands", "ResidualTests", "Study"}
@@ -23,6 +24,7 @@ def shared():
     fit = airpuck.identify(trajectory, "M0")
     return {
         "airpuck": airpuck,
+        "airpuck_hockey": airpuck_hockey,
         "np": np,
         "model": model,
         "recording": recording,
@@ -32,12 +34,16 @@ def shared():
 
 
 @pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in airpuck.__all__],
+    ("package", "name"),
+    [
+        pytest.param(package, name, marks=[pytest.mark.slow] if name in SLOW else [], id=name)
+        for package in (airpuck, airpuck_hockey)
+        for name in package.__all__
+    ],
 )
-def test_the_example_of_a_public_name_runs(name, shared, tmp_path, monkeypatch):
+def test_the_example_of_a_public_name_runs(package, name, shared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = inspect.getdoc(getattr(airpuck, name)) or ""
+    text = inspect.getdoc(getattr(package, name)) or ""
     assert ">>> " in text, "no example"
     found = doctest.DocTestParser().get_doctest(text, dict(shared), name, None, None)
     run = [one for one in found.examples if doctest.SKIP not in one.options]

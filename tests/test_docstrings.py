@@ -8,12 +8,16 @@ import re
 import docstring_parser
 
 import airpuck
+import airpuck_hockey
+
+PACKAGES = (airpuck, airpuck_hockey)
 
 
 def modules():
-    for info in pkgutil.walk_packages(airpuck.__path__, "airpuck."):
-        if not info.name.startswith("airpuck.cli"):  # its help texts are the documentation
-            yield importlib.import_module(info.name)
+    for package in PACKAGES:
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if ".cli" not in info.name:  # its help texts are the documentation
+                yield importlib.import_module(info.name)
 
 
 def public_functions(module):
@@ -32,10 +36,11 @@ def public_functions(module):
 
 def entry_points():
     """`module.name` of each entry point that a package's docstring lists."""
-    for info in pkgutil.iter_modules(airpuck.__path__, "airpuck."):
-        text = importlib.import_module(info.name).__doc__ or ""
-        for name in re.findall(r"`(\w+\.\w+)`", text.partition("Entry points:")[2]):
-            yield f"{info.name}.{name}"
+    for package in PACKAGES:
+        for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            text = importlib.import_module(info.name).__doc__ or ""
+            for name in re.findall(r"`(\w+\.\w+)`", text.partition("Entry points:")[2]):
+                yield f"{info.name}.{name}"
 
 
 def exists(name: str) -> bool:
@@ -76,7 +81,9 @@ def test_entry_points_exist():
 
 
 def test_what_is_documented_is_what_is_there():
-    exported, wrong = {f"{home}.{name}" for name, home in airpuck._HOME.items()}, {}
+    public = [getattr(package, name) for package in PACKAGES for name in package.__all__]
+    exported = {f"{one.__module__}.{one.__name__}" for one in public if hasattr(one, "__module__")}
+    wrong = {}
     for module in modules():
         for holder, name, function in public_functions(module):
             full = f"{module.__name__}.{holder}" in exported | ENTRIES

@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 @pytest.mark.parametrize(
     ("target", "installed"),
     [
-        ("install", "-e '.[plan]'\n"),
-        ("play", "-e '.[plan,play]'\n"),
-        ("dev", "-e '.[dev]'\n"),
-        ("live", "-e '.[plan,ros2,play]'\n"),
+        ("install", "-e '.[plan]' -e ./packages/airpuck-hockey\n"),
+        ("play", "-e '.[plan]' -e ./packages/airpuck-hockey\n"),
+        ("dev", "-e '.[dev]' -e ./packages/airpuck-hockey\n"),
+        ("live", "-e '.[plan,ros2,pages]' -e ./packages/airpuck-hockey\n"),
     ],
 )
 def test_a_target_installs_what_it_uses_with_uv_and_with_pip(target, installed):

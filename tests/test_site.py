@@ -9,10 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.main import get_command
 
 import airpuck
-from airpuck.cli.app import app as cli
+from airpuck.cli.app import known_commands
 
 DOCS = Path(__file__).parents[1] / "docs"
 #: Lines that people write in docs/; details belong beside the studies.
@@ -23,7 +22,7 @@ MOST_LINES = 6_000
 def test_the_site_builds_without_a_warning(tmp_path):
     # A copy, since pages are generated into it; the notebooks run in `make docs` only.
     shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "reference"))
-    for folder in ("examples", "studies", "benchmarks"):
+    for folder in ("examples", "studies", "benchmarks", "packages"):
         shutil.copytree(DOCS.parent / folder, tmp_path / folder)
     built = subprocess.run(
         [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", "site"],
@@ -59,7 +58,8 @@ def texts(source: str) -> set[str]:
 def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
     page = (DOCS / "troubleshooting.md").read_text("utf-8")
     quoted = re.findall(r"^\| `(.*?)` \|", page, re.MULTILINE)
-    sources = Path(airpuck.__file__).parent.rglob("*.py")
+    folders = (DOCS.parent / "src", *DOCS.parent.glob("packages/*/src"))
+    sources = [path for folder in folders for path in folder.rglob("*.py")]
     known = "\0".join(text for path in sources for text in texts(path.read_text("utf-8")))
     assert len(quoted) > 30
     unknown = [
@@ -71,7 +71,7 @@ def test_each_message_that_troubleshooting_quotes_is_one_of_ours():
 
 
 def test_each_command_on_a_page_exists_with_its_options():
-    commands = get_command(cli).commands  # pyright: ignore[reportAttributeAccessIssue]
+    commands = known_commands()
     pages = [*DOCS.rglob("*.md"), *DOCS.parent.glob("*.md"), *DOCS.parent.glob("examples/*.md")]
     pages += [*DOCS.parent.glob("studies/*.md"), *DOCS.parent.glob("benchmarks/*.md")]
     wrong, count = {}, 0

@@ -27,6 +27,7 @@ from airpuck.model.sections import ModelFile
 from airpuck.planning.plan import _PlanFile
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck_hockey.matches.match_item import Match
 
 
 class Format(NamedTuple):
@@ -54,6 +55,7 @@ FORMATS = (
     Format("Time-optimal plan", "`fly-plan`, `race`, `read_plan`", _PlanFile),
     Format("Campaign", "`campaign`", Spec),
     *(Format(f"Campaign: kind {name}", "`campaign`", kind) for name, kind in KINDS.items()),
+    Format("Campaign: kind match", "`campaign`, with airpuck-hockey", Match),
 )  # fmt: skip
 
 

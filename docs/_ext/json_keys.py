@@ -12,6 +12,7 @@ from typing import Any, get_args, get_type_hints
 from file_formats import attribute_note, summary
 
 import airpuck
+import airpuck_hockey
 from airpuck.boundary.results import Result
 
 #: Command -> the results that it writes.
@@ -63,9 +64,10 @@ def page() -> str:
 
 
 def _results() -> Iterator[type[Result]]:
-    for info in pkgutil.walk_packages(airpuck.__path__, "airpuck."):
-        if "packaged" not in info.name:
-            importlib.import_module(info.name)
+    for package in (airpuck, airpuck_hockey):
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if "packaged" not in info.name:
+                importlib.import_module(info.name)
     waiting = [Result]
     while waiting:
         for kind in waiting.pop().__subclasses__():

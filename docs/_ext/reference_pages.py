@@ -12,6 +12,7 @@ import file_formats
 import json_keys
 
 import airpuck
+import airpuck_hockey
 
 #: Folders beside docs/ whose Markdown files are pages of the site.
 _OUTSIDE = ("studies", "benchmarks", "examples")
@@ -23,6 +24,7 @@ _SHARED = """Examples begin with:
 
 ```python
 import airpuck
+import airpuck_hockey
 import numpy as np
 
 model = airpuck.read_model("paper:M3")
@@ -103,23 +105,37 @@ def _relink(app: Any, page: str, source: list[str]) -> None:
 
 
 def _groups() -> dict[str, list[str]]:
-    """Group the public names by package."""
+    """Group the public names by package, with the names of `airpuck_hockey` last."""
     groups: dict[str, list[str]] = {}
     for name in airpuck.__all__:
         home = getattr(getattr(airpuck, name), "__module__", "airpuck.report.plot")
-        groups.setdefault(home.split(".")[1], []).append(name)
-    return dict(sorted(groups.items()))
+        groups.setdefault(home.split(".")[1], []).append(f"airpuck.{name}")
+    hockey = [f"airpuck_hockey.{name}" for name in airpuck_hockey.__all__]
+    return dict(sorted(groups.items())) | {"air_hockey": hockey}
+
+
+def _public(name: str) -> Any:
+    """Return a public object by its full name."""
+    package, _, own = name.rpartition(".")
+    return getattr({"airpuck": airpuck, "airpuck_hockey": airpuck_hockey}[package], own)
 
 
 def _contents() -> str:
     """List the public names with their first sentences."""
-    lines = ["# Python reference", "", "All names are attributes of `airpuck`.", "", _SHARED, ""]
+    lines = [
+        "# Python reference",
+        "",
+        "All names are attributes of `airpuck`, those for air hockey of `airpuck_hockey`.",
+        "",
+        _SHARED,
+        "",
+    ]
     for package, names in _groups().items():
         lines += [f"## {package}", "", "| | |", "|---|---|"]
         for name in names:
-            sentence = (inspect.getdoc(getattr(airpuck, name)) or "").partition("\n\n")[0]
+            sentence = (inspect.getdoc(_public(name)) or "").partition("\n\n")[0]
             sentence = " ".join(sentence.split()).replace("|", "\\|")
-            lines.append(f"| {{py:obj}}`airpuck.{name}` | {sentence} |")
+            lines.append(f"| {{py:obj}}`{name}` | {sentence} |")
         lines.append("")
     lines += ["## export", "", "See [the functions of `airpuck.export`](python_export.rst).", ""]
     pages = [f"python_{package}" for package in (*_groups(), "export")]
@@ -128,15 +144,16 @@ def _contents() -> str:
 
 def _members(package: str, names: list[str]) -> str:
     """Document the public names of a package."""
-    lines = [f"{package}", "=" * len(package), "", ".. currentmodule:: airpuck", ""]
+    module = names[0].rpartition(".")[0]
+    lines = [f"{package}", "=" * len(package), "", f".. currentmodule:: {module}", ""]
     for name in names:
-        found = getattr(airpuck, name)
+        found = _public(name)
         if inspect.isclass(found):
-            lines += [f".. autoclass:: airpuck.{name}", "   :members:", ""]
+            lines += [f".. autoclass:: {name}", "   :members:", ""]
         elif inspect.ismodule(found):
             lines += [f".. automodule:: {found.__name__}", "   :members:", ""]
         else:
-            lines += [f".. autofunction:: airpuck.{name}", ""]
+            lines += [f".. autofunction:: {name}", ""]
     return "\n".join(lines)
 
 
@@ -150,18 +167,15 @@ def _exports() -> str:
 
 def _commands() -> str:
     """Describe every command with all its options."""
-    from typer.main import get_command
+    from airpuck.cli.app import known_commands
 
-    from airpuck.cli.app import app as cli
-
-    group: Any = get_command(cli)
     lines = [
         "# Command reference",
         "",
         "`airpuck COMMAND --help` prints the same; rare options are under `--help-all`.",
         "",
     ]
-    for name, command in group.commands.items():
+    for name, command in known_commands().items():
         help_text = inspect.cleandoc(command.help or "")
         lines += [f"## airpuck {name}", "", help_text, ""]
         rows = [row for parameter in command.params if (row := _row(parameter))]

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from airpuck import Intention, SetPoint
+from airpuck import SetPoint
+from airpuck_hockey import Intention
 
 
 class Goalie:

@@ -3,8 +3,6 @@
 from . import export as export
 from airpuck.boundary.errors import InputError as InputError
 from airpuck.campaigns.campaign import campaign as campaign
-from airpuck.campaigns.league import league as league
-from airpuck.campaigns.match import match as match
 from airpuck.control.reference import (
     Rendezvous as Rendezvous,
     SetPoint as SetPoint,
@@ -46,14 +44,6 @@ from airpuck.flight.loop import fly as fly
 from airpuck.control.pilot import Pilot as Pilot
 from airpuck.flight.preflight import preflight as preflight
 from airpuck.flight.replay import Replay as Replay, replay as replay
-from airpuck.hockey.contestant import contestant as contestant
-from airpuck.hockey.game import Game as Game
-from airpuck.hockey.level import Level as Level
-from airpuck.hockey.player import Player as Player
-from airpuck.hockey.puck_filter import PuckFilter as PuckFilter
-from airpuck.hockey.rules import Rules as Rules
-from airpuck.hockey.skills import skills as skills
-from airpuck.hockey.tactic import Intention as Intention, Tactic as Tactic, View as View
 from airpuck.identification.bootstrap import bootstrap as bootstrap
 from airpuck.identification.fit import identifiability as identifiability
 from airpuck.identification.structure import identify as identify
@@ -61,7 +51,6 @@ from airpuck.judgement.study import Study as Study, study as study
 from airpuck.identification.fit_result import Fit as Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from airpuck.identification.settings import Loss as Loss, Preparation as Preparation
-from airpuck.identification.puck import identify_puck as identify_puck
 from airpuck.model.model_file import Model as Model, read_model as read_model
 from airpuck.model.parameters import Parameters as Parameters
 from airpuck.model.rungs import named_rung as named_rung

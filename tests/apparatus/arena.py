@@ -9,7 +9,10 @@ import struct
 from typing import Any
 
 from airpuck.web.address import LOOPBACK, listen
-from airpuck.web.server import ORDER, PATIENCE, PageName, serve
+from airpuck.web.server import ORDER, PATIENCE, PageKind, serve
+
+#: A page whose first visitor takes the seat.
+SEAT = PageKind("airpuck", "view")
 
 
 def free_port() -> int:
@@ -23,7 +26,7 @@ class Arena:
     """A server, and the game's end of its pipe."""
 
     def __init__(
-        self, hello: dict[str, Any], patience: float = PATIENCE, page: PageName = "play"
+        self, hello: dict[str, Any], patience: float = PATIENCE, page: PageKind = SEAT
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, far = context.Pipe()

@@ -49,10 +49,8 @@ def test_what_is_no_argument_is_named(name):
         ),
         (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
-        (partial(airpuck.match, "human", "human", True), "games: must be a whole number, not True"),
         (partial(airpuck.excite, M3, margin=np.nan), "margin: must be "),
         (partial(airpuck.Span, np.nan, 1.0, "gap"), "start: must be a finite number, not nan"),
-        (partial(airpuck.skills, M3, episodes=-1), "episodes: must be from 1 to 100000"),
         (partial(airpuck.LevenbergMarquardt, tolerance=np.inf), "tolerance: must be a finite"),
         (partial(airpuck.SetPoint, 0, 0, np.nan), "yaw: must be a finite number, not nan"),
         (

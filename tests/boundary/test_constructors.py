@@ -42,14 +42,6 @@ def trajectory(**changed):
     return airpuck.Trajectory(**sound | changed)
 
 
-def intention(**changed):
-    return airpuck.Intention(**{"kind": "defend", "reference": HOME} | changed)
-
-
-def player(**changed):
-    return airpuck.Player(M3, airpuck.AirHockey(), **changed)
-
-
 def twin(**changed):
     return airpuck.Twin(M3, **changed)
 
@@ -101,8 +93,6 @@ WRONG = {
         ("pukc", lambda: airpuck.AirHockey(pukc={})),
         ("period_s", lambda: airpuck.Tuning(period_s=NAN)),
         ("radio", lambda: airpuck.TwinSettings(radio=5)),
-        ("goals", lambda: airpuck.Rules(goals=1.5)),
-        ("thrust", lambda: airpuck.Level("weak")),
     ],
     "plans": [
         ("time", lambda: plan(time=np.array([0.5, 0.0]))),
@@ -132,22 +122,6 @@ WRONG = {
         ("gain", lambda: controller(gain=np.full((3, 6), INF))),
         ("gain", lambda: controller(gain=np.zeros((2, 6)))),
         ("time", lambda: controller().predict(0.0)),
-    ],
-    "hockey": [
-        ("kind", lambda: intention(kind="defnd")),
-        ("reference", lambda: intention(reference=None)),
-        ("meet", lambda: intention(meet=(NAN, 0.0, 0.0))),
-        ("meet", lambda: intention(meet=(0.0, 0.0))),
-        ("path", lambda: intention(path=np.zeros(3))),
-        ("chance", lambda: intention(chance=5)),
-        ("avoid", lambda: intention(avoid=(0.0, 0.0, -1.0))),
-        ("opponent_radius", lambda: player(opponent_radius=NAN)),
-        ("opponent_radius", lambda: player(opponent_radius=-1.0)),
-        ("seed", lambda: player(seed=-1)),
-        ("level", lambda: player(level="easy")),
-        ("left", lambda: airpuck.Game("airpuck", "human")),
-        ("pose", lambda: airpuck.PuckFilter(airpuck.AirHockey()).pose(0.0, np.zeros(2))),
-        ("x", lambda: airpuck.PuckFilter(airpuck.AirHockey()).crossing(NAN)),
     ],
     "the twin": [
         ("puck", lambda: puck(NAN, 0.0)),
@@ -209,7 +183,6 @@ def test_a_measurement_may_hold_what_a_pilot_has_to_bear():
 
 
 def test_values_that_callers_use_are_still_accepted():
-    assert intention(meet=np.zeros(3), avoid=[0, 0, 1], path=[[0.0, 0.0]]).kind == "defend"
     assert plan(time=[0, 0.5], states=np.zeros((2, 12)).tolist(), commands=[[0] * 6]).duration
     assert M3.simulate([0.0] * 12, [[0.5] * 6] * 2, [0.01, 0.02]).shape == (2, 12)
     assert airpuck.Goal(0, 1, velocity=np.zeros(3)).state[3:].tolist() == [0, 0, 0]

@@ -21,8 +21,6 @@ LOOPBACK = socket.if_nameindex()[0][1]
         (airpuck.named_rung, "M3+inflw", "inflow"),
         (published_model, "M33", "M3"),
         (dataset, "holohver", "holohover"),
-        (airpuck.contestant, "keper", "keeper"),
-        (airpuck.contestant, "keeper:hrd", "hard"),
         (check_law, "lqrr", "lqr"),
         (check_interface, f"{LOOPBACK}x", LOOPBACK),
     ],

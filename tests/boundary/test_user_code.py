@@ -9,57 +9,11 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
-from airpuck.campaigns.match import match
 from airpuck.control.law import Moment, law_named
 from airpuck.flight.pilot import pilot_maker
-from airpuck.hockey.rules import Rules
-from tests.apparatus import commands as command_line
 from tests.apparatus import typechecker
+from tests.apparatus.misdeeds import MISDEEDS, one_line, written
 
-#: Misbehaviour of user code.
-MISDEEDS = {
-    "exits": "sys.exit(0)",
-    "exits in words": "sys.exit('bye')",
-    "raises": "raise ValueError('no')",
-    "raises an exception that is never caught": "raise BaseException('no')",
-    "raises what cannot be shown": "raise Unspeakable",
-    "raises an error of ours": "airpuck.SetPoint('here', 0, 0)",
-    "never returns from itself": "forever()",
-    "stops a generator": "raise GeneratorExit",
-    "says nothing": "assert False",
-}
-#: Misbehaviour that looks like an end by our own code, and what commands say of it.
-MISTAKEN_FOR_OURS = {"sys.exit(0)": "SystemExit: 0", "raise KeyboardInterrupt": "KeyboardInterrupt"}
-COMMON = """
-import sys
-import numpy as np
-import airpuck
-
-class Unspeakable(Exception):
-    def __str__(self): raise SystemExit
-
-def forever(): return forever()
-
-def wrong():
-    print("here I am")
-    {misdeed}
-
-class Where:
-    {at}def at(self, now, ahead): wrong()
-    {asked}def asked(self, now): wrong()
-    {over}def over(self, now, ahead): wrong()
-    {fine}def at(self, now, ahead): return airpuck.SetPoint(-0.8, 0, 0).at(now, ahead)
-"""
-TACTIC = """
-class Mine:
-    def __init__(self):
-        {init}wrong()
-        self.where = {where}
-
-    def decide(self, view):
-        {decide}wrong()
-        return airpuck.Intention("home", self.where)
-"""
 PILOT = """
 class Mine(airpuck.Pilot):
     def __init__(self, model, reference):
@@ -81,32 +35,6 @@ class Mine(airpuck.Pilot):
     def sent(self, time, command):
         {sent}wrong()
 """
-RENDEZVOUS = "airpuck.Rendezvous(0.01, [-0.8, 0, 0, 0, 0, 0], then=Where())"
-
-
-class _Only(dict):
-    """Comments out the misbehaving lines except at one place."""
-
-    def __missing__(self, key):
-        return "" if key in self["place"] else "pass  # "
-
-
-def written(folder, text, place, misdeed="raise ValueError('no')", where="Where()"):
-    """Write a file that misbehaves at one place, and return FILE.py:NAME."""
-    words = _Only(place=place.split(), misdeed=misdeed, where=where)
-    if "at" not in words["place"]:
-        words["place"].append("fine")
-    (folder / "mine.py").write_text((COMMON + text).format_map(words))
-    return f"{folder / 'mine.py'}:Mine"
-
-
-def one_line(error, name, capsys):
-    assert "\n" not in str(error.value)
-    assert name in str(error.value)
-    assert "line " in str(error.value)
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert "here I am" in printed.err
 
 
 def flown(name):
@@ -125,42 +53,6 @@ def test_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
     with pytest.raises(InputError) as error:
         flown(name)
     one_line(error, name, capsys)
-
-
-@pytest.mark.parametrize("misdeed", MISDEEDS.values(), ids=MISDEEDS)
-@pytest.mark.parametrize("place", ["init", "decide"])
-def test_a_tactic_that_misbehaves_is_one_line(tmp_path, capsys, place, misdeed):
-    name = written(tmp_path, TACTIC, place, misdeed)
-    with pytest.raises(InputError) as error:
-        match(name, "human", rules=Rules(limit_s=0.1), workers=1)
-    one_line(error, name, capsys)
-
-
-@pytest.mark.parametrize("where", ["Where()", RENDEZVOUS])
-@pytest.mark.parametrize("place", ["at", "asked", "over"])
-def test_a_reference_that_misbehaves_is_one_line(tmp_path, capsys, place, where):
-    name = written(tmp_path, TACTIC, place, where=where)
-    with pytest.raises(InputError) as error:
-        match(name, "human", rules=Rules(limit_s=0.1), workers=1)
-    one_line(error, name, capsys)
-    if place == "at" and where == "Where()":
-        with pytest.raises(InputError) as error:
-            flown(written(tmp_path, PILOT, place))
-        one_line(error, name, capsys)
-
-
-@pytest.mark.parametrize("verb", ["match", "watch-match"])
-def test_an_exit_is_no_end_and_what_is_printed_is_no_json(tmp_path, verb):
-    for misdeed, said in MISTAKEN_FOR_OURS.items():
-        name = written(tmp_path, TACTIC, "at", misdeed)
-        ended = command_line.airpuck(verb, "--left", name, "--limit", "0.1", "--json", "-")
-        assert ended.returncode == 2
-        assert ended.stdout == ""
-        assert said in ended.stderr.splitlines()[-1]
-    name = written(tmp_path, TACTIC, "decide", "pass")
-    ended = command_line.airpuck(verb, "--left", name, "--limit", "0.1", "--json", "-")
-    assert json.loads(ended.stdout)["games"] == 1
-    assert "here I am" in ended.stderr
 
 
 def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
@@ -231,3 +123,10 @@ def test_threads_and_exits_of_user_code_do_not_decide_when_the_process_ends(
     assert done.returncode == status
     assert (done.stdout == "made\n") == (status == 0)
     assert ("line 11: cannot be made: SystemExit: os._exit(0)" in done.stderr) == (status == 1)
+
+
+def test_a_reference_of_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys):
+    name = written(tmp_path, PILOT, "at")
+    with pytest.raises(InputError) as error:
+        flown(name)
+    one_line(error, name, capsys)

@@ -13,8 +13,8 @@ from airpuck.campaigns.items import (
     recovery_errors,
     varied,
 )
-from airpuck.hockey.minimal_time import read_minimal_times
 from airpuck.model.model_file import published_model, read_model
+from airpuck.planning.minimal_time import read_minimal_times
 from airpuck.recording.csv_folder import write_csv
 from airpuck.twin.batch import TwinBatch
 from airpuck.twin.settings import default_twin_settings

@@ -5,11 +5,9 @@ import logging
 import signal
 import socket
 import warnings
-from functools import partial
 
 import pytest
 
-import airpuck
 from airpuck import InputError
 from airpuck.boundary.signals import Stopped, stop
 from airpuck.campaigns import workers as module
@@ -130,14 +128,6 @@ def test_a_missing_scheduler_is_refused(monkeypatch):
 @pytest.mark.parametrize("workers", ["two", "localhost:8786", "0", 0, 1e9, ""])
 def test_workers_are_a_number_or_an_address(workers):
     with pytest.raises(InputError, match="workers: must be") as refused:
-        airpuck.match("human", "keeper", workers=workers, rules=airpuck.Rules(limit_s=0.1))
+        checked_workers(workers)
     assert "\n" not in str(refused.value)
     assert checked_workers("4") == 4
-
-
-@pytest.mark.slow
-def test_games_are_played_by_the_workers_of_a_scheduler(cluster):
-    cluster.scale(1)
-    play = partial(airpuck.match, "human", "keeper", 2, rules=airpuck.Rules(limit_s=0.2))
-    there, here = (play(workers=w).to_json() for w in (cluster.scheduler_address, "1"))
-    assert there | {"wall_s": 0} == here | {"wall_s": 0}

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from airpuck.boundary.errors import escaped
-from airpuck.cli.app import commands
+from airpuck.cli.app import known_commands
 from airpuck.cli.output import origin, report, table
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag_writer import write_bag
@@ -19,7 +19,7 @@ KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
 
 def outputs():
     """Return every option of every command that names an output."""
-    for name, command in commands().commands.items():
+    for name, command in known_commands().items():
         for option in command.params:
             read = option.name in command.declared or option.name == "settings_file"
             if option.callback is not None and option.metavar in KINDS and not read:

@@ -9,12 +9,12 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import Range
-from airpuck.cli.app import commands
+from airpuck.cli.app import known_commands
 from airpuck.cli.output import show_time_left
 
 from ..apparatus.commands import airpuck, refused
 
-COMMANDS = commands().commands
+COMMANDS = known_commands()
 
 
 def numbers():

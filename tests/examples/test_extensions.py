@@ -72,11 +72,3 @@ def test_a_report_shows_the_range_of_the_commands(tmp_path):
     assert "Range of the commands" in page.read_text("utf-8")
     assert median in page.read_text("utf-8")
     assert (tmp_path / "figures" / "range.pdf").read_bytes()[:4] == b"%PDF"
-
-
-def test_a_tactic_defends_its_goal(tmp_path):
-    name = f"{EXAMPLES / 'own_tactic' / 'goalie.py'}:Goalie"
-    game = airpuck.Game(airpuck.contestant(name), airpuck.contestant("human:easy"), seed=1)
-    while game.time < 1.0:
-        game.step()
-    assert game.sides[0].state[0] < 0

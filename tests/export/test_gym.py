@@ -1,8 +1,6 @@
 """Environments against the official checkers, the twin, and the package's own skills."""
 
 import math
-import sys
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -11,20 +9,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode
-from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
 from airpuck.craft.table import Table
 from airpuck.export import write
-from airpuck.export.gym import ENVIRONMENTS, CourseEnv, PuckEnv
-from airpuck.export.gym_game import GameEnv
+from airpuck.export.gym import ENVIRONMENTS, CourseEnv
 from airpuck.export.gym_task import CourseTask
 from airpuck.export.gym_vector import CourseVectorEnv
-from airpuck.hockey.skills import SKILLS, skills
 from airpuck.model.model_file import published_model
-from airpuck.physics.puck import PuckState
 from airpuck.twin.race import COURSES
 from airpuck.twin.settings import MotionCapture, OnBoard, default_twin_settings
 from airpuck.twin.twin import Twin
@@ -55,10 +47,9 @@ def flown(env, commands, **reset):
     return [env.reset(**reset), *(env.step(command) for command in commands)]
 
 
-@pytest.mark.parametrize("kind", ["SetPoint", "Defend"])
-def test_pictures_show_the_craft_where_it_is(kind):
-    env: Any = gymnasium.make(f"airpuck/{kind}-v0", render_mode="rgb_array").unwrapped
-    options = {"start": (0.4, 0.2, 0.0), "goal": (-0.5, 0.0, 0.0)} if kind == "SetPoint" else {}
+def test_pictures_show_the_craft_where_it_is():
+    env: Any = gymnasium.make("airpuck/SetPoint-v0", render_mode="rgb_array").unwrapped
+    options = {"start": (0.4, 0.2, 0.0), "goal": (-0.5, 0.0, 0.0)}
     env.reset(seed=1, options=options)
     before = env.render()
     assert before.dtype == np.uint8
@@ -69,22 +60,9 @@ def test_pictures_show_the_craft_where_it_is(kind):
     np.testing.assert_allclose(white / 300 - (0.58, 1.13), (-y, x), atol=0.01)
     env.reset(seed=2)
     assert (env.render() != before).any()
-    assert gymnasium.make(f"airpuck/{kind}-v0").unwrapped.render() is None
+    assert gymnasium.make("airpuck/SetPoint-v0").unwrapped.render() is None
     with pytest.raises(gymnasium.error.ResetNeeded):
-        gymnasium.make(f"airpuck/{kind}-v0", render_mode="rgb_array").unwrapped.render()
-
-
-def test_the_game_has_pictures_and_modes_are_checked():
-    game = GameEnv(render_mode="rgb_array")
-    game.reset(seed=0)
-    picture = game.render()
-    assert picture is not None
-    left, right = picture[:, : picture.shape[1] // 2], picture[:, picture.shape[1] // 2 :]
-    for half, own, other in ((left, (0, 114, 178), (213, 94, 0)), (right, (213, 94, 0), None)):
-        assert (half == own).all(axis=2).any()
-        assert other is None or not (half == other).all(axis=2).any()
-    with pytest.raises(InputError, match="render_mode"):
-        GameEnv(render_mode="human")
+        gymnasium.make("airpuck/SetPoint-v0", render_mode="rgb_array").unwrapped.render()
 
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
@@ -92,9 +70,8 @@ def test_gymnasiums_checker_passes(name):
     check_env(gymnasium.make(f"airpuck/{name}-v0").unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("make", [CourseEnv, lambda: PuckEnv("hit")], ids=["course", "puck"])
-def test_a_seed_determines_the_episode(make):
-    env, other, commands = make(), make(), actions(20)
+def test_a_seed_determines_the_episode():
+    env, other, commands = CourseEnv(), CourseEnv(), actions(20)
     first = flown(env, commands, seed=4)
     other.reset(seed=9)
     assert data_equivalence(flown(env, commands, seed=4), first, exact=True)
@@ -157,6 +134,11 @@ def test_rows_of_the_vector_environment_are_single_environments():
             over[row] = bool(result[1] or result[2])
 
 
+def test_modes_of_pictures_are_checked():
+    with pytest.raises(InputError, match="render_mode"):
+        CourseEnv(render_mode="human")
+
+
 def test_a_seed_determines_the_vector_environment():
     env, commands = gymnasium.make_vec("airpuck/Race-v0", num_envs=2), actions(10, size=12)
     commands = commands.reshape(10, 2, 6)
@@ -201,7 +183,6 @@ def test_wrong_use_is_named():
     for make, field in (
         (lambda: CourseEnv(course="rally"), "course"),
         (lambda: CourseEnv(limit_s=math.nan), "limit_s"),
-        (lambda: PuckEnv("juggle"), "skill"),
         (lambda: CourseVectorEnv(0), "num_envs"),
         (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "goal: is beyond"),
         (lambda: CourseEnv().reset(options={"gaol": (0.1, 0.0, 0.0)}), "did you mean 'goal'"),
@@ -244,54 +225,6 @@ def test_a_race_ends_at_the_goal_after_all_points_in_order():
     assert not task.judge(np.array([goal] * 2), np.full((2, 3), 0.1))[1].any()
 
 
-class Shaky(Pilot):
-    """A pilot, in place of the package's player, whose commands depend on time alone."""
-
-    count = 0
-
-    def __init__(self, *_, **__):
-        Shaky.count, self.commands = 0, actions(200)
-
-    def step(self, time):
-        Shaky.count += 1
-        return Step(self.commands[round(time / PERIOD)])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SKILLS)
-def test_skills_succeed_as_those_of_the_package(name, monkeypatch):
-    monkeypatch.setattr("airpuck.hockey.skills.Player", Shaky)
-    for module in ("airpuck.hockey.skills", "airpuck.export.gym"):
-        monkeypatch.setattr(f"{module}.LONGEST", 1.0)
-    blind = SETTINGS.model_copy(update={"on_board": OnBoard(rate_hz=0.0)})
-    ends = []
-    skills(
-        MODEL,
-        settings=blind,
-        episodes=3,
-        names=(name,),
-        progress=lambda _, done, successes: ends.append((successes, Shaky.count)),
-    )
-    env, successes = PuckEnv(name), 0
-    for k, (expected, count) in enumerate(ends):
-        env.np_random = np.random.default_rng([0, k])
-        env.reset()
-        for command in actions(200):
-            observation, reward, over, late, info = env.step(command)
-            if over or late:
-                break
-        successes += info["is_success"]
-        assert reward == info["is_success"]
-        assert successes == expected
-        # The flight sends one more command before it is known to be over.
-        assert round(observation["time"][0] / PERIOD) == (count if late else count - 1)
-
-
-def test_the_first_observation_of_the_puck_has_its_motion():
-    observation, _ = PuckEnv("defend").reset(seed=3)
-    assert 1.0 <= np.hypot(*observation["puck_rate"][:2]) <= 3.0
-
-
 @pytest.mark.slow
 def test_the_baseline_reaches_a_goal_from_observations_alone():
     env = CourseEnv()
@@ -304,72 +237,6 @@ def test_the_baseline_reaches_a_goal_from_observations_alone():
     assert observation["time"][0] < 3.0
 
 
-def test_pettingzoos_checkers_pass():
-    parallel_api_test(GameEnv(limit_s=0.2), num_cycles=30)
-    parallel_seed_test(GameEnv, num_cycles=10)
-
-
-def test_a_seed_determines_the_game():
-    one, two, found = GameEnv(), GameEnv(), []
-    for env in (one, two, one):
-        results = [env.reset(seed=3)]
-        for left, right in zip(actions(10), actions(10, seed=1), strict=True):
-            results.append(env.step({"left": left, "right": right}))
-        found.append(results)
-    assert data_equivalence(found[0], found[1], exact=True)
-    assert data_equivalence(found[0], found[2], exact=True)
-
-
-def test_both_sides_see_the_same_game():
-    radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
-    # With its centre of mass in the body's frame, a craft flies the same in every direction.
-    craft = replace(MODEL, frame="body")
-    env = GameEnv(craft, NOISELESS.model_copy(update={"radio": radio}))
-    observations, _ = env.reset(seed=0)
-    for command in actions(30):
-        left, right = observations["left"], observations["right"]
-        for name in ("pose_rate", "mallet_rate", "pose_age", "sent"):
-            np.testing.assert_allclose(left[name], right[name], atol=1e-9)
-        for name in ("pose", "mallet"):
-            np.testing.assert_allclose(left[name][:2], right[name][:2], atol=1e-9)
-            assert math.cos(left[name][2] - right[name][2]) == pytest.approx(1.0, abs=1e-12)
-        np.testing.assert_allclose(left["puck"][:2], -right["puck"][:2], atol=1e-9)
-        observations, *_ = env.step({"left": command, "right": command})
-
-
-@pytest.mark.parametrize(("towards", "winner"), [(1, "left"), (-1, "right")])
-def test_a_goal_is_rewarded(towards, winner):
-    env = GameEnv()
-    env.reset(seed=0)
-    assert env.game.world.puck is not None
-    # Beside the disc that defends the goal.
-    env.game.world.puck.place(PuckState(towards * 0.8, 0.15, 0.0, towards * 3.0, 0.0, 0.0))
-    rewards, total = {}, 0.0
-    for _ in range(40):
-        idle = dict.fromkeys(env.agents, np.zeros(6))
-        _, rewards, terminated, truncated, infos = env.step(idle)
-        total += sum(rewards.values())
-        if not env.agents:
-            break
-    loser = {"left": "right", "right": "left"}[winner]
-    assert rewards == {winner: 1.0, loser: -1.0}
-    assert total == 0.0
-    assert all(terminated.values())
-    assert not any(truncated.values())
-    assert infos[winner] == {"score": (1, 0)}
-    assert infos[loser] == {"score": (0, 1)}
-
-
-def test_a_game_needs_both_actions():
-    env = GameEnv()
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="right: has no action"):
-        env.step({"left": np.zeros(6)})
-    # The game continues.
-    observations, *_ = env.step(dict.fromkeys(env.agents, np.zeros(6)))
-    assert observations["left"]["time"] == PERIOD
-
-
 def test_an_export_registers_environments_of_its_craft(tmp_path, monkeypatch):
     table = Table(length_m=3.0, width_m=1.5)
     settings = SETTINGS.model_copy(update={"table": table})
@@ -380,7 +247,6 @@ def test_an_export_registers_environments_of_its_craft(tmp_path, monkeypatch):
     assert isinstance(env, CourseEnv)
     assert env.model.name == "M2"
     assert env.settings.table == table
-    assert sys.modules["my_craft"].game(limit_s=5.0).settings.table == table
     np.testing.assert_array_equal(
         env.model.parameters.thrust, published_model("M2").parameters.thrust
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
-from airpuck.physics.many_pucks import paths
+from airpuck.physics.many_pucks import puck_paths
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 
@@ -43,7 +43,7 @@ def test_many_pucks_move_like_each_alone(play):
     random, after = np.random.default_rng(4), np.linspace(0.1, 1.6, 7)
     states = states_of(random, play, 60)
     numbers = np.clip(own(play) * random.uniform(0.7, 1.2, (60, 4)), 0.0, 1.0)
-    found, goals, posts = paths(play, states, numbers, after), 0, 0
+    found, goals, posts = puck_paths(play, states, numbers, after), 0, 0
     for state, given, path in zip(states, numbers, found, strict=True):
         puck = PuckOnTable(with_numbers(play, *given.tolist()), PuckState(*state))
         for time, row in zip(after.tolist(), path, strict=True):
@@ -57,8 +57,10 @@ def test_many_pucks_move_like_each_alone(play):
 
 def test_a_puck_at_rest_stays_and_no_times_give_no_states():
     state, numbers = np.array([[0.1, 0.2, 0.3, 0.0, 0.0, 0.0]]), own(PLAY)[None]
-    np.testing.assert_allclose(paths(PLAY, state, numbers, np.array([0.0, 9.0]))[0], [state[0]] * 2)
-    assert paths(PLAY, state, numbers, np.zeros(0)).shape == (1, 0, 6)
+    np.testing.assert_allclose(
+        puck_paths(PLAY, state, numbers, np.array([0.0, 9.0]))[0], [state[0]] * 2
+    )
+    assert puck_paths(PLAY, state, numbers, np.zeros(0)).shape == (1, 0, 6)
 
 
 def test_a_wedged_puck_stops_soon():
@@ -67,5 +69,5 @@ def test_a_wedged_puck_stops_soon():
     table = Table(goal_width_m=2 * puck.radius_m + 1e-6)
     play = AirHockey.model_construct(table=table, puck=puck)
     state = np.array([[table.length_m / 2, 0.0, 0.0, 0.0, 5.0, 0.0]])
-    path = paths(play, state, own(play)[None], np.array([1.0]))
+    path = puck_paths(play, state, own(play)[None], np.array([1.0]))
     assert path[0, 0, 4] == 0.0

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 import pytest
 
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
+from airpuck.web.view import VIEW_PAGE
 
 from ..apparatus.arena import Arena
 from ..apparatus.handshakes import websocket as opened
@@ -55,7 +56,7 @@ def test_the_files_and_nothing_else(arena):
         answer.body = answer.read()
         return answer
 
-    for path, kind in [("/", "html"), ("/play.js", "javascript"), ("/play.css", "css")]:
+    for path, kind in [("/", "html"), ("/view.js", "javascript"), ("/view.css", "css")]:
         answer = get(path)
         assert answer.status == 200
         assert kind in answer.headers["Content-Type"]
@@ -67,7 +68,7 @@ def test_the_files_and_nothing_else(arena):
     for path in ("/../pyproject.toml", "/paper.toml", "/%2e%2e/x", "//", "/x" * 500):
         assert get(path).status == 404
     assert get("/", Host="evil.example").status == 403
-    assert get("/play.js", Origin="http://evil.example").status == 403
+    assert get("/view.js", Origin="http://evil.example").status == 403
 
 
 def test_another_site_cannot_play(arena):
@@ -108,7 +109,7 @@ def test_the_second_page_watches_until_the_seat_is_free(arena):
 
 
 def test_every_page_of_the_live_view_may_move_the_set_point():
-    arena = Arena({"reach": [1, 0.5]}, page="view")
+    arena = Arena({"reach": [1, 0.5]}, page=VIEW_PAGE)
     try:
         with arena.page() as first:
             assert news(first, "hello")["reach"] == [1, 0.5]

@@ -1,4 +1,4 @@
-"""Many independent flights, fits and games, on all cores or on a cluster.
+"""Many independent flights and fits, on all cores or on a cluster.
 
-Entry points: `campaign.campaign`, `match.match`, `items.recovery_errors`.
+Entry points: `campaign.campaign`.
 """

@@ -10,6 +10,7 @@ import sysconfig
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.machinery import PathFinder
+from importlib.util import find_spec
 from pathlib import Path
 
 import airpuck
@@ -24,10 +25,16 @@ _INSTALLED = tuple(Path(sysconfig.get_path(n)) for n in ("stdlib", "purelib", "p
 
 
 @cache
-def program() -> str:
-    """Hash all files of this package."""
-    folder = Path(airpuck.__file__).parent
-    return _of(folder, (f for f in folder.rglob("*") if f.is_file() and _CACHE not in f.parts))
+def program(module: str = __name__) -> str:
+    """Hash all files of this package, and of the package of a module that builds on it."""
+    hashes = []
+    for name in sorted({"airpuck", module.partition(".")[0]}):
+        found = find_spec(name)
+        assert found is not None and found.origin is not None
+        folder = Path(found.origin).parent
+        files = (f for f in folder.rglob("*") if f.is_file() and _CACHE not in f.parts)
+        hashes.append(_of(folder, files))
+    return "".join(hashes)
 
 
 def of_file(path: str | os.PathLike[str]) -> str:

@@ -91,6 +91,8 @@ class Item(Section):
     #: Fields that name models, recordings or tactics, each with the function that hashes its
     #: content for the key.
     SOURCES: ClassVar[Mapping[str, Fingerprint]] = {}
+    #: Names that are no files, such as paper:M3.
+    PACKAGED: ClassVar[tuple[str, ...]] = ("paper",)
 
     #: Seed of all random numbers.
     seed: Natural = 0
@@ -108,35 +110,31 @@ class Item(Section):
         return None
 
     def key(self, known: dict[tuple[Fingerprint, str], str] | None = None) -> str:
-        """Hash the fields, the content of the files they name, and our code.
-
-        `known` caches the hashes of files across items.
-        """
+        """Hash the fields, the files they name (cached in `known`) and our code."""
         content, known = self.model_dump(mode="json"), {} if known is None else known
         for field, fingerprint in self.SOURCES.items():
             names = content[field] if isinstance(content[field], list) else [content[field]]
-            content[field] = [_identity(name, fingerprint, known) for name in names]
-        text = json.dumps([type(self).__name__, program(), content], sort_keys=True)
+            content[field] = [self._identity(name, fingerprint, known) for name in names]
+        own = type(self)
+        text = json.dumps([own.__name__, program(own.__module__), content], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
+    @classmethod
+    def is_file(cls, name: str | None) -> bool:
+        """Return whether a name is a file."""
+        return name is not None and name.partition(":")[0] not in cls.PACKAGED
 
-def is_file(name: str | None) -> bool:
-    """Return whether a name is a file, not a packaged model or player."""
-    from airpuck.hockey.contestant import PLAYERS
-
-    return name is not None and name.partition(":")[0] not in ("paper", *PLAYERS)
-
-
-def _identity(
-    name: str | None, fingerprint: Fingerprint, known: dict[tuple[Fingerprint, str], str]
-) -> str | None:
-    """Return the identity of a name for keys: the hash of a file, and the class in it."""
-    if name is None or not is_file(name):
-        return name
-    attribute, file = _CLASS.search(name), _CLASS.sub("", name)
-    if (fingerprint, file) not in known:
-        known[fingerprint, file] = fingerprint(file)
-    return known[fingerprint, file] + (attribute.group() if attribute else "")
+    @classmethod
+    def _identity(
+        cls, name: str | None, fingerprint: Fingerprint, known: dict[tuple[Fingerprint, str], str]
+    ) -> str | None:
+        """Return the identity of a name for keys: the hash of a file, and the class in it."""
+        if name is None or not cls.is_file(name):
+            return name
+        attribute, file = _CLASS.search(name), _CLASS.sub("", name)
+        if (fingerprint, file) not in known:
+            known[fingerprint, file] = fingerprint(file)
+        return known[fingerprint, file] + (attribute.group() if attribute else "")
 
 
 class TwinItem(Item):
@@ -345,7 +343,7 @@ class ShortestTime(Item):
 
     def run(self) -> list[Row]:
         """Plan; see `Item.run`."""
-        from airpuck.hockey.minimal_time import shortest_time
+        from airpuck.planning.minimal_time import shortest_time
 
         yaw = np.random.default_rng(self.seed).uniform(-np.pi, np.pi)
         velocity = self.speed_m_s * np.array(

@@ -9,12 +9,14 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import pydantic
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
+from airpuck.boundary.kinds import unknown
 from airpuck.campaigns.items import (
     Count,
     Fitting,
@@ -23,17 +25,14 @@ from airpuck.campaigns.items import (
     Recovery,
     ShortestTime,
     Tracking,
-    is_file,
 )
-from airpuck.campaigns.match_item import Match
 
-#: Kinds of items.
-KINDS = {
+#: Kinds of items; entry points (`airpuck.items`) add others.
+KINDS: dict[str, type[Item]] = {
     "tracking": Tracking,
     "recovery": Recovery,
     "fit": Fitting,
     "shortest_time": ShortestTime,
-    "match": Match,
 }
 #: Largest number of items; all are created before the first one runs.
 _MOST = 100_000
@@ -50,10 +49,7 @@ class Spec(Section):
     """Content of a spec file."""
 
     #: Kind of the items.
-    kind: Annotated[
-        Literal["tracking", "recovery", "fit", "shortest_time", "match"],
-        pydantic.BeforeValidator(_named_anew),
-    ]
+    kind: Annotated[str, pydantic.BeforeValidator(_named_anew)]
     #: Number of seeds from 0, or a list of seeds.
     seeds: Count | Annotated[tuple[Natural, ...], pydantic.Field(min_length=1)] = 1
     #: Fields that all items share.
@@ -79,7 +75,7 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
     for table, content in (("base", spec.base), ("grid", spec.grid)):
         if "seed" in content:
             raise InputError("is set by seeds; remove it", file=path, field=f"{table}.seed")
-    kind, axes = KINDS[spec.kind], dict(_axes(spec.grid, path))
+    kind, axes = _kind(spec.kind, path), dict(_axes(spec.grid, path))
     seeds = range(spec.seeds) if isinstance(spec.seeds, int) else spec.seeds
     size = math.prod(map(len, axes.values()), start=len(seeds))
     if size > _MOST:
@@ -94,7 +90,8 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
             for name in reversed(field.split(".")):
                 value = {name: value}
             content = laid_over(content, value)
-        sources = {name: _resolved(content[name], folder) for name in kind.SOURCES & content.keys()}
+        named = kind.SOURCES & content.keys()
+        sources = {name: _resolved(content[name], folder, kind) for name in named}
         # One check covers all seeds.
         item = checked({**content, **sources}, kind, file=path)
         for seed in seeds:
@@ -120,10 +117,19 @@ def _axes(
         yield field, values
 
 
-def _resolved(names: Any, folder: Path) -> Any:
+def _kind(name: str, path: str | os.PathLike[str]) -> type[Item]:
+    """Return a kind of items, which another distribution may add."""
+    if name in KINDS:
+        return KINDS[name]
+    if name in (*added("airpuck.items"), *HOCKEY["airpuck.items"]):
+        return loaded("airpuck.items", name)
+    raise InputError(unknown(name, [*KINDS, *added("airpuck.items")]), file=path, field="kind")
+
+
+def _resolved(names: Any, folder: Path, kind: type[Item]) -> Any:
     """Make file names absolute."""
     if isinstance(names, list):
-        return [_resolved(name, folder) for name in names]
-    if not isinstance(names, str) or not is_file(names):
+        return [_resolved(name, folder, kind) for name in names]
+    if not isinstance(names, str) or not kind.is_file(names):
         return names
     return str(folder / os.path.expandvars(names))

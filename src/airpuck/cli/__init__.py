@@ -2,7 +2,7 @@
 
 # In the order in which the help lists their commands.
 from airpuck.cli import identification, validation, craft, flying, designing, planning, export  # noqa: F401 # isort: skip
-from airpuck.cli import playing, match, league, live, campaign, study  # noqa: F401 # isort: skip
+from airpuck.cli import live, campaign, study  # noqa: F401 # isort: skip
 from airpuck.cli.app import main
 
 __all__ = ["main"]

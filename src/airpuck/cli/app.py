@@ -20,6 +20,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from airpuck.boundary.errors import InputError, escaped
+from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
 from airpuck.cli.names import check_inputs, refuse_empty
@@ -115,7 +116,27 @@ def _unexpected(words: Sequence[str], command: str, parameters: Sequence[Any]) -
 
 
 class _Group(_PlainFlags, TyperGroup):
-    """All commands; a signal ends them with one line."""
+    """All commands; a signal ends them with one line. Entry points are imported when needed."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command; other distributions may add it."""
+        if cmd_name not in self.commands:
+            if cmd_name in (*added("airpuck.commands"), *HOCKEY["airpuck.commands"]):
+                self.commands[cmd_name] = loaded(
+                    "airpuck.commands", cmd_name, lambda function: _built(cmd_name, function)
+                )
+            else:
+                self.list_commands(ctx)  # for the nearest name
+        return super().get_command(ctx, cmd_name)
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """List all commands; a broken entry point gets one line."""
+        for name in sorted(added("airpuck.commands").keys() - self.commands.keys()):
+            try:
+                self.get_command(ctx, name)
+            except InputError as error:
+                _say(str(error))
+        return super().list_commands(ctx)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -150,10 +171,37 @@ app = _App(
 )
 
 
+def command(panel: str, rare: Sequence[str] = ()) -> Callable[..., Any]:
+    """Return a decorator for a command that an entry point adds: its place in the help.
+
+    The help shows `rare` options on request only.
+    """
+
+    def mark(function: Callable[..., Any]) -> Callable[..., Any]:
+        function.shown = panel, rare  # pyright: ignore[reportFunctionMemberAccess]
+        return function
+
+    return mark
+
+
+def _built(name: str, function: Callable[..., Any]) -> Any:
+    """Return the command of a function."""
+    panel, rare = getattr(function, "shown", ("Extensions", ()))
+    alone = _App(add_completion=False)
+    alone.command(name, rich_help_panel=panel, rare=rare)(function)
+    return get_command(alone)
+
+
 @functools.cache
 def commands() -> Any:
     """Return the group of all commands. Typer would build it again for each call, in 0.1 s."""
     return get_command(app)
+
+
+def known_commands() -> dict[str, Any]:
+    """Return all commands by name, with those that other distributions add."""
+    commands().list_commands(None)
+    return commands().commands
 
 
 def main() -> None:

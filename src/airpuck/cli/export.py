@@ -10,7 +10,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import report, table
-from airpuck.export.kinds import KINDS, check_given
+from airpuck.export.kinds import KINDS, check_given, kind_named, known_kinds
 
 
 @app.command(rich_help_panel="Control and flight")
@@ -22,7 +22,7 @@ def export(
             f"What to write: {'; '.join(f'{n} ({k.summary})' for n, k in KINDS.items())}.",
             metavar="KIND",
             option="--to",
-            complete=lambda: list(KINDS),
+            complete=known_kinds,
         ),
     ],
     output: Annotated[Path, options.output("DIR", "Folder for the files.")],
@@ -42,7 +42,7 @@ def export(
     check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
     # The controller is the same as in the other commands; it depends on the craft.
-    controls = "tuning" in KINDS[kind].uses
+    controls = "tuning" in kind_named(kind).uses
     written = airpuck.export.write(
         exported,
         kind,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from typer import Argument
 
-import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
@@ -208,52 +207,6 @@ def identify(
     told = *found.sentences, *judged, *_fit_summary(found.fit, verbose), output
     report(found.to_json(), json_file, *told, quiet=quiet)
     found.verdict.check_recording(recordings[0])
-
-
-@app.command("identify-puck", rich_help_panel=PANEL)
-def identify_puck(
-    recordings: Annotated[
-        list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one puck.")
-    ],
-    play: options.ReadTable = None,
-    output: Annotated[Path | None, options.output("FILE", "Table file to write.")] = None,
-    vehicle: options.ReadVehicle = None,
-    mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
-) -> None:
-    """Identify drag and bounces of a puck from recordings."""
-    from airpuck.identification.puck import identify_puck, value_of
-
-    seen = [airpuck.read_recording(path, mapping=mapping, needs=("puck",)) for path in recordings]
-    for recording in seen:
-        warn(recording.warnings, quiet)
-    fit = identify_puck(seen, play, vehicle)
-    if output is not None:
-        fit.play.save(output)
-    warn(fit.notes, quiet)
-    puck = fit.play.puck
-    rows = [
-        [name, f"{value_of(puck, name):.4g}", f"{error:.2g}"]
-        for name, error in puck.standard_error.items()
-    ]
-    used = ", ".join(f"{count} off the {name}" for name, count in fit.bounces.items() if count)
-    summary = f"{fit.flights} flights ({fit.seconds:.1f} s), bounces: {used or 'none'}"
-    along = f"a puck without spin keeps {puck.kept_along_rail:.2f} of its speed along a rail"
-    if len(fit.rail_ratio) > 1:
-        summary += f"; the restitution of single bounces scatters by {fit.rail_scatter:.3f}"
-    if "rail.grip" in puck.assumed:
-        along += " (assumed)"
-    found = table(("puck", "value", "standard error"), rows, title="identified on this table")
-    report(
-        fit.to_json(),
-        json_file,
-        found,
-        summary,
-        along,
-        output or "add -o table.toml to keep it",
-        quiet=quiet,
-    )
 
 
 def _write_report(study: Study, folder: Path) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from functools import cache
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,32 +66,6 @@ def read_belief(name: str) -> Model:
     model = airpuck.read_model(name)
     with about(name, "parameters.thrust_N"):
         InverseThrust(model.dynamics.thrust)
-    return model
-
-
-def read_player(name: str, quiet: bool) -> Model:
-    """Read a model for a player; first plan its shortest times if they are unknown."""
-    from airpuck.cli.output import say, show_time_left
-    from airpuck.hockey.minimal_time import minimal_times_of
-    from airpuck.hockey.player import check_player
-
-    model = read_belief(name)
-    with about(name):
-        check_player(model)
-    with ExitStack() as stack:
-
-        @cache
-        def progress() -> Callable[[float, float], None]:  # shown only if there is any work
-            words = "planning this craft's shortest times, once"
-            return stack.enter_context(show_time_left(words, quiet))
-
-        with about(name):
-            times = minimal_times_of(model, lambda done, of: progress()(done, of))
-    if times.margin > 0:
-        say(quiet)(
-            f"{name}: this craft's shortest times are uncertain by {times.error['p95']:.2f} s; its "
-            f"player allows {times.margin:.2f} s more for each move and tries fewer shots"
-        )
     return model
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from typer import Argument
 
@@ -140,10 +140,12 @@ def twin(
         ),
     ] = None,
     human: Annotated[
-        Literal["easy", "medium", "hard", "page"] | None,
+        str | None,
         Setting(
-            "A human with a mallet on the right: a script, or the person at the page of "
-            "`airpuck play-live`. The puck starts at the centre, or where --puck says."
+            "An opponent with a mallet on the right, by airpuck-hockey: easy, medium, hard, or "
+            "page, the person at the page of `airpuck play-live`. The puck starts at the centre, "
+            "or where --puck says.",
+            metavar="NAME",
         ),
     ] = None,
     seed: options.Seed = 0,

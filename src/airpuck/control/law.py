@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
+from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.user_code import UserCode
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
@@ -239,6 +240,8 @@ def law_named(name: str) -> Callable[..., Any]:
     """Return a factory that makes the named law from model, tuning and options."""
     found = LAWS.get(check_law(name))
     if found is None:
+        if name in added("airpuck.laws"):
+            return loaded("airpuck.laws", name)
         return _users_law(name)
     if isinstance(found, str):
         module, _, attribute = found.rpartition(".")

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import added
 from airpuck.boundary.kinds import unknown
 
 #: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.
-#: FILE.py:NAME names a user's law wherever a law is named.
+#: FILE.py:NAME names a user's law wherever a law is named; entry points (`airpuck.laws`) add more.
 LAWS: dict[str, Callable[..., Any] | str] = {
     "lqr": "airpuck.control.lqr.LQR",
     "mpc": "airpuck.control.mpc.MPC",
@@ -19,8 +20,8 @@ LAWS: dict[str, Callable[..., Any] | str] = {
 
 def check_law(name: str) -> str:
     """Return the name of a law; raise InputError for an unknown name."""
-    if name not in LAWS and ".py:" not in name:
-        raise InputError(unknown(name, [*LAWS, "FILE.py:NAME"]))
+    if name not in LAWS and ".py:" not in name and name not in added("airpuck.laws"):
+        raise InputError(unknown(name, [*LAWS, *added("airpuck.laws"), "FILE.py:NAME"]))
     return name
 
 

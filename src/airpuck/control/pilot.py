@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from airpuck.control.law import Step
 from airpuck.control.reference import Reference, SetPoint
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 
 
 @runtime_checkable
@@ -33,7 +33,7 @@ class Pilot(Protocol):
     #: The reference that the craft tracks; by default the middle of the table.
     reference: Reference = SetPoint(0.0, 0.0, 0.0)
     #: Other bodies that it sees by motion capture: the ``puck``, the other side's ``mallet``.
-    watches: tuple[Kind, ...] = ()
+    watches: tuple[MeasurementKind, ...] = ()
 
     def measured(self, measurement: Measurement) -> None:
         """Receive a measurement; by default, pass the craft's poses to `pose`.

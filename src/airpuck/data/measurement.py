@@ -13,9 +13,9 @@ from airpuck.boundary.kinds import unknown
 
 #: The sensors: motion capture of the craft, the puck and the other side's disc; the on-board
 #: inertial unit and optical mouse sensor.
-Kind = Literal["pose", "imu", "mouse", "puck", "mallet"]
+MeasurementKind = Literal["pose", "imu", "mouse", "puck", "mallet"]
 #: Length of their values.
-_SIZES: dict[Kind, int] = {"pose": 3, "imu": 6, "mouse": 2, "puck": 3, "mallet": 3}
+_SIZES: dict[MeasurementKind, int] = {"pose": 3, "imu": 6, "mouse": 2, "puck": 3, "mallet": 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Measurement:
     0.25
     """
 
-    kind: Kind
+    kind: MeasurementKind
     stamp: float
     values: Float[np.ndarray, " k"]
 

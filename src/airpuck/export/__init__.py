@@ -4,6 +4,6 @@ Entry points: `kinds.write`; functions that return objects: `casadi.functions`, 
 `holohover.params_json`, `holohover.params_yaml`, `matlab.parameters`.
 """
 
-from airpuck.export.kinds import KINDS, Kind, Subject, Written, refuse_effects, write
+from airpuck.export.kinds import KINDS, ExportKind, Subject, Written, refuse_effects, write
 
-__all__ = ["KINDS", "Kind", "Subject", "Written", "refuse_effects", "write"]
+__all__ = ["KINDS", "ExportKind", "Subject", "Written", "refuse_effects", "write"]

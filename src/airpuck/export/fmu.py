@@ -62,7 +62,7 @@ class Variable:
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
-    """Write the FMU; see `airpuck.export.kinds.Kind`."""
+    """Write the FMU; see `airpuck.export.kinds.ExportKind`."""
     check(subject)
     model = subject.model
     plant = build_plant(model, subject.twin, compiled=False)

@@ -1,4 +1,4 @@
-"""Gymnasium environments of the twin: flights to a goal, races, skills with a puck.
+"""Gymnasium environments of the twin: flights to a goal, and races.
 
 Importing this module registers them: ``gymnasium.make("airpuck.export.gym:airpuck/SetPoint-v0")``.
 docs/export.md describes observations, rewards and termination.
@@ -7,9 +7,9 @@ docs/export.md describes observations, rewards and termination.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,11 +21,10 @@ try:
 except ImportError:
     raise InputError("environments need Gymnasium: pip install gymnasium") from None
 
-from airpuck.boundary.kinds import unknown
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.gym_picture import (
     BLACK,
     GREEN,
@@ -37,6 +36,7 @@ from airpuck.export.gym_picture import (
 )
 from airpuck.export.gym_task import (
     ALL,
+    LONGEST,
     ROW,
     CourseTask,
     ModelSource,
@@ -50,17 +50,6 @@ from airpuck.export.gym_task import (
     read_world,
 )
 from airpuck.export.kinds import Subject
-from airpuck.hockey.player import Player
-from airpuck.hockey.skills import (
-    LONGEST,
-    SKILLS,
-    TACTICS,
-    SkillName,
-    ended,
-    make_stage,
-    opening,
-    outcome,
-)
 from airpuck.model.model_file import Model
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings
@@ -70,10 +59,11 @@ from airpuck.twin.twin import Twin
 _SAME = 1e-9
 
 #: Environments by name: class, vector environment if there is one, settings.
-ENVIRONMENTS: dict[str, tuple[str, str | None, dict[str, str]]] = {
-    "SetPoint": ("gym:CourseEnv", "gym_vector:CourseVectorEnv", {}),
-    "Race": ("gym:CourseEnv", "gym_vector:CourseVectorEnv", {"course": "slalom"}),
-    **{name.capitalize(): ("gym:PuckEnv", None, {"skill": name}) for name in SKILLS},
+Environments = Mapping[str, tuple[str, str | None, dict[str, str]]]
+_COURSES = "airpuck.export.gym:CourseEnv", "airpuck.export.gym_vector:CourseVectorEnv"
+ENVIRONMENTS: Environments = {
+    "SetPoint": (*_COURSES, {}),
+    "Race": (*_COURSES, {"course": "slalom"}),
 }
 #: Package that an export to this kind writes.
 _PACKAGE = '''"""Environments of a craft, by this folder's name: "NAME:NAME/SetPoint-v0"."""
@@ -85,23 +75,20 @@ from airpuck.export.gym import register
 HERE = Path(__file__).resolve().parent
 CRAFT = {"model": str(HERE / "model.toml"), "twin": str(HERE / "twin.toml")}
 register(HERE.name, **CRAFT)
-
-
-def game(**settings):
-    """Return the game between two such craft, a PettingZoo parallel environment."""
-    from airpuck.export.gym_game import GameEnv
-
-    return GameEnv(**CRAFT, **settings)
 '''
 
 
-def register(namespace: str = "airpuck", **settings: Any) -> None:
-    """Register all environments as NAMESPACE/NAME-v0, with settings such as model and twin."""
-    for name, (single, vector, own) in ENVIRONMENTS.items():
+def register(
+    namespace: str = "airpuck",
+    environments: Environments = ENVIRONMENTS,
+    **settings: Any,
+) -> None:
+    """Register environments as NAMESPACE/NAME-v0, with settings such as model and twin."""
+    for name, (single, vector, own) in environments.items():
         gymnasium.register(
             f"{namespace}/{name}-v0",
-            entry_point=f"airpuck.export.{single}",
-            vector_entry_point=vector and f"airpuck.export.{vector}",
+            entry_point=single,
+            vector_entry_point=vector,
             kwargs={**settings, **own},
         )
 
@@ -139,7 +126,7 @@ class TwinEnv(gymnasium.Env[Observation, Any]):
         self,
         model: Model,
         settings: TwinSettings,
-        bodies: Sequence[Kind],
+        bodies: Sequence[MeasurementKind],
         render_mode: str | None,
         **more: spaces.Box,
     ) -> None:
@@ -264,77 +251,22 @@ class CourseEnv(TwinEnv):
         return {name: values[0] for name, values in found.items()}
 
 
-class PuckEnv(TwinEnv):
-    """A skill of `airpuck skills`, with the same starts and ends; the reward is 1 for success.
-
-    Parameters
-    ----------
-    skill : str
-        ``defend``, ``hit`` or ``prepare``.
-    model : Model or path-like, default "paper:M3"
-        The craft.
-    twin : TwinSettings or path-like, optional
-        Table, puck, sensors, radio, effects; by default the packaged ones.
-    render_mode : str, optional
-        ``rgb_array``: `render` returns pictures.
-
-    Raises
-    ------
-    InputError
-        If the skill or the render mode is unknown, or the table has no room for it.
-    """
-
-    def __init__(
-        self,
-        skill: str,
-        model: ModelSource = "paper:M3",
-        twin: TwinSource = None,
-        render_mode: str | None = None,
-    ) -> None:
-        if skill not in SKILLS:
-            raise InputError(unknown(skill, list(SKILLS)), field="skill")
-        self.skill: SkillName = cast(SkillName, skill)
-        self._stage = make_stage(*read_world(model, twin))
-        self._build(self._stage.model, self._stage.settings, ("pose", "puck"), render_mode)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; options are not used."""
-        super().reset(seed=seed)
-        puck, _, number = opening(self._stage, self.skill, self.np_random)
-        self._twin = self._stage.twin(puck, number)
-        self._seen.begin(ROW, "pose", self._twin.state[None, :3])
-        start = np.array([puck])
-        self._seen.begin(ROW, "puck", start[:, :3], start[:, 3:])
-        return self._observation(), {"is_success": False}
-
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send motor commands, and advance by a control period."""
-        puck = self._fly(action).world.puck
-        assert puck is not None
-        over = ended(self._stage, self.skill, puck)
-        late = bool(self._seen.time[0] >= LONGEST) and not over
-        success = (over or late) and outcome(self._stage, self.skill, puck)[0]
-        return self._observation(), float(success), over, late, {"is_success": success}
-
-    def baseline(self) -> PilotPolicy:
-        """Return a policy for one episode: the package's player, with the skill's tactic."""
-        return PilotPolicy(Player(self.model, self.settings, TACTICS[self.skill]()))
-
-    def _observation(self) -> Observation:
-        return {name: values[0] for name, values in self._seen.observation().items()}
-
-
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write model, twin settings and a package that registers the environments of this craft."""
     CourseTask(subject.model, subject.twin)  # check that there is room
+    return write_environments(subject, folder, _PACKAGE, ENVIRONMENTS)
+
+
+def write_environments(
+    subject: Subject, folder: Path, package: str, environments: Environments
+) -> dict[str, Any]:
+    """Write model, twin settings and the code of a package; return facts for the user."""
     action_space(subject.model)  # check the actuators
     subject.model.save(folder / "model.toml")
     subject.twin.save(folder / "twin.toml")
-    (folder / "__init__.py").write_text(_PACKAGE, encoding="utf-8")
+    (folder / "__init__.py").write_text(package, encoding="utf-8")
     return {
-        "environments": ", ".join(f"{name}-v0" for name in ENVIRONMENTS),
+        "environments": ", ".join(f"{name}-v0" for name in environments),
         "on-board sensors": "not in the observations",
     }
 

@@ -15,16 +15,16 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import unknown
 from airpuck.craft.table import AirHockey
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.kinds import refuse_actuators
-from airpuck.hockey.game import PERIOD
-from airpuck.hockey.skills import LONGEST
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.angle import wrapped
 from airpuck.twin.race import COURSES, arrived, passes
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 
+#: Time between commands, and the usual time limit of an episode [s].
+PERIOD, LONGEST = 0.01, 10.0
 #: Number of past commands in an observation: delay (21 ms) and lag (28 ms) still hide their effect.
 _REMEMBERED = 5
 #: Distance of starts and goals from the rails, in addition to the craft's radius [m].
@@ -87,7 +87,7 @@ def action_space(model: Model) -> spaces.Box:
 
 
 def observation_space(
-    model: Model, equipment: AirHockey, bodies: Sequence[Kind], **more: spaces.Box
+    model: Model, equipment: AirHockey, bodies: Sequence[MeasurementKind], **more: spaces.Box
 ) -> spaces.Dict:
     """Return the space of the measured poses of some bodies, and of additional entries."""
     table = equipment.table
@@ -115,7 +115,7 @@ class Seen:
     """
 
     def __init__(
-        self, size: int, space: spaces.Dict, bodies: Sequence[Kind], clock_offset: float
+        self, size: int, space: spaces.Dict, bodies: Sequence[MeasurementKind], clock_offset: float
     ) -> None:
         n = space["sent"].shape
         assert n is not None
@@ -134,7 +134,7 @@ class Seen:
     def begin(
         self,
         rows: Int[np.ndarray, " R"],
-        body: Kind,
+        body: MeasurementKind,
         pose: Float[np.ndarray, "R 3"],
         rate: Float[np.ndarray, "R 3"] | float = 0.0,
     ) -> None:
@@ -152,7 +152,7 @@ class Seen:
     def see(
         self,
         rows: Bool[np.ndarray, " B"],
-        body: Kind,
+        body: MeasurementKind,
         stamp: Float[np.ndarray, " B"],
         pose: Float[np.ndarray, "B 3"],
     ) -> None:
@@ -169,11 +169,15 @@ class Seen:
 
     def measured(self, measurements: Sequence[Measurement]) -> None:
         """Store the latest measurement of each body, for a batch of one."""
-        latest: dict[Kind, Measurement] = {m.kind: m for m in measurements if m.kind in self.pose}
+        latest: dict[MeasurementKind, Measurement] = {
+            m.kind: m for m in measurements if m.kind in self.pose
+        }
         for kind, m in latest.items():
             self.see(ALL, kind, np.array([m.stamp]), m.values[None])
 
-    def _inside(self, body: Kind, pose: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+    def _inside(
+        self, body: MeasurementKind, pose: Float[np.ndarray, "R 3"]
+    ) -> Float[np.ndarray, "R 3"]:
         """Return poses with wrapped yaw, within the limits of their space."""
         high = self._high[body]
         return np.clip(np.column_stack([pose[:, :2], wrapped(np, pose[:, 2])]), -high, high)

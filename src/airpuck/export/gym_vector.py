@@ -13,6 +13,7 @@ from jaxtyping import Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.export.gym_task import (
+    LONGEST,
     PERIOD,
     CourseTask,
     ModelSource,
@@ -25,7 +26,6 @@ from airpuck.export.gym_task import (
     observation_space,
     read_world,
 )
-from airpuck.hockey.skills import LONGEST
 from airpuck.twin.batch import TwinBatch
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
@@ -48,7 +49,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ExportKind:
     """A kind of export.
 
     Attributes
@@ -67,16 +68,32 @@ class Kind:
     uses: tuple[str, ...] = ()
 
 
-#: A new kind is a module with `write`, and an entry here.
-KINDS: dict[str, Kind] = {
-    "c": Kind("the controller as C99", "airpuck.export.c", ("tuning", "regulator", "plan")),
-    "casadi": Kind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
-    "fmu": Kind("the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)),
-    "gym": Kind("Gymnasium and PettingZoo environments", "airpuck.export.gym", ("twin",)),
-    "holohover": Kind("the files of the paper's authors", "airpuck.export.holohover"),
-    "matlab": Kind("function files for MATLAB and Octave", "airpuck.export.matlab"),
-    "mjcf": Kind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
+#: A new kind is a module with `write`, and an entry here or an entry point (`airpuck.exports`).
+KINDS: dict[str, ExportKind] = {
+    "c": ExportKind("the controller as C99", "airpuck.export.c", ("tuning", "regulator", "plan")),
+    "casadi": ExportKind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
+    "fmu": ExportKind(
+        "the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)
+    ),
+    "gym": ExportKind("Gymnasium environments", "airpuck.export.gym", ("twin",)),
+    "holohover": ExportKind("the files of the paper's authors", "airpuck.export.holohover"),
+    "matlab": ExportKind("function files for MATLAB and Octave", "airpuck.export.matlab"),
+    "mjcf": ExportKind("the craft on its table for MuJoCo", "airpuck.export.mjcf", ("twin",)),
 }
+
+
+def known_kinds() -> list[str]:
+    """Return the names of all kinds, those of other distributions last."""
+    return [*KINDS, *(name for name in added("airpuck.exports") if name not in KINDS)]
+
+
+def kind_named(name: str) -> ExportKind:
+    """Return a kind of export, which another distribution may add."""
+    if name in KINDS:
+        return KINDS[name]
+    if name in (*added("airpuck.exports"), *HOCKEY["airpuck.exports"]):
+        return loaded("airpuck.exports", name)
+    raise InputError(unknown(name, known_kinds()), field="kind")
 
 
 @dataclass(frozen=True)
@@ -122,7 +139,7 @@ def write(
     model : Model
         The craft.
     kind : str
-        One of `KINDS`.
+        One of `known_kinds`.
     folder : path-like
         Folder for the files; created if necessary.
     tuning : Tuning, optional
@@ -157,7 +174,7 @@ def write(
     temporary = near / temporary_name(target)
     try:
         temporary.mkdir(parents=True)
-        facts = import_module(KINDS[kind].module).write(subject, temporary)
+        facts = import_module(kind_named(kind).module).write(subject, temporary)
         names = sorted(p.relative_to(temporary) for p in temporary.rglob("*") if p.is_file())
         kept = {Path(one).resolve() for one in inputs}
         for name in names:
@@ -179,10 +196,9 @@ def write(
 
 def check_given(kind: str, **given: Any) -> None:
     """Raise InputError for an unknown kind of export, or for settings that it does not use."""
-    if kind not in KINDS:
-        raise InputError(unknown(kind, list(KINDS)), field="kind")
+    uses = kind_named(kind).uses
     for name, value in given.items():
-        if value is not None and name not in KINDS[kind].uses:
+        if value is not None and name not in uses:
             raise InputError(f"is not part of an export to {kind}; leave it out", field=name)
 
 

@@ -1,5 +1,5 @@
 """Identification: from trajectories to a model.
 
 Entry points: `structure.identify`, `problem.Loss`, `problem.Preparation`, `bootstrap.bootstrap`,
-`objective.PredictionLoss`, `puck.identify_puck`.
+`objective.PredictionLoss`.
 """

@@ -21,7 +21,7 @@ from airpuck.control.pilot import Pilot
 from airpuck.control.reference import SetPoint, SetPoints, Target
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.flight.clock import LoopTiming
 from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import check_pilot, checked_step
@@ -206,12 +206,12 @@ class GraphLink:
         motors: tuple[str, ...],
         *,
         announces: bool,
-        others: Sequence[Kind] = (),
+        others: Sequence[MeasurementKind] = (),
         spectators: Sequence[Spectator] = (),
     ) -> None:
         self._clock = process.clock
         self.poses = Inbox(process, "pose")
-        self.others: dict[Kind, Inbox] = {kind: Inbox(process, kind) for kind in others}
+        self.others: dict[MeasurementKind, Inbox] = {kind: Inbox(process, kind) for kind in others}
         self.commands = Outbox(process, "command", motors)
         self._references = Outbox(process, "reference") if announces else None
         self._spectators = spectators

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
-import numpy as np
+from typing import Any, Protocol
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.numbers import COORDINATE
+from airpuck.boundary.extensions import loaded
 from airpuck.boundary.results import Result
 from airpuck.compute.process import prioritize
-from airpuck.hockey.game import Side, serve
-from airpuck.hockey.hand import HUMANS, GuidedHand, ScriptedHand
-from airpuck.hockey.rules import Referee, Rules
 from airpuck.live.process import Inbox, Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
@@ -21,14 +15,8 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
-#: Value to use instead of a skill: the person at a page moves the mallet.
-PAGE = "page"
 #: Initial position of the mallet [m].
 BEGINS = 0.85
-#: Time from the referee's call until a stuck puck, or the opponent's, is put back [s].
-_FETCHED = 0.2
-#: Time for which the mallet follows a target after its message [s].
-_HOLDS = 0.25
 NAME = "airpuck twin"
 #: Measurements are lost if this process could not send them for this long [s].
 _LOST = 0.05
@@ -36,56 +24,18 @@ _LOST = 0.05
 _WARM_UP = 0.1
 
 
-class Human:
-    """A human on the right of a twin that has a puck and a mallet.
+class Opponent(Protocol):
+    """The other side of a twin that has a puck and a mallet; entry points add them by name.
 
-    A script with some skill, or the person at a page (`PAGE`): then the graph gives the mallet's
-    target.
+    An entry point of ``airpuck.opponents`` is called with twin, process, its own name and a seed.
     """
 
-    def __init__(self, twin: Twin, process: Process, skill: str, seed: int) -> None:
-        world = twin.world
-        assert world.puck is not None
-        assert world.mallet is not None
-        self._world, self._twin, self._events = world, twin, process.events
-        self._puck, self._random = world.puck, np.random.default_rng([seed, 21])
-        self._side = Side(1, "human", world.mallet)
-        self._hand = GuidedHand()
-        #: Target of the mallet on the graph; None if a script moves it.
-        self.targets: Inbox | None = None
-        if skill == PAGE:
-            self.targets, self._side.hand = Inbox(process, "mallet_target"), self._hand
-        else:
-            self._side.hand = ScriptedHand(twin.settings, HUMANS[skill])
-        self._wanted_at = -math.inf
-        # The server of the puck keeps neither score nor time.
-        usual = Rules()
-        rules = Rules(None, None, usual.foul_s + _FETCHED, usual.stuck_s + _FETCHED)
-        self._referee = Referee(rules, twin.settings, 1 if self._puck.state.x > 0 else -1)
+    #: Target of the mallet on the graph; None if the graph does not move it.
+    targets: Inbox | None
 
     def act(self, now: float) -> None:
-        """Observe puck and craft, move the mallet, and serve the puck."""
-        self._follow(now)
-        puck, craft = self._puck, self._twin.state
-        seen = None if puck.goal else puck.state
-        self._side.act(now, seen, (float(craft[0]), float(craft[1])))
-        speed = math.hypot(puck.state.vx, puck.state.vy)
-        for kind, side in self._referee.judge(now, puck.state.x, speed, puck.goal):
-            if kind == "serve":
-                where = "right" if side > 0 else "left"
-                self._events.log("info", f"the puck is served on the {where}")
-                serve(self._world, side, self._random)
-
-    def _follow(self, now: float) -> None:
-        """Store the mallet's target; old or non-finite targets are ignored."""
-        for stamp, (x, y, _) in self.targets.take() if self.targets else ():
-            if not (abs(x) <= COORDINATE.high and abs(y) <= COORDINATE.high):
-                text = "refused a position for the mallet that is far from the table"
-                self._events.log("warning", text)
-            elif now - stamp < _HOLDS:
-                self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp
-        if now - self._wanted_at > _HOLDS:
-            self._hand.wanted = None
+        """Move the mallet, and serve the puck."""
+        ...
 
 
 def serve_twin(
@@ -115,8 +65,8 @@ def serve_twin(
     puck : PuckState, optional
         A puck, which returns to this position from a goal; by default there is no puck.
     human : str, optional
-        Skill of a scripted human on the right, with a mallet, serving by the rules; or
-        ``page``: the person at a page moves the mallet. By default there is no human.
+        An opponent on the right, with a mallet; airpuck-hockey adds ``easy``, ``medium``, ``hard``
+        and, for the person at a page, ``page``. By default there is no opponent.
 
     Returns
     -------
@@ -158,7 +108,9 @@ class _Table(Result):
         self, twin: Twin, process: Process, puck: PuckState | None, human: str | None, seed: int
     ) -> None:
         self._twin, self._process, self._puck = twin, process, puck
-        self._human = None if human is None else Human(twin, process, human, seed)
+        self._human: Opponent | None = None
+        if human is not None:
+            self._human = loaded("airpuck.opponents", human)(twin, process, human, seed)
         kinds = ["pose", "imu", "mouse"] + ["puck"] * (puck is not None)
         kinds += ["mallet"] * (human is not None)
         self._sensors = {kind: Outbox(process, kind) for kind in kinds}

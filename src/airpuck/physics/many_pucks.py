@@ -15,12 +15,12 @@ from airpuck.physics.puck import STILL, Disc, strike, walls_of
 from airpuck.physics.puck_on_table import MOST, WITHIN
 
 #: The numbers of a puck that may differ.
-NUMBERS = ("drag_1_s", "spin_drag_1_s", "rail.restitution", "rail.grip")
+PUCK_NUMBERS = ("drag_1_s", "spin_drag_1_s", "rail.restitution", "rail.grip")
 #: A smaller drag has no effect; with none, the distance would be 0 / 0 [1/s].
 _NO_DRAG = 1e-12
 
 
-def paths(
+def puck_paths(
     equipment: AirHockey,
     states: Float[np.ndarray, "V 6"],
     numbers: Float[np.ndarray, "V 4"],
@@ -35,7 +35,7 @@ def paths(
     states : array, shape (V, 6)
         States at time 0.
     numbers : array, shape (V, 4)
-        `NUMBERS` of each puck, which replace those of the equipment.
+        `PUCK_NUMBERS` of each puck, which replace those of the equipment.
     after : array, shape (T,)
         Times [s].
     """

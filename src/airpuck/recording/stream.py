@@ -23,7 +23,7 @@ from airpuck.recording.conversion import (
 from airpuck.recording.mapping import PoseMapping, RecordingMapping
 
 #: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a
-#: game: the goals of both sides, the event (`airpuck.hockey.game.KINDS`), and the side concerned.
+#: game: the goals of both sides, the number of the event's kind, and the side concerned.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pose": ("x_m", "y_m", "yaw_rad"),

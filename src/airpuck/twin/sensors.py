@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.recording.stream import COLUMNS, POSES, Stream
 from airpuck.twin.settings import MotionCapture, TwinSettings
 
@@ -22,7 +22,7 @@ EPOCH_NS = 1_700_000_000_000_000_000
 class Sensor:
     """One sensor."""
 
-    kind: Kind
+    kind: MeasurementKind
     _: KW_ONLY
     #: Samples per second.
     rate: float
@@ -95,7 +95,7 @@ class SensorSet:
     """Sensors, with a function that gives noise-free readings."""
 
     def __init__(
-        self, sensors: Sequence[Sensor], truth: Callable[[Kind], Float[np.ndarray, " k"]]
+        self, sensors: Sequence[Sensor], truth: Callable[[MeasurementKind], Float[np.ndarray, " k"]]
     ) -> None:
         self.sensors = sensors
         self._truth = truth
@@ -134,7 +134,12 @@ def nanoseconds(times: Sequence[float] | Float[np.ndarray, " N"]) -> Int[np.ndar
 
 
 def pose_sensor(
-    capture: MotionCapture, seed: int, logs: bool = True, *, kind: Kind = "pose", number: int = 1
+    capture: MotionCapture,
+    seed: int,
+    logs: bool = True,
+    *,
+    kind: MeasurementKind = "pose",
+    number: int = 1,
 ) -> Sensor:
     """Build the motion capture of a twin, for its craft or another body."""
     return Sensor(
@@ -151,12 +156,12 @@ def pose_sensor(
 
 
 def build_sensors(
-    settings: TwinSettings, seed: int, logs: bool, played: Sequence[Kind] = ()
+    settings: TwinSettings, seed: int, logs: bool, played: Sequence[MeasurementKind] = ()
 ) -> list[Sensor]:
     """Build the sensors, each with its own random numbers; `played`: puck, mallet or none."""
     board = settings.on_board
     sensors = [pose_sensor(settings.motion_capture, seed, logs)]
-    noises: dict[Kind, tuple[float, ...]] = {
+    noises: dict[MeasurementKind, tuple[float, ...]] = {
         "imu": (board.acceleration_noise_m_s2,) * 3 + (board.gyro_noise_rad_s,) * 3,
         "mouse": (board.mouse_noise_m_s,) * 2,
     }

@@ -14,7 +14,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
-from airpuck.data.measurement import Kind, Measurement
+from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import acceleration
@@ -270,7 +270,7 @@ class Twin:
 
 def _played(
     puck: PuckState | None, mallet: tuple[float, float] | None, table: Table
-) -> tuple[Kind, ...]:
+) -> tuple[MeasurementKind, ...]:
     """Return the other bodies beside the craft; raise InputError for invalid positions."""
     if puck is None:
         if mallet is not None:

@@ -1,4 +1,4 @@
-"""Pages in the browser, their server, and the game in real time.
+"""Pages in the browser, and their server.
 
-Entry points: `session.play_in_browser`, `match_page.watch_in_browser`, `view.view_live`.
+Entry points: `view.view_live`.
 """

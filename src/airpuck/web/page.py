@@ -1,42 +1,25 @@
-"""The game's connection to its pages: address, and messages in both directions."""
+"""A connection to pages in browsers: address, and messages in both directions."""
 
 from __future__ import annotations
 
 import json
-import math
 import multiprocessing
 import select
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.craft.table import AirHockey, Table
-from airpuck.hockey.game import PERIOD, Game, GameEvent
-from airpuck.hockey.level import LEVELS
-from airpuck.hockey.player import Player
-from airpuck.hockey.rules import Rules
+from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.report.table_canvas import COLORS, DARK_COLORS, craft_shape, hockey_shape
+from airpuck.report.table_canvas import COLORS, DARK_COLORS, craft_shape
 from airpuck.web.address import listen
-from airpuck.web.messages import Wish, packed_state, read_message
-from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageName, serve
-from airpuck.web.settings import ArenaSettings
+from airpuck.web.messages import Wish, read_message
+from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageKind, serve
 
-#: Plain words for what the craft intends; a user's tactic may have words of its own.
-_INTENTIONS = {
-    "strike": "straight shot",
-    "bank": "shot off a rail",
-    "defend": "block",
-    "prepare": "catch",
-    "free": "push into the open",
-    "clear": "clearing hit",
-    "wait": "waiting for the puck",
-    "home": "back to its goal",
-}
 #: Number of steps between plans that are shown.
 _THOUGHTS_EVERY = 3
 
@@ -90,11 +73,11 @@ class Pages:
         if self._sent.get(name) != message and self._send(SCENE + message):
             self._sent[name] = message
 
-    def think(self, player: Player, time: float) -> None:
+    def think(self, thought: Callable[[], dict[str, Any]]) -> None:
         """Send every third plan of the craft if any page shows plans."""
         self._thoughts = (self._thoughts + 1) % _THOUGHTS_EVERY
         if self.thinks and not self._thoughts:
-            self._send(THOUGHT + json.dumps(thought_of(player, time)).encode())
+            self._send(THOUGHT + json.dumps(thought()).encode())
 
     def _receive(self) -> bytes | None:
         """Return the next message of the page server, or None."""
@@ -121,11 +104,11 @@ def served(
     port: int,
     hello: dict[str, Any],
     *,
-    page: PageName = "play",
+    page: PageKind,
     waits: bool = True,
     without: str = "",
 ) -> Iterator[Pages]:
-    """Serve pages from another process; `hello` is the first message to a page.
+    """Serve pages of a kind from another process; `hello` is the first message to a page.
 
     `without` explains how to run without pages if websockets is not installed.
     """
@@ -147,10 +130,10 @@ def served(
         server.kill()
 
 
-def invite(pages: Pages, arena: ArenaSettings, tell: Any, what: str = "Play") -> None:
-    """Print the page's address, and open it."""
+def invite(pages: Pages, browser: bool, tell: Any, what: str = "Play") -> None:
+    """Print the page's address, and open it in a browser."""
     tell(f"{what} at {pages.url} (Ctrl-C ends)")
-    if arena.browser:
+    if browser:
         webbrowser.open(pages.url)
 
 
@@ -163,72 +146,3 @@ def table_of(model: Model, table: Table) -> dict[str, Any]:
         "craft": craft_shape(model.vehicle),
         "schemes": {"light": COLORS, "dark": DARK_COLORS},
     }
-
-
-def hello_of(model: Model, equipment: AirHockey) -> dict[str, Any]:
-    """Return the data that a page needs before it can show anything."""
-    mallet, rules = equipment.mallet, Rules()
-    return table_of(model, equipment.table) | {
-        "hockey": hockey_shape(equipment),
-        "mallet": {"speed": mallet.speed_m_s, "acceleration": mallet.acceleration_m_s2},
-        "period": PERIOD,
-        "names": ["airpuck", "you"],
-        "sides": ["craft", "hand"],
-        "levels": list(LEVELS),
-        "first_to": rules.goals,
-        "foul_s": rules.foul_s,
-    }
-
-
-def state_of(game: Game, heard: int = 0) -> bytes:
-    """Return the message with all positions in a game; see `packed_state`."""
-    left, right = game.sides
-    commands: list[float] = []
-    for side in game.sides:
-        if side.action is not None:
-            commands += side.action.step.command.tolist()
-    x, y, yaw, vx, vy = right.state
-    return packed_state(
-        game.world.time,
-        heard,
-        game.puck is None,
-        game.puck or (0.0, 0.0, 0.0),
-        (x, y, vx, vy) if right.kind == "hand" else (x, y, yaw, 0.0),
-        left.state,
-        commands,
-    )
-
-
-def news_of(event: GameEvent) -> dict[str, Any] | None:
-    """Return the message to a page about an audible or announced event, or None."""
-    kind = event.kind
-    if kind == "hit":
-        kind = "craft" if event.side < 0 else "mallet"
-    elif kind not in ("rail", "post", "goal", "foul"):
-        return None
-    return {"is": "event", "kind": kind, "side": event.side, "strength": event.value}
-
-
-def thought_of(player: Player, time: float) -> dict[str, Any]:
-    """Return the craft's expectations and intention, for the page."""
-    intention, predicted = player.intention, player.predicted
-    thought: dict[str, Any] = {"is": "thought", "words": "", "meet": None, "path": None}
-    thought["predicted"] = None if predicted is None else predicted.round(4).tolist()
-    decision, control = (1e3 * took for took in player.took)
-    said = "" if player.sight == "seen" else f"The puck is {player.sight}. "
-    if intention is not None:
-        words = _INTENTIONS.get(intention.kind, intention.kind)
-        said += words[:1].upper() + words[1:]
-        if intention.chance is not None and math.isfinite(intention.chance):
-            words += f": {100 * intention.chance:.0f} %"
-        thought["words"] = words
-        if intention.meet is not None:
-            when, x, y = intention.meet
-            thought["meet"] = [round(x, 4), round(y, 4)]
-            said += f" in {max(when - time, 0.0):.2f} s"
-        if intention.path is not None:
-            thought["path"] = intention.path.round(4).tolist()
-        said += ". "
-    computed = f"Computing time: {decision:.1f} ms to decide, {control:.1f} ms to steer."
-    thought["said"] = said + computed
-    return thought

@@ -17,15 +17,12 @@ from collections import deque
 from http import HTTPStatus
 from importlib import resources
 from multiprocessing.connection import Connection
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 from airpuck.flight.clock import TokenBucket
 from airpuck.web.address import refusal
 from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
 
-#: The pages: a game, whose first page takes the seat, and the live view, which anyone may use.
-PageName = Literal["play", "view"]
-_SHARED = "view"
 #: Types of files by extension. Each page has three files of its own, and shares three with all
 #: pages.
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -60,7 +57,7 @@ def serve(
     pipe: Connection,
     listening: socket.socket,
     host: str,
-    page: PageName,
+    page: PageKind,
     hello: dict[str, Any],
     patience: float = PATIENCE,
 ) -> None:
@@ -68,6 +65,16 @@ def serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the game closes the pipe after Ctrl-C
     with contextlib.suppress(BrokenPipeError, EOFError):
         asyncio.run(_Server(pipe, host, page, hello, patience).run(listening))
+
+
+class PageKind(NamedTuple):
+    """A kind of page: its three files, in a package, and who may use it."""
+
+    #: The package that holds ``packaged/NAME.html``, ``NAME.css`` and ``NAME.js``.
+    package: str
+    name: str
+    #: Whether all pages may send wishes; otherwise the first one takes the seat.
+    shared: bool = False
 
 
 class _Page:
@@ -115,10 +122,10 @@ class _Server:
     """All pages, and the page that plays."""
 
     def __init__(
-        self, pipe: Connection, host: str, page: PageName, hello: dict[str, Any], patience: float
+        self, pipe: Connection, host: str, page: PageKind, hello: dict[str, Any], patience: float
     ) -> None:
         self._pipe, self._host, self._patience = pipe, host, patience
-        self._shared = page == _SHARED
+        self._shared = page.shared
         #: First messages to a page: the newest lasting message of each name.
         self._remembered: dict[str, str | bytes] = {"hello": json.dumps({"is": "hello", **hello})}
         self._pages: list[_Page] = []
@@ -128,13 +135,16 @@ class _Server:
         self._orders: deque[bytes] = deque()
         self._wish: bytes | None = None
         self._tells = False
-        packaged = resources.files("airpuck") / "packaged"
-        names = [*_ALL_PAGES, *(f"{page}.{kind}" for kind in _TYPES)]
+        names = [("airpuck", name) for name in _ALL_PAGES]
+        names += [(page.package, f"{page.name}.{kind}") for kind in _TYPES]
         self._files = {
-            f"/{name}": ((packaged / name).read_text("utf-8"), _TYPES[name.rpartition(".")[2]])
-            for name in names
+            f"/{name}": (
+                (resources.files(package) / "packaged" / name).read_text("utf-8"),
+                _TYPES[name.rpartition(".")[2]],
+            )
+            for package, name in names
         }
-        self._files["/"] = self._files.pop(f"/{page}.html")
+        self._files["/"] = self._files.pop(f"/{page.name}.html")
 
     async def run(self, listening: socket.socket) -> None:
         """Serve until the game ends."""

@@ -21,8 +21,11 @@ from airpuck.web.address import LOOPBACK
 from airpuck.web.messages import Wish, packed_state
 from airpuck.web.page import Pages, served, table_of
 from airpuck.web.panel import panel
+from airpuck.web.server import PageKind
 
 NAME = "airpuck view"
+#: The live view, which anyone may use.
+VIEW_PAGE = PageKind("airpuck", "view", shared=True)
 #: Time between states, and between gauges [s].
 _STATE, _GAUGES = 1 / 60, 0.5
 #: Maximum age of a pose that counts as current, of drawn thrusts, and of a drawn plan [s].
@@ -73,7 +76,7 @@ def view_live(
     table = table or Table()
     hello = view_hello(model, table)
     with (
-        served(host, port, hello, page="view", waits=False) as pages,
+        served(host, port, hello, page=VIEW_PAGE, waits=False) as pages,
         Process(NAME, settings or LiveSettings()) as process,
     ):
         os.nice(_NICE)

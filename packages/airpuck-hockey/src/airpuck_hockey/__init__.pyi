@@ -1,0 +1,13 @@
+# The public names and their modules; `airpuck_hockey` imports each of them at its first use.
+# isort: off
+from airpuck_hockey.game.contestant import contestant as contestant
+from airpuck_hockey.game.game import Game as Game
+from airpuck_hockey.game.rules import Rules as Rules
+from airpuck_hockey.game.skills import skills as skills
+from airpuck_hockey.matches.league import league as league
+from airpuck_hockey.matches.match import match as match
+from airpuck_hockey.player.level import Level as Level
+from airpuck_hockey.player.player import Player as Player
+from airpuck_hockey.player.tactic import Intention as Intention, Tactic as Tactic, View as View
+from airpuck_hockey.puck.identification import identify_puck as identify_puck
+from airpuck_hockey.puck.puck_filter import PuckFilter as PuckFilter

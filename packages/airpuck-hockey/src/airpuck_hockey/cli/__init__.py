@@ -1,0 +1,1 @@
+"""Commands, which airpuck finds by entry points."""

@@ -1,0 +1,4 @@
+"""Many games: matches and leagues, as items of campaigns.
+
+Entry points: `match.match`, `league.league`.
+"""

@@ -1,0 +1,251 @@
+"""`match`: games of air hockey between two players, in parallel."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from airpuck import InputError, TwinSettings, read_model
+from airpuck.extend import (
+    Entry,
+    ItemResult,
+    Row,
+    Stopped,
+    Workers,
+    check_output,
+    check_seed,
+    checked_workers,
+    completed,
+    compute,
+    dispatch,
+    numbers,
+    usable_cores,
+    wilson_interval,
+)
+from airpuck_hockey.game.contestant import contestant
+from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.matches.match_item import Match
+
+
+@dataclass(frozen=True)
+class MatchResult:
+    """The games of two players.
+
+    Attributes
+    ----------
+    left, right : str
+        The players.
+    seeds : tuple of int
+        Seed of each game.
+    games : tuple of dict
+        Figures of each game; see `airpuck_hockey.game.game.Game.figures`.
+    wall_s : float
+        Sum of the computing times of all games [s].
+    """
+
+    left: str
+    right: str
+    seeds: tuple[int, ...]
+    games: tuple[Row, ...]
+    wall_s: float
+
+    @property
+    def wins(self) -> tuple[int, int]:
+        """Games won by left and right."""
+        ahead = [game["left_goals"] - game["right_goals"] for game in self.games]
+        return sum(lead > 0 for lead in ahead), sum(lead < 0 for lead in ahead)
+
+    def total(self, name: str) -> int:
+        """Sum a figure of both sides over all games.
+
+        Parameters
+        ----------
+        name : str
+            Name without the side, such as ``rail_contacts``.
+
+        Returns
+        -------
+        int
+            The sum.
+        """
+        return round(sum(game[f"{side}_{name}"] for game in self.games for side in _SIDES))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields for ``--json``."""
+        left, right = self.wins
+        lasted = sum(game["duration_s"] for game in self.games)
+        hardest = [g[f"{side}_hardest_rail_contact_m_s"] for g in self.games for side in _SIDES]
+        return {
+            "left": self.left,
+            "right": self.right,
+            "games": len(self.games),
+            "left_wins": left,
+            "right_wins": right,
+            "draws": len(self.games) - left - right,
+            "left_wins_interval": list(wilson_interval(left, len(self.games))),
+            "right_wins_interval": list(wilson_interval(right, len(self.games))),
+            **{f"{side}_goals": self._sum(f"{side}_goals") for side in _SIDES},
+            **{f"{side}_own_goals": self._sum(f"{side}_own_goals") for side in _SIDES},
+            **{f"{side}_fouls": self._sum(f"{side}_fouls") for side in _SIDES},
+            "stuck": self._sum("stuck"),
+            "rail_contacts": self.total("rail_contacts"),
+            "hardest_rail_contact_m_s": max(hardest),
+            "crossings": self.total("crossings"),
+            "duration_s": lasted,
+            "wall_s": self.wall_s,
+            "results": [
+                {"seed": seed, **game} for seed, game in zip(self.seeds, self.games, strict=True)
+            ],
+        }
+
+    def _sum(self, name: str) -> int:
+        return round(sum(game[name] for game in self.games))
+
+
+_SIDES = ("left", "right")
+
+
+def match(
+    left: str,
+    right: str,
+    games: int = 1,
+    *,
+    seed: int = 0,
+    model: str = "paper:M3",
+    settings: TwinSettings | None = None,
+    rules: Rules | None = None,
+    output: str | os.PathLike[str] | None = None,
+    workers: Workers = None,
+    progress: Callable[[float, int, int], None] = lambda done, of, failed: None,
+) -> MatchResult:
+    """Let two players play each other.
+
+    Parameters
+    ----------
+    left, right : str
+        Players; see `airpuck_hockey.game.contestant.contestant`.
+    games : int, default 1
+        Number of games.
+    seed : int, default 0
+        Seed of the first game; it grows by one from game to game.
+    model : str, default "paper:M3"
+        Model of the craft: a model file, or one of the paper's.
+    settings : TwinSettings, optional
+        Table, puck, radio, noise; by default the packaged ones.
+    rules : Rules, optional
+        By default first to seven.
+    output : path-like, optional
+        Folder for the games, as bags ``games/SEED-KEY``, where KEY is a hash of everything that
+        determines a game. Games already in the folder are not played again.
+    workers : int or str, optional
+        Number of processes; by default as many as there are processors. A single process does not
+        need Dask. Or the address of a running Dask scheduler, ``"tcp://HOST:PORT"``.
+    progress : callable, optional
+        Called with the number of games played, including fractions of those in progress, the
+        number of all games, and the number of failed ones.
+
+    Returns
+    -------
+    MatchResult
+        All games.
+
+    Raises
+    ------
+    InputError
+        If a player is unknown or fails, or Dask is missing.
+
+    Examples
+    --------
+    >>> rules = airpuck_hockey.Rules(limit_s=0.5)
+    >>> result = airpuck_hockey.match("keeper", "human", rules=rules, workers=1)
+    >>> result.wins
+    (0, 0)
+    """
+    game = checked_game(
+        (left, right), games, seed, output, model=model, settings=settings, rules=rules
+    )
+    sides = {"left": left, "right": right}
+    games_of = [game.model_copy(update={**sides, "seed": s}) for s in range(seed, seed + games)]
+    results = played(games_of, output, workers, progress)
+    rows = tuple(result.rows[0] for result in results)
+    wall = sum(result.wall_s or 0.0 for result in results)
+    return MatchResult(left, right, tuple(game.seed for game in games_of), rows, wall)
+
+
+def checked_game(
+    players: Sequence[str],
+    games: int,
+    seed: int,
+    output: str | os.PathLike[str] | None,
+    *,
+    model: str,
+    settings: TwinSettings | None,
+    rules: Rules | None,
+    drawn: bool = False,
+) -> Match:
+    """Check the arguments of a match or a league; return a game without players and seed."""
+    numbers.GAMES.check(games, "games")
+    for number in (seed, seed + games - 1):
+        check_seed(number, limits=numbers.GAME_SEED)
+    for name in players:
+        contestant(name)
+    read_model(model)
+    if output is not None:
+        check_output(output, "folder", field="output")
+    game = Match(model=model, rules=rules or Rules(), drawn=drawn)
+    return game if settings is None else game.model_copy(update={"twin": settings})
+
+
+def played(
+    games: Sequence[Match],
+    output: str | os.PathLike[str] | None,
+    workers: Workers,
+    progress: Callable[[float, int, int], None],
+    *,
+    bags: bool = True,
+) -> tuple[ItemResult, ...]:
+    """Play games, in processes if there are several; keep results, and bags, in a folder.
+
+    Raises InputError if one fails.
+    """
+    with ExitStack() as stack:
+        folder = Path(output or stack.enter_context(tempfile.TemporaryDirectory()))
+        entries = list(_entries(games, folder if output and bags else None))
+        where = checked_workers(workers)
+        if not isinstance(where, str):
+            where = min(where or usable_cores(), len(games))
+        work = _here if where == 1 else partial(dispatch, workers=where)
+        try:
+            done = completed(entries, folder, work, retry=True, progress=progress)
+        except Stopped as stopped:
+            words = "run it again to play the rest" if output else "only -o DIR keeps played games"
+            raise Stopped(stopped.number, words) from None
+    if done.failures:
+        raise InputError(done.failures[0][1])
+    return done.results
+
+
+def _entries(games: Sequence[Match], folder: Path | None) -> Iterator[Entry]:
+    """Yield games with their keys, and with the names of their bags in a folder."""
+    hashes: dict[Any, str] = {}
+    for game in games:
+        key = game.key(hashes)
+        if folder is not None:
+            # The folder may also hold games of other players.
+            bag = (folder / "games" / f"{game.seed}-{key[:8]}").absolute()
+            game = game.model_copy(update={"bag": str(bag)})
+        yield Entry(key, {}, game)
+
+
+def _here(
+    entries: list[Entry], tell: Callable[[str, float], None]
+) -> Iterator[tuple[Entry, ItemResult]]:
+    """Play games sequentially in this process."""
+    for entry in entries:
+        yield entry, compute(entry.item, partial(tell, entry.key))

@@ -1,0 +1,276 @@
+"""A Kalman filter for the puck that includes the rails and detects hits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck import AirHockey, InputError, PuckState
+from airpuck.extend import Touch, checked_class, numbers, sigma_of, time_of, walls_of
+from airpuck_hockey.puck.learning import PuckLearner
+from airpuck_hockey.puck.prediction import (
+    ACCELERATION_DENSITY,
+    PuckBelief,
+    PuckCrossing,
+    PuckModel,
+    PuckPrediction,
+    predict_crossing,
+    predict_puck,
+    process_noise,
+)
+
+#: A measurement whose squared, normalised innovation exceeds this is not noise: once in 1e7 frames.
+GATE = 35.0
+#: Standard deviations of velocity and spin after a hit [m/s, rad/s].
+_UNKNOWN = np.array([10.0, 10.0, 50.0])
+#: Correlation time of the error of the drag [s].
+_DRAG_MEMORY = 0.1
+#: After a longer gap in the measurements the filter restarts [s].
+_LOST = 0.5
+#: Longest time that a puck is predicted ahead [s].
+_LONGEST = 60.0
+_AHEAD = numbers.Range(0, _LONGEST, "predictions begin at the last pose and are short", "s")
+#: A smaller change of velocity has no direction [m/s].
+_NO_CHANGE = 1e-6
+#: Frames closer in time than this are the same frame [s].
+_SAME = 1e-6
+
+
+class PuckEvent(NamedTuple):
+    """An event detected by the filter."""
+
+    #: Time of the event [s].
+    time: float
+    #: A bounce off the table, a hit, or the first sighting.
+    kind: Literal["rail", "post", "hit", "seen"]
+
+
+@dataclass(frozen=True)
+class PuckNoise:
+    """Standard deviations of the measured poses."""
+
+    position_m: float = 5e-5
+    yaw_rad: float = 7e-4
+
+
+@checked_class
+class PuckFilter:
+    """Estimates the puck's motion from its poses.
+
+    Between bounces it is a Kalman filter with the drag of the puck; bounces off rails and posts are
+    predicted. A pose too far from the prediction is a hit, unless the next pose agrees with the
+    earlier belief: then it was an outlier.
+
+    Parameters
+    ----------
+    equipment : AirHockey
+        Table and puck.
+    noise : PuckNoise, optional
+        Noise of the poses.
+    learns : bool, default True
+        Whether to learn drag and restitution of the rails from the puck's flights.
+
+    Attributes
+    ----------
+    belief : PuckBelief or None
+        Belief at the last pose; None before the first.
+    events : list of PuckEvent
+        Events since the start.
+    outliers : int
+        Number of unused poses.
+    model : PuckModel
+        Current estimate of table and puck.
+
+    Examples
+    --------
+    >>> puck = airpuck_hockey.PuckFilter(airpuck.AirHockey())
+    >>> for k in range(10):
+    ...     puck.pose(0.01 * k, np.array([0.01 * k, 0.0, 0.0]))  # 1 m/s along x
+    >>> puck.belief.mean[3:5].round(1).tolist()
+    [1.0, 0.0]
+    """
+
+    def __init__(
+        self, equipment: AirHockey, noise: PuckNoise | None = None, *, learns: bool = True
+    ) -> None:
+        noise = noise or PuckNoise()
+        self.model = PuckModel(equipment)
+        self._learner = PuckLearner(self.model) if learns else None
+        self.belief: PuckBelief | None = None
+        self.events: list[PuckEvent] = []
+        self.outliers = 0
+        self._noise = np.diag(np.square([noise.position_m, noise.position_m, noise.yaw_rad]))
+        self._walls = walls_of(equipment)
+        # Belief before a pose that did not fit.
+        self._before: PuckBelief | None = None
+
+    def pose(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Receive a pose of the puck.
+
+        Parameters
+        ----------
+        time : float
+            Time stamp of the pose [s]; a pose that is not newer than the last is ignored.
+        pose : array, shape (3,)
+            x, y [m], yaw [rad].
+
+        Raises
+        ------
+        InputError
+            If the pose is not three numbers.
+        """
+        if np.shape(pose) != (3,):
+            raise InputError("must be three numbers", field="pose")
+        if not (math.isfinite(time) and np.isfinite(pose).all()):
+            return
+        pose = np.asarray(pose, dtype=float)
+        if self.belief is not None and time <= self.belief.time + _SAME:
+            return
+        if self.belief is None or time > self.belief.time + _LOST:
+            self._begin(time, pose, "seen")
+            return
+        if self._before is not None:
+            self._decide(time, pose)
+        moved, bounces = self._moved(self.belief, time)
+        innovation, gain, distance = self._compared(moved, pose)
+        if distance > GATE:
+            # Twice in a row: the first one was a hit.
+            self._before = self.belief if self._before is None else None
+            self._begin(time, pose, None)
+            return
+        self.events += [PuckEvent(t.time, t.met) for t in bounces if t.met in ("rail", "post")]
+        last, self.belief = self.belief, self._corrected(moved, innovation, gain)
+        if self._learner is not None:
+            if bounces:
+                single = bounces[0] if [t.met for t in bounces] == ["rail"] else None
+                self._learner.touched(bounces[-1].time, last, single)
+            self._learner.flies(self.belief)
+            self.model = self._learner.model
+
+    def predict(self, times: list[float]) -> PuckPrediction:
+        """Predict an untouched puck; see `predict_puck`.
+
+        Parameters
+        ----------
+        times : list of float
+            Prediction times [s], increasing; none before the last pose.
+
+        Returns
+        -------
+        PuckPrediction
+            Mean, covariance and bounces.
+
+        Raises
+        ------
+        InputError
+            If no pose has come, a time is before the last pose, or times decrease.
+        """
+        if self.belief is None:
+            raise InputError("no pose of the puck has come yet")
+        for time in times:
+            _AHEAD.check(time - self.belief.time, "times")
+        if (np.diff(times) < 0).any():
+            raise InputError("must not decrease", field="times")
+        return predict_puck(self.model, self.belief, times)
+
+    def crossing(self, x: float, horizon: float = 2.0) -> PuckCrossing | None:
+        """Predict where an untouched puck will cross a line; see `predict_crossing`.
+
+        Parameters
+        ----------
+        x : float
+            Position of the line [m].
+        horizon : float, default 2
+            Prediction horizon [s].
+
+        Returns
+        -------
+        PuckCrossing or None
+            The crossing; None if there is none in time, or no pose has come.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite, or the horizon is too long.
+        """
+        numbers.check_finite(x=x)
+        _AHEAD.check(horizon, "horizon")
+        return self.belief and predict_crossing(self.model, self.belief, x, horizon)
+
+    def _begin(
+        self, time: float, pose: Float[np.ndarray, " 3"], kind: Literal["seen"] | None
+    ) -> None:
+        """Restart from a pose, with unknown velocity."""
+        if self._learner is not None:
+            self._learner.touched(time)
+        covariance = np.diag(np.concatenate([self._noise.diagonal(), np.square(_UNKNOWN)]))
+        self.belief = PuckBelief(time, np.concatenate([pose, np.zeros(3)]), covariance)
+        if kind is not None:
+            self._before = None
+            self.events.append(PuckEvent(time, kind))
+
+    def _decide(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
+        """Decide from the next pose whether the one before was an outlier or a hit."""
+        before, self._before = self._before, None
+        assert before is not None
+        assert self.belief is not None
+        moved, _ = self._moved(before, time)
+        if self._compared(moved, pose)[2] <= GATE:
+            self.outliers += 1
+            self.belief = before
+            return
+        # Where the old path and the new one meet.
+        span = time - before.time
+        now = (pose[:2] - self.belief.mean[:2]) / (time - self.belief.time)
+        change = before.mean[3:5] - now
+        missing = pose[:2] - before.mean[:2] - now * span
+        when = float(missing @ change / max(change @ change, _NO_CHANGE**2))
+        latest = self.belief.time
+        self.events.append(PuckEvent(min(max(before.time + when, before.time), latest), "hit"))
+
+    def _moved(self, belief: PuckBelief, time: float) -> tuple[PuckBelief, tuple[Touch, ...]]:
+        """Return the belief at a later time, and the contacts until then."""
+        puck, duration = self.model.equipment.puck, time - belief.time
+        bounce = self._walls.first(PuckState(*belief.mean.tolist()))
+        if time_of(puck.drag_1_s, bounce.sigma) <= duration:
+            found = predict_puck(self.model, belief, [time])
+            return PuckBelief(time, found.mean[0], found.covariance[0]), found.touches
+        sigma, turned = (sigma_of(rate, duration) for rate in (puck.drag_1_s, puck.spin_drag_1_s))
+        left, spins = 1 - puck.drag_1_s * sigma, 1 - puck.spin_drag_1_s * turned
+        step = np.eye(6)
+        step[3, 3] = step[4, 4] = left
+        step[5, 5] = spins
+        step[0, 3] = step[1, 4] = sigma
+        step[2, 5] = turned
+        speed = math.hypot(*belief.mean[3:5].tolist())
+        density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
+        grown = step @ belief.covariance @ step.T + process_noise(duration, density)
+        return PuckBelief(time, step @ belief.mean, grown), ()
+
+    def _compared(
+        self, belief: PuckBelief, pose: Float[np.ndarray, " 3"]
+    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "6 3"], float]:
+        """Return a pose's innovation, its gain, and its squared distance from the belief."""
+        innovation = pose - belief.mean[:3]
+        innovation[2] = math.remainder(innovation[2], 2 * math.pi)
+        inverse = np.linalg.inv(belief.covariance[:3, :3] + self._noise)
+        gain = belief.covariance[:, :3] @ inverse
+        return innovation, gain, float(innovation @ inverse @ innovation)
+
+    def _corrected(
+        self,
+        belief: PuckBelief,
+        innovation: Float[np.ndarray, " 3"],
+        gain: Float[np.ndarray, "6 3"],
+    ) -> PuckBelief:
+        """Update the belief with a measured pose."""
+        # Joseph's form stays positive definite after a hit, when variances differ by 1e10.
+        left = np.eye(6)
+        left[:, :3] -= gain
+        corrected = left @ belief.covariance @ left.T + gain @ self._noise @ gain.T
+        mean = belief.mean + gain @ innovation
+        return PuckBelief(belief.time, mean, corrected)

@@ -1,0 +1,162 @@
+# Names for those who extend airpuck, by group; each is imported at its first use.
+# isort: off
+
+# Errors, numbers and files: what a user may give, and what is wrong with it.
+from airpuck.boundary.arguments import checked_class as checked_class, numbers_of as numbers_of
+from airpuck.boundary.kinds import nearest as nearest, unknown as unknown
+from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
+from airpuck.boundary import numbers as numbers
+from airpuck.boundary.outputs import check_output as check_output
+from airpuck.boundary.user_code import UserCode as UserCode
+
+# Settings, results, and public names that a stub file declares.
+from airpuck.boundary.settings import Setting as Setting, Settings as Settings
+from airpuck.boundary.results import Result as Result
+from airpuck.boundary.public import public_names as public_names
+
+# Commands: options, tables for the terminal, progress, signals.
+from airpuck.cli.app import command as command
+from airpuck.cli import options as options
+from airpuck.cli.inputs import about as about, read_belief as read_belief
+from airpuck.cli.live import report_flight as report_flight
+from airpuck.cli.output import (
+    console as console,
+    is_stdout as is_stdout,
+    report as report,
+    say as say,
+    show_time_left as show_time_left,
+    table as table,
+    warn as warn,
+)
+from airpuck.cli.views import Without as Without
+from airpuck.boundary.signals import Stopped as Stopped, until_stopped as until_stopped
+from airpuck.compute.process import (
+    low_latency as low_latency,
+    prioritize as prioritize,
+    usable_cores as usable_cores,
+)
+
+# Items of campaigns, and their computation in processes.
+from airpuck.campaigns.campaign import completed as completed
+from airpuck.campaigns.fingerprint import (
+    of_code as of_code,
+    of_file as of_file,
+    of_recording as of_recording,
+)
+from airpuck.campaigns.items import Item as Item, Row as Row, TwinTable as TwinTable
+from airpuck.campaigns.spec import Entry as Entry
+from airpuck.campaigns.workers import (
+    ItemResult as ItemResult,
+    checked_workers as checked_workers,
+    compute as compute,
+    dispatch as dispatch,
+)
+from airpuck.control.settings import Workers as Workers
+from airpuck.evaluation.statistical_tests import wilson_interval as wilson_interval
+
+# Laws and references.
+from airpuck.control.mpc import MPC as MPC
+from airpuck.control.reference import (
+    Preview as Preview,
+    Reference as Reference,
+    Target as Target,
+    asked as asked,
+    preview as preview,
+    sheltered as sheltered,
+)
+from airpuck.control.tracking import check_steerable as check_steerable
+from airpuck.control.tuning import default_tuning as default_tuning, tuning_for as tuning_for
+from airpuck.craft.actuators import OnOff as OnOff
+from airpuck.physics.thrust import thrust as thrust
+
+# Shortest times of a craft.
+from airpuck.planning.minimal_time import (
+    MinimalTimes as MinimalTimes,
+    minimal_times_of as minimal_times_of,
+)
+
+# A puck and discs on a table.
+from airpuck.craft.table import Contact as Contact, Puck as Puck
+from airpuck.physics.puck import (
+    Disc as Disc,
+    coast as coast,
+    sigma_of as sigma_of,
+    strike as strike,
+    time_of as time_of,
+    walls_of as walls_of,
+)
+from airpuck.physics.puck_on_table import PuckOnTable as PuckOnTable, Touch as Touch
+from airpuck.physics.many_pucks import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
+
+# The twin: its world, sensors and radio; the flight loop.
+from airpuck.twin.craft import Craft as Craft
+from airpuck.twin.plant import Plant as Plant, build_plant as build_plant
+from airpuck.twin.play import HandMallet as HandMallet, World as World
+from airpuck.twin.radio import radio_delay as radio_delay
+from airpuck.twin.sensors import (
+    SensorSet as SensorSet,
+    log_stream as log_stream,
+    pose_sensor as pose_sensor,
+)
+from airpuck.twin.settings import default_twin_settings as default_twin_settings
+from airpuck.twin.twin import check_seed as check_seed
+from airpuck.flight.loop import Action as Action, control as control
+from airpuck.flight.clock import (
+    Clock as Clock,
+    Every as Every,
+    Histogram as Histogram,
+    TokenBucket as TokenBucket,
+)
+from airpuck.data.measurement import MeasurementKind as MeasurementKind
+from airpuck.recording.stream import COLUMNS as COLUMNS
+from airpuck.recording.conversion import SECOND_NS as SECOND_NS
+
+# Processes on a ROS 2 graph.
+from airpuck.live.fly import Spectator as Spectator, fly_live as fly_live
+from airpuck.live.process import Inbox as Inbox, Outbox as Outbox, Process as Process
+from airpuck.live.safety import half_of as half_of
+from airpuck.live.settings import LiveSettings as LiveSettings
+
+# Pages in the browser, and their server.
+from airpuck.web.address import LOOPBACK as LOOPBACK, address_of as address_of
+from airpuck.web.messages import packed_state as packed_state
+from airpuck.web.page import (
+    Pages as Pages,
+    invite as invite,
+    served as served,
+    table_of as table_of,
+)
+from airpuck.web.server import PageKind as PageKind
+from airpuck.report.table_canvas import hockey_shape as hockey_shape
+
+# Exports, and environments for reinforcement learning.
+from airpuck.export.kinds import ExportKind as ExportKind, Subject as Subject
+from airpuck.export.gym import (
+    Environments as Environments,
+    PilotPolicy as PilotPolicy,
+    TwinEnv as TwinEnv,
+    register as register,
+    write_environments as write_environments,
+)
+from airpuck.export.gym_task import (
+    ALL as ALL,
+    ModelSource as ModelSource,
+    Observation as Observation,
+    ROW as ROW,
+    SEEDS as SEEDS,
+    Seen as Seen,
+    TwinSource as TwinSource,
+    action_space as action_space,
+    checked_action as checked_action,
+    observation_space as observation_space,
+    read_world as read_world,
+)
+from airpuck.export.gym_picture import (
+    BLUE as BLUE,
+    DrawnDisc as DrawnDisc,
+    RED as RED,
+    WHITE as WHITE,
+    check_render_mode as check_render_mode,
+    drawn_puck as drawn_puck,
+    picture as picture,
+)

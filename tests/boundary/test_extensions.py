@@ -1,0 +1,160 @@
+"""Other distributions add commands, exports, laws, items and opponents, as a user's would."""
+
+import json
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from tests.apparatus.commands import refused
+
+#: A user's distribution: one module, and its metadata as pip would write it.
+MODULE = '''
+from pathlib import Path
+
+import airpuck
+from airpuck.extend import ExportKind, Item
+
+
+def hover(model: str = "paper:M3") -> None:
+    """Print the name of a model."""
+    print(airpuck.read_model(model).name)
+
+
+NOTE = ExportKind("a note on the model", "guest")
+
+
+def write(subject, folder):
+    Path(folder, "note.txt").write_text(subject.model.name)
+    return {"words": 1}
+
+
+class Idle(airpuck.Law):
+    def __init__(self, model, tuning, options=None):
+        self.off = 0.1 * tuning.period_s + 0 * model.vehicle.command_min
+
+    def step(self, state, moment):
+        return airpuck.Step([self.off] * 6), state
+
+
+class Square(Item):
+    number: float = 1.0
+
+    def run(self):
+        return [{"square": self.number**2}]
+'''
+ENTRIES = """
+[airpuck.commands]
+hover = guest:hover
+broken = guest:missing
+absent = no_such_module:thing
+[airpuck.exports]
+note = guest:NOTE
+[airpuck.laws]
+idle = guest:Idle
+[airpuck.items]
+square = guest:Square
+"""
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
+    """Install the distribution in a folder of its own; return how to run airpuck with it."""
+    folder = tmp_path_factory.mktemp("guests")
+    (folder / "guest.py").write_text(MODULE)
+    info = folder / "airpuck_guest-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: airpuck-guest\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(ENTRIES)
+
+    def run(*words, without=()):
+        code = f"""
+            import sys
+            sys.path.insert(0, {str(folder)!r})
+            for name in {without!r}:
+                sys.modules[name] = None
+            if {bool(without)!r}:
+                from importlib import metadata
+                found = metadata.entry_points
+                metadata.entry_points = lambda **given: [
+                    one for one in found(**given) if not one.value.startswith({without!r})
+                ]
+            from airpuck.cli import main
+            sys.argv[1:] = {list(map(str, words))!r}
+            main()
+            """
+        return subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(code)],
+            capture_output=True,
+            text=True,
+            cwd=folder,
+            check=False,
+        )
+
+    return run
+
+
+def test_a_command_of_another_distribution_runs(installed):
+    assert installed("hover", "--model", "paper:M2").stdout == "M2\n"
+
+
+def test_the_help_lists_added_commands_and_a_broken_one_costs_one_line(installed):
+    ended = installed("--help")
+    assert ended.returncode == 0
+    assert "Print the name of a model." in ended.stdout
+    absent, broken = sorted(ended.stderr.splitlines())
+    assert "airpuck-guest adds absent, but it cannot be used (ModuleNotFoundError" in absent
+    assert "airpuck-guest adds broken, but it cannot be used (AttributeError" in broken
+
+
+def test_a_broken_command_is_one_line_that_names_its_distribution(installed):
+    assert refused(installed("broken"), "upgrade or uninstall airpuck-guest")
+
+
+def test_an_export_of_another_distribution_writes_its_files(installed, tmp_path):
+    ended = installed("export", "paper:M2", "--to", "note", "-o", tmp_path / "out")
+    assert ended.returncode == 0, ended.stderr
+    assert (tmp_path / "out" / "note.txt").read_text() == "M2"
+
+
+def test_a_law_of_another_distribution_is_named_like_ours(installed):
+    ended = installed("track", "--dwell", "0.1", "--regulator", "idle", "--json", "-")
+    assert ended.returncode == 0, ended.stderr
+    assert refused(installed("track", "--regulator", "idel"), "did you mean 'idle'?")
+
+
+def test_a_campaign_computes_items_of_another_distribution(installed, tmp_path):
+    spec = tmp_path / "spec.toml"
+    spec.write_text('kind = "square"\ngrid.number = [2, 3]\n')
+    ended = installed("campaign", spec, "-o", tmp_path / "out", "--workers", "1", "--json", "-")
+    assert ended.returncode == 0, ended.stderr
+    assert "9" in json.dumps(json.loads(ended.stdout))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("play",),
+        ("match", "--left", "keeper"),
+        ("export", "paper:M2", "--to", "gym-hockey", "-o", "out"),
+    ],
+)
+def test_without_air_hockey_its_names_say_what_to_install(installed, words):
+    ended = installed(*words, without=("airpuck_hockey",))
+    assert refused(ended, "is part of airpuck-hockey", "pip install airpuck-hockey")
+
+
+def test_without_air_hockey_former_public_names_say_what_to_install():
+    code = "import sys; sys.modules['airpuck_hockey'] = None; import airpuck; airpuck.Game"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith("AttributeError: airpuck.Game is part of airpuck-hockey")
+    assert last.endswith("pip install airpuck-hockey")
+
+
+def test_a_campaign_of_games_without_air_hockey_says_what_to_install(installed, tmp_path):
+    spec = tmp_path / "spec.toml"
+    spec.write_text('kind = "match"\n')
+    ended = installed("campaign", spec, "-o", tmp_path / "out", without=("airpuck_hockey",))
+    assert refused(ended, "pip install airpuck-hockey")
