@@ -125,6 +125,18 @@ def test_a_burst_of_lost_frames_that_a_logger_fills_with_repeats_is_lost(faster)
     assert np.abs(off(found, kept)).max() < 0.6 / (faster * 120.0)
 
 
+def test_the_rate_is_found_where_a_fifth_of_the_frames_and_two_bursts_are_lost():
+    time = exposures(120.0, 0.2)
+    time = time[((time < 3.0) | (time > 3.1)) & ((time < 7.2) | (time > 7.3))]
+    logged = np.arange(0.001, time[-1], 1 / 150.0)
+    held = np.searchsorted(time, logged, side="right") - 1
+    values = np.random.default_rng(2).normal(size=(len(time), 3))
+    found, warnings = at_exposure(stamped(logged, values[held]))
+    assert "119.99" in warnings[1] or "120.0" in warnings[1]
+    steps = np.diff(found.stamp_ns) / 1e9 * 120.0
+    assert np.abs(steps - np.rint(steps)).max() < 0.01
+
+
 def test_a_frozen_pose_keeps_its_repeats():
     time = exposures(240.0)
     values = np.random.default_rng(2).normal(size=(len(time), 3))

@@ -30,7 +30,7 @@ _SOON, _BLOCK = 0.25, 0.5
 _COUNTED, _QUANTILE = 100, 0.1
 #: Rates that cameras have [1/s], tried if many frames are lost, and the smallest fraction kept.
 _RATES = (30, 50, 60, 90, 100, 120, 150, 180, 200, 240, 250, 300, 330, 360, 400, 500, 1000)
-_KEPT = 0.8
+_KEPT = 0.7
 #: Step of the earliest arrivals that is a lost frame, and speed at which the reference follows the
 #: clocks' drift, per pose.
 _LOST, _FOLLOWS = 0.6, 0.02
