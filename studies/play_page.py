@@ -29,7 +29,7 @@ FIGURES = "[airpuck.figures.frames, airpuck.figures.latencies]"
 
 #: State for the screenshot: the craft is about to shoot at a moving puck, with a high chance.
 SHOOTS = """(() => { const [now, before] = [airpuck.states.at(-1), airpuck.states.at(-9)];
-    return thought?.path && /shot.*: [4-9]/.test(thought.words) && before && !now.hidden
+    return thought?.path && /shot.*: [3-9]\\d/.test(thought.words) && before && !now.hidden
     && /in 0.[4-7]/.test(thought.said) && !document.getElementById("call").getAnimations().length
     && Math.hypot(now.puck[0] - before.puck[0], now.puck[1] - before.puck[1]) > 0.06; })()"""
 
