@@ -1,6 +1,5 @@
 """People in a league: their recorded games, and damaged or foreign bags."""
 
-import math
 import shutil
 from dataclasses import replace
 
@@ -66,7 +65,7 @@ def test_a_person_is_rated_by_goals_against_the_level_that_played(anna, tmp_path
         "goals_against": 8,
         "seconds": pytest.approx(120.0),
     }
-    assert math.isnan(league["people"]["ben"]["reaction_s"]["value"])  # no one hit the puck
+    assert league["people"]["ben"]["reaction_s"]["value"] is None  # no one hit the puck
 
 
 def test_people_join_the_players_of_a_league(tmp_path):
