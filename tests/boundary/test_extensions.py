@@ -7,6 +7,8 @@ import textwrap
 
 import pytest
 
+import airpuck
+from tests.apparatus import commands
 from tests.apparatus.commands import refused
 
 #: A user's distribution: one module, and its metadata as pip would write it.
@@ -158,3 +160,21 @@ def test_a_campaign_of_games_without_air_hockey_says_what_to_install(installed, 
     spec.write_text('kind = "match"\n')
     ended = installed("campaign", spec, "-o", tmp_path / "out", without=("airpuck_hockey",))
     assert refused(ended, "pip install airpuck-hockey")
+
+
+@pytest.mark.parametrize(
+    ("former", "now"),
+    [
+        ("fly_fleet", r"airpuck\.TwinBatch"),
+        ("Adam", r"studies/adam\.py"),
+        ("select_model", r"airpuck\.study"),
+        ("Selection", r"airpuck\.Study"),
+    ],
+)
+def test_a_former_name_tells_what_replaces_it(former, now):
+    with pytest.raises(AttributeError, match=f"use {now}"):
+        getattr(airpuck, former)
+
+
+def test_a_former_option_tells_what_replaces_it():
+    refused(commands.airpuck("identify", "bag", "--adam", "7"), "--adam", "studies/adam.py")

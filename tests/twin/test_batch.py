@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.identification.fit import identify
@@ -225,8 +224,3 @@ def test_a_batch_rejects_wrong_commands_poses_and_seeds():
         batch.step(still)
     with pytest.raises(InputError, match="over after 2 steps"):
         batch.step(still)
-
-
-def test_the_former_name_gives_the_new_one():
-    with pytest.raises(AttributeError, match=r"use airpuck\.TwinBatch"):
-        getattr(airpuck, "fly_fleet")  # noqa: B009

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,10 +17,12 @@ if TYPE_CHECKING:
 Group = Literal[
     "airpuck.commands", "airpuck.exports", "airpuck.laws", "airpuck.items", "airpuck.opponents"
 ]
+_TYPES = ["Game", "Intention", "Level", "Player", "PuckFilter", "Rules", "Tactic", "View"]
+_TOOLS = ["contestant", "identify_puck", "league", "match", "skills"]
 #: What airpuck-hockey adds, so that a name without it leads there: public names by group, and the
 #: names that `airpuck` itself had.
-HOCKEY: Mapping[str, tuple[str, ...]] = {
-    "airpuck.commands": (
+HOCKEY: Mapping[str, Sequence[str]] = {
+    "airpuck.commands": [
         "identify-puck",
         "league",
         "match",
@@ -28,29 +30,20 @@ HOCKEY: Mapping[str, tuple[str, ...]] = {
         "play-live",
         "skills",
         "watch-match",
-    ),
-    "airpuck.exports": ("gym-hockey",),
-    "airpuck.items": ("match",),
-    "airpuck.opponents": ("easy", "medium", "hard", "page"),
-    "airpuck": (
-        "Game",
-        "Intention",
-        "Level",
-        "Player",
-        "PuckFilter",
-        "Rules",
-        "Tactic",
-        "View",
-        "contestant",
-        "identify_puck",
-        "league",
-        "match",
-        "skills",
-    ),
+    ],
+    "airpuck.exports": ["gym-hockey"],
+    "airpuck.items": ["match"],
+    "airpuck.opponents": ["easy", "medium", "hard", "page"],
+    "airpuck": [*_TOOLS, *_TYPES],
 }
 
 #: Former public names, with their replacement.
-_FORMER = {"fly_fleet": "airpuck.TwinBatch", "Adam": "studies/adam.py"}
+_FORMER = {
+    "fly_fleet": "airpuck.TwinBatch",
+    "Adam": "studies/adam.py",
+    "select_model": "airpuck.study",
+    "Selection": "airpuck.Study",
+}
 
 
 @cache

@@ -85,10 +85,15 @@ class Command(_PlainFlags, TyperCommand):
         super().format_help(ctx, formatter)
 
 
+#: Former options, with their replacement.
+_FORMER = {"--adam": "airpuck.identify(method=...), as in studies/adam.py"}
+
+
 def _rejected(error: Any) -> Exception:
     """Return what is wrong with an option or its value, in one sentence, with the nearest name."""
     if hasattr(error, "possibilities"):
         near = f"; did you mean {error.possibilities[0]}?" if error.possibilities else ""
+        near = f"; use {_FORMER[error.option_name]}" if error.option_name in _FORMER else near
         return InputError(f"no such option{near}", field=error.option_name)
     if not hasattr(error.__cause__, "errors"):  # not pydantic's
         return error
