@@ -444,7 +444,11 @@ def resumed(
     summarise(lines)
 
 
+def main() -> None:
+    resumed(judged, summary)
+
+
 if __name__ == "__main__":
     from one_line import run
 
-    run(lambda: resumed(judged, summary))
+    run(main)

@@ -123,7 +123,7 @@ def test_a_type_that_is_imported_for_type_checkers_only_is_not_checked():
             lambda: airpuck.Goal(0.0, 0.0, yaww=1.0),
             r"Goal\(\) has no argument 'yaww'; did you mean 'yaw'\?",
         ),
-        (lambda: airpuck.identify(), r"identify\(\) is missing .*'trajectories'"),
+        (lambda: airpuck.identify(), r"identify\(\) is missing .*'recordings'"),
         (lambda: airpuck.Goal(0, 0, 0, (0, 0, 0), "exact", 1), r"Goal\(\): too many"),
     ],
 )

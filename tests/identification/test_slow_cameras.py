@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.judgement.findings import missed_motion
 from airpuck.judgement.verdict import verdict
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
@@ -54,6 +53,6 @@ def test_any_rate_with_any_gaps_is_preprocessed(recording, rate, gaps, seed):
 def test_from_few_poses_a_model_is_learned_that_beats_coasting(recording, rate, gaps):
     trajectory = preprocess(seen_at(recording, rate, gaps), delay=0.0)
     model = identify(trajectory, "M3").model
-    missed = missed_motion(evaluate(model, trajectory), trajectory)
-    assert (missed < 1).all()
-    assert verdict(model, trajectory).sentences
+    judged = verdict(model, trajectory, evaluate(model, trajectory))
+    assert (judged.missed < 1).all()
+    assert judged.sentences

@@ -38,12 +38,8 @@ HOCKEY: Mapping[str, Sequence[str]] = {
 }
 
 #: Former public names, with their replacement.
-_FORMER = {
-    "fly_fleet": "airpuck.TwinBatch",
-    "Adam": "studies/adam.py",
-    "select_model": "airpuck.study",
-    "Selection": "airpuck.Study",
-}
+_FORMER = {"fly_fleet": "airpuck.TwinBatch", "Adam": "studies/adam.py"}
+_FORMER |= {"select_model": "airpuck.study", "Selection": "airpuck.Study"}
 
 
 @cache

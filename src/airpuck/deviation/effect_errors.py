@@ -64,7 +64,21 @@ class EffectErrors:
 
 
 def effect_errors(model: Model, trajectory: Trajectory) -> EffectErrors | None:
-    """Estimate the systematic errors of a model; None if the recording is too short."""
+    """Estimate the systematic errors of a model by regression of poses on what would cause them.
+
+    Parameters
+    ----------
+    model : Model
+        The model to judge.
+    trajectory : Trajectory
+        A recording of the craft.
+
+    Returns
+    -------
+    EffectErrors or None
+        Errors of accelerations, response time and curves, with standard errors; None if the
+        recording is too short.
+    """
     found = judging_windows(trajectory, model)
     if found is None:
         return None

@@ -168,8 +168,23 @@ def regress_windows(
 ) -> WindowRegression | None:
     """Regress the motion on thrusts, with the delay and windows that explain it most clearly.
 
-    Delays are also negative, as between disagreeing clocks, if motion `before` its cause is
-    possible. Returns None if the recording has too few windows.
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The recording.
+    forces : array, shape (n, N)
+        Modelled thrust of each motor at the samples, without delay [N].
+    stated : array, shape (3, n)
+        Accelerations per thrust by the vehicle file, the configuration matrix [1/kg, 1/(kg m)].
+    longest_delay : float
+        Largest delay that is tried [s].
+    before : bool, default False
+        Whether motion before its cause is possible, as between disagreeing clocks.
+
+    Returns
+    -------
+    WindowRegression or None
+        Effects, delay and share explained; None if the recording has too few windows.
     """
     period = trajectory.sample_period
     last = round(longest_delay / period)

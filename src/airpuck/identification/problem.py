@@ -80,11 +80,6 @@ class Problem:
                 )
 
     @property
-    def _delays_known(self) -> bool:
-        """Whether all recordings were prepared here, so that their delays are known."""
-        return all(trajectory.delay_known for trajectory in self.trajectories)
-
-    @property
     def excludes_faults(self) -> bool:
         """Whether faults are searched for and excluded."""
         return self.preparation.faults == "exclude" and not self.loss.whole
@@ -95,7 +90,7 @@ class Problem:
         if self.preparation.delay is not None:
             return self.preparation.delay == "fit"
         can = isinstance(self.method, LevenbergMarquardt)
-        return can and self.rung.lag and self._delays_known
+        return can and self.rung.lag and all(t.delay_known for t in self.trajectories)
 
     @property
     def retimings(self) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
+from airpuck.boundary.kinds import fits
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
 from airpuck.data.sampling import bridged, usual_period
@@ -133,7 +134,11 @@ def load_all(
 ) -> list[Trajectory]:
     """Return the trajectories of one or several recordings, whatever form each has."""
     several = isinstance(recordings, Iterable) and not isinstance(recordings, str)
-    listed: Any = recordings if several else [recordings]
+    given: Any = recordings if several else [recordings]
+    listed = list(given)
+    if strange := [one for one in listed if not fits(one, Source)]:
+        problem = f"must be paths, recordings or trajectories, not {type(strange[0]).__name__}"
+        raise InputError(problem, field="recordings")
     return [load_trajectory(one, vehicle, mapping=mapping) for one in listed]
 
 
