@@ -24,7 +24,11 @@ pytestmark = pytest.mark.slow
 
 PLAN = ("plan", "--from", "-0.5", "0", "0", "--to", "0.5", "0.2", "2", "-o", "plan.toml")
 #: Before the command: take the terminal on standard input, and begin as `airpuck` does.
-TERMINAL = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+TERMINAL = """
+import fcntl, signal, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # these tests may run under nohup
+"""
 MAIN = "from airpuck.boundary.signals import catch_signals; catch_signals()\n"
 MAIN += "from airpuck.cli import main; main()\n"
 #: Sends Ctrl-C in the middle of the first solution.
