@@ -206,7 +206,7 @@ def test_games_are_recorded_with_their_players(tmp_path):
 def test_a_game_is_recorded_even_if_the_tactic_fails(tmp_path):
     tactic = tmp_path / "late.py"
     tactic.write_text(
-        "import airpuck\n\n\nclass Late:\n    def decide(self, view):\n"
+        "import airpuck\nimport airpuck_hockey\n\n\nclass Late:\n    def decide(self, view):\n"
         "        assert view.time < 0.4\n"
         '        return airpuck_hockey.Intention("home", airpuck.SetPoint(*view.pitch.home, 0.0))\n'
     )
