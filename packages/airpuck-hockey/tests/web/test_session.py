@@ -217,7 +217,7 @@ def test_a_game_is_recorded_even_if_the_tactic_fails(tmp_path):
     )
     table.order("sit")
     table.order("go")
-    with pytest.raises(InputError, match="tactic: line 6: decide"):
+    with pytest.raises(InputError, match="tactic: line 7: decide"):
         table.run(1.0)
     recording = airpuck.read_recording(tmp_path / "games" / "game-1", needs=("mallet", "game"))
     assert 0.3 < np.ptp(recording["mallet"].stamp_ns) / 1e9 < 0.6
