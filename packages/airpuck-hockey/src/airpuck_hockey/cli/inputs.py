@@ -6,11 +6,10 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cache
 
-from airpuck import Model
+import airpuck
 from airpuck.extend import about, read_belief, say, show_time_left
 
-
-def read_player(name: str, quiet: bool) -> Model:
+def read_player(name: str, quiet: bool) -> airpuck.Model:
     """Read a model for a player; first plan its shortest times if they are unknown."""
     from airpuck.extend import minimal_times_of
     from airpuck_hockey.player.player import check_player
