@@ -9,6 +9,7 @@ from functools import cache
 import airpuck
 from airpuck.extend import about, read_belief, say, show_time_left
 
+
 def read_player(name: str, quiet: bool) -> airpuck.Model:
     """Read a model for a player; first plan its shortest times if they are unknown."""
     from airpuck.extend import minimal_times_of
