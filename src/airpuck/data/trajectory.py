@@ -388,7 +388,8 @@ class Trajectory:
         if not all(isinstance(span, Span) for span in spans):
             raise InputError("must be a sequence of Span", field="spans")
         excluded = sorted({*self.excluded, *spans}, key=lambda span: (span.start, span.stop))
-        return replace(self, excluded=tuple(excluded))
+        same = tuple(excluded) == self.excluded  # what is known of this object then stays known
+        return self if same else replace(self, excluded=tuple(excluded))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the trajectory as a NumPy archive.
