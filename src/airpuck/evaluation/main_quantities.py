@@ -18,14 +18,12 @@ from jaxtyping import Float
 
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import thrust_scale as parameters_scale
-from airpuck.model.quantities import QUANTITIES, Quantity
+from airpuck.model.quantities import IN_MATRIX, QUANTITIES, Quantity
 from airpuck.physics.thrust import thrust
 
 #: Quantities shown by their effects: thrusts at a speed, not coefficients; products, not the
 #: matrix.
 _BY_EFFECT = frozenset({"thrust", "configuration_matrix"})
-#: Meaningless if the configuration matrix is learned directly.
-UNUSED_WHERE_DIRECT = frozenset(q.name for q in QUANTITIES if q.in_matrix)
 #: Quantities that are always positive, so that a relative change is meaningful.
 _POSITIVE = frozenset(q.name for q in QUANTITIES if q.positive)
 
@@ -93,7 +91,7 @@ class MainQuantity:
         if getattr(model.parameters, self.parameter, None) is None:
             return False
         direct = model.parameters.configuration_matrix is not None
-        return not (direct and self.parameter in UNUSED_WHERE_DIRECT)
+        return not (direct and self.parameter in IN_MATRIX)
 
     def learned(self, model: Model) -> bool:
         """Whether a model learned it."""

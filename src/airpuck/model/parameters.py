@@ -211,20 +211,9 @@ class Parameters(_Values):
         Dynamics
             Coefficients for the physics.
         """
-        configuration, directions = self.configuration_matrix, vehicle.directions
-        if self.thrust_direction is not None:
-            directions = turned(xp, directions, self.thrust_direction)
+        configuration = self.configuration_matrix
         if configuration is None:
-            configuration = configuration_matrix(
-                xp,
-                vehicle.positions,
-                directions,
-                vehicle.mass_kg,
-                self.inertia,
-                self.angle_offset,
-                self.center_of_mass,
-                vehicle.couples,
-            )
+            configuration = self.matrix(xp, vehicle)
         coefficients = {name: getattr(self, name) for name in EFFECTS}
         return Dynamics(
             thrust=self.thrust,
@@ -234,6 +223,47 @@ class Parameters(_Values):
             frame=frame,
             effects=make_effects(coefficients, self.layout(xp, vehicle)),
             own_lag=vehicle.actuation.own_lag,
+        )
+
+    def matrix(
+        self,
+        xp: Any,
+        vehicle: Vehicle,
+        *,
+        positions: Float[np.ndarray, "n 2"] | None = None,
+        directions: Float[np.ndarray, "n 2"] | None = None,
+        mass: float | None = None,
+    ) -> Any:
+        """Compute Π from first principles.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        vehicle : Vehicle
+            Geometry and mass.
+        positions, directions : array, shape (n, 2), optional
+            Instead of the vehicle's [m, 1].
+        mass : float, optional
+            Instead of the vehicle's [kg].
+
+        Returns
+        -------
+        array, shape (3, n)
+            Π [1/kg, 1/kg, 1/(kg m)].
+        """
+        directions = vehicle.directions if directions is None else directions
+        if self.thrust_direction is not None:
+            directions = turned(xp, directions, self.thrust_direction)
+        return configuration_matrix(
+            xp,
+            vehicle.positions if positions is None else positions,
+            directions,
+            vehicle.mass_kg if mass is None else mass,
+            self.inertia,
+            self.angle_offset,
+            self.center_of_mass,
+            vehicle.couples,
         )
 
     def layout(self, xp: Any, vehicle: Vehicle) -> Layout:

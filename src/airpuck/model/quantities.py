@@ -145,5 +145,7 @@ QUANTITIES = (
 )
 # fmt: on
 
+#: Parameters that Π is computed from; meaningless if it is learned directly.
+IN_MATRIX = frozenset(quantity.name for quantity in QUANTITIES if quantity.in_matrix)
 #: Optional quantities, by name.
 EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.term}

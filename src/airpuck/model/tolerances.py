@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.physics.rigid_body import configuration_matrix, turned
+from airpuck.model.quantities import IN_MATRIX
+from airpuck.physics.rigid_body import turned
 
-#: Parameters that Π is computed from.
-_IN_MATRIX = ("inertia", "angle_offset", "center_of_mass", "thrust_direction")
 #: Weight of a yaw error [1/rad] beside one of a position [1/m], as in the published loss.
 _YAW = 0.1
 #: Mean and mean square of φ² at random speeds φ: thrusts relative to the full ones.
@@ -46,17 +45,18 @@ def geometry_shifts(
     if parameters.configuration_matrix is not None:
         # Only the scale of a learned Π depends on the file, by its mass.
         return vehicle.mass_error * (vector * free * parameters.mask(frozenset({"thrust"})))[None]
-    now = _matrix(parameters, vehicle, vector)
+    now = parameters.matrix(np, vehicle)
     # The thrust coefficients come first in the vector.
     rows = np.kron(np.eye(size[0]), np.ones(size[1]))
     steps = np.pad(rows, ((0, 0), (0, len(vector) - rows.shape[1]))) * vector * free
     slopes = [now * unit for unit in np.eye(size[0])]
-    for entry in np.flatnonzero(free & parameters.mask(frozenset(_IN_MATRIX))):
+    for entry in np.flatnonzero(free & parameters.mask(IN_MATRIX)):
         unit = np.eye(len(vector))[entry]
         step = _STEP * max(abs(vector[entry]), _STEP)
-        slopes.append((_matrix(parameters, vehicle, vector + step * unit) - now) / step)
+        moved = parameters.with_vector(vector + step * unit)
+        slopes.append((moved.matrix(np, vehicle) - now) / step)
         steps = np.vstack([steps, unit])
-    moved = [matrix - now for matrix in _wrong(parameters, vehicle, vector)]
+    errors = [matrix - now for matrix in _wrong(parameters, vehicle)]
     full = np.abs(np.asarray(parameters.thrust).sum(axis=1))
     moments = np.outer(full, full) * (_MEAN**2 + (_SQUARE - _MEAN**2) * np.eye(size[0]))
     weight = np.array([1.0, 1.0, _YAW])[:, None]
@@ -64,38 +64,20 @@ def geometry_shifts(
     kept = np.abs(steps).any(axis=1)
     table, aim = (
         (weight * np.array(part) @ root).reshape(len(part), -1).T
-        for part in (np.array(slopes)[kept], moved)
+        for part in (np.array(slopes)[kept], errors)
     )
     return np.linalg.lstsq(table, aim, rcond=1e-9)[0].T @ steps[kept]
 
 
-def _matrix(parameters: Parameters, vehicle: Vehicle, vector: Any, **wrong: Any) -> Any:
-    """Return Π of a parameter vector, with parts of the vehicle file replaced."""
-    own = parameters.with_vector(vector)
-    directions = wrong.get("directions", vehicle.directions)
-    if own.thrust_direction is not None:
-        directions = turned(np, directions, own.thrust_direction)
-    return configuration_matrix(
-        np,
-        wrong.get("positions", vehicle.positions),
-        directions,
-        wrong.get("mass", vehicle.mass_kg),
-        own.inertia,
-        own.angle_offset,
-        own.center_of_mass,
-        vehicle.couples,
-    )
-
-
-def _wrong(parameters: Parameters, vehicle: Vehicle, vector: Any) -> Iterator[Any]:
+def _wrong(parameters: Parameters, vehicle: Vehicle) -> Iterator[Any]:
     """Yield Π for an error of each position and direction, and of the mass."""
     owner = np.array([channel.column for channel in vehicle.actuation.channels])
     for column in range(len(vehicle.propellers)):
         mine = (owner == column)[:, None]
         for axis in np.eye(2):
             positions = vehicle.positions + vehicle.position_error_m * mine * axis
-            yield _matrix(parameters, vehicle, vector, positions=positions)
+            yield parameters.matrix(np, vehicle, positions=positions)
         angle = np.radians(vehicle.direction_error_deg)
         directions = np.where(mine, turned(np, vehicle.directions, angle), vehicle.directions)
-        yield _matrix(parameters, vehicle, vector, directions=directions)
-    yield _matrix(parameters, vehicle, vector, mass=vehicle.mass_kg * (1 + vehicle.mass_error))
+        yield parameters.matrix(np, vehicle, directions=directions)
+    yield parameters.matrix(np, vehicle, mass=vehicle.mass_kg * (1 + vehicle.mass_error))

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from airpuck.evaluation.main_quantities import (
-    UNUSED_WHERE_DIRECT,
     largest_accelerations,
     main_quantities,
     thrust_scale,
 )
 from airpuck.evaluation.presentation import NOT_IDENTIFIED
 from airpuck.model.model_file import Model
-from airpuck.model.quantities import QUANTITIES
+from airpuck.model.quantities import IN_MATRIX, QUANTITIES
 from airpuck.model.rungs import named_rung
 from airpuck.report.page import PageTable
 
@@ -135,7 +134,7 @@ def _cells(
 ) -> list[Cell]:
     """Format the values of one model, with standard errors if known."""
     direct = model.parameters.configuration_matrix is not None
-    unused = direct and quantity in UNUSED_WHERE_DIRECT
+    unused = direct and quantity in IN_MATRIX
     if unused or getattr(model.parameters, quantity) is None:
         return [Cell()] * count
     free = bool(model.free[model.parameters.mask(frozenset({quantity}))].any())
