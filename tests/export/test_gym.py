@@ -18,33 +18,12 @@ from airpuck.export.gym_task import CourseTask
 from airpuck.export.gym_vector import CourseVectorEnv
 from airpuck.model.model_file import published_model
 from airpuck.twin.race import COURSES
-from airpuck.twin.settings import MotionCapture, OnBoard, default_twin_settings
 from airpuck.twin.twin import Twin
+
+from ..apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions, flown
 
 # Gymnasium warns of infinite bounds, which rates have.
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
-
-PERIOD = 0.01
-MODEL = published_model("M3")
-SETTINGS = default_twin_settings()
-#: The radio's delays stay random.
-NOISELESS = SETTINGS.model_copy(
-    update={
-        "motion_capture": MotionCapture(
-            position_noise_m=0.0, yaw_noise_rad=0.0, latency_jitter_s=0.0
-        ),
-        "on_board": OnBoard(rate_hz=0.0),
-    }
-)
-
-
-def actions(count, seed=0, size=6):
-    return np.random.default_rng(seed).random((count, size))
-
-
-def flown(env, commands, **reset):
-    """Return the results of a reset and of steps."""
-    return [env.reset(**reset), *(env.step(command) for command in commands)]
 
 
 def test_pictures_show_the_craft_where_it_is():

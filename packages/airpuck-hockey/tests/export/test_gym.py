@@ -18,41 +18,14 @@ from airpuck.craft.table import Table
 from airpuck.export import write
 from airpuck.model.model_file import published_model
 from airpuck.physics.puck import PuckState
-from airpuck.twin.settings import MotionCapture, OnBoard, default_twin_settings
+from airpuck.twin.settings import OnBoard
 from airpuck_hockey.export.gym import ENVIRONMENTS, PuckEnv
 from airpuck_hockey.export.gym_game import GameEnv
 from airpuck_hockey.game.skills import SKILLS, skills
+from tests.apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions, flown
 
 # Gymnasium warns of infinite bounds, which rates have.
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
-
-PERIOD = 0.01
-
-
-MODEL = published_model("M3")
-
-
-SETTINGS = default_twin_settings()
-
-
-#: The radio's delays stay random.
-NOISELESS = SETTINGS.model_copy(
-    update={
-        "motion_capture": MotionCapture(
-            position_noise_m=0.0, yaw_noise_rad=0.0, latency_jitter_s=0.0
-        ),
-        "on_board": OnBoard(rate_hz=0.0),
-    }
-)
-
-
-def actions(count, seed=0, size=6):
-    return np.random.default_rng(seed).random((count, size))
-
-
-def flown(env, commands, **reset):
-    """Return the results of a reset and of steps."""
-    return [env.reset(**reset), *(env.step(command) for command in commands)]
 
 
 def test_the_game_has_pictures_and_modes_are_checked():
