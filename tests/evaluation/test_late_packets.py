@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.evaluation.evaluate import delay_for
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.evaluation.innovations import innovations, motor_speeds_at
 from airpuck.evaluation.late_packets import late_packets
 from airpuck.evaluation.residuals import resid

@@ -7,9 +7,9 @@ import pytest
 from studies.adam import Adam
 
 from airpuck.boundary.errors import InputError
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.identification.bootstrap import bootstrap, resampled_estimates
 from airpuck.identification.fit import identify
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import read_model
 from airpuck.model.uncertainty import DelayJitter

@@ -8,7 +8,7 @@ import pytest
 
 from airpuck import Loss, Twin, preprocess, read_vehicle
 from airpuck.craft.table import Table
-from airpuck.identification.packet_delays import UNKNOWN
+from airpuck.deviation.packet_delays import UNKNOWN
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import score_derivatives, smoothed_along
 from airpuck.model.model_file import nominal_model

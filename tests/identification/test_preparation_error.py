@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.identification import retiming
 from airpuck.identification.fit import identify
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.retiming import (
     error_growth,
     retime_packets,

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 
 from airpuck.campaigns.items import thrust_error
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.identification.fit import identify
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.retiming import (
     delay_jitter,
     error_growth,

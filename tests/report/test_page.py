@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.faults.strengths import actuator_strengths
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.report.evaluation_report import JudgedModels
 from airpuck.report.fit_report import fit_report

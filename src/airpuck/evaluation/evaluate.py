@@ -384,13 +384,6 @@ def compare(
     return [evaluate(model, trajectory, protocol=protocol, encoder=encoder) for model in models]
 
 
-def delay_for(model: Model, trajectory: Trajectory) -> float:
-    """Return how long after its time in a trajectory a command acts, according to a model."""
-    if not model.delay_learned:
-        return trajectory.delay
-    return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
-
-
 def hold_for(model: Model, windows: Windows) -> Windows:
     """Hold the commands of windows with a model's delay, in steps as short as a fit's."""
     if not model.delay_learned:

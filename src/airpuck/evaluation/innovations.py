@@ -25,8 +25,8 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_samples
 from airpuck.data.trajectory import Trajectory, check_propellers
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.estimate.axis_filter import Noise, correct, process_noise, spread
-from airpuck.evaluation.evaluate import delay_for
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import register_pytrees, rollout

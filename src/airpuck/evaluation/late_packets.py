@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.motor_regression import accelerations_by_motor
-from airpuck.evaluation.evaluate import delay_for
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.evaluation.innovations import (
     Innovations,
     motor_speeds_at,

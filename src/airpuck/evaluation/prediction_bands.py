@@ -24,8 +24,8 @@ from airpuck.compute.arrays import register_pytree, scan
 from airpuck.compute.compiled import for_batches, lengthened
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.estimate.axis_filter import spread
-from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.fit_measures import RESTART
 from airpuck.evaluation.innovations import Innovations, cut_at_commands, innovations
 from airpuck.model.model_file import Model

@@ -27,8 +27,8 @@ from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.model_errors import ModelError, tested_errors, verdicts
 from airpuck.deviation.motor_regression import block_regression
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.deviation.significance import BAND, IN_RECORDING, LEVEL, holm
-from airpuck.evaluation.evaluate import delay_for
 from airpuck.evaluation.innovations import Innovations, innovations
 from airpuck.evaluation.late_packets import LatePackets, late_packets
 from airpuck.evaluation.statistical_tests import (

@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
-from airpuck.identification.packet_delays import PacketDelays
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import spread_of, variance_of_mean
 from airpuck.identification.settings import PUBLISHED_WEIGHTS, Loss

@@ -15,6 +15,7 @@ from airpuck import __version__
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.packet_delays import UNKNOWN, PacketDelays
 from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
@@ -26,7 +27,6 @@ from airpuck.identification.method import (
     reweighted,
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.packet_delays import UNKNOWN, PacketDelays
 from airpuck.identification.problem import Exclusion, Problem, exclude_faults
 from airpuck.identification.retiming import (
     delay_jitter,

@@ -12,10 +12,10 @@ import numpy as np
 from airpuck.boundary.results import Result
 from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.evaluation.presentation import delay_words
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.identification.problem import Exclusion
 from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model

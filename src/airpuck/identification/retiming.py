@@ -22,9 +22,9 @@ from jaxtyping import Float, Int
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, make_windows, refined
 from airpuck.deviation.motor_regression import integrated
+from airpuck.deviation.packet_delays import PacketDelays, delay_response, moved, packet_delays
 from airpuck.deviation.time_scale import measured_positions
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.packet_delays import PacketDelays, delay_response, packet_delays
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
@@ -74,13 +74,7 @@ def retimed(trajectory: Trajectory, delays: PacketDelays, jitter: float) -> Traj
         return trajectory
     weight = 1 / (jitter**2 + delays.standard_error**2)
     late = jitter**2 * weight * (delays.deviation - np.average(delays.deviation, weights=weight))
-    time = trajectory.command_time.copy()
-    time[delays.packet] += late
-    earliest, latest = np.full_like(time, -np.inf), np.full_like(time, np.inf)
-    earliest[delays.packet] = latest[delays.packet] = time[delays.packet]
-    earliest = np.maximum.accumulate(earliest)
-    latest = np.minimum.accumulate(latest[::-1])[::-1]
-    return replace(trajectory, command_time=np.maximum.accumulate(np.clip(time, earliest, latest)))
+    return moved(trajectory, delays.packet, late)
 
 
 def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:

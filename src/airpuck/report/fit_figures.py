@@ -14,9 +14,9 @@ from matplotlib.patches import Patch
 
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
+from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.evaluation.main_quantities import largest_accelerations, physical_thrust
 from airpuck.experiment_design.design import CheckedFlights, Design
-from airpuck.identification.packet_delays import PacketDelays
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 from airpuck.report import style

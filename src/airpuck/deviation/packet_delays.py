@@ -7,7 +7,7 @@ packet.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -20,7 +20,6 @@ from airpuck.deviation.motor_regression import (
     solved,
     twice_integrated,
 )
-from airpuck.evaluation.evaluate import delay_for
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
 from airpuck.physics.rigid_body import acceleration
@@ -68,6 +67,13 @@ class PacketDelays:
 UNKNOWN = PacketDelays(np.zeros(0, dtype=int), np.zeros(0), np.zeros(0))
 
 
+def delay_for(model: Model, trajectory: Trajectory) -> float:
+    """Return how long after its time in a trajectory a command acts, according to a model."""
+    if not model.delay_learned:
+        return trajectory.delay
+    return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
+
+
 def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
     """Estimate packet arrival times from the poses around packets that switched a motor.
 
@@ -112,6 +118,19 @@ def delay_response(
     of_packet = np.zeros((len(modelled), len(late)))
     of_packet[:, found.packet] = found.response(near.components.of_accelerations(-change))
     return of_packet[:, delays.packet]
+
+
+def moved(
+    trajectory: Trajectory, packet: Int[np.ndarray, " B"], late: Float[np.ndarray, " B"]
+) -> Trajectory:
+    """Move packets by a time [s]; the others keep theirs, but do not overtake these."""
+    time = trajectory.command_time.copy()
+    time[packet] += late
+    earliest, latest = np.full_like(time, -np.inf), np.full_like(time, np.inf)
+    earliest[packet] = latest[packet] = time[packet]
+    earliest = np.maximum.accumulate(earliest)
+    latest = np.minimum.accumulate(latest[::-1])[::-1]
+    return replace(trajectory, command_time=np.maximum.accumulate(np.clip(time, earliest, latest)))
 
 
 def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:

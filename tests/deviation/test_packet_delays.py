@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.deviation.packet_delays import delay_response, packet_delays
 from airpuck.identification.fit import identify
-from airpuck.identification.packet_delays import delay_response, packet_delays
 from airpuck.identification.retiming import modelled_acceleration, retimed
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import read_model
