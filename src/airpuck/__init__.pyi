@@ -54,6 +54,7 @@ from airpuck.identification.settings import Loss as Loss, Preparation as Prepara
 from airpuck.model.model_file import Model as Model, read_model as read_model
 from airpuck.model.parameters import Parameters as Parameters
 from airpuck.model.rungs import named_rung as named_rung
+from airpuck.physics.effects import Effect as Effect
 from airpuck.planning.plan import Plan as Plan, plan as plan, read_plan as read_plan
 from airpuck.planning.request import Goal as Goal
 from airpuck.planning.settings import Limits as Limits

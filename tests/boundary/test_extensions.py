@@ -13,6 +13,7 @@ from tests.apparatus.commands import refused
 
 #: A user's distribution: one module, and its metadata as pip would write it.
 MODULE = '''
+from dataclasses import dataclass
 from pathlib import Path
 
 import airpuck
@@ -22,6 +23,15 @@ from airpuck.extend import ExportKind, Item
 def hover(model: str = "paper:M3") -> None:
     """Print the name of a model."""
     print(airpuck.read_model(model).name)
+
+
+def learn(name: str) -> None:
+    """Write the first guess of a model, and read it again."""
+    rung, craft = airpuck.named_rung(name), airpuck.default_vehicle()
+    parameters = rung.initial(craft)
+    airpuck.Model(rung.name, craft, parameters, rung.mask(parameters)).save("learnt.toml")
+    read = airpuck.read_model("learnt.toml")
+    print(read.parameters.slip, read.rung == rung)
 
 
 NOTE = ExportKind("a note on the model", "guest")
@@ -40,6 +50,16 @@ class Idle(airpuck.Law):
         return airpuck.Step([self.off] * 6), state
 
 
+@dataclass(frozen=True, eq=False)
+class Slip(airpuck.Effect):
+    """Drag across the craft."""
+
+    across: float = 0.3
+
+    def acceleration(self, xp, motion):
+        return 0.0, -self.across * motion.left, 0.0
+
+
 class Square(Item):
     number: float = 1.0
 
@@ -49,8 +69,11 @@ class Square(Item):
 ENTRIES = """
 [airpuck.commands]
 hover = guest:hover
+learn = guest:learn
 broken = guest:missing
 absent = no_such_module:thing
+[airpuck.effects]
+slip = guest:Slip
 [airpuck.exports]
 note = guest:NOTE
 [airpuck.laws]
@@ -99,6 +122,11 @@ def installed(tmp_path_factory):
 
 def test_a_command_of_another_distribution_runs(installed):
     assert installed("hover", "--model", "paper:M2").stdout == "M2\n"
+
+
+def test_an_effect_of_another_distribution_is_a_term(installed):
+    ended = installed("learn", "M3+slip")
+    assert ended.stdout == "[0.3] True\n", ended.stderr
 
 
 def test_the_help_lists_added_commands_and_a_broken_one_costs_one_line(installed):

@@ -11,6 +11,8 @@ import pytest
 import airpuck
 from airpuck.physics.effects import Envelope
 from airpuck.physics.rigid_body import rollout
+from tests.apparatus import commands
+from tests.apparatus.commands import refused
 from tests.apparatus.synthetic_flights import fly
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -38,6 +40,41 @@ def test_friction_stops_a_coasting_craft_where_newton_says():
     states = rollout(np, dynamics, start, np.zeros((300, 6)), np.full(300, 0.01))
     assert states[-1, 0] == pytest.approx(0.6**2 / (2 * 0.3), rel=0.02)  # v² / 2f
     assert rough.acceleration_bound(Envelope(3.0, 15.0)) == (0.3, 0.0)
+
+
+def cross_drag(along, across):
+    """Return a rung with the effect of the example, and a craft that has these coefficients."""
+    rung = airpuck.named_rung(f"M3+{EXAMPLES / 'own_effect/cross_drag.py'}:CrossDrag")
+    vector = rung.initial(M3.vehicle).to_vector()
+    vector[-2:] = along, across
+    vector[: len(vector) - 2] = M3.parameters.to_vector()
+    parameters = rung.initial(M3.vehicle).with_vector(vector)
+    return rung, replace(
+        M3, name=rung.name, frame="body", parameters=parameters, free=rung.mask(parameters)
+    )
+
+
+@pytest.mark.slow
+def test_a_fit_learns_the_coefficients_of_a_users_effect():
+    rung, truth = cross_drag(0.3, 0.9)
+    fit = airpuck.identify(fly(truth, 20.0), rung)
+    found, known = fit.model.parameters.cross_drag, fit.model.known
+    assert found == pytest.approx([0.3, 0.9], abs=0.02)
+    assert (known.standard_errors[-2:] > 0).all()
+    assert (np.abs(found - [0.3, 0.9]) < 5 * known.standard_errors[-2:]).all()
+
+
+@pytest.mark.slow
+def test_a_users_effect_is_named_wherever_a_model_is(tmp_path):
+    term = f"{EXAMPLES / 'own_effect/cross_drag.py'}:CrossDrag"
+    bag, model = tmp_path / "bag", tmp_path / "model.toml"
+    airpuck.write_bag(airpuck.excite(cross_drag(0.3, 0.9)[1], 12.0, 1), bag)
+    identified = commands.airpuck("identify", bag, "--model", f"M3+{term}", "-o", model, "--quiet")
+    assert identified.returncode == 0, identified.stderr
+    evaluated = commands.airpuck("evaluate", f"{model}+{term}", bag, "--json", "-")
+    assert json.loads(evaluated.stdout)["rmse"]["x_m"] < 0.01
+    remedy = f"append +{term} to the name of the model"
+    assert refused(commands.airpuck("evaluate", model, bag), "effects.cross_drag", remedy)
 
 
 def test_an_encoder_is_given_to_evaluate():

@@ -1,11 +1,12 @@
 """The loss and its Gauss-Newton approximation, against plain implementations."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from unittest import mock
 
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import Windows, make_windows
 from airpuck.estimate.encoder import PaperEncoder
@@ -13,6 +14,7 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
 from airpuck.model.rungs import TERMS, named_rung
+from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.synthetic_flights import fly
@@ -161,3 +163,20 @@ def test_one_window_over_the_whole_flight():
     result = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters)
     expected = plain_residuals(np, parameters, windows, PaperEncoder(), "body")
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class PlainNumpy(Effect):
+    """Written without the array namespace, so that nothing can differentiate it."""
+
+    rate: float = 0.1
+
+    def acceleration(self, xp, motion):
+        return -self.rate * np.tanh(motion.forward), 0.0, 0.0
+
+
+def test_an_effect_that_cannot_be_differentiated_costs_its_user_one_line(windows):
+    parameters = named_rung("M3").with_effect(PlainNumpy).initial(VEHICLE)
+    loss = PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS)
+    with pytest.raises(InputError, match=r"PlainNumpy: model: cannot be differentiated: use xp"):
+        loss.quadratic(parameters)

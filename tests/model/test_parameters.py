@@ -1,12 +1,20 @@
 """The parameter set and the rungs."""
 
+import pickle
+import sys
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
 import numpy as np
 import pytest
 
+from airpuck import Effect, Pilot
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
+from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import change_degree, nominal_parameters
 from airpuck.model.rungs import RUNGS, named_rung
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import thrust
 
 VEHICLE = default_vehicle()
@@ -99,3 +107,103 @@ def test_terms_of_a_name_are_switches():
 def test_unknown_terms_are_refused(name, told):
     with pytest.raises(InputError, match=told):
         named_rung(name)
+
+
+@dataclass(frozen=True, eq=False)
+class TailWind(Effect):
+    """A wind in the table's frame, and a loss of thrust."""
+
+    push: float = 0.2
+    loss: float = 0.1
+    axes: Any = None
+    unit = "m/s², 1"
+    bounds: ClassVar = {"loss": (0.0, 0.5)}
+
+    @classmethod
+    def of(cls, layout, value):
+        return cls(*value, layout.vehicle.n_propellers)
+
+    def acceleration(self, xp, motion):
+        return self.push * motion.cos, -self.push * motion.sin, 0.0
+
+    def thrust(self, xp, thrust, motion):
+        return thrust * (1 - self.loss)
+
+
+def test_coefficients_of_a_users_effect_are_parameters():
+    rung = named_rung("M3+drag").with_effect(TailWind, start={"push": 0.3})
+    parameters = rung.initial(VEHICLE)
+    assert parameters.tail_wind.tolist() == [0.3, 0.1]
+    assert parameters.to_vector()[-2:].tolist() == [0.3, 0.1]
+    labels = parameters.labels(VEHICLE.propeller_names)
+    assert labels[-2:] == ["tail_wind push", "tail_wind loss"]
+    assert rung.mask(parameters)[-2:].all()
+    lower, upper = parameters.bounds()
+    assert (lower[-2:].tolist(), upper[-2:].tolist()) == ([-np.inf, 0.0], [np.inf, 0.5])
+    moved = parameters.with_vector(2 * parameters.to_vector())
+    assert moved.tail_wind.tolist() == [0.6, 0.2]
+    effect = moved.dynamics(np, VEHICLE).effects[-1]
+    assert (effect.push, effect.loss, effect.axes) == (0.6, 0.2, 6)
+    again = pickle.loads(pickle.dumps(moved))
+    assert again.tail_wind.tolist() == [0.6, 0.2]
+    assert again.effects == {"drag", "tail_wind"}
+
+
+def test_a_model_of_a_users_effect_is_read_back_bit_for_bit(tmp_path):
+    rung = named_rung("M3").with_effect(TailWind, bounds={"push": (-1.0, 1.0)})
+    parameters = rung.initial(VEHICLE)
+    known = Uncertainty(
+        parameters.to_vector(), np.eye(26), 1 + np.arange(26.0), np.zeros((0, 26)), 9, 2.3
+    )
+    model = Model(rung.name, VEHICLE, parameters, rung.mask(parameters), uncertainty=known)
+    model.save(tmp_path / "model.toml")
+    read = read_model(tmp_path / "model.toml")
+    np.testing.assert_array_equal(read.parameters.to_vector(), parameters.to_vector())
+    np.testing.assert_array_equal(read.known.standard_errors, known.standard_errors)
+    np.testing.assert_array_equal(read.parameters.bounds(), parameters.bounds())
+    assert read.rung == rung
+    assert read.free.sum() == model.free.sum() == 25
+
+
+def test_a_model_file_runs_no_code_that_nobody_named(tmp_path):
+    rung = named_rung("M3").with_effect(TailWind)
+    parameters = rung.initial(VEHICLE)
+    path = tmp_path / "model.toml"
+    Model(rung.name, VEHICLE, parameters, rung.mask(parameters)).save(path)
+    text = path.read_text("utf-8")
+    path.write_text(text.replace(f"{__name__}:TailWind", "elsewhere:TailWind"), "utf-8")
+    with pytest.raises(InputError, match=r"code that is not in the file.* append \+elsewhere"):
+        read_model(path)
+    assert "elsewhere" not in sys.modules
+    read = read_model(path, effects=[TailWind])
+    assert read.parameters.tail_wind.tolist() == [0.2, 0.1]
+    path.write_text(text.replace("loss = [0.0", "lost = [0.0"), "utf-8")
+    with pytest.raises(InputError, match="lost"):
+        read_model(path, effects=[TailWind])
+
+
+def changed(**space):
+    """Return an effect like `TailWind`, but for these attributes."""
+    return dataclass(frozen=True, eq=False)(type("Gust", (TailWind,), space))
+
+
+@pytest.mark.parametrize(
+    ("effect", "told"),
+    [
+        (Pilot, "must be a dataclass that inherits"),
+        (changed(idle_lag=0.3), "changes the motors' lag"),
+        (changed(bounds={"pull": (0.0, 1.0)}), "no such coefficient.*pull"),
+        (changed(bounds={"push": (0.3, 1.0)}), "starts with push = 0.2, outside its bounds"),
+        (changed(acceleration=lambda self, xp, motion: 1 / 0), "fails at rest: ZeroDivisionError"),
+        (changed(acceleration=lambda self, xp, motion: (0, 0)), "three accelerations"),
+        (changed(thrust=lambda self, xp, thrust, motion: 0.0), "in the shape that it is given"),
+    ],
+)
+def test_what_is_no_effect_is_refused_before_a_fit(effect, told):
+    with pytest.raises(InputError, match=told):
+        named_rung("M3").with_effect(effect).initial(VEHICLE)
+
+
+def test_an_effect_is_added_once():
+    with pytest.raises(InputError, match="already"):
+        named_rung("M3").with_effect(TailWind).with_effect(TailWind)

@@ -12,10 +12,16 @@ from airpuck.boundary.errors import InputError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-#: Groups of entry points, which any distribution may use: commands (functions), kinds of export
-#: (`ExportKind`), laws (`Law`), kinds of campaign items (`Item`), and opponents on the graph.
+#: Groups of entry points, which any distribution may use: commands (functions), effects (`Effect`),
+#: kinds of export (`ExportKind`), kinds of campaign items (`Item`), laws (`Law`), and opponents on
+#: the graph.
 Group = Literal[
-    "airpuck.commands", "airpuck.exports", "airpuck.laws", "airpuck.items", "airpuck.opponents"
+    "airpuck.commands",
+    "airpuck.effects",
+    "airpuck.exports",
+    "airpuck.items",
+    "airpuck.laws",
+    "airpuck.opponents",
 ]
 _TYPES = ["Game", "Intention", "Level", "Player", "PuckFilter", "Rules", "Tactic", "View"]
 _TOOLS = ["contestant", "identify_puck", "league", "match", "skills"]

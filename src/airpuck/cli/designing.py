@@ -92,12 +92,11 @@ def _fitted(
 ) -> Model:
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
-    from airpuck.model.rungs import named_rung
 
     trajectories = [load(path, craft.vehicle, mapping, quiet=quiet) for path in recordings]
     fit = airpuck.identify(
         trajectories,
-        named_rung(craft.name, frame=craft.frame),
+        craft.rung,
         vehicle=craft.vehicle,
         initial=craft.parameters,
         loss=loss_of(craft),

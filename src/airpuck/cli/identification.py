@@ -121,8 +121,8 @@ def identify(
     model: Annotated[
         str | None,
         Setting(
-            "M0 … M5 or quadratic; terms may be added: M3+inflow+pair. By default, or if it is "
-            "auto: M3 with the terms that the recordings clearly show, such as M3+tilt+drag.",
+            "M0 … M5 or quadratic, with terms: M3+inflow+pair, M3+FILE.py:NAME. By default, or "
+            "if it is auto: M3 with the terms that the recordings clearly show.",
             complete=_rung_names,
         ),
     ] = None,

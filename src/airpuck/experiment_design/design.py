@@ -28,7 +28,6 @@ from airpuck.experiment_design.trials import Progress, Trial, fly, fly_trial, on
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import named_rung
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
@@ -361,7 +360,7 @@ def _near(plan: ExcitationPlan, model: Model, period: float) -> list[ExcitationP
 
 def _as_learned_next(model: Model) -> Model:
     """Learn the transport delay if the next fit will, on rungs with a motor lag."""
-    if not named_rung(model.name).lag:
+    if not model.rung.lag:
         return model
     delay = model.parameters.mask(frozenset({"transport_delay"}))
     uncertainty = model.known
@@ -467,7 +466,7 @@ def _fly_and_identify(
     trajectory, clearance = fly(truth, settings, tuning, plan, seed)
     model = identify(
         trajectory,
-        named_rung(truth.name, frame=truth.frame),
+        truth.rung,
         vehicle=truth.vehicle,
         initial=truth.parameters,
         loss=loss_of(truth),

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import double_precision, for_batches, lengthened
 from airpuck.compute.process import usable_cores
 from airpuck.craft.vehicle import Vehicle
@@ -405,8 +406,14 @@ class PredictionLoss:
         def sums(batch: _Batch) -> Any:
             return [np.asarray(part) for part in normal_equations(*model, *data, *batch, weights)]
 
-        with ThreadPoolExecutor(usable_cores()) as pool:
-            square, score, curvature = map(list, zip(*pool.map(sums, batches), strict=True))
+        try:
+            with ThreadPoolExecutor(usable_cores()) as pool:
+                square, score, curvature = map(list, zip(*pool.map(sums, batches), strict=True))
+        except jax.errors.JAXTypeError as error:
+            if not (terms := [q.term for q in parameters.own]):
+                raise
+            problem = "cannot be differentiated: use xp for all arithmetic, and xp.where for cases"
+            raise InputError(problem, file=", ".join(terms), field="model") from error
         return square, score, curvature, owner, _local_coordinates(parameters, moved_by)
 
     @property

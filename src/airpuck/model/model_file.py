@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib import resources
@@ -25,11 +25,12 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import read_params_json, read_params_yaml
 from airpuck.model.cameras import Cameras
 from airpuck.model.parameters import Parameters, nominal_parameters
-from airpuck.model.rungs import RUNGS
+from airpuck.model.rungs import RUNGS, Rung, rung_of, with_code
 from airpuck.model.sections import (
     ModelFile,
     model_content,
     read_free,
+    read_own,
     read_parameters,
     read_uncertainty,
     with_nominal_delay,
@@ -37,6 +38,7 @@ from airpuck.model.sections import (
 from airpuck.model.simulation import derivative, draw, simulate
 from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
 from airpuck.model.uncertainty import DelayJitter, Uncertainty
+from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 
 if TYPE_CHECKING:
@@ -141,6 +143,11 @@ class Model:
         """Coefficients of the equations of motion; JAX arrays if the parameters are."""
         values = (getattr(self.parameters, q.name) for q in self.parameters.quantities)
         return self.parameters.dynamics(namespace(*values), self.vehicle, self.frame)
+
+    @property
+    def rung(self) -> Rung:
+        """The rung of the model ladder."""
+        return rung_of(self.name, self.parameters.own, self.frame)
 
     @property
     def radius_of_gyration(self) -> float:
@@ -373,14 +380,17 @@ class Model:
         write_toml(path, content, header="An airpuck model; see docs/usage.md for its fields.")
 
 
-def read_model(name: str | os.PathLike[str]) -> Model:
+def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = ()) -> Model:
     """Read a model.
 
     Parameters
     ----------
     name : str or path-like
         A model file, the authors' ``params.json``, the YAML of their ROS 2 controller, or
-        ``paper:M0`` … ``paper:M4`` for the published parameters.
+        ``paper:M0`` … ``paper:M4`` for the published parameters. A file that was learned with an
+        effect of your own: ``model.toml+FILE.py:NAME``.
+    effects : sequence of type, optional
+        The classes of such effects, if their modules have not been imported.
 
     Returns
     -------
@@ -401,6 +411,7 @@ def read_model(name: str | os.PathLike[str]) -> Model:
     """
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))
+    name, named = with_code(name)
     try:
         if Path(name).suffix == ".json":
             return Model(**read_params_json(Path(name)))
@@ -411,33 +422,27 @@ def read_model(name: str | os.PathLike[str]) -> Model:
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
             delay = {"transport_delay_s": content.pop("transport_delay_s")}
             content["parameters"] = delay | content["parameters"]
-        return _from_file(checked(content, ModelFile, file=name))
+        return _from_file(checked(content, ModelFile, file=name), (*effects, *named))
     except InputError as error:
         if str(name) in _published() and not Path(name).exists():
             problem = f"there is no such file; the published parameters are paper:{name}"
             raise InputError(problem, file=name) from None
-        if error.file is None:
-            raise InputError(error.problem, file=name, field=error.field) from None
-        raise
+        raise InputError(error.problem, file=error.file or name, field=error.field) from None
 
 
-def _from_file(content: ModelFile) -> Model:
+def _from_file(content: ModelFile, effects: Sequence[type[Effect]]) -> Model:
     """Assemble the model that a checked file describes."""
-    parameters = read_parameters(content.parameters, content.vehicle)
+    own = tuple(read_own(content.effects, effects))
+    parameters = read_parameters(content.parameters, content.vehicle, own)
+    known, alike = content.uncertainty, ("name", "vehicle", "fit", "data", "source", "cameras")
     return Model(
-        name=content.name,
-        vehicle=content.vehicle,
         parameters=parameters,
         free=read_free(content.free, parameters),
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
-        fit=content.fit,
-        data=content.data,
-        source=content.source,
-        uncertainty=content.uncertainty
-        and read_uncertainty(content.uncertainty, parameters, content.vehicle),
+        uncertainty=known and read_uncertainty(known, parameters, content.vehicle),
         delay_jitter=content.delay_jitter,
-        cameras=content.cameras,
+        **{name: getattr(content, name) for name in alike},
     )
 
 

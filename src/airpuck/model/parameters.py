@@ -7,9 +7,10 @@ length 1/m; at that scale the thrust is in newtons.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, make_dataclass, replace
-from typing import Any
+from functools import cache
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,7 +38,9 @@ _Values: Any = make_dataclass(
 
 @dataclass(frozen=True, eq=False)
 class Parameters(_Values):
-    """A point θ in parameter space, with an attribute for each of `QUANTITIES`.
+    """A point θ in parameter space, with an attribute for each of its quantities.
+
+    Effects of the user's own add quantities (`Rung.with_effect`).
 
     Values are numbers or arrays: real, complex or traced by JAX, in the units of the quantities'
     keys.
@@ -51,15 +54,22 @@ class Parameters(_Values):
     1.01
     """
 
+    #: Quantities of the user's own effects, after `QUANTITIES`.
+    own: ClassVar[tuple[Quantity, ...]] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the values with the quantities, which a class made at run time has."""
+        return _restored, (self.own, vars(self))
+
     @property
     def quantities(self) -> Iterator[Quantity]:
         """The kinds of parameters in this set."""
-        return (q for q in QUANTITIES if getattr(self, q.name) is not None)
+        return (q for q in (*QUANTITIES, *self.own) if getattr(self, q.name) is not None)
 
     @property
     def effects(self) -> frozenset[str]:
         """Names of the optional effects that this set models."""
-        return frozenset(name for name in EFFECTS if getattr(self, name) is not None)
+        return frozenset(q.name for q in self.quantities if q.term)
 
     def to_vector(self) -> Float[np.ndarray, " P"]:
         """Return all entries as one vector, in the order of `QUANTITIES`.
@@ -175,7 +185,7 @@ class Parameters(_Values):
         lower, upper : array, shape (P,)
             Bounds that a fit must respect.
         """
-        ends = ({q.name: q.bounds[end] for q in QUANTITIES} for end in (0, 1))
+        ends = ({q.name: np.array(q.bounds[end]) for q in self.quantities} for end in (0, 1))
         lower, upper = (self.laid_out(values, np.nan) for values in ends)
         return lower, upper
 
@@ -214,14 +224,14 @@ class Parameters(_Values):
         configuration = self.configuration_matrix
         if configuration is None:
             configuration = self.matrix(xp, vehicle)
-        coefficients = {name: getattr(self, name) for name in EFFECTS}
+        coefficients = {q.name: getattr(self, q.name) for q in self.quantities if q.term}
         return Dynamics(
             thrust=self.thrust,
             configuration=configuration,
             center_of_mass=self.center_of_mass,
             motor_time_constant=self.motor_time_constant,
             frame=frame,
-            effects=make_effects(coefficients, self.layout(xp, vehicle)),
+            effects=make_effects(coefficients, self.layout(xp, vehicle), self.own),
             own_lag=vehicle.actuation.own_lag,
         )
 
@@ -289,12 +299,34 @@ Parameters.__doc__ = f"{Parameters.__doc__}\n    Attributes\n    ----------\n" +
 )
 
 
-def make_effects(coefficients: Mapping[str, Any], layout: Layout) -> tuple[Effect, ...]:
+@cache
+def _kind(own: tuple[Quantity, ...]) -> type[Parameters]:
+    """Return the class of parameters that have quantities of the user's own, too."""
+    added = [(q.name, Any, None) for q in own]
+    space = {"own": own, "__module__": __name__}
+    bases = (Parameters,)
+    return make_dataclass("Parameters", added, bases=bases, namespace=space, frozen=True, eq=False)
+
+
+def _restored(own: tuple[Quantity, ...], values: Mapping[str, Any]) -> Parameters:
+    """Make parameters with quantities of the user's own."""
+    return (_kind(own) if own else Parameters)(**values)
+
+
+def with_own(parameters: Parameters, own: Mapping[Quantity, Any]) -> Parameters:
+    """Add quantities of the user's own, with their values."""
+    added = {quantity.name: np.array(value, dtype=float) for quantity, value in own.items()}
+    return _restored((*parameters.own, *own), vars(parameters) | added)
+
+
+def make_effects(
+    coefficients: Mapping[str, Any], layout: Layout, own: Iterable[Quantity] = ()
+) -> tuple[Effect, ...]:
     """Make optional effects from their coefficients by name; None: left out."""
     return tuple(
-        quantity.effect.of(layout, coefficients[name])
-        for name, quantity in EFFECTS.items()
-        if quantity.effect is not None and coefficients.get(name) is not None
+        quantity.effect.of(layout, coefficients[quantity.name])
+        for quantity in (*EFFECTS.values(), *own)
+        if quantity.effect is not None and coefficients.get(quantity.name) is not None
     )
 
 

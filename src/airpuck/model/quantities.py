@@ -1,18 +1,24 @@
 """All learnable quantities, in one table.
 
 Model files, labels, bounds, rungs, displayed tables and the settings of the twin's optional effects
-derive from it. A new effect is a class in `airpuck.physics.effects` and an entry here.
+derive from it. A new effect is a class in `airpuck.physics.effects` and an entry here, or a class
+of the user's own (`quantity_of`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import inspect
+import keyword
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import NonNegative, Positive
+from airpuck.boundary.kinds import unknown
 from airpuck.physics.effects import (
     Dish,
     Drag,
@@ -45,8 +51,8 @@ class Quantity:
     meaning: str
     #: Type in a model file.
     toml: Any = float
-    #: Bounds that a fit must respect.
-    bounds: tuple[float, float] = (-np.inf, np.inf)
+    #: Bounds that a fit must respect, of all entries or of each.
+    bounds: tuple[Any, Any] = (-np.inf, np.inf)
     #: Labels of the entries; if propellers have their own, a function of the propellers' names and
     #: the degree of the thrust polynomials.
     labels: tuple[str, ...] | Callable[[tuple[str, ...], int], tuple[str, ...]] = ("",)
@@ -149,3 +155,48 @@ QUANTITIES = (
 IN_MATRIX = frozenset(quantity.name for quantity in QUANTITIES if quantity.in_matrix)
 #: Optional quantities, by name.
 EFFECTS = {quantity.name: quantity for quantity in QUANTITIES if quantity.term}
+
+
+def quantity_of(
+    effect: type[Effect],
+    term: str = "",
+    start: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> Quantity:
+    """Declare the coefficients of a user's effect; see `Rung.with_effect`."""
+    term = term or f"{effect.__module__}:{effect.__qualname__}"
+
+    def refuse(problem: str) -> InputError:
+        return InputError(f"the effect {term} {problem}", field="model")
+
+    if not (inspect.isclass(effect) and issubclass(effect, Effect) and is_dataclass(effect)):
+        raise refuse("must be a dataclass that inherits from airpuck.Effect")
+    if effect.idle_lag is not Effect.idle_lag:
+        raise refuse("changes the motors' lag, which only built-in effects can")
+    name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
+    if keyword.iskeyword(name) or name in {quantity.name for quantity in QUANTITIES}:
+        raise refuse("has the name of a built-in quantity, or a keyword; rename the class")
+    found = {f.name: f.default for f in fields(effect) if isinstance(f.default, int | float)}
+    if not found:
+        raise refuse("has no coefficients: no field has a number as default")
+    limits = dict.fromkeys(found, (-np.inf, np.inf)) | dict(effect.bounds) | dict(bounds or {})
+    values = found | dict(start or {})
+    for key in [*values, *limits]:
+        if key not in found:
+            raise refuse(f"has no such coefficient: {unknown(key, found)}")
+        if not limits[key][0] <= values[key] <= limits[key][1]:
+            raise refuse(f"starts with {key} = {values[key]:g}, outside its bounds")
+    unit, several = effect.unit or "SI", len(found) > 1
+    return Quantity(
+        name,
+        name,
+        unit,
+        ", ".join(f"{name} {label}" for label in found) if several else name,
+        (inspect.getdoc(effect) or name).partition("\n")[0].rstrip("."),
+        bounds=(tuple(limits[key][0] for key in found), tuple(limits[key][1] for key in found)),
+        labels=tuple(found),
+        default=None,
+        effect=effect,
+        term=term,
+        start=tuple(float(values[key]) for key in found),
+    )

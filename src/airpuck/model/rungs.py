@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
+from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -11,10 +16,13 @@ from jaxtyping import Bool, Float
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.kinds import nearest
+from airpuck.boundary.user_code import UserCode
 from airpuck.craft.vehicle import Vehicle
-from airpuck.model.parameters import Parameters, change_degree, nominal_parameters
-from airpuck.model.quantities import EFFECTS, QUANTITIES
+from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own
+from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, quantity_of
+from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
 
@@ -36,6 +44,8 @@ class Rung:
     powers: tuple[int, ...] | None = None
     #: Names of the optional effects that it models.
     effects: tuple[str, ...] = ()
+    #: Coefficients of the user's own effects.
+    own: tuple[Quantity, ...] = ()
     #: Degree of the thrust curves; None: as in the vehicle's nominal thrust.
     degree: int | None = None
     #: The frame in which the offset of the centre of mass is constant; "world" is the paper's eq.
@@ -60,16 +70,73 @@ class Rung:
             matrix = parameters.dynamics(np, vehicle).configuration
             parameters = replace(parameters, configuration_matrix=matrix)
         starts = {name: EFFECTS[name].start for name in self.effects}
-        return replace(
+        parameters = replace(
             parameters,
             **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
         )
+        if self.own:
+            parameters = with_own(parameters, {q: q.start for q in self.own})
+            _try(parameters, vehicle)
+        return parameters
+
+    def with_effect(
+        self,
+        effect: type[Effect],
+        *,
+        start: Mapping[str, float] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        term: str = "",
+    ) -> Rung:
+        """Return a rung that learns the coefficients of an effect of your own, too.
+
+        Parameters
+        ----------
+        effect : type of Effect
+            A dataclass; fields that have a number as default are its coefficients.
+        start : mapping, optional
+            Where a fit starts, by coefficient; otherwise at the defaults.
+        bounds : mapping, optional
+            Lowest and highest value, by coefficient; otherwise those of the class.
+        term : str, optional
+            The term in the rung's name: FILE.py:NAME, or by default MODULE:NAME.
+
+        Returns
+        -------
+        Rung
+            A copy. Its parameters have an attribute with the name of the class in lower case.
+
+        Raises
+        ------
+        InputError
+            If the class is no effect with coefficients, or a name or number is impossible.
+        """
+        quantity = quantity_of(effect, term, start, bounds)
+        if quantity.name in {one.name for one in self.own} or hasattr(Parameters, quantity.name):
+            problem = f"{self.name!r} has {quantity.name} already; rename the class"
+            raise InputError(problem, field="model")
+        more: dict[str, Any] = {"summary": f"{self.summary}, {quantity.meaning}"}
+        return replace(self, name=f"{self.name}+{quantity.term}", own=(*self.own, quantity), **more)
+
+    def with_term(self, term: str) -> Rung:
+        """Return a rung with an optional term, or an effect of the user's own by its name."""
+        if ":" in term or term in added("airpuck.effects"):
+            return self.with_effect(effect_named(term), term=term)
+        if term not in TERMS:
+            raise InputError(
+                f"there is no term {term!r}; choose from {', '.join(TERMS)}, FILE.py:NAME"
+                f"{nearest(term, TERMS)}",
+                field="model",
+            )
+        if TERMS[term] in self.effects:
+            raise InputError(f"{self.name!r} has the term {term!r} twice", field="model")
+        name, summary = f"{self.name}+{term}", f"{self.summary}, {term}"
+        return replace(self, name=name, summary=summary, effects=(*self.effects, TERMS[term]))
 
     def mask(
         self, parameters: Parameters, vehicle: Vehicle | None = None
     ) -> Bool[np.ndarray, " P"]:
         """Mark the free entries; a craft with wheels needs its vehicle."""
-        mask = parameters.mask(self.free.union(self.effects))
+        mask = parameters.mask(self.free.union(self.effects, (q.name for q in self.own)))
         n, degree = np.shape(parameters.thrust)
         # The thrust coefficients come first in the vector.
         curves = mask[: n * degree].reshape(n, degree)
@@ -135,7 +202,8 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     Parameters
     ----------
     name : str
-        A rung in `RUNGS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``.
+        A rung in `RUNGS`, and optional terms in `TERMS`, for example ``M3+inflow+pair``. The term
+        ``FILE.py:NAME`` or ``MODULE:NAME`` is an effect of your own (`Rung.with_effect`).
     degree : int, optional
         Degree of the thrust polynomials; by default as in the vehicle's nominal thrust.
     frame : {"body", "world"}, default "body"
@@ -169,17 +237,59 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
         )
     rung = replace(RUNGS[base], degree=degree, frame=frame)
     for term in terms:
-        if term not in TERMS:
-            raise InputError(
-                f"there is no term {term!r}; choose from {', '.join(TERMS)}{nearest(term, TERMS)}",
-                field="model",
-            )
-        if TERMS[term] in rung.effects:
-            raise InputError(f"{name!r} has the term {term!r} twice", field="model")
-        rung = replace(
-            rung,
-            name=f"{rung.name}+{term}",
-            summary=f"{rung.summary}, {term}",
-            effects=(*rung.effects, TERMS[term]),
-        )
+        rung = rung.with_term(term)
     return rung
+
+
+def rung_of(name: str, own: tuple[Quantity, ...], frame: CenterOfMassFrame) -> Rung:
+    """Return the rung of a model with the user's effects `own`, whatever their code is now."""
+    terms = {quantity.term for quantity in own}
+    rung = named_rung("+".join(p for p in name.split("+") if p not in terms), frame=frame)
+    summary = ", ".join([rung.summary, *(quantity.meaning for quantity in own)])
+    return replace(rung, name=name, summary=summary, own=own)
+
+
+def with_code(name: str | os.PathLike[str]) -> tuple[Any, tuple[type[Effect], ...]]:
+    """Split ``model.toml+FILE.py:NAME`` into the file and the effects that its reader names."""
+    path, _, sources = str(name).partition(".toml+")
+    if not sources or Path(name).exists():
+        return name, ()
+    return f"{path}.toml", tuple(map(effect_named, sources.split("+")))
+
+
+def effect_named(name: str) -> type[Effect]:
+    """Return the user's effect FILE.py:NAME, MODULE:NAME, or of an entry point."""
+    if ":" not in name:
+        return loaded("airpuck.effects", name)
+    path, _, attribute = name.rpartition(":")
+    if not path.endswith(".py"):
+        try:
+            return getattr(import_module(path), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"cannot be imported: {error}", file=name, field="model") from error
+    changed = Path(path).stat().st_mtime_ns if Path(path).is_file() else 0
+    return _in_file(name, changed)
+
+
+@cache
+def _in_file(name: str, _changed: int) -> type[Effect]:
+    """Run a user's file once, so that the class stays the same."""
+    return UserCode(name, "--model").kind
+
+
+def _try(parameters: Parameters, vehicle: Vehicle) -> None:
+    """Evaluate the user's effects once, at rest; raise InputError if one fails."""
+    rest = BodyMotion(*np.zeros((3, 1)), *np.ones((2, 1)), *np.zeros((2, 1)))
+    layout, thrust = parameters.layout(np, vehicle), np.ones((vehicle.n_propellers, 1))
+    for quantity in parameters.own:
+        assert quantity.effect is not None
+        try:
+            effect = quantity.effect.of(layout, getattr(parameters, quantity.name))
+            sizes = [np.shape(part) for part in effect.acceleration(np, rest)]
+            changed = np.shape(effect.thrust(np, thrust, rest))
+        except Exception as error:  # of the user's code
+            problem = f"fails at rest: {type(error).__name__}: {error}"
+            raise InputError(problem, file=quantity.term, field="model") from error
+        if not set(sizes) <= {(), (1,)} or len(sizes) != 3 or changed != thrust.shape:
+            problem = "must return three accelerations, and thrusts in the shape that it is given"
+            raise InputError(problem, file=quantity.term, field="model")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_origin
 
@@ -11,12 +12,15 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import added
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.cameras import Cameras
-from airpuck.model.parameters import Parameters
-from airpuck.model.quantities import QUANTITIES, Rows
+from airpuck.model.parameters import Parameters, with_own
+from airpuck.model.quantities import QUANTITIES, Quantity, Rows, quantity_of
+from airpuck.model.rungs import effect_named
 from airpuck.model.uncertainty import Bootstrap, DelayJitter, Uncertainty
+from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
 
@@ -39,9 +43,25 @@ def _one_field_each(section: type[Section], *, bounded: bool) -> type[Section]:
 class ParametersSection(_one_field_each(Section, bounded=True)):
     """The table ``[parameters]``."""
 
+    #: Coefficients of the effects in ``[effects]``.
+    effects: dict[str, tuple[float, ...]] = pydantic.Field(default_factory=dict)
+
 
 class StandardErrors(_one_field_each(NanSection, bounded=False)):
     """The table ``[uncertainty.standard_errors]``."""
+
+    #: Of the effects in ``[effects]``.
+    effects: dict[str, tuple[float, ...]] = pydantic.Field(default_factory=dict)
+
+
+class OwnEffect(NanSection):
+    """One of ``[effects]``: an effect of the user's own, by its name."""
+
+    #: Its class: FILE.py:NAME or MODULE:NAME.
+    source: str
+    #: By coefficient: where a fit starts, and its bounds.
+    start: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
 
 
 def model_content(model: Any) -> dict[str, Any]:
@@ -60,6 +80,8 @@ def model_content(model: Any) -> dict[str, Any]:
         "fit": dict(model.fit),
         "data": dict(model.data),
     }
+    if model.parameters.own:
+        content["effects"] = {q.name: _declaration(q) for q in model.parameters.own}
     if model.known is not None:
         known = uncertainty_content(model.known, model.parameters, model.vehicle)
         content["uncertainty"] = known
@@ -70,12 +92,26 @@ def model_content(model: Any) -> dict[str, Any]:
     return content
 
 
+def _declaration(quantity: Quantity) -> dict[str, Any]:
+    """Return what a model file holds of a user's effect."""
+    names = quantity.entries((), 0)
+    bounds = dict(zip(names, zip(*quantity.bounds, strict=True), strict=True))
+    start = dict(zip(names, np.ravel(quantity.start).tolist(), strict=True))
+    return {"source": quantity.term, "start": start, "bounds": bounds}
+
+
 def parameters_content(parameters: Parameters) -> dict[str, Any]:
     """Return the numbers of all quantities by their keys."""
-    return {q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.quantities}
+    own = {q.key: np.asarray(getattr(parameters, q.name)).tolist() for q in parameters.own}
+    content = {
+        q.key: np.asarray(getattr(parameters, q.name)).tolist()
+        for q in parameters.quantities
+        if q.key not in own
+    }
+    return content | ({"effects": own} if own else {})
 
 
-def read_parameters(section: Any, vehicle: Vehicle) -> Parameters:
+def read_parameters(section: Any, vehicle: Vehicle, own: Sequence[Quantity] = ()) -> Parameters:
     """Return the parameters in a table; raise InputError if numbers do not fit the vehicle."""
     values = {}
     for quantity in QUANTITIES:
@@ -98,7 +134,40 @@ def read_parameters(section: Any, vehicle: Vehicle) -> Parameters:
             f"must have 3 rows of {n} numbers, one for each propeller",
             field="parameters.configuration_matrix_SI",
         )
-    return Parameters(**values)
+    for quantity in own:
+        if len(section.effects.get(quantity.name, ())) != len(quantity.entries((), 0)):
+            names = ", ".join(quantity.entries((), 0))
+            field = f"parameters.effects.{quantity.name}"
+            raise InputError(f"must have one number for each of {names}", field=field)
+    values = Parameters(**values)
+    return with_own(values, {q: section.effects[q.name] for q in own}) if own else values
+
+
+def read_own(
+    declared: Mapping[str, OwnEffect], given: Sequence[type[Effect]]
+) -> Iterator[Quantity]:
+    """Yield the quantities of the user's effects, whose classes are given or imported already.
+
+    A file never runs code that its reader has not named.
+    """
+    for name, one in declared.items():
+        module, _, attribute = one.source.rpartition(":")
+        found = {kind.__name__: kind for kind in given}.get(attribute or one.source)
+        if found is None and module in sys.modules:
+            found = getattr(sys.modules[module], attribute, None)
+        if found is None and one.source in added("airpuck.effects"):
+            found = effect_named(one.source)
+        if found is None:
+            raise InputError(
+                f"uses code that is not in the file, {one.source}: append +{one.source} to the "
+                f"name of the model, or call read_model(…, effects=[{attribute}])",
+                field=f"effects.{name}",
+            )
+        quantity = quantity_of(found, one.source, one.start, one.bounds)
+        if quantity.name != name or set(quantity.entries((), 0)) != set(one.start):
+            problem = f"was learned with another {name} than {one.source}: identify it again"
+            raise InputError(problem, field=f"effects.{name}")
+        yield quantity
 
 
 def read_free(
@@ -180,6 +249,8 @@ class ModelFile(Section):
     encoder_indexing: Literal["start", "end"] = "start"
     #: Values of the parameters.
     parameters: ParametersSection
+    #: Effects of the user's own. Their code is not in the file: whoever reads the file names it.
+    effects: dict[str, OwnEffect] = pydantic.Field(default_factory=dict)
     #: What was learned: true, false, or one boolean for each entry. Its keys are names of
     #: quantities without units, such as ``thrust``. A missing key means not learned.
     free: dict[str, bool | tuple[bool, ...]] = pydantic.Field(default_factory=dict)
@@ -219,7 +290,7 @@ def uncertainty_content(
         "standard_errors": {
             key: value
             for key, value in parameters_content(parameters.with_vector(errors)).items()
-            if np.isfinite(value).any()
+            if key == "effects" or np.isfinite(value).any()
         },
     }
     if bootstrap is not None:
@@ -274,7 +345,7 @@ def _standard_errors(section: Any, parameters: Parameters) -> Float[np.ndarray, 
     """Return the standard errors of all entries."""
     given = {}
     for quantity in parameters.quantities:
-        errors = getattr(section, quantity.key)
+        errors = getattr(section, quantity.key, section.effects.get(quantity.name))
         if errors is None:
             continue
         array = _array(errors) if isinstance(errors, tuple) else np.array(errors)

@@ -2,12 +2,14 @@
 
 An effect changes the thrusts, or adds accelerations; `airpuck.physics.rigid_body.acceleration`
 applies the effects of `Dynamics.effects` in order. All are array operations with the batch as last
-axis. A new effect is a class here, and an entry in `airpuck.model.quantities`. The class also
-bounds its contribution; without these bounds a plan has no lower bound on its time.
+axis. A new effect is a class here, and an entry in `airpuck.model.quantities`; an effect of a user
+needs no entry (`Rung.with_effect`). The class also bounds its contribution; without these bounds a
+plan has no lower bound on its time.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -67,10 +69,31 @@ def _unknown(*_: Any) -> None:
 class Effect:
     """Base of all effects: changes nothing.
 
-    A subclass that overrides `thrust` also implements `thrust_bounds`; a subclass that overrides
-    `acceleration` implements `acceleration_bound`. If it does not, or if either returns None, no
-    bound is known.
+    Fields of a subclass that have a number as default are its coefficients; a fit starts there. All
+    arithmetic uses the array namespace `xp`, since fits differentiate it. A subclass that overrides
+    `thrust` also implements `thrust_bounds`; a subclass that overrides `acceleration` implements
+    `acceleration_bound`. If it does not, or if either returns None, no bound is known.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True, eq=False)
+    ... class SpinDrag(airpuck.Effect):
+    ...     '''Linear drag of the spin.'''
+    ...     rate: float = 0.1
+    ...     unit = "1/s"
+    ...     bounds = {"rate": (0.0, 10.0)}
+    ...     def acceleration(self, xp, motion):
+    ...         return 0.0, 0.0, -self.rate * motion.spin
+    ...
+    >>> airpuck.named_rung("M3").with_effect(SpinDrag).initial(model.vehicle).spin_drag
+    array([0.1])
     """
+
+    #: Units of the coefficients, separated by commas if they differ.
+    unit: ClassVar[str] = ""
+    #: Bounds of coefficients that a fit must respect, by name.
+    bounds: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     @classmethod
     def of(cls, layout: Layout, value: Any) -> Effect:

@@ -11,7 +11,6 @@ independent of the body, so their exact solution at the stage times is used.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -79,12 +78,13 @@ class Dynamics:
         return any(effect.of_place for effect in self.effects)
 
 
-@cache
 def register_pytrees() -> None:
-    """Let JAX see the arrays inside `Dynamics` and all effects."""
+    """Let JAX see the arrays inside `Dynamics` and all effects, also those defined since."""
     register_pytree(Dynamics, static="frame")
-    for kind in Effect.__subclasses__():
+    kinds = Effect.__subclasses__()
+    for kind in kinds:
         register_pytree(kind)
+        kinds += kind.__subclasses__()
 
 
 def turned(xp: Any, vectors: Any, angle: Any) -> Any:

@@ -15,7 +15,6 @@ from airpuck.evaluation.main_quantities import (
 from airpuck.evaluation.presentation import NOT_IDENTIFIED
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import IN_MATRIX, QUANTITIES
-from airpuck.model.rungs import named_rung
 from airpuck.report.page import PageTable
 
 #: Quantities in the order of the paper's table:models.
@@ -58,7 +57,7 @@ def ladder_table(models: Sequence[Model]) -> PageTable:
     """Tabulate the free parameters of each rung (table:models)."""
     rows = []
     for model in models:
-        rung, cells = named_rung(model.name), []
+        rung, cells = model.rung, []
         for quantity in _LADDER:
             if quantity.name in rung.free:
                 cells.append(Cell("free", True))
