@@ -3,7 +3,7 @@
 A client stamps poses when it gets them: in bursts, and later by whatever the network took. Cameras
 expose at a constant rate, so the exposures are a line through the earliest arrivals, and a pose is
 on the frame that its number says. A lost frame is one number more: later poses are late by a period
-for good.
+for good. Where arrivals allow several frames, the motion decides: a craft does not jerk to and fro.
 """
 
 from __future__ import annotations
@@ -34,8 +34,17 @@ _KEPT = 0.7
 #: Step of the earliest arrivals that is a lost frame, and speed at which the reference follows the
 #: clocks' drift, per pose.
 _LOST, _FOLLOWS = 0.6, 0.02
-#: Spread of the earliest arrivals about the line, in periods, above which frames were miscounted.
-_SPREAD = 0.45
+#: Spread of the earliest arrivals about the line, in periods, above which frames were miscounted,
+#: and above which the motion does not help, either; relative error of a nominal rate.
+_SPREAD, _HOPELESS, _NOMINAL = 0.45, 1.0, 0.1
+#: How often frames are counted, and then chosen by the motion; how far a choice moves a pose, and
+#: by how much its latency may then be below 0 or above the usual ones [periods].
+_ROUNDS, _MOVES, _BELOW, _ABOVE = 3, np.arange(-2, 3), 0.3, 0.1
+#: Cost of a move by a frame, which counts if the motion does not tell, and the most that a jump
+#: costs, in squared standard errors.
+_MOVE_COST, _JUMP_COST = 4.0, 60.0
+#: Poses whose costs are computed at once, which bounds memory.
+_AT_ONCE = 1 << 12
 #: Repeats of a pose, as a fraction of all poses, that a logger must have made: in runs of at most
 #: this length [periods, s].
 _REPEATS, _RUN_PERIODS, _RUN_S = 0.005, 3, 5 / 240
@@ -54,7 +63,7 @@ def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
     if not (share > _MANY or stream.rate_hz or warnings):
         return stream, warnings
-    found = _exposures(time, stream.rate_hz)
+    found = _exposures(time, stream.values, stream.rate_hz)
     if share > _MANY:
         said = f"poses are stamped on arrival ({100 * share:.0f} % of the steps are far too short)"
     else:
@@ -106,7 +115,7 @@ def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
 
 
 def _exposures(
-    time: Float[np.ndarray, " N"], rate: float | None
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], rate: float | None
 ) -> tuple[Float[np.ndarray, " N"], float] | None:
     """Return the times of the exposures and the cameras' period; None if they are unclear."""
     mean = float(time[-1] / (len(time) - 1))
@@ -119,17 +128,64 @@ def _exposures(
         periods = sorted([float(counted), *nominal], reverse=True)
     # The longest period that fits: shorter ones explain any arrivals, with more losses.
     for period in periods:
-        fitted, exposed, spread = period, time, np.inf
-        for _ in range(3):
-            frame = _frames(time, fitted)
-            line, spread = _earliest(time, frame, fitted)
-            fitted, exposed = float(line[0]), np.polyval(line, frame)
-            if not 0.9 * period < fitted < 1.1 * period:
-                spread = np.inf
+        line, spread, frame = np.array([period, 0.0]), np.inf, np.arange(len(time))
+        for attempt in range(2 * _ROUNDS):
+            if attempt < _ROUNDS:
+                frame = _frames(time, line[0])
+            elif spread < _HOPELESS * line[0]:
+                frame = _smoothest(frame, time - np.polyval(line, frame), values, line[0])
+            line, spread = _earliest(time, frame, line[0])
+            if abs(line[0] - period) > _NOMINAL * period:
                 break
-        if spread < _SPREAD * fitted:
-            return exposed, fitted
+        else:
+            if spread < _SPREAD * line[0]:
+                return np.polyval(line, frame), float(line[0])
     return None
+
+
+def _smoothest(
+    frame: Int[np.ndarray, " N"],
+    late: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N 3"],
+    period: float,
+) -> Int[np.ndarray, " N"]:
+    """Return the poses' frames, near the given ones, with which the motion is the smoothest.
+
+    A pose is where the two before it lead, with errors of all three. The best sequence follows from
+    dynamic programming over the frames of two poses in a row (Viterbi).
+    """
+    if frame[-1] - frame[0] == len(frame) - 1 or not np.isfinite(values).all():
+        return frame
+    steps = np.diff(np.column_stack([values[:, :2], np.unwrap(values[:, 2])]), axis=0)
+    ratio = (np.diff(frame)[1:] / np.diff(frame)[:-1])[:, None]
+    error = np.abs(steps[1:] - ratio * steps[:-1]) / np.sqrt(1 + ratio + ratio**2)
+    usual = np.median(error, axis=0)
+    steps = steps[:, usual > 0] / usual[usual > 0]
+    squares, products = (steps**2).sum(axis=1), (steps[1:] * steps[:-1]).sum(axis=1)
+    frames, latency = frame[:, None] + _MOVES, late[:, None] - period * _MOVES
+    most = np.quantile(late, 0.995) + _ABOVE * period
+    possible = (latency >= -_BELOW * period) & (latency <= most) | (_MOVES == 0)
+    own = np.where(possible, _MOVE_COST * np.abs(_MOVES), np.inf)
+    gap = frames[1] - frames[0][:, None]
+    cost = np.where(gap > 0, own[0][:, None] + own[1], np.inf)
+    best = np.zeros((len(frame), *cost.shape), dtype=np.int8)
+    for first in range(2, len(frame), _AT_ONCE):
+        part = np.arange(first, min(first + _AT_ONCE, len(frame)))
+        before, after = (frames[k][:, None] - frames[k - 1][:, :, None] for k in (part - 1, part))
+        allowed = np.where(after > 0, own[part][:, None], np.inf)
+        ratio = after[:, None] / np.maximum(before, 1)[..., None]
+        terms = (squares[part - 1], -2 * products[part - 2], squares[part - 2])
+        least, linear, square = (one[:, None, None, None] for one in terms)
+        error = (least + linear * ratio + square * ratio**2) / (1 + ratio + ratio**2)
+        # For each frame of a pose and of the one before, the best frame of the one before that.
+        for k, jump, last in zip(part, np.minimum(error, _JUMP_COST), allowed, strict=True):
+            total = cost[..., None] + jump
+            best[k] = total.argmin(axis=0)
+            cost = total.min(axis=0) + last
+    chosen = list(np.unravel_index(cost.argmin(), cost.shape))[::-1]
+    for k in range(len(frame) - 1, 1, -1):
+        chosen.append(best[k][chosen[-1], chosen[-2]])
+    return frame + _MOVES[chosen[::-1]]
 
 
 def _frames(time: Float[np.ndarray, " N"], period: float) -> Int[np.ndarray, " N"]:
