@@ -6,16 +6,17 @@ a file become the defaults of the mapping.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.csv_table import CsvTable, Rows, beginning, table_below
 from airpuck.recording.files import chosen_body
-from airpuck.recording.mapping import Orientation
+from airpuck.recording.mapping import AXES, Orientation
 
 _MOTIVE = "Format Version"
 _QUALISYS = ("NO_OF_FRAMES", "FILE_VERSION")
@@ -40,18 +41,51 @@ def is_export(path: Path) -> bool:
     return start.startswith((_MOTIVE, *_QUALISYS)) or first in VICON
 
 
+class _Layout(NamedTuple):
+    """Where an export has its columns."""
+
+    #: The last row above the numbers.
+    header: int
+    #: Rigid body of each column, empty if it has none, and the column's name for that body.
+    bodies: Sequence[str]
+    names: Sequence[str]
+    #: Defaults of the mapping.
+    usual: dict[str, Any]
+
+
 def read_export(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]] | None:
     """Return a rigid body's columns and the mapping's defaults; None for other files."""
     first = rows.cells[0][0].strip()
+    is_vicon = first in VICON and not any(map(str.strip, rows.cells[0][1:]))
     if first == _MOTIVE:
-        return _motive(rows, body)
-    if first in VICON and not any(map(str.strip, rows.cells[0][1:])):
-        return _vicon(rows, body)
-    return _qualisys(rows, body) if first in _QUALISYS else None
+        layout = _motive(rows)
+    elif is_vicon:
+        layout = _vicon(rows)
+    elif first in _QUALISYS:
+        layout = _qualisys(rows)
+    else:
+        return None
+    chosen = chosen_body(filter(None, layout.bodies), body, rows.path)
+    named = enumerate(zip(layout.names, layout.bodies, strict=False))
+    places = {name: place for place, (name, of) in named if of == chosen}
+    needed = (*layout.usual["position"], *layout.usual["orientation"].columns)
+    missing = [name for name in needed if name not in places]
+    if missing:
+        raise InputError(
+            f"has no column {', '.join(missing)} of this rigid body; export position and rotation",
+            file=rows.path,
+        )
+    if is_vicon:
+        if layout.usual["units"][0] not in _VICON_UNITS:
+            raise InputError("is a Vicon export without the units of its columns", file=rows.path)
+        table = _of_frames(rows, layout.header, places)
+    else:
+        table = table_below(rows, layout.header, {**places, _TIME: 1})
+    return table, {"time": _TIME, **layout.usual}
 
 
-def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
-    """Read a Motive export: rows of types, names, kinds (Rotation, Position) and axes."""
+def _motive(rows: Rows) -> _Layout:
+    """Describe a Motive export: rows of types, names, kinds (Rotation, Position) and axes."""
     cells = rows.cells
     about = dict(zip(cells[0][::2], cells[0][1::2], strict=False))
     header = _header(rows)
@@ -59,17 +93,11 @@ def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     types = next((index for index, row in enumerate(above) if "Rigid Body" in row), None)
     if types is None or len(above) < types + 3:
         raise InputError("contains no rigid body; export rigid bodies, too", file=rows.path)
-    names, kinds, axes = above[types + 1], above[-1], cells[header]
-    width = min(len(above[types]), len(names), len(kinds), len(axes))
-    of_bodies = [index for index in range(width) if above[types][index].strip() == "Rigid Body"]
-    chosen = chosen_body([names[index] for index in of_bodies], body, rows.path)
-    places = {
-        f"{kinds[index]} {axes[index]}".strip(): index
-        for index in of_bodies
-        if names[index] == chosen
-    }
+    columns = list(zip(above[types], above[types + 1], above[-1], cells[header], strict=False))
+    bodies = [name if kind.strip() == "Rigid Body" else "" for kind, name, *_ in columns]
+    names = [f"{part} {axis}".strip() for *_, part, axis in columns]
     order = about.get("Rotation Type", "").strip()
-    if "Rotation W" in places:
+    if "Rotation W" in names:
         orientation = Orientation("quaternion", tuple(f"Rotation {axis}" for axis in "XYZW"))
     elif sorted(order) == ["X", "Y", "Z"]:
         # Motive's angles are about moving axes, like SciPy's capital letters.
@@ -80,90 +108,72 @@ def _motive(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
     if unit not in _LENGTHS:
         problem = f"is {unit or 'missing'}, not one of {', '.join(_LENGTHS)}"
         raise InputError(problem, file=rows.path, field="Length Units")
-    position = tuple(f"Position {axis}" for axis in _POSITION)
-    _check_places(places, (*position, *orientation.columns), rows.path)
-    table = table_below(rows, header, {**places, _TIME: 1})
-    return table, {
-        "time": _TIME,
-        "position": position,
+    usual = {
+        "position": tuple(f"Position {axis}" for axis in _POSITION),
         "orientation": orientation,
         "units": (_LENGTHS[unit], "deg"),
-        "axes": ("x", "-z", "y"),
+        "axes": AXES["Y-up"],
     }
+    return _Layout(header, bodies, names, usual)
 
 
-def _qualisys(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
-    """Read a 6D export of QTM: sixteen columns for each body, in mm and degrees."""
+def _qualisys(rows: Rows) -> _Layout:
+    """Describe a 6D export of QTM: sixteen columns for each body, in mm and degrees."""
     header = _header(rows)
     named = [name.strip() for name in rows.cells[header]]
-    bodies = [name.removesuffix(" X") for name in named if name.endswith(" X")]
-    if not bodies:
+    bodies = _filled(name.removesuffix(" X") if name.endswith(" X") else "" for name in named)
+    if not any(bodies):
         raise InputError("contains no rigid body; export 6D data", file=rows.path)
-    chosen = chosen_body(bodies, body, rows.path)
-    start = named.index(f"{chosen} X")
-    stop = next((k for k in range(start + 1, len(named)) if named[k].endswith(" X")), len(named))
-    places = {"X": start} | {named[index]: index for index in range(start + 1, stop)}
-    _check_places(places, (*_POSITION, *_ROTATION), rows.path)
-    table = table_below(rows, header, {**places, _TIME: 1})
-    return table, {
-        "time": _TIME,
+    usual = {
         "position": _POSITION,
         "orientation": Orientation("matrix", _ROTATION),
         "units": ("mm", "deg"),
     }
+    return _Layout(header, bodies, ["X" if n.endswith(" X") else n for n in named], usual)
 
 
-def _vicon(rows: Rows, body: str) -> tuple[CsvTable, dict[str, Any]]:
-    """Read a Vicon export: a title, the rate, rows of bodies, names and units, then frames.
+def _vicon(rows: Rows) -> _Layout:
+    """Describe a Vicon export: a title, the rate, rows of bodies, names and units, then frames."""
+    header = _header(rows, _SUBFRAME)
+    names = [name.strip() for name in rows.cells[header]]
+    below = rows.cells[header + 1] if header + 1 < len(rows.cells) else ()
+    units = dict(zip(names, map(str.strip, below), strict=False))
+    # "Global Angle puck:puck" is the object and its root segment.
+    titles = _filled(map(str.strip, rows.cells[header - 1][2:]))
+    bodies = ["", "", *(title.rpartition(" ")[2].rpartition(":")[2] for title in titles)]
+    kind = "quaternion" if "RW" in names else "vector"
+    usual = {
+        "position": _VICON_POSITION,
+        "orientation": Orientation(kind, _VICON_ROTATIONS[kind]),
+        "units": (units.get("TX", ""), "deg" if units.get("RX") == "deg" else "rad"),
+    }
+    return _Layout(header + 1, bodies, names, usual)
+
+
+def _of_frames(rows: Rows, header: int, places: dict[str, int]) -> CsvTable:
+    """Return columns of a Vicon export, and the times that follow from its rate.
 
     Other parts, such as trajectories of markers, may follow after an empty line.
     """
-    header = _header(rows, _SUBFRAME)
     try:
         rate = float(rows.cells[1][0])
     except ValueError:
         rate = 0.0
-    if header < 3 or not 0 < rate < math.inf:
+    if header < 4 or not 0 < rate < math.inf:
         raise InputError("is a Vicon export without its rate in line 2", file=rows.path)
-    names = [name.strip() for name in rows.cells[header]]
-    titles = list(rows.cells[header - 1])
-    for place in range(1, len(titles)):  # a title stands above the first of its columns
-        titles[place] = titles[place].strip() or titles[place - 1]
-    # "Global Angle puck:puck" is the object and its root segment.
-    bodies = [title.rpartition(" ")[2].rpartition(":")[2] for title in titles]
-    chosen = chosen_body(filter(None, bodies[2:]), body, rows.path)
-    places = {
-        name: place
-        for place, (name, of) in enumerate(zip(names, bodies, strict=False))
-        if of == chosen
-    }
-    kind = "quaternion" if "RW" in places else "vector"
-    rotation = _VICON_ROTATIONS[kind]
-    _check_places(places, (*_VICON_POSITION, *rotation), rows.path)
-    below = dict(enumerate(rows.cells[header + 1] if header + 1 < len(rows.cells) else ()))
-    length, angle = (below.get(places[name], "").strip() for name in ("TX", "RX"))
-    if length not in _VICON_UNITS:
-        raise InputError("is a Vicon export without the units of its columns", file=rows.path)
-    counted = {_FRAME: 0, _SUBFRAME: 1} | places
-    end = next(
-        (k for k in range(header + 2, len(rows.cells)) if not rows.cells[k][0].strip().isdigit()),
-        len(rows.cells),
-    )
-    kept = replace(
-        rows,
-        cells=rows.cells[:end],
-        lines=rows.lines[:end],
-        ends=rows.ends or end < len(rows.cells),
-    )
-    table = table_below(kept, header + 1, counted)
+    numbered = (row[0].strip().isdigit() for row in rows.cells[header + 1 :])
+    end = header + 1 + sum(itertools.takewhile(bool, numbered))
+    ends = rows.ends or end < len(rows.cells)
+    kept = replace(rows, cells=rows.cells[:end], lines=rows.lines[:end], ends=ends)
+    table = table_below(kept, header, {_FRAME: 0, _SUBFRAME: 1} | places)
     frames = table.numbers(_FRAME, int)
     columns = {**table.columns, _TIME: list(map(repr, ((frames - 1) / rate).tolist()))}
-    return replace(table, columns=columns), {
-        "time": _TIME,
-        "position": _VICON_POSITION,
-        "orientation": Orientation(kind, rotation),
-        "units": (length, "deg" if angle == "deg" else "rad"),
-    }
+    return replace(table, columns=columns)
+
+
+def _filled(titles: Iterable[str]) -> list[str]:
+    """Repeat each title over the columns without one that follow it."""
+    return list(itertools.accumulate(titles, lambda before, title: title or before))
 
 
 def _header(rows: Rows, second: str = _TIME) -> int:
@@ -175,12 +185,3 @@ def _header(rows: Rows, second: str = _TIME) -> int:
         f"has no row Frame, {second}, …; is it cut short, or was the export without times?",
         file=rows.path,
     )
-
-
-def _check_places(places: dict[str, int], needed: Sequence[str], path: Path) -> None:
-    missing = [name for name in needed if name not in places]
-    if missing:
-        raise InputError(
-            f"has no column {', '.join(missing)} of this rigid body; export position and rotation",
-            file=path,
-        )
