@@ -22,6 +22,8 @@ from airpuck.data.sampling import bridged, hold, mean_hold, runs, spaced, usual_
 #: Format of the file; others are rejected.
 FORMAT = "airpuck trajectory 1"
 
+#: A command may lie outside [0, 1] by rounding.
+_ROUNDING = 1e-9
 #: Time beside a longer pause in which smoothing is one-sided, so that velocities are noisy [s].
 _ONE_SIDED = 5.5 / 240
 
@@ -162,6 +164,9 @@ class Trajectory:
             raise InputError("must increase", file=self.source, field="time")
         if (np.diff(self.command_time) < 0).any():
             raise InputError("must not decrease", file=self.source, field="command_time")
+        lowest, highest = np.min(self.command, initial=0), np.max(self.command, initial=0)
+        if lowest < -_ROUNDING or highest > 1 + _ROUNDING:
+            raise InputError("must be in [0, 1]", file=self.source, field="command")
 
     def __len__(self) -> int:
         return len(self.time)
