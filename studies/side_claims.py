@@ -40,9 +40,9 @@ from airpuck.evaluation.main_quantities import physical_thrust
 from airpuck.model.model_file import published_model
 from airpuck.physics.thrust import lowest_slope
 from airpuck.recording.dataset import dataset_folder
-from airpuck.report.evaluation_report import errors_as_text
 from airpuck.report.page import PageSection, PageTable, Picture, write_page
 from airpuck.report.reproduce import TRAINING, VALIDATION
+from airpuck.report.tables import errors_as_text
 
 _PROTOCOL = "Errors: protocol “paper” on the validation recording; losses: on the training one."
 

@@ -16,7 +16,7 @@ from sphinx.pycode import ModuleAnalyzer
 from airpuck.boundary.files import Section
 from airpuck.boundary.results import plain
 from airpuck.boundary.settings import Settings, declared
-from airpuck.campaigns.spec import KINDS, Spec
+from airpuck.campaigns.campaign import KINDS, Spec
 from airpuck.control.reference import _SetPointsFile
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning

@@ -44,8 +44,8 @@ from airpuck.campaigns.fingerprint import (
     of_recording as of_recording,
 )
 from airpuck.campaigns.items import Item as Item, Row as Row, TwinTable as TwinTable
-from airpuck.campaigns.spec import Entry as Entry
 from airpuck.campaigns.workers import (
+    Entry as Entry,
     ItemResult as ItemResult,
     checked_workers as checked_workers,
     compute as compute,
@@ -132,9 +132,16 @@ from airpuck.report.table_canvas import hockey_shape as hockey_shape
 # Exports, and environments for reinforcement learning.
 from airpuck.export.kinds import ExportKind as ExportKind, Subject as Subject
 from airpuck.export.gym import (
+    BLUE as BLUE,
+    DrawnDisc as DrawnDisc,
     Environments as Environments,
     PilotPolicy as PilotPolicy,
+    RED as RED,
     TwinEnv as TwinEnv,
+    WHITE as WHITE,
+    check_render_mode as check_render_mode,
+    drawn_puck as drawn_puck,
+    picture as picture,
     register as register,
     write_environments as write_environments,
 )
@@ -150,13 +157,4 @@ from airpuck.export.gym_task import (
     checked_action as checked_action,
     observation_space as observation_space,
     read_world as read_world,
-)
-from airpuck.export.gym_picture import (
-    BLUE as BLUE,
-    DrawnDisc as DrawnDisc,
-    RED as RED,
-    WHITE as WHITE,
-    check_render_mode as check_render_mode,
-    drawn_puck as drawn_puck,
-    picture as picture,
 )

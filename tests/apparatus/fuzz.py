@@ -417,7 +417,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
         ),
         "mapping": toml(_MAPPING, "airpuck.recording.mapping", "read_mapping"),
         "plan": toml(_PLAN, "airpuck.control.settings", "read_excitation_plan"),
-        "campaign": toml(_CAMPAIGN, "airpuck.campaigns.spec", "read_spec"),
+        "campaign": toml(_CAMPAIGN, "airpuck.campaigns.campaign", "read_spec"),
         "set points": toml(_SETPOINTS, "airpuck.control.reference", "read_setpoints"),
     }
 

@@ -17,8 +17,7 @@ from airpuck import campaign
 from airpuck.campaigns import campaign as module
 from airpuck.campaigns.campaign import Campaign, read_result, statistics, write_result
 from airpuck.campaigns.items import Recovery, Tracking
-from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import ItemResult, compute
+from airpuck.campaigns.workers import Entry, ItemResult, compute
 
 from ..apparatus.commands import airpuck, refused
 

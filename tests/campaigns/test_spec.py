@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from airpuck import InputError
-from airpuck.campaigns.spec import read_spec
+from airpuck.campaigns.campaign import read_spec
 from airpuck.model.model_file import read_model
 from airpuck.twin.settings import default_twin_settings
 

@@ -11,8 +11,7 @@ import pytest
 from airpuck import InputError
 from airpuck.boundary.signals import Stopped, stop
 from airpuck.campaigns import workers as module
-from airpuck.campaigns.spec import Entry
-from airpuck.campaigns.workers import DEADLY, checked_workers, dispatch
+from airpuck.campaigns.workers import DEADLY, Entry, checked_workers, dispatch
 
 from ..apparatus.mortal_items import Mortal
 

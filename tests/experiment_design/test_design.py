@@ -20,8 +20,14 @@ from airpuck.experiment_design.design import (
     check_design,
     design,
 )
-from airpuck.experiment_design.forecast import ComparedQuantities, Forecast, Information, joined
-from airpuck.experiment_design.trials import Trial, fly_trial
+from airpuck.experiment_design.forecast import (
+    ComparedQuantities,
+    Forecast,
+    Information,
+    Trial,
+    fly_trial,
+    joined,
+)
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airpuck.data.trajectory import Span
-from airpuck.faults.chain import (
+from airpuck.faults.find import (
     RADIO_OUT,
     UNEXPLAINED,
     Fault,

@@ -8,8 +8,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 
 from airpuck.model.model_file import published_model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.report.fit_figures import parameter_figure, thrust_figure
-from airpuck.report.parameter_table import main_rows
+from airpuck.report.fit_figures import main_rows, parameter_figure, thrust_figure
 
 PLAIN = published_model("M3")
 

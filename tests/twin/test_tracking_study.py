@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.cli.flying import track_lines
 from airpuck.cli.output import write_json
 from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
-from airpuck.report.control_report import tracking_sections
+from airpuck.report.tables import tracking_tables
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
@@ -68,9 +67,7 @@ def test_missing_poses_at_the_end_of_a_dwell_are_reported(tmp_path):
     write_json(tmp_path / "track.json", flown[0].to_json())
     content = json.loads((tmp_path / "track.json").read_text(), parse_constant=pytest.fail)
     assert content["setpoints"][0]["steady_state_error"] is None
-    first, *_ = (line for line in track_lines(flown) if " to (" in line)
-    assert "no poses at the end" in first
-    table = tracking_sections(flown)[0].blocks[1]
+    (table,) = tracking_tables(flown)
     assert table.rows[0][4] == "no poses"
 
 

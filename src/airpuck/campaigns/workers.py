@@ -9,8 +9,9 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pydantic
 
@@ -19,9 +20,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
 from airpuck.campaigns.fingerprint import program
 from airpuck.campaigns.items import Item, Row
-
-if TYPE_CHECKING:
-    from airpuck.campaigns.spec import Entry
 
 #: Number of dead workers after which an item counts as failed.
 DEADLY = 3
@@ -38,6 +36,17 @@ _SETTINGS = {
     # Dask would warn about long runs of compiled code.
     "distributed.admin.tick.limit": "1h",
 }
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An item and its place in the campaign."""
+
+    #: Key of the item; equal computations have equal keys in all campaigns.
+    key: str
+    #: Values from the grid, by dotted field.
+    setting: dict[str, Any]
+    item: Item
 
 
 class ItemResult(pydantic.BaseModel):

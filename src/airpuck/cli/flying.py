@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,11 +17,9 @@ from airpuck.cli.output import page, report, show, warn
 from airpuck.control.settings import ControllerKind, Dwell
 
 if TYPE_CHECKING:
-    from airpuck.flight.replay import Replay
     from airpuck.recording.mapping import RecordingMapping
     from airpuck.recording.stream import Recording
     from airpuck.twin.experiments import Excited
-    from airpuck.twin.tracking_study import Tracked
 
 PANEL = "Control and flight"
 
@@ -44,6 +41,8 @@ def replay(
     json_file: options.Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with the recorded ones."""
+    from airpuck.report.tables import agreement_table, controller_tables
+
     craft = inputs.read_belief(model)
     settings = inputs.read_controls(tuning, regulator, craft)
     result = airpuck.replay(
@@ -53,8 +52,9 @@ def replay(
         fit_gains=fit_gains,
         span=span or (0.0, 1.0),
     )
+    tables = agreement_table(result), *controller_tables(result)
     written = page(output, "control_report.replay_report", result, craft, settings.period_s)
-    report(result.to_json(), json_file, *_replay_lines(result), written)
+    report(result.to_json(), json_file, *tables, written)
 
 
 @app.command(rich_help_panel=PANEL, rare=("tuning", "twin", "seed"))
@@ -141,6 +141,7 @@ def track(
     """
     from airpuck.control.reference import read_setpoints
     from airpuck.flight.pilot import pilot_named
+    from airpuck.report.tables import tracking_tables
 
     plant = airpuck.read_model(truth)
     controls = inputs.read_controls(tuning, None, plant)
@@ -185,7 +186,7 @@ def track(
         warn(flight.warnings)
     # The top level holds the last model's keys, too: with one model there is nothing to look up.
     flown = [flight.to_json() for flight in tracked]
-    report({**flown[-1], "flights": flown}, json_file, *track_lines(tracked), written)
+    report({**flown[-1], "flights": flown}, json_file, *tracking_tables(tracked), written)
 
 
 @app.command(rich_help_panel=PANEL)
@@ -230,22 +231,6 @@ def _flight(path: Path, mapping: RecordingMapping | None) -> Recording:
         raise
 
 
-def _replay_lines(replay: Replay) -> Iterator[str]:
-    """Yield lines on the agreement of recorded and computed commands."""
-    figures = replay.to_json()
-    for motor in figures["motors"]:
-        yield (
-            f"{motor['name']:16s} correlation {motor['correlation']:6.3f}   "
-            f"median difference {motor['median_abs']:.4f}"
-        )
-    yield f"{'all':16s} {'':18s}   median difference {figures['median_abs']:.4f}"
-    fitted, gains = "fitted" if replay.fitted else "from the tuning", figures["gains"]
-    if gains is not None:
-        yield f"gains {fitted}: " + ", ".join(f"{k} {v:.2f}" for k, v in gains.items())
-    outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
-    yield f"{figures['steps']} of {int(replay.span.sum())} steps compared; outcomes: {outcomes}"
-
-
 def _excitation_line(excited: Excited) -> str:
     """Return a line on how close the craft came to the rails."""
     contacts, met = excited.contacts, "none"
@@ -253,29 +238,3 @@ def _excitation_line(excited: Excited) -> str:
         times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
         met = f"{len(contacts)}, at {times} s (no model includes rails)"
     return f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {met}"
-
-
-def track_lines(flights: Sequence[Tracked]) -> Iterator[str]:
-    """Yield lines on how the craft reached each set point."""
-    from airpuck.flight.track import TOLERANCE
-
-    x, _, yaw = TOLERANCE
-    yield f"settled: stays within {1e3 * x:g} mm and {yaw:g} rad until the next set point"
-    yield "rests: mean offset at the end of the dwell, after settling"
-    if any(r.settling_time is None for flight in flights for r in flight.results):
-        yield "a point that is not settled may need more time: --dwell"
-    for flight in flights:
-        for result in flight.results:
-            time, end = result.settling_time, "no poses at the end"
-            settled = "did not settle" if time is None else f"settled after {time:.2f} s"
-            if result.steady_state_error is not None:
-                x, y, yaw = result.steady_state_error
-                end = f"rests {1e3 * x:6.1f} mm, {1e3 * y:6.1f} mm, {yaw:6.3f} rad away"
-            x, y, yaw = result.pose
-            yield f"{flight.label:8s} to ({x:4.1f}, {y:4.1f}, {yaw:4.1f}): {settled:18s} {end}"
-        if flight.rmse is not None:
-            x, y, yaw = flight.rmse
-            yield (
-                f"{flight.label:8s} twin against the real flight, over 6 s from the first move: "
-                f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {yaw:.3f} rad RMS"
-            )

@@ -18,7 +18,6 @@ from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load
 from airpuck.cli.output import (
-    error_table,
     is_stdout,
     origin,
     report,
@@ -161,6 +160,7 @@ def identify(
     """Identify a model from recordings and write it as TOML."""
     from airpuck.judgement.study import study
     from airpuck.model.rungs import named_rung
+    from airpuck.report.tables import error_tables
 
     rung = named_rung("M3" if model in (None, "auto") else model, degree=degree, frame=com_frame)
     if degree is not None and rung.powers is not None:
@@ -199,11 +199,9 @@ def identify(
     if report_folder is not None:
         _write_report(found, report_folder)
     warn(found.fit.warnings, quiet)
-    judged = (
-        []
-        if found.evaluation is None or other is None
-        else [error_table([found.model.name], [found.evaluation], other)]
-    )
+    judged = []
+    if found.evaluation is not None and other is not None:
+        judged = error_tables([found.model.name], [found.evaluation], other)[:1]
     told = *found.sentences, *judged, *_fit_summary(found.fit, verbose), output
     report(found.to_json(), json_file, *told, quiet=quiet)
     found.verdict.check_recording(recordings[0])

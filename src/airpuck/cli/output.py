@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from airpuck.data.trajectory import Trajectory
-    from airpuck.evaluation.evaluate import Evaluation
     from airpuck.identification.method import Iteration
     from airpuck.report.page import Origin
 
@@ -102,12 +100,17 @@ def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = Fals
 
     Items to print are lines, paths and tables; None is skipped.
     """
+    from airpuck.report.tables import PageTable
+
     write_json(json_file, figures)
     if quiet or is_stdout(json_file):
         return
     for part in shown:
         if isinstance(part, (str, Path)):
             show(part)
+        elif isinstance(part, PageTable):
+            title = part.caption.partition(". ")[0].removesuffix(".")
+            console().print(table(part.headings, part.rows, title=title, left=part.texts))
         elif part is not None:
             console().print(part)
 
@@ -194,45 +197,3 @@ def show_progress(quiet: bool) -> Iterator[Any]:
 def _line(iteration: Iteration) -> str:
     """Describe one iteration."""
     return f"iteration {iteration.number}: loss {iteration.loss:.4e}"
-
-
-def error_table(
-    names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
-) -> Table:
-    """Tabulate the errors of several models, and of a craft that coasts."""
-    from airpuck.evaluation.coasting import coasting
-
-    first = evaluations[0]
-    baseline = coasting(first, trajectory)
-    rows = []
-    for name, evaluation in zip([*names, baseline.model], [*evaluations, baseline], strict=True):
-        (x, y, yaw), (mx, my, myaw) = evaluation.rmse, evaluation.median_abs
-        errors = [f"{1e3 * value:.2f}" for value in (x, y, mx, my)]
-        rows.append([name, *errors[:2], f"{yaw:.4f}", *errors[2:], f"{myaw:.4f}"])
-    return table(
-        ("model", "x mm", "y mm", "yaw rad", "median x", "median y", "median yaw"),
-        rows,
-        title=f"Prediction error after {first.horizon_step * first.sample_period:.3f} s, "
-        f"{first.errors.shape[2]} windows, protocol {first.protocol.name}",
-    )
-
-
-def every_start_table(names: Sequence[str], evaluations: Sequence[Evaluation]) -> Table:
-    """Tabulate the errors of several models from every start, with their intervals."""
-    rows = []
-    for name, evaluation in zip(names, evaluations, strict=True):
-        found = evaluation.every_start
-        cells = []
-        for value, (low, high), factor, digits in zip(
-            found.rmse, found.interval.T, (1e3, 1e3, 1.0), (2, 2, 4), strict=True
-        ):
-            text = f"{factor * value:.{digits}f}"
-            known = f" ({factor * low:.{digits}f} to {factor * high:.{digits}f})"
-            cells.append(text + known if low == low else text)
-        rows.append([name, *cells])
-    first = evaluations[0].every_start
-    return table(
-        ("model", "x mm", "y mm", "yaw rad"),
-        rows,
-        title=f"From every start, {len(first.start)} windows that overlap (95 % interval)",
-    )

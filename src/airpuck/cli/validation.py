@@ -1,4 +1,4 @@
-"""Commands that evaluate models and recordings."""
+"""Commands that judge models and recordings, and show a vehicle file."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from airpuck.cli.inputs import (
     load_for,
     read_given,
 )
-from airpuck.cli.output import error_table, every_start_table, page, report, table, warn
+from airpuck.cli.output import page, report, table, warn
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from airpuck.control.authority import Authority
     from airpuck.data.trajectory import Span
     from airpuck.evaluation.drift import Drift
-    from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.presentation import Presentation
     from airpuck.model.model_file import Model
+
 
 #: Largest number of faults in a table.
 _MOST_SPANS = 30
@@ -56,6 +57,7 @@ def evaluate(
     from airpuck.evaluation.coasting import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.judgement.study import judged_on
+    from airpuck.report.tables import error_tables
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
@@ -65,7 +67,7 @@ def evaluate(
     content = [judged], [found], trajectory
     known = {judged.name: said}
     written = page(output, "evaluation_report.evaluation_report", *content, verdicts=known)
-    shown = error_table([model], [found], trajectory), every_start_table([model], [found])
+    shown = error_tables([model], [found], trajectory)
     figures = {
         **found.to_json(),
         "constant_velocity": coasting(found, trajectory).to_json(),
@@ -124,6 +126,7 @@ def faults(
     from airpuck.data.left_out import left_out_words
     from airpuck.data.trajectory import vehicle_of
     from airpuck.faults.strengths import actuator_strengths, on_table_of, usual_rung
+    from airpuck.report.tables import span_table
 
     healthy = read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else vehicle
@@ -135,7 +138,7 @@ def faults(
         healthy = fit.model
     found = airpuck.find_faults(trajectory, on_table_of(healthy, trajectory))
     strengths = actuator_strengths(healthy, trajectory)
-    written = page(output, "fault_report.fault_report", trajectory, found, healthy)
+    written = page(output, "evaluation_report.fault_report", trajectory, found, healthy)
     spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
     healthy_part = trajectory.leave_out(found)
     usable = float(healthy_part.usable.mean())
@@ -147,12 +150,7 @@ def faults(
         "spans": [{key: getattr(s, name) for key, name in names.items()} for s in spans],
         "strengths": strengths.to_json(),
     }
-    rows = [
-        [f"{s.start:.3f}", f"{s.stop:.3f}", s.cause, s.certainty]
-        for s in listed_spans(spans, _MOST_SPANS)
-    ]
-    headings = ("from s", "to s", "cause", "confidence")
-    shown = table(headings, rows, left=("cause",)) if spans else None
+    shown = span_table(listed_spans(spans, _MOST_SPANS)) if spans else None
     more = len(spans) - _MOST_SPANS
     folded = f"and {more} more; --json has all" if more > 0 else None
     what = "passing faults" if strengths.remarkable else "any fault"
@@ -195,6 +193,7 @@ def compare(
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
     from airpuck.judgement.verdict import verdict
+    from airpuck.report.tables import error_tables, fit_table
 
     chosen = PROTOCOLS[protocol].after(horizon)
     alone = models[-1].startswith("paper:") or models[-1].endswith(_MODEL_FILES)
@@ -228,11 +227,8 @@ def compare(
             for one in differences
         ]
         verdicts = [one.verdict for one in differences]
-        tables = (
-            error_table(called, evaluations, trajectory),
-            every_start_table(called, evaluations),
-        )
-        shown = [*tables, *verdicts, _fit_table(called, fits), *shown]
+        tables = error_tables(called, evaluations, trajectory)
+        shown = [*tables, *verdicts, fit_table(called, fits), *shown]
         said = {"names": called, "differences": verdicts, "fits": fits}
         content = read, evaluations, trajectory
         shown.append(page(output, "evaluation_report.evaluation_report", *content, **said))
@@ -272,6 +268,7 @@ def resid(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
+    from airpuck.report.tables import band_table, fit_table
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     with about(recording):
@@ -285,13 +282,8 @@ def resid(
     outcome = "nothing rejected" if tests.passed else "rejected"
     lines = [f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level"]
     lines += [left_out_words(trajectory), *(f"  {sentence}" for sentence in tests.verdicts)]
-    for one in bands:
-        shares = ", ".join(f"{share:.0f} %" for share in one.coverage)
-        lines.append(
-            f"  95 % bands {one.horizon:.1f} s ahead hold {shares} of x, y, yaw in "
-            f"{len(one.start)} predictions"
-        )
-    report({**figures, "name": model}, json_file, *lines, _fit_table([model], [fit]), written)
+    tables = band_table(bands), fit_table([model], [fit])
+    report({**figures, "name": model}, json_file, *lines, *tables, written)
 
 
 def listed_spans(spans: Sequence[Span], most: int) -> list[Span]:
@@ -316,37 +308,77 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
     yield from (f"note: {note}" for note in presentation.notes)
 
 
-def _fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> Table:
-    """Tabulate fit percentages and information criteria."""
-    from airpuck.evaluation.fit_measures import fit_text
-
-    headings = (
-        "fit % (x, y, yaw)",
-        f"{fits[0].steps} steps ahead",
-        f"simulated {fits[0].restart:g} s",
-        "simulated throughout",
-        "parameters",
-        "log-likelihood",
-        "AIC",
-        "BIC",
-    )
-    rows = []
-    for name, fit in zip(names, fits, strict=True):
-        percentages = [
-            " ".join(fit_text(values)) for values in (fit.k_step, fit.free_run, fit.whole)
-        ]
-        criteria = [f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)]
-        rows.append([name, *percentages, str(fit.parameters), *criteria])
-    return table(
-        headings,
-        rows,
-        title="Fit (100: perfect, 0: no better than the mean of the recording) and criteria from "
-        "one-step innovations (lower AIC and BIC are better)",
-    )
-
-
 def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
     """Return lines on the changes from one model to the other."""
     sentences = [*found.verdicts, *(f"note: {note}" for note in found.notes)]
     header = f"from {names[0]} to {names[1]}, {len(found.changes)} quantities:"
     return [header, *(f"  {sentence}" for sentence in sentences)]
+
+
+#: File suffixes of a drawing.
+_FORMATS = (".svg", ".png", ".pdf")
+
+
+@app.command(rich_help_panel=PANEL)
+def vehicle(
+    file: Annotated[Path, Argument(metavar="FILE", help="Vehicle file.")],
+    output: Annotated[
+        Path | None, options.output("FILE", "Drawing to write: craft.svg, .png or .pdf.")
+    ] = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Show a vehicle file: its propellers, and the motions they can produce."""
+    from airpuck.boundary.outputs import replacing
+    from airpuck.control.authority import control_authority
+    from airpuck.model.model_file import nominal_model
+
+    if output is not None and output.suffix not in _FORMATS:
+        raise InputError(f"must end in {', '.join(_FORMATS)}", file=output, field="-o")
+    model = nominal_model(airpuck.read_vehicle(file))
+    found = control_authority(model)
+    if output is not None:
+        from airpuck.report.craft import draw_craft
+
+        with replacing(output) as temporary:
+            temporary.write_bytes(draw_craft(model.vehicle, output.suffix))
+    report(
+        {**model.vehicle.model_dump(mode="json"), "motions": found.to_json()},
+        json_file,
+        _propeller_table(model),
+        _motion_table(found),
+        *found.sentences,
+        output,
+        quiet=quiet,
+    )
+
+
+def _propeller_table(model: Model) -> Table:
+    """Tabulate position and effect of each propeller at full command."""
+    craft, effects = model.vehicle, model.propeller_effects
+    rows = []
+    for number, (channel, effect, curve) in enumerate(
+        zip(craft.actuation.channels, effects.T, model.dynamics.thrust, strict=True), start=1
+    ):
+        x, y = channel.position_m
+        turn = effect[2] / max(abs(effect).max(), 1e-300)
+        turns = "left" if turn > 0.01 else "right" if turn < -0.01 else "neither way"
+        numbers = [f"{value:.1f}" for value in (1e3 * x, 1e3 * y, channel.direction_deg)]
+        strength = f"{sum(curve):.3f}"
+        if channel.is_wheel:
+            numbers, strength = ["", "", "wheel"], f"{sum(curve):.3g} N m"
+        rows.append([str(number), channel.name, *numbers, strength, turns])
+    headings = ("", "propeller", "x mm", "y mm", "pushes towards °", "full thrust N", "turns it")
+    title = f"{craft.name}: {1e3 * craft.mass_kg:.4g} g, radius {1e3 * craft.radius_m:.4g} mm"
+    return table(headings, rows, title=title, left=("propeller", "turns it"))
+
+
+def _motion_table(found: Authority) -> Table:
+    """Tabulate the strength of each motion."""
+    units = {name: "rad/s²" if name.startswith("turn") else "m/s²" for name in found.alone}
+    rows = [
+        [name, *(f"{value:.2f}" if value else "none" for value in (found.alone[name], most)), unit]
+        for (name, most), unit in zip(found.together.items(), units.values(), strict=True)
+    ]
+    headings = ("motion", "nothing else", "with others", "")
+    return table(headings, rows, title="Largest accelerations", left=("motion", ""))

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.notebook import html_table
 from airpuck.boundary.numbers import check_finite
 from airpuck.boundary.outputs import replacing
+from airpuck.boundary.results import html_table
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.sampling import bridged, hold, mean_hold, runs, spaced, usual_period
 

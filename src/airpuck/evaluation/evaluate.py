@@ -15,8 +15,7 @@ from jaxtyping import Float, Int
 
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.notebook import html_table
-from airpuck.boundary.results import Result, plain
+from airpuck.boundary.results import Result, html_table, plain
 from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.deviation.time_scale import forgetting_time, showing_time

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.notebook import html_table
-from airpuck.boundary.results import Result
+from airpuck.boundary.results import Result, html_table
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import LAG

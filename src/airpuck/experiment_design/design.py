@@ -21,10 +21,14 @@ from airpuck.experiment_design.forecast import (
     ComparedQuantities,
     Forecast,
     Information,
+    Progress,
+    Trial,
+    fly,
+    fly_trial,
     joined,
     loss_of,
+    on_processes,
 )
-from airpuck.experiment_design.trials import Progress, Trial, fly, fly_trial, on_processes
 from airpuck.identification.fit import identify
 from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import Model

@@ -10,9 +10,8 @@ from typing import Any
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.finding import Finding
-from airpuck.boundary.notebook import html_table
 from airpuck.boundary.numbers import percent
-from airpuck.boundary.results import Result
+from airpuck.boundary.results import Result, html_table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate

@@ -18,8 +18,8 @@ from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import checked, write_toml
 from airpuck.boundary.kinds import nearest
-from airpuck.boundary.notebook import frame
 from airpuck.boundary.parsing import load_toml
+from airpuck.boundary.results import frame
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import read_params_json, read_params_yaml
@@ -28,7 +28,10 @@ from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of, with_code
 from airpuck.model.sections import (
     ModelFile,
+    covariance_rows,
     model_content,
+    parameter_rows,
+    parameters_html,
     read_free,
     read_own,
     read_parameters,
@@ -36,7 +39,6 @@ from airpuck.model.sections import (
     with_nominal_delay,
 )
 from airpuck.model.simulation import derivative, draw, simulate
-from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
 from airpuck.model.uncertainty import DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics

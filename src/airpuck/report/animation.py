@@ -3,7 +3,23 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, FancyBboxPatch, Patch, Polygon, Rectangle
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
+from PIL import GifImagePlugin, Image
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
@@ -12,7 +28,9 @@ from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
-from airpuck.report.scene import TABLE, read_scene
+from airpuck.report import scene as moments
+from airpuck.report import style
+from airpuck.report.scene import PAUSE, TABLE, FlightScene, Frames, GameScene, read_scene
 
 #: Most frames of a GIF; more would take hundreds of megabytes.
 _MOST_FRAMES = 10_000
@@ -85,8 +103,6 @@ def animate(
         )
     with replacing(target) as temporary:
         if suffix == ".gif":
-            from airpuck.report.animation_gif import write_animation_gif
-
             write_animation_gif(scene, temporary, speed=speed, frames_per_second=frames_per_second)
         else:
             from airpuck.report.table_canvas import write_animation_page
@@ -101,3 +117,347 @@ def _sized(length: float, width: float) -> AirHockey:
         numbers.TABLE_SIDE.check(side, "table")
     table = TABLE.table.model_copy(update={"length_m": length, "width_m": width})
     return TABLE.model_copy(update={"table": table})
+
+
+#: Width of the picture, largest size of the table, and the margins [in].
+_WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
+_LEFT, _HEADER, _LEGEND, _PANELS, _BOTTOM, _GAP = 0.5, 0.46, 0.34, 1.2, 0.5, 0.42
+#: Height of the panels with their titles, and of the tick labels below the table [in].
+_BELOW, _TICKS = _BOTTOM + _PANELS + 0.2, 0.25
+#: Room for the rails around the table [m].
+_RAIL = 0.035
+#: Colours of the GIF; the next index marks an unchanged pixel.
+_COLORS = 255
+#: Marker of the pose and the set point over time.
+_DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "clip_on": False}
+
+
+def write_animation_gif(
+    scene: FlightScene, path: Path, *, speed: float, frames_per_second: float
+) -> None:
+    """Write a GIF."""
+    times = moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
+    frames = moments.frames_at(scene, times)
+    background = _Background(moments.thinned(scene), frames, speed)
+    count = len(frames.time)
+    samples = [background.picture(count * k // 6) for k in range(6)]
+    pictures = (background.picture(k) for k in range(count))
+    _write_gif(path, pictures, _palette(samples, background.colors), frames_per_second)
+
+
+def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Image:
+    """Return a palette for all frames: the given colours, the most frequent ones, then others."""
+    together = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
+    counted = together.getcolors(together.width * together.height) or []
+    common = [color for _, color in sorted(counted, reverse=True)[:64]]
+    others = np.reshape(together.quantize(_COLORS).getpalette() or [], (-1, 3))
+    kept = np.rint(255 * np.array([to_rgb(color) for color in wanted]))
+    for color in [*common, *others]:
+        # Pillow's lookup is coarse: a colour close to white, say, would replace white.
+        if np.abs(kept - color).max(axis=1).min() > 10 and len(kept) < _COLORS:
+            kept = np.vstack([kept, color])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(kept.astype(np.uint8).tobytes())
+    return palette
+
+
+def _write_gif(
+    path: Path, pictures: Iterable[Image.Image], palette: Image.Image, frames_per_second: float
+) -> None:
+    """Stream frames that hold only the changes; Pillow's `save` would hold all in memory."""
+    before, ticks = None, 0
+    with path.open("wb") as file:
+        for number, picture in enumerate(pictures, start=1):
+            now = picture.quantize(palette=palette, dither=Image.Dither.NONE)
+            pixels = np.asarray(now)
+            until = round(100 * number / frames_per_second)  # a GIF counts hundredths of a second
+            about: dict[str, Any] = {"duration": 10 * (until - ticks), "disposal": 1}
+            corner = (0, 0)
+            if before is None:
+                file.writelines(GifImagePlugin.getheader(now, info={"loop": 0})[0])
+            else:
+                changed = pixels != before
+                box = Image.fromarray(changed).getbbox() or (0, 0, 1, 1)
+                now = Image.fromarray(np.where(changed, pixels, np.uint8(_COLORS))).crop(box)
+                corner = box[:2]
+                about["transparency"] = _COLORS
+            file.writelines(GifImagePlugin.getdata(now, corner, **about))
+            before, ticks = pixels, until
+        file.write(b";")
+
+
+class _Background:
+    """A static background on which each frame is drawn."""
+
+    def __init__(self, scene: FlightScene, frames: Frames, speed: float) -> None:
+        self.scene, self.frames = scene, frames
+        self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
+        self.colors += style.BOUND_COLORS.values() if scene.plans else ()
+        self.colors += (style.BLUE, style.VERMILLION) if scene.game is not None else ()
+        self.figure = _scenery(scene, speed)
+        self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
+        canvas = self.figure.canvas
+        assert isinstance(canvas, FigureCanvasAgg)
+        canvas.draw()
+        self.canvas, self.background = canvas, canvas.copy_from_bbox(self.figure.bbox)
+
+    def picture(self, k: int) -> Image.Image:
+        """Draw frame k."""
+        self.canvas.restore_region(self.background)  # pyright: ignore[reportAttributeAccessIssue]
+        table, *panels, motors, legend = self.figure.axes
+        now = float(self.frames.time[k])
+        for artist in _moving_on_table(self.scene, self.frames, self.arrows[k], k):
+            _draw(table, artist)
+        for i, axes in enumerate([*panels, motors]):
+            high: dict[str, Any] = {"transform": axes.get_xaxis_transform()}
+            rest = max(self.scene.stop - now, 0.0)
+            _draw(axes, Rectangle((now, 0), rest, 1, color="white", alpha=0.72, lw=0, **high))
+            _draw(axes, Line2D([now, now], [0, 1], color=style.BLACK, lw=0.9, **high))
+            if axes is not motors:
+                seen = self.frames.pose[k, i] if self.frames.known[k] else np.nan
+                asked = self.frames.reference[k, i]
+                for value, color in ((asked, style.ASKED), (seen, style.BLACK)):
+                    _draw(axes, Line2D([now], [value], color=color, **_DOT))
+        clock = Text(1 - 0.18 / _WIDTH, 1 - 0.23 / self.figure.get_figheight(), f"{now:.2f} s")
+        clock.set(ha="right", va="center", fontsize=15, fontweight="bold")
+        clock.set(transform=self.figure.transFigure, clip_on=False)
+        _draw(legend, clock)
+        score = None if self.scene.game is None else self.scene.game.score_at(now)
+        if score is not None:
+            goals = Text(0.5, 1 - 0.23 / self.figure.get_figheight(), f"{score[0]} : {score[1]}")
+            goals.set(ha="center", va="center", fontsize=15, fontweight="bold")
+            goals.set(transform=self.figure.transFigure, clip_on=False)
+            _draw(legend, goals)
+        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+
+
+def _draw(axes: Axes, artist: Artist) -> None:
+    """Draw an artist once on the present picture."""
+    axes.add_artist(artist)
+    axes.draw_artist(artist)
+    artist.remove()
+
+
+def _moving_on_table(
+    scene: FlightScene, frames: Frames, arrows: Float[np.ndarray, "n 2 2"], k: int
+) -> Iterator[Artist]:
+    """Yield the moving artists on the table, from back to front."""
+    vehicle, pose = scene.vehicle, frames.pose[k]
+    lines, age = moments.trail(scene, float(frames.time[k]), moments.TRAIL)
+    colors, widths = _faded(0.1 + 0.9 * age), 2.4 - 1.4 * age
+    yield LineCollection(list(lines), colors=colors, linewidths=widths, capstyle="round")
+    if np.isfinite(frames.reference[k]).all():
+        yield from _craft(vehicle, frames.reference[k], style.ASKED, ls=(0, (3, 1.6)))
+    plan = moments.plan_at(scene, float(frames.time[k]))
+    if plan is not None:
+        color = style.BOUND_COLORS[plan.bound]
+        yield LineCollection([plan.points], colors=color, linewidths=2.2, capstyle="round")
+        yield Circle(tuple(plan.points[-1]), 0.1 * vehicle.radius_m, fc=color, ec="none")
+    if scene.game is not None:
+        yield from _beside(scene.game, vehicle, frames.time[k : k + 1])
+    if not frames.known[k]:  # the directions of its thrusts are unknown
+        yield from _craft(vehicle, pose, style.GREY, ls=(0, (2, 2)))
+        above = pose[1] + 1.15 * vehicle.radius_m
+        yield Text(pose[0], above, "no pose", color=style.GREY, fontsize=8, ha="center")
+        return
+    yield from _craft(vehicle, pose, style.BLACK if scene.game is None else _tint(scene.game.side))
+    shapes = list(moments.arrow_shapes(arrows, vehicle.radius_m))
+    tints = style.propeller_colors(vehicle)
+    yield PolyCollection(shapes, facecolors=tints, edgecolors="white", linewidths=0.5)
+
+
+def _beside(game: GameScene, vehicle: Vehicle, now: Float[np.ndarray, " 1"]) -> Iterator[Patch]:
+    """Yield the opponent and the puck."""
+    sizes, color = game.play, _tint(-game.side)
+    if game.other is not None:
+        ((pose,), _) = moments.poses_at(game.other.time, game.other.pose, np.inf, now)
+        if game.other_flies:
+            yield from _craft(vehicle, pose, color)
+        else:
+            yield Circle(tuple(pose[:2]), sizes.mallet.radius_m, fc=color, ec="none")
+            ring = 0.42 * sizes.mallet.radius_m
+            yield Circle(tuple(pose[:2]), ring, fc="none", ec="white", lw=1.2)
+    ((pose,), (known,)) = moments.poses_at(game.puck.time, game.puck.pose, PAUSE, now)
+    if known:
+        yield Circle(tuple(pose[:2]), sizes.puck.radius_m, fc=style.BLACK, ec="none")
+        mark = pose[:2] + 0.45 * sizes.puck.radius_m * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        yield Circle(tuple(mark), 0.2 * sizes.puck.radius_m, fc="white", ec="none")
+
+
+def _tint(side: int) -> str:
+    """Return the colour of a side, given by its sign of x."""
+    return style.BLUE if side < 0 else style.VERMILLION
+
+
+def _craft(
+    vehicle: Vehicle, pose: Float[np.ndarray, " 3"], color: str, **outline: Any
+) -> Iterator[Patch]:
+    """Yield the shapes of the craft at a pose; at a set point the outline only."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    face, mark = ("none", color) if color == style.ASKED else ("white", style.BLACK)
+    yield Circle(tuple(pose[:2]), vehicle.radius_m, fc=face, ec=color, lw=1.5, **outline)
+    yield Polygon(moments.heading_mark(vehicle) @ turn + pose[:2], facecolor=mark, edgecolor="none")
+    if color == style.ASKED:
+        return
+    places = vehicle.positions @ turn + pose[:2]
+    for place, tint in zip(places, style.propeller_colors(vehicle), strict=True):
+        size = style.propeller_size(vehicle)
+        yield Circle(tuple(place), size, fc=(tint, 0.25), ec=tint, lw=0.8)
+
+
+def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
+    """Mix black with the floor's colour; opaque, so overlapping line ends stay invisible."""
+    share = np.clip(share, 0, 1)[:, None]
+    return (1 - share) * np.array(to_rgb(style.BLACK)) + share * np.array(to_rgb(style.FLOOR))
+
+
+@style.styled
+def _scenery(scene: FlightScene, speed: float) -> Figure:
+    """Draw the static parts: table, panels for x, y, yaw and the motors, legend."""
+    x0, x1, y0, y1 = scene.view
+    width, height = x1 - x0 + 2 * _RAIL, y1 - y0 + 2 * _RAIL
+    scale = min(_WIDEST / width, _TALLEST / height)  # inches per metre
+    total = _HEADER + scale * height + _TICKS + _LEGEND + _BELOW
+    # Video encoders need an even number of pixels.
+    total = round(total * style.RESOLUTION / 2) * 2 / style.RESOLUTION
+    figure = Figure(figsize=(_WIDTH, total), dpi=style.RESOLUTION)
+    FigureCanvasAgg(figure)
+
+    def place(left: float, bottom: float, width: float, height: float) -> Axes:
+        return figure.add_axes((left / _WIDTH, bottom / total, width / _WIDTH, height / total))
+
+    left = _LEFT + (_WIDEST - scale * width) / 2
+    bottom = total - _HEADER - scale * height
+    _draw_table(place(left, bottom, scale * width, scale * height), scene)
+    room = (_WIDEST - 3 * _GAP) / 4
+    panels = [place(_LEFT + i * (room + _GAP), _BOTTOM, room, _PANELS) for i in range(4)]
+    _draw_panels(panels, scene)
+    legend = place(left, bottom - _TICKS - _LEGEND, _WIDTH - left, _LEGEND)
+    legend.set(xlim=(0, _WIDTH - left), ylim=(-_LEGEND / 2, _LEGEND / 2))
+    _draw_legend(legend, scene, scale)
+    y = 1 - 0.23 / total
+    name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, va="center", weight="bold", size=13)
+    after = name.get_window_extent().x1 / (_WIDTH * style.RESOLUTION) + 0.012
+    pace = "" if speed == 1 else f"  ·  {speed:g} × real time"
+    figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=style.GREY, va="center")
+    return figure
+
+
+def _draw_table(axes: Axes, scene: FlightScene) -> None:
+    """Draw the floor, the rails and a grid."""
+    x0, x1, y0, y1 = scene.view
+    axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL))
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0, pad=2)
+    axes.grid(False)
+    locator = MaxNLocator(5, steps=[1, 2, 5, 10])
+    step = np.diff(locator.tick_values(0, max(x1 - x0, y1 - y0)))[0]
+    across, up = _multiples(x0, x1, step), _multiples(y0, y1, step)
+    axes.set(xticks=across, yticks=up)
+    axes.vlines(across, y0, y1, color=style.GRID, lw=0.8, zorder=0.5)
+    axes.hlines(up, x0, x1, color=style.GRID, lw=0.8, zorder=0.5)
+    # Axis labels go between the last two tick labels.
+    below, beside = axes.get_xaxis_transform(), axes.get_yaxis_transform()
+    small: dict[str, Any] = {"fontsize": 8, "ha": "center"}
+    axes.text(across[-1] - step / 2, -0.008, "x [m]", transform=below, va="top", **small)
+    middle = up[-1] - step / 2
+    axes.text(-0.024, middle, "y [m]", transform=beside, va="center", rotation=90, **small)
+    dots = np.meshgrid(_multiples(x0, x1, step / 5), _multiples(y0, y1, step / 5))
+    axes.plot(*(dot.ravel() for dot in dots), ".", color=style.HOLES, ms=2.6, mew=0, zorder=0.6)
+    if scene.table is None:
+        axes.set_facecolor(style.FLOOR)
+        return
+    length, width = scene.table
+    shape = f"round,pad={0.6 * _RAIL},rounding_size={1.4 * _RAIL}"
+    rails = FancyBboxPatch((-length / 2, -width / 2), length, width, boxstyle=shape)
+    rails.set(facecolor=style.FLOOR, edgecolor=style.RAIL, lw=4.5, zorder=0.1)
+    axes.add_patch(rails)
+    if scene.game is None:
+        axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
+        return
+    half = scene.game.play.table.goal_width_m / 2
+    axes.vlines(0, -width / 2, width / 2, color=style.RAIL, lw=1.5, zorder=0.7)
+    axes.add_patch(Circle((0, 0), 0.16, fill=False, ec=style.RAIL, lw=1.5, zorder=0.7))
+    for side in (-1, 1):
+        x = side * (length / 2 + 0.6 * _RAIL)
+        axes.vlines(x, -half, half, color="white", lw=5, zorder=0.8)
+        axes.vlines(x, -half, half, color=_tint(side), lw=5, alpha=0.4, zorder=0.9)
+        axes.plot([x, x], [-half, half], "o", color=_tint(side), ms=5, zorder=1)
+
+
+def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " ticks"]:
+    """Return the multiples of a step between two numbers."""
+    return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+
+
+def _draw_panels(panels: list[Axes], scene: FlightScene) -> None:
+    """Draw poses, set points and commands over time."""
+    known = np.diff(scene.time, append=np.inf) <= scene.pause
+    # A NaN after each stretch breaks the line.
+    rows = np.flatnonzero(~known) + 1
+    time = np.insert(scene.time, rows, np.nan)
+    pose = np.insert(scene.pose, rows, np.nan, axis=0)
+    asked = moments.frames_at(scene, scene.time).reference
+    titles = ("x [m]", "y [m]", "yaw [rad]", "motor commands [0 … 1]")
+    for i, (axes, title) in enumerate(zip(panels, titles, strict=True)):
+        axes.set_xlim(scene.start, scene.stop)
+        axes.set_xlabel("time [s]", labelpad=1)
+        axes.set_title(title, loc="left", fontsize=9, fontweight="normal", pad=4)
+        axes.tick_params(length=2, pad=2)
+        axes.locator_params(axis="both", nbins=5, steps=[1, 2, 5, 10])
+        if i < 3:
+            axes.plot(time, pose[:, i], color=style.BLACK, lw=1.4)
+            axes.plot(
+                scene.time, asked[:, i], color=style.ASKED, lw=1.3, ls=(0, (4, 1.5)), zorder=1.5
+            )
+    _draw_motors(panels[-1], scene)
+
+
+def _draw_motors(axes: Axes, scene: FlightScene) -> None:
+    """Draw the commands as rows, the first on top."""
+    n, colors = scene.vehicle.n_propellers, style.propeller_colors(scene.vehicle)
+    edges = np.append(scene.command_time, scene.stop)
+    for i, color in enumerate(colors):
+        row = n - 1 - i
+        values = 0.86 * np.append(scene.command[:, i], 0.0)
+        axes.fill_between(edges, row, row + values, step="post", color=color, lw=0)
+    axes.set_ylim(-0.1, n)
+    axes.grid(False)
+    names = moments.short_names(scene.vehicle.propeller_names)
+    axes.set_yticks(np.arange(n)[::-1] + 0.4, names)
+    # Many rows or long names need small type.
+    size = max(min(8.0, 50.0 / n, 48.0 / max(map(len, names))), 4.0)
+    axes.tick_params(axis="y", length=0, labelsize=size)
+    for text, color in zip(axes.get_yticklabels(), colors, strict=True):
+        text.set_color(color)
+
+
+def _draw_legend(axes: Axes, scene: FlightScene, scale: float) -> None:
+    """Draw the legend in inches; the arrow has the table's scale."""
+    axes.set_axis_off()
+    share = np.linspace(0, 1, 13)
+    points = np.stack([0.1 + 0.3 * share, np.zeros(13)], axis=1)
+    path = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), capstyle="round")
+    path.set(color=_faded(1 - 0.75 * share[1:]), linewidth=1 + 1.4 * share[1:])
+    axes.add_collection(path)
+    words: dict[str, Any] = {"fontsize": 8.5, "va": "center_baseline"}
+    axes.text(0.48, 0, f"path of the last {moments.TRAIL:g} s", **words)
+    if len(scene.reference):
+        ring = Circle((2.3, 0), 0.1, fill=False, edgecolor=style.ASKED, lw=1.5, ls=(0, (3, 1.6)))
+        axes.add_patch(ring)
+        axes.text(2.48, 0, "set point", **words)
+    key = moments.round_thrust(scene.vehicle)
+    length = scale * key * moments.arrow_scale(scene.vehicle)
+    start = 3.4 if len(scene.reference) else 2.2
+    arrow = np.array([[[start, 0.0], [start + length, 0.0]]])
+    (shape,) = moments.arrow_shapes(arrow, scale * scene.vehicle.radius_m)
+    axes.add_patch(Polygon(shape, color=style.GREY, lw=0))
+    axes.text(start + length + 0.07, 0, f"commanded thrust of {key:g} N", **words)
+    if not scene.plans:
+        return
+    begin = start + length + 2.3
+    for color in style.BOUND_COLORS.values():
+        axes.plot([begin, begin + 0.15], [0, 0], color=color, lw=2.2)
+        begin += 0.17
+    axes.text(begin + 0.05, 0, "plan: no limit, motor, motion", **words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,32 +15,14 @@ from matplotlib.patches import Patch
 from airpuck.control.lqr import rotation_error
 from airpuck.data.sampling import runs
 from airpuck.flight.replay import Replay
-from airpuck.flight.track import TOLERANCE, SetPointResult, Track
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.report import style
 from airpuck.report.animation import animate
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 from airpuck.report.plan_figures import path_figure
+from airpuck.report.tables import agreement_table, controller_tables, outcome_table, tracking_tables
 from airpuck.twin.tracking_study import Tracked
-
-#: Meaning of each outcome of a control step.
-OUTCOMES = {
-    "exact": "the requested acceleration is met",
-    "scaled": "the linear or angular acceleration is scaled down, in the same direction",
-    "nearest": "no scaled acceleration is feasible; the nearest one is applied",
-    "optimal": "the best commands over the horizon, within all limits",
-    "softened": "as optimal, but a motion limit is exceeded by as little as possible",
-    "iteration limit": "the solver failed; the previous plan continues",
-    "fallback": "the previous plan has ended; an LQR takes over",
-    "open loop": "the pilot has no control law",
-    "failed": "the solver failed; motors idle",
-    "no pose": "no pose has arrived yet; motors idle",
-    "stale pose": "the last pose is too old; motors idle",
-    "jumping pose": "the last poses are farther away than the craft can have flown; motors idle",
-    "bad input": "a pose or the time is not finite; motors idle",
-    "unsafe": "the safety guard rejects the command; motors idle",
-}
 
 
 def replay_report(
@@ -68,9 +50,9 @@ def replay_report(
         "measurement corrects this error; it affects the one-step prediction only."
     )
     sections = [
-        PageSection("commands", "Commands", (_agreement_table(replay), compared)),
+        PageSection("commands", "Commands", (agreement_table(replay), compared)),
         PageSection("flight", "Flight", (asked,)),
-        PageSection("controller", "Controller", _controller_tables(replay)),
+        PageSection("controller", "Controller", controller_tables(replay)),
         PageSection("discretisation", "What the discretisation neglects", [Text([neglected])]),
     ]
     lead = (
@@ -79,46 +61,6 @@ def replay_report(
         f"{min(m['correlation'] for m in figures['motors']):.3f}."
     )
     return write_page(out, "Replay of a recorded flight", lead, sections, origin)
-
-
-def _agreement_table(replay: Replay) -> PageTable:
-    """Tabulate the agreement of recorded and computed commands."""
-    figures, size = replay.to_json(), np.abs(replay.difference)
-    rows = [
-        [m["name"], f"{m['correlation']:.4f}", f"{m['median_abs']:.4f}", f"{widest:.4f}"]
-        for m, widest in zip(figures["motors"], np.quantile(size, 0.9, axis=0), strict=True)
-    ]
-    return PageTable(
-        "Agreement of recorded and computed commands, for each motor.",
-        ["motor", "correlation", "median |difference|", "90 % |difference|"],
-        [*rows, ["all", "", f"{figures['median_abs']:.4f}", ""]],
-    )
-
-
-def _outcome_table(caption: str, outcomes: Mapping[str, Mapping[str, int]]) -> PageTable:
-    """Tabulate how the control steps of each flight ended."""
-    rows = [
-        [flight, status, str(count), OUTCOMES[status]]
-        for flight, counts in outcomes.items()
-        for status, count in counts.items()
-    ]
-    return PageTable(caption, ["flight", "outcome", "steps", "meaning"], rows)
-
-
-def _controller_tables(replay: Replay) -> list[PageTable]:
-    """Tabulate the gains of an LQR and the outcomes of the control steps."""
-    tables = []
-    if replay.gains is not None:
-        g, fitted = replay.gains, ", fitted to the recorded commands" if replay.fitted else ""
-        tables.append(
-            PageTable(
-                f"Gains of the regulator{fitted}.",
-                ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
-                [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],
-            )
-        )
-    caption = "Outcomes of the control steps in this span."
-    return [*tables, _outcome_table(caption, {"replay": replay.outcomes})]
 
 
 def _fastest_spin(replay: Replay) -> float:
@@ -229,9 +171,7 @@ def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         "Pose minus the set point in force, and clearance between the craft's edge and the nearest "
         "rail; zero is contact."
     )
-    outcomes = _outcome_table(
-        "Outcomes of the control steps.", {flight.label: flight.outcomes for flight in flights}
-    )
+    outcomes = outcome_table({flight.label: flight.outcomes for flight in flights})
     return [
         PageSection(
             "errors",
@@ -319,35 +259,13 @@ def tracking_report(
 
 def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     """Return the sections of a tracking study."""
-    rows = [
-        [f"{flight.label}, {kind}", *_row(result)]
-        for flight in flights
-        for kind, track in _tracks(flight).items()
-        for result in track.moves()
-    ]
-    results = PageTable(
-        f"Results at each set point. Settling time: until the craft stays within "
-        f"{1e3 * TOLERANCE[0]:g} mm and {TOLERANCE[2]:g} rad. Steady-state error: mean over the "
-        "last second, or the last quarter of a short dwell, after settling. Effort: mean sum of "
-        "squared commands above idle.",
-        ["flight", "set point", "settling time [s]", "overshoot", "steady-state error", "effort"],
-        rows,
-    )
     caption = (
         "An accurate model brings the craft to its set points. A poor one leaves an offset, unless "
         "the controller rejects disturbances."
     )
     if compares_laws(flights):
         caption = "All laws fly the same truth, seed and set points."
-    blocks = [Picture("tracking", tracking_figure(flights), caption), results]
-    apart = [
-        [f.model, *(f"{1e3 * error:.1f}" for error in f.rmse[:2]), f"{f.rmse[2]:.3f}"]
-        for f in flights
-        if f.rmse is not None
-    ]
-    if apart:
-        words = "RMS difference between twin and real flight, 0.5 to 6.5 s on the time axis."
-        blocks.append(PageTable(words, ["flight", "x [mm]", "y [mm]", "yaw [rad]"], apart))
+    blocks = [Picture("tracking", tracking_figure(flights), caption), *tracking_tables(flights)]
     inputs = [
         Picture(
             f"inputs_{flight.file_name}",
@@ -362,29 +280,6 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         return [tracking, commands]
     short = PageSection("summary", "In short", [summary(flights)])
     return [short, tracking, *law_sections(flights), commands]
-
-
-def _tracks(flight: Tracked) -> dict[str, Track]:
-    """Return the flight on the twin and, if there is one, the real flight."""
-    return {"twin": flight.twin} | ({"real flight": flight.real} if flight.real is not None else {})
-
-
-def _row(result: SetPointResult) -> list[str]:
-    """Return the table rows for one set point."""
-    settled = "never" if result.settling_time is None else f"{result.settling_time:.2f}"
-    return [
-        f"{result.pose[0]:.1f}, {result.pose[1]:.1f} m, {result.pose[2]:.1f} rad",
-        settled,
-        _triple(result.overshoot),
-        "no poses" if result.steady_state_error is None else _triple(result.steady_state_error),
-        f"{result.effort:.3f}",
-    ]
-
-
-def _triple(values: tuple[float, ...]) -> str:
-    """Format x, y and yaw."""
-    x, y, yaw = values
-    return f"{1e3 * x:.1f}, {1e3 * y:.1f} mm, {yaw:.3f} rad"
 
 
 @style.styled
@@ -403,7 +298,7 @@ def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     for axes, values in zip(panels, poses.T, strict=True):
         axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
     for flight, color in zip(flights, flight_colors(flights), strict=True):
-        for kind, track in _tracks(flight).items():
+        for kind, track in flight.tracks.items():
             line = _LINES[kind]
             for axes, values in zip(panels, track.pose.T, strict=True):
                 axes.plot(track.time - flight.origin, values, color=color, **line)
@@ -418,7 +313,7 @@ def input_figure(flight: Tracked) -> Figure:
     """Draw the commands of one flight."""
     motors = flight.twin.motors
     figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
-    tracks = _tracks(flight)
+    tracks = flight.tracks
     for i, axes in enumerate(style.motor_panels(figure, motors)):
         for kind, track in tracks.items():
             time = track.command_time - flight.origin

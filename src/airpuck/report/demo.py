@@ -65,11 +65,12 @@ def demo(
         If the folder holds other bags, or cannot be written to.
     """
     from airpuck.evaluation.evaluate import compare
-    from airpuck.experiment_design.trials import on_processes
+    from airpuck.experiment_design.forecast import on_processes
     from airpuck.preprocessing.pipeline import load_trajectory
     from airpuck.report.control_report import tracking_sections
-    from airpuck.report.evaluation_report import JudgedModels, errors_as_text
+    from airpuck.report.evaluation_report import JudgedModels
     from airpuck.report.fit_report import fit_report
+    from airpuck.report.tables import errors_as_text
     from airpuck.twin.tracking_study import tracking_study
 
     out = Path(out)

@@ -1,4 +1,4 @@
-"""How well models predict a recording: the page of `airpuck evaluate -o` and `compare -o`."""
+"""How well models predict a recording, and its faults: pages of `evaluate`, `compare`, `faults`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ import numpy as np
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Span, Trajectory
-from airpuck.evaluation.coasting import coasting
-from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.fit_measures import FitMeasures, fit_text
+from airpuck.evaluation.evaluate import Evaluation, evaluate
+from airpuck.evaluation.fit_measures import FitMeasures
+from airpuck.faults.strengths import (
+    STRENGTH_HEADINGS,
+    Strengths,
+    actuator_strengths,
+    strength_rows,
+)
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.report.craft import actuator_words, craft_section
@@ -33,9 +38,7 @@ from airpuck.report.prediction_figures import (
     touched_by,
     worst_windows,
 )
-
-#: Headings of errors in tables.
-_CHANNELS = ("x mm", "y mm", "γ rad")
+from airpuck.report.tables import error_tables, fit_table, span_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,6 @@ class JudgedModels:
     def best(self) -> Evaluation:
         """The evaluation with the lowest geometric mean of its three errors."""
         return min(self.evaluations, key=lambda e: float(np.log(np.maximum(e.rmse, 1e-300)).sum()))
-
-
-def errors_as_text(values: np.ndarray) -> list[str]:
-    """Format errors of x, y [m] and yaw [rad] as millimetres and radians."""
-    x, y, yaw = values
-    return [f"{1e3 * x:.2f}", f"{1e3 * y:.2f}", f"{yaw:.4f}"]
 
 
 def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
@@ -134,11 +131,18 @@ def _prediction_section(judged: JudgedModels, table: PageTable | None) -> PageSe
     blocks = (
         Text([_protocol_words(evaluations[0])]),
         *((table,) if table else ()),
-        _error_table(judged),
+        *_error_tables(judged),
         Picture("horizon", curves, horizon),
         Picture("error_distribution", shares, distribution),
     )
     return PageSection("prediction", "Prediction error", blocks)
+
+
+def _error_tables(judged: JudgedModels) -> tuple[PageTable, PageTable]:
+    """Tabulate the errors of all models."""
+    names = [f"{e.model}, {judged.reference_label}" for e in judged.reference]
+    names += [e.model for e in judged.evaluations]
+    return error_tables(names, (*judged.reference, *judged.evaluations), judged.trajectory)
 
 
 def _timeline_section(judged: JudgedModels) -> PageSection:
@@ -174,63 +178,6 @@ def _protocol_words(evaluation: Evaluation) -> str:
         f"encoder and {len(evaluation.errors)} predicted steps. Errors are stated after step "
         f"{evaluation.horizon_step} ({after:.3f} s)."
     )
-
-
-def _error_table(judged: JudgedModels) -> PageTable:
-    """Tabulate the errors of all models."""
-    named = [(f"{e.model}, {judged.reference_label}", e) for e in judged.reference]
-    named += [(e.model, e) for e in judged.evaluations]
-    baseline = coasting(judged.evaluations[0], judged.trajectory)
-    named.append((baseline.model, baseline))
-    rows = [
-        [name, *errors_as_text(e.rmse), *errors_as_text(e.median_abs), *_intervals_as_text(e)]
-        for name, e in named
-    ]
-    kinds = (
-        "root mean square",
-        "median (typical window)",
-        "RMS from every start, 95 % interval",
-    )
-    caption = (
-        "Errors of the predicted poses. From every start: overlapping windows, so the result does "
-        "not depend on where the first window starts. Constant velocity: a craft that coasts."
-    )
-    groups = [("", 1), *((kind, 3) for kind in kinds)]
-    return PageTable(caption, ["model", *3 * _CHANNELS], rows, groups)
-
-
-def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
-    """Tabulate fit percentages and information criteria of models on one recording."""
-    caption = (
-        "Fit 100 (1 − ‖y − ŷ‖/‖y − mean y‖) in percent, of predictions from filter estimates and "
-        "of simulations. A negative fit is worse than predicting the mean. Log-likelihood, AIC and "
-        "BIC refer to the one-step innovations and count the parameters of model and noise. "
-        "Lower AIC and BIC are better; compare them on one recording only."
-    )
-    first = fits[0]
-    kinds = (
-        f"{first.steps} steps ahead",
-        f"simulated {first.restart:g} s at a time",
-        "simulated throughout",
-    )
-    groups = [("", 1), *((kind, 3) for kind in kinds), ("one-step innovations", 4)]
-    headings = ["model", *3 * ("x %", "y %", "γ %"), "parameters", "log L", "AIC", "BIC"]
-    rows = [
-        [
-            name,
-            *fit_text(np.concatenate([fit.k_step, fit.free_run, fit.whole])),
-            str(fit.parameters),
-            *(f"{value:.1f}" for value in (fit.log_likelihood, fit.aic, fit.bic)),
-        ]
-        for name, fit in zip(names, fits, strict=True)
-    ]
-    return PageTable(caption, headings, rows, groups)
-
-
-def _intervals_as_text(evaluation: Evaluation) -> list[str]:
-    """Format the intervals of the errors from every start, or a dash."""
-    low, high = map(errors_as_text, evaluation.every_start.interval)
-    return [f"{a} … {b}" if a != "nan" else "–" for a, b in zip(low, high, strict=True)]
 
 
 def sources_section(*trajectories: Trajectory) -> PageSection:
@@ -328,3 +275,55 @@ def evaluation_report(
         f"{actuator_words(vehicle)}."
     )
     return write_page(out, f"Predictions of {vehicle.name}", lead, sections, origin)
+
+
+def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) -> PageSection:
+    """Show when and why a recording cannot be trusted."""
+    spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
+    if not spans:
+        words = f"{model.name} shows no passing faults in {trajectory.duration:.1f} s."
+        return PageSection("faults", "Faults", (Text([words]),))
+    evaluation = evaluate(model, trajectory)
+    touched = touched_by(evaluation, spans)
+    words = (
+        f"Faults found with {model.name}, the probability of each cause, and prediction errors "
+        f"after {evaluation.horizon_step * evaluation.sample_period:.2f} s. {touched.sum()} of "
+        f"{len(touched)} windows overlap a fault; they account for "
+        f"{squares_held(evaluation.at_horizon, touched)} % of the squared error (x / y / yaw)."
+    )
+    figure = error_timeline_figure(evaluation, spans)
+    picture = Picture("fault_timeline", figure, words)
+    return PageSection("faults", "Faults", (picture, span_table(spans)))
+
+
+def fault_report(
+    trajectory: Trajectory,
+    faults: Sequence[Span],
+    model: Model,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+) -> Path:
+    """Write a page on the faults of a recording."""
+    usable = trajectory.leave_out(faults).usable.mean()
+    lead = (
+        f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "
+        f"{100 * usable:.1f} % of them without passing faults."
+    )
+    sections = [
+        fault_section(trajectory, faults, model),
+        strength_section(actuator_strengths(model, trajectory)),
+    ]
+    return write_page(out, "Faults of a recording", lead, sections, origin)
+
+
+def strength_section(strengths: Strengths) -> PageSection:
+    """Set the strength of each actuator beside the vehicle file's."""
+    caption = (
+        "Thrust at the largest command, with 95 % intervals. An actuator is judged in comparison "
+        "with the median of the others, each relative to its nominal strength: it is weak if it is "
+        "below by more than four standard errors, and by more than sound motors differ "
+        "(nominal.thrust_spread in the vehicle file)."
+    )
+    table = PageTable(caption, STRENGTH_HEADINGS, strength_rows(strengths))
+    words = [Text(list(strengths.sentences))] if strengths.sentences else []
+    return PageSection("strengths", "Strength of each actuator", (*words, table))

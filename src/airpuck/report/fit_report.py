@@ -23,15 +23,20 @@ from airpuck.model.quantities import QUANTITIES
 from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.evaluation_report import (
     JudgedModels,
+    fault_section,
     judged_sections,
     path_section,
     sources_section,
+    strength_section,
     verdict_section,
 )
-from airpuck.report.fault_report import fault_section, strength_section
 from airpuck.report.fit_figures import (
+    coefficient_rows,
+    effect_rows,
+    main_rows,
     packet_delay_figure,
     parameter_figure,
+    parameter_table,
     thrust_figure,
 )
 from airpuck.report.page import (
@@ -44,7 +49,6 @@ from airpuck.report.page import (
     Text,
     write_page,
 )
-from airpuck.report.parameter_table import coefficient_rows, effect_rows, main_rows, parameter_table
 
 #: Iterations of a fit that a table has room for.
 _SHOWN = 8

@@ -14,9 +14,7 @@ from matplotlib.figure import Figure
 
 from airpuck.boundary.outputs import replacing
 from airpuck.report.style import drawn
-
-#: Characters in the widest table row that fits on a page at full size.
-_WIDE = 110
+from airpuck.report.tables import PageTable as PageTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +27,6 @@ class Picture:
     figure: Figure | str
     #: Plain text.
     caption: str
-
-
-@dataclass(frozen=True)
-class PageTable:
-    """A table."""
-
-    #: Plain text.
-    caption: str
-    #: One heading for each column.
-    headings: Sequence[str]
-    #: Cell texts; the first cell of a row is its heading.
-    rows: Sequence[Sequence[str]]
-    #: Group headings above the headings: text and number of columns spanned.
-    groups: Sequence[tuple[str, int]] = ()
-    #: Row and column of highlighted cells.
-    marked: frozenset[tuple[int, int]] = frozenset()
-
-    @property
-    def wide(self) -> bool:
-        """Whether the table needs smaller type to fit on a page."""
-        columns = zip(self.headings, *self.rows, strict=True)
-        return sum(3 + max(map(len, column)) for column in columns) > _WIDE
 
 
 @dataclass(frozen=True)

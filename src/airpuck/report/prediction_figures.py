@@ -17,8 +17,7 @@ from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation
-from airpuck.faults.chain import RADIO_OUT, UNEXPLAINED
-from airpuck.faults.find import CONTACT, NOT_ARMED
+from airpuck.faults.find import CONTACT, NOT_ARMED, RADIO_OUT, UNEXPLAINED
 from airpuck.report import style
 
 #: Colours of faults, by cause.

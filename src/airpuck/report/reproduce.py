@@ -23,10 +23,10 @@ from airpuck.model.model_file import published_model
 from airpuck.report.craft import craft_section
 from airpuck.report.evaluation_report import (
     JudgedModels,
-    errors_as_text,
     judged_sections,
     sources_section,
 )
+from airpuck.report.fit_figures import ladder_table
 from airpuck.report.fit_report import FitStudy, study_sections
 from airpuck.report.page import (
     Origin,
@@ -37,8 +37,8 @@ from airpuck.report.page import (
     packaged_text,
     write_page,
 )
-from airpuck.report.parameter_table import ladder_table
 from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
+from airpuck.report.tables import errors_as_text
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"

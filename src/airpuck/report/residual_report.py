@@ -21,8 +21,9 @@ from airpuck.evaluation.residuals import ResidualTests
 from airpuck.evaluation.structure import Structure
 from airpuck.model.model_file import Model
 from airpuck.report import style
-from airpuck.report.evaluation_report import fit_table, sources_section
+from airpuck.report.evaluation_report import sources_section
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
+from airpuck.report.tables import band_table, fit_table
 
 _STRUCTURE = (
     "Mean acceleration that the model lacks, in bins of equal counts, with pointwise 99 % bands. "
@@ -92,23 +93,8 @@ def _bands_section(bands: Sequence[PredictionBands]) -> PageSection:
             f" Bands wider than {_MOST_SHOWN:g} times the largest error are truncated; the table "
             "lists their widths."
         )
-    rows = [
-        [
-            f"{one.horizon:.1f} s",
-            str(len(one.start)),
-            *(f"{share:.0f}" for share in one.coverage),
-            *(f"{half:.3g}" for half in one.half_band),
-        ]
-        for one in bands
-    ]
-    table = PageTable(
-        "Poses at the end of predictions without overlap: share within the 95 % band, and median "
-        "half width of the bands.",
-        ["horizon", "predictions", "x %", "y %", "γ %", "± x m", "± y m", "± γ rad"],
-        rows,
-    )
     picture = Picture("prediction_bands", prediction_bands_figure(bands[0], bands[-1]), caption)
-    return PageSection("bands", "Predictions", (picture, table))
+    return PageSection("bands", "Predictions", (picture, band_table(bands)))
 
 
 def _noise_table(tests: ResidualTests) -> PageTable:

@@ -77,6 +77,11 @@ class Tracked(Result):
         return self.twin.moves()
 
     @property
+    def tracks(self) -> dict[str, Track]:
+        """The flight on the twin and, if there is one, the real flight."""
+        return {"twin": self.twin} | ({} if self.real is None else {"real flight": self.real})
+
+    @property
     def outcomes(self) -> Mapping[str, int]:
         """Number of control steps per outcome."""
         return dict(sorted(Counter(self.log.status).items()))

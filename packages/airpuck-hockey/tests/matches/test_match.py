@@ -17,7 +17,7 @@ import airpuck_hockey
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.signals import Stopped
 from airpuck.campaigns import items
-from airpuck.campaigns.spec import read_spec
+from airpuck.campaigns.campaign import read_spec
 from airpuck.recording.read import read_recording
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.matches import match as match_module

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 import json
 import math
+import struct
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,9 +24,57 @@ from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
 from airpuck.web.messages import packed_state
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT
+from airpuck_hockey.game.contestant import contestant
+from airpuck_hockey.game.game import Game
+from airpuck_hockey.game.rules import Rules
+from airpuck_hockey.web import page as match_page
 from airpuck_hockey.web.live_page import live_hello
-from airpuck_hockey.web.page import GAME_PAGE, hello_of
-from tests.apparatus.arena import Arena
+from airpuck_hockey.web.page import GAME_PAGE, ArenaSettings, hello_of, watch_in_browser
+from tests.apparatus.arena import Arena, free_port
+
+
+@pytest.mark.slow
+def test_a_page_sees_a_game_from_its_beginning_to_its_end(monkeypatch):
+    pytest.importorskip("websockets")
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    monkeypatch.setattr(match_page, "_END", 0.2)
+    players = contestant("human:hard"), contestant("human:easy")
+    game, said = Game(*players, rules=Rules(limit_s=1.0)), []
+    arena, ready = ArenaSettings(free_port(), browser=False), threading.Event()
+
+    def tell(line: str) -> None:
+        said.append(line)
+        ready.set()
+
+    model = airpuck.read_model("paper:M3")
+    playing = threading.Thread(target=watch_in_browser, args=(game, model, arena, tell))
+    playing.start()
+    assert ready.wait(30.0)
+    assert said == [f"Watch at http://127.0.0.1:{arena.port} (Ctrl-C ends)"]
+    assert game.time == 0.0  # it waits for the page
+    news, states = [], []
+    with connect(f"ws://127.0.0.1:{arena.port}/", compression=None) as page:
+        try:
+            while True:
+                message = page.recv(timeout=30)
+                (states if isinstance(message, bytes) else news).append(message)
+        except ConnectionClosed:
+            pass
+    playing.join(30.0)
+    hello, *news = map(json.loads, news)
+    assert hello["names"] == ["human:hard", "human:easy"]
+    assert hello["sides"] == ["hand", "hand"]
+    assert {one["phase"] for one in news if one["is"] == "status"} == {"watch"}
+    assert news[-1] == {"is": "event", "kind": "over", "side": 0}
+    seen = [struct.unpack("<dIB3x10f", state) for state in states]
+    assert seen[-1][0] == pytest.approx(1.0)
+    # The positions of both mallets equal those at the end of the game.
+    left, right = game.sides
+    assert seen[-1][6:8] == pytest.approx(right.state[:2], abs=1e-6)
+    assert seen[-1][10:12] == pytest.approx(left.state[:2], abs=1e-6)
+
 
 pytestmark = pytest.mark.browser
 

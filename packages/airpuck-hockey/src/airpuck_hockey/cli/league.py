@@ -9,8 +9,7 @@ from typer import Argument
 
 import airpuck_hockey
 from airpuck.extend import Setting, command, numbers, options, report, show_time_left, table
-from airpuck_hockey.cli.inputs import read_player
-from airpuck_hockey.cli.match import PLAYER, GameRules, Pairing, read_craft
+from airpuck_hockey.cli.match import PLAYER, GameRules, Pairing, read_craft, read_player
 
 if TYPE_CHECKING:
     from rich.table import Table

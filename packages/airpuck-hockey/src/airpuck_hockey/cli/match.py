@@ -1,21 +1,25 @@
-"""The command for games of two players."""
+"""The command for games of two players, and the models of craft that play."""
 
 from __future__ import annotations
 
 import itertools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
+import airpuck
 import airpuck_hockey
 from airpuck import InputError
 from airpuck.extend import (
     Setting,
     Settings,
     Without,
+    about,
     command,
     console,
     is_stdout,
@@ -27,7 +31,6 @@ from airpuck.extend import (
     show_time_left,
     table,
 )
-from airpuck_hockey.cli.inputs import read_player
 from airpuck_hockey.game.rules import Rules
 
 if TYPE_CHECKING:
@@ -36,6 +39,32 @@ if TYPE_CHECKING:
     from airpuck import Model
     from airpuck_hockey.game.game import Game
     from airpuck_hockey.matches.match import MatchResult
+
+
+def read_player(name: str, quiet: bool) -> airpuck.Model:
+    """Read a model for a player; first plan its shortest times if they are unknown."""
+    from airpuck.extend import minimal_times_of
+    from airpuck_hockey.player.player import check_player
+
+    model = read_belief(name)
+    with about(name):
+        check_player(model)
+    with ExitStack() as stack:
+
+        @cache
+        def progress() -> Callable[[float, float], None]:  # shown only if there is any work
+            words = "planning this craft's shortest times, once"
+            return stack.enter_context(show_time_left(words, quiet))
+
+        with about(name):
+            times = minimal_times_of(model, lambda done, of: progress()(done, of))
+    if times.margin > 0:
+        say(quiet)(
+            f"{name}: this craft's shortest times are uncertain by {times.error['p95']:.2f} s; its "
+            f"player allows {times.margin:.2f} s more for each move and tries fewer shots"
+        )
+    return model
+
 
 #: Events shown to spectators.
 _TOLD = ("serve", "goal", "own_goal", "foul", "stuck", "over")
@@ -137,8 +166,7 @@ def watch_match(
     if port is None:
         _watch(game, is_stdout(json_file), quiet)
     else:
-        from airpuck_hockey.web.match_page import watch_in_browser
-        from airpuck_hockey.web.settings import ArenaSettings
+        from airpuck_hockey.web.page import ArenaSettings, watch_in_browser
 
         watch_in_browser(game, craft, ArenaSettings(port), say(quiet))
     wall = time.monotonic() - began

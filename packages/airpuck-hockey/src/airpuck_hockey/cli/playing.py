@@ -23,8 +23,8 @@ from airpuck.extend import (
     report_flight,
     say,
 )
-from airpuck_hockey.cli.inputs import read_player
-from airpuck_hockey.web.settings import ArenaSettings
+from airpuck_hockey.cli.match import read_player
+from airpuck_hockey.web.page import ArenaSettings
 
 
 @dataclass(frozen=True)

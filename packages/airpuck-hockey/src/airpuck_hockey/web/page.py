@@ -3,14 +3,73 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+import time
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
 from airpuck import AirHockey, Model
-from airpuck.extend import PageKind, hockey_shape, packed_state, table_of
+from airpuck.extend import (
+    Clock,
+    PageKind,
+    Pages,
+    Setting,
+    Settings,
+    hockey_shape,
+    invite,
+    numbers,
+    packed_state,
+    served,
+    table_of,
+)
 from airpuck_hockey.game.game import PERIOD, Game, GameEvent
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.player.level import LEVELS
 from airpuck_hockey.player.player import Player
+
+
+@dataclass(frozen=True)
+class ArenaSettings(Settings):
+    """Address and duration of serving a game.
+
+    Parameters
+    ----------
+    port : int, default 8088
+        Port of the page.
+    interface : str, optional
+        Network interface; by default loopback, so that only this machine can play.
+    browser : bool, default True
+        Whether to open the page.
+    duration : float, optional
+        How long to serve [s]; by default until SIGINT or SIGTERM.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+    """
+
+    HEADING: ClassVar = "Page"
+
+    port: Annotated[int, Setting("Port of the page.", numbers.PORT, "N")] = 8088
+    interface: Annotated[
+        str | None,
+        Setting("Network interface, such as eth0; by default this machine alone.", metavar="NAME"),
+    ] = None
+    browser: Annotated[
+        bool, Setting("Whether to open the page in a browser.", option="--browser/--no-browser")
+    ] = True
+    duration: Annotated[
+        float | None,
+        Setting("How long to run; by default until Ctrl-C", numbers.LIVE_DURATION, "S"),
+    ] = None
+
+    @property
+    def host(self) -> str:
+        """Address to serve at."""
+        from airpuck.extend import LOOPBACK, address_of
+
+        return LOOPBACK if self.interface is None else address_of(self.interface)
+
 
 #: The page of a game; the first page that connects plays.
 GAME_PAGE = PageKind("airpuck_hockey", "play")
@@ -94,3 +153,62 @@ def thought_of(player: Player, time: float) -> dict[str, Any]:
     computed = f"Computing time: {decision:.1f} ms to decide, {control:.1f} ms to steer."
     thought["said"] = said + computed
     return thought
+
+
+#: Polling period for the first page, and time for which the page shows the winner [s].
+_LOOK, _END = 0.02, 3.0
+
+
+def watch_in_browser(game: Game, model: Model, arena: ArenaSettings, tell: Any = print) -> None:
+    """Play a game in real time, once the first page is connected; pages only show it.
+
+    Parameters
+    ----------
+    game : Game
+        The game; it is played to its end.
+    model : Model
+        The craft.
+    arena : ArenaSettings
+        Where to serve the page.
+    tell : callable, default print
+        Receives the line with the page's address.
+
+    Raises
+    ------
+    InputError
+        If websockets is not installed, or the address is not free.
+    """
+    names, kinds = ([getattr(side, what) for side in game.sides] for what in ("name", "kind"))
+    hello = hello_of(model, game.settings)
+    hello |= {"live": True, "levels": [], "names": names, "sides": kinds}
+    with served(arena.host, arena.port, hello, page=GAME_PAGE) as pages:
+        pages.say_status("watch", game.score, "")
+        invite(pages, arena.browser, tell, "Watch")
+        _show(game, pages)
+        if pages.lost:
+            tell("The page server has ended; the game was played to its end without a page.")
+
+
+def _show(game: Game, pages: Pages) -> None:
+    """Play a game to its end, and show it."""
+    while not pages.hear()[0] and not pages.lost:  # the first page takes the seat
+        time.sleep(_LOOK)
+    thinker = next((s.player for s in game.sides if isinstance(s.player, Player)), None)
+    clock, began = Clock(), game.time
+    while game.phase != "over":
+        events = game.step()
+        pages.show(state_of(game))
+        for event in events:
+            news = news_of(event)
+            if event.kind in ("stuck", "over"):
+                news = {"is": "event", "kind": event.kind, "side": event.side}
+            if news is not None:
+                pages.say(news)
+        pages.say_status("watch", game.score, "")
+        pages.hear()
+        if thinker is not None:
+            pages.think(lambda: thought_of(thinker, game.time))
+        if not pages.lost:
+            clock.sleep_until(game.time - began)
+    if not pages.lost:
+        time.sleep(_END)

@@ -1,7 +1,7 @@
 """Table 1, and tables of parameters."""
 
 from airpuck.model.model_file import published_model
-from airpuck.report.parameter_table import coefficient_rows, effect_rows, ladder_table, main_rows
+from airpuck.report.fit_figures import coefficient_rows, effect_rows, ladder_table, main_rows
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 

@@ -9,7 +9,7 @@ from matplotlib.collections import PolyCollection
 from airpuck.data.trajectory import Span
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.model.model_file import published_model
-from airpuck.report.fault_report import fault_report
+from airpuck.report.evaluation_report import fault_report
 from airpuck.report.prediction_figures import error_timeline_figure, fault_color
 
 from ..apparatus.synthetic_flights import fly
