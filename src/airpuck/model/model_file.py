@@ -28,10 +28,7 @@ from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of, with_code
 from airpuck.model.sections import (
     ModelFile,
-    covariance_rows,
     model_content,
-    parameter_rows,
-    parameters_html,
     read_free,
     read_own,
     read_parameters,
@@ -39,6 +36,7 @@ from airpuck.model.sections import (
     with_nominal_delay,
 )
 from airpuck.model.simulation import derivative, draw, simulate
+from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
 from airpuck.model.uncertainty import DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
