@@ -16,15 +16,7 @@ from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
 from airpuck.recording.files import listing
 from airpuck.recording.mapping import RecordingMapping, Topics
-from airpuck.recording.stream import (
-    POSES,
-    Recording,
-    Stream,
-    left_out,
-    of_cameras,
-    rows_of,
-    without_lost,
-)
+from airpuck.recording.stream import Recording, Stream, of_cameras, rows_of
 from airpuck.recording.ulog_file import ULOG, read_ulog
 
 _FORMS = "a rosbag2 folder, an .mcap, .db3, .bag or .ulg file, a CSV file or a folder of CSV files"
@@ -76,7 +68,7 @@ def read_recording(
     """
     with within_means(path):
         wanted = mapping or RecordingMapping(topics=topics or Topics())
-        return _with_wheels(_of_cameras(_read(Path(path), wanted, needs), wanted))
+        return _with_wheels(of_cameras(_read(Path(path), wanted, needs), wanted))
 
 
 def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
@@ -103,16 +95,6 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
     if found.suffix in (".npz", ".pt"):
         raise InputError("is already preprocessed and contains no raw recording", file=path)
     raise InputError(f"is not a recording; use {_FORMS}", file=path)
-
-
-def _of_cameras(recording: Recording, mapping: RecordingMapping) -> Recording:
-    """Leave out poses that the cameras lost, and add what the mapping states of their stamps."""
-    streams, warnings = dict(recording.streams), recording.warnings
-    for name in (name for name in POSES if name in streams):
-        seen, lost = without_lost(streams[name])
-        streams[name] = of_cameras(seen, mapping.of_poses(name))
-        warnings += left_out("poses" if name == "pose" else f"{name} poses", lost)
-    return replace(recording, streams=streams, warnings=warnings)
 
 
 def _with_wheels(recording: Recording) -> Recording:

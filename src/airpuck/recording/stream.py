@@ -20,7 +20,7 @@ from airpuck.recording.conversion import (
     propellers_of,
     stamps_of,
 )
-from airpuck.recording.mapping import PoseMapping, RecordingMapping
+from airpuck.recording.mapping import RecordingMapping
 
 #: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a
 #: game: the goals of both sides, the number of the event's kind, and the side concerned.
@@ -232,16 +232,15 @@ class Recording:
         try:
             values = poses_of(pose[:, :axes], pose[:, axes:], kind, mapping.pose)
             at = stamps_of(stamps, mapping.pose)
-            made = Stream(at, at, values, COLUMNS["pose"])
+            seen = Stream(at, at, values, COLUMNS["pose"])
             own = mapping.command.model_copy(update=known)
             at = stamps_of(command_stamps, own)
             names = propellers_of(unnamed_columns(command.shape[1]), own)
             commanded = Stream(at, at, commands_of(command, own), names)
         except InputError as error:
             raise InputError(error.problem, file=source, field=error.field) from error
-        made, blank = without_lost(of_cameras(made, mapping.pose))
-        said = lost + gone + left_out("poses", blank)
-        return cls({"pose": made, "command": commanded}, source, warnings=said)
+        whole = cls({"pose": seen, "command": commanded}, source, warnings=lost + gone)
+        return of_cameras(whole, mapping)
 
     def __repr__(self) -> str:
         streams = ", ".join(f"{name}: {len(stream)}" for name, stream in self.streams.items())
@@ -300,9 +299,20 @@ def joined(parts: Sequence[Stream]) -> Stream:
     return rows_of(whole, np.argsort(received, kind="stable"))
 
 
-def of_cameras(poses: Stream, mapping: PoseMapping) -> Stream:
-    """Return poses with what a mapping states of their stamps."""
-    return replace(poses, rate_hz=mapping.rate_hz, exact=mapping.stamps == "exact")
+def of_cameras(recording: Recording, mapping: RecordingMapping) -> Recording:
+    """Leave out poses that the cameras lost, and add what the mapping states of their stamps.
+
+    Lost are poses without a position or, if any has a yaw, without one.
+    """
+    streams, warnings = dict(recording.streams), recording.warnings
+    for name in (name for name in POSES if name in streams):
+        poses, own = streams[name], mapping.of_poses(name)
+        missing = np.isnan(poses.values)
+        lost = missing[:, :2].all(axis=1) | (missing[:, 2] & ~missing[:, 2].all())
+        seen = rows_of(poses, ~lost) if lost.any() else poses
+        streams[name] = replace(seen, rate_hz=own.rate_hz, exact=own.stamps == "exact")
+        warnings += left_out("poses" if name == "pose" else f"{name} poses", int(lost.sum()))
+    return replace(recording, streams=streams, warnings=warnings)
 
 
 def rows_of(stream: Stream, chosen: Shaped[np.ndarray, " M"]) -> Stream:
@@ -313,13 +323,6 @@ def rows_of(stream: Stream, chosen: Shaped[np.ndarray, " M"]) -> Stream:
         received_ns=stream.received_ns[chosen],
         values=stream.values[chosen],
     )
-
-
-def without_lost(poses: Stream) -> tuple[Stream, int]:
-    """Leave out poses without a position or, if any has a yaw, without one; count them."""
-    missing = np.isnan(poses.values)
-    lost = missing[:, :2].all(axis=1) | (missing[:, 2] & ~missing[:, 2].all())
-    return (rows_of(poses, ~lost) if lost.any() else poses), int(lost.sum())
 
 
 def left_out(name: str, missing: int) -> tuple[str, ...]:
