@@ -48,13 +48,6 @@ TopicName = Annotated[str, pydantic.AfterValidator(_topic_name)]
 Name = Annotated[str, pydantic.Field(min_length=1)]
 
 
-def check_distinct(names: Mapping[str, str]) -> None:
-    """Raise ValueError if two streams have the same topic."""
-    twice = [name for name, count in Counter(names.values()).items() if count > 1]
-    if twice:
-        raise ValueError(f"{twice[0]} is named for two streams")
-
-
 class Topics(Section):
     """Topic names; the defaults are the authors' table.
 
@@ -102,7 +95,9 @@ class Topics(Section):
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> Topics:
         # One topic may hold several bodies; `RecordingMapping` checks their names.
-        check_distinct({k: v for k, v in self.by_stream.items() if k != "puck" or v != self.pose})
+        names = [v for k, v in self.by_stream.items() if k != "puck" or v != self.pose]
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise ValueError(f"{twice[0]} is named for two streams")
         return self
 
     @property
@@ -280,7 +275,8 @@ class PoseMapping(_Times):
     @property
     def permutation(self) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """The file's axes that our x, y, z correspond to, with their signs."""
-        return _permutation(self.axes)
+        index = np.array(["xyz".index(axis[-1]) for axis in self.axes])
+        return index, np.array([-1.0 if axis.startswith("-") else 1.0 for axis in self.axes])
 
 
 _Mapping = TypeVar("_Mapping", bound=_Times)
@@ -292,13 +288,6 @@ def completed(mapping: _Mapping, usual: Mapping[str, Any]) -> _Mapping:
     kinds = {UNITS[unit][0] for unit in mapping.units}
     rest = tuple(unit for unit in usual.get("units", ()) if UNITS[unit][0] not in kinds)
     return mapping.model_copy(update={**usual, **given, "units": mapping.units + rest})
-
-
-def _permutation(
-    axes: Sequence[str],
-) -> tuple[Int64[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    index = np.array(["xyz".index(axis[-1]) for axis in axes])
-    return index, np.array([-1.0 if axis.startswith("-") else 1.0 for axis in axes])
 
 
 class CommandMapping(_Times):
