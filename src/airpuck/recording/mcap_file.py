@@ -10,26 +10,15 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import (
-    CHUNK_BYTES,
-    INDEX_BYTES,
-    Unpacking,
-    refused,
-)
+from airpuck.boundary.limits import CHUNK_BYTES, INDEX_BYTES, Unpacking, refused
 from airpuck.recording.ros1_file import ROS1, ros1_topic
-from airpuck.recording.unpacking import (
-    Log,
-    TopicLog,
-    check_chunk_size,
-    unpacked,
-)
+from airpuck.recording.unpacking import Log, TopicLog, unpacked
 
 if TYPE_CHECKING:
     from mcap.records import ChunkIndex, Schema
@@ -55,20 +44,6 @@ class _Damaged(ValueError):
     """A record is malformed."""
 
 
-@dataclass
-class _Lost:
-    """Claimed times of damaged chunks; they may be damaged too, but nothing else is available."""
-
-    chunks: int = 0
-    start_ns: int = 2**64
-    stop_ns: int = 0
-
-    def add(self, start_ns: int, stop_ns: int) -> None:
-        """Note a chunk."""
-        self.chunks += 1
-        self.start_ns, self.stop_ns = min(start_ns, self.start_ns), max(stop_ns, self.stop_ns)
-
-
 class _Sink:
     """Processes records in the order of the file."""
 
@@ -79,6 +54,8 @@ class _Sink:
         self._schemas: dict[int, Schema] = {}
         #: Topic of each channel; None if the channel is skipped.
         self._channels: dict[int, TopicLog | None] = {}
+        #: Claimed times of damaged chunks [ns]; they may be damaged too, but nothing else is there.
+        self.lost: list[tuple[int, int]] = []
 
     def wants(self, channels: Collection[int]) -> bool:
         """Return whether one of the channels is read, or still unknown."""
@@ -161,7 +138,7 @@ def _topic_log(schema: Schema | None, encoding: str) -> TopicLog:
 def read_mcap(path: Path, wanted: Collection[str]) -> Log:
     """Read every intact chunk of an MCAP file, and record the damage."""
     size = path.stat().st_size
-    sink, lost, damage = _Sink(path, wanted), _Lost(), list[str]()
+    sink, damage = _Sink(path, wanted), list[str]()
     with path.open("rb") as file:
         # Messages outside chunks.
         single = bytearray()
@@ -179,15 +156,16 @@ def read_mcap(path: Path, wanted: Collection[str]) -> Log:
                 if code == _CHUNK_CODE and index and not sink.wants(index.message_index_offsets):
                     _pass_over(index, sink.log)
                 elif code == _CHUNK_CODE:
-                    _read_chunk(_take(file, length, path), sink, lost)
+                    _read_chunk(_take(file, length, path), sink)
                 elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
                     sink.describe(code, _take(file, length, path))
         except _Damaged as error:
             damage.append(str(error))
         sink.chunk(bytes(single))
-    if lost.chunks:
-        number = f"{lost.chunks} damaged chunk{'s' if lost.chunks > 1 else ''}"
-        damage.append(f"{number} within {(lost.stop_ns - lost.start_ns) / 1e9:.3f} s left out")
+    if sink.lost:
+        starts, stops = zip(*sink.lost, strict=True)
+        number = f"{len(starts)} damaged chunk{'s' if len(starts) > 1 else ''}"
+        damage.append(f"{number} within {(max(stops) - min(starts)) / 1e9:.3f} s left out")
     sink.log.damage = damage
     sink.log.sort()
     return sink.log
@@ -227,23 +205,22 @@ def _take(file: BinaryIO, length: int, path: Path) -> bytes:
     return file.read(length)
 
 
-def _read_chunk(content: bytes, sink: _Sink, lost: _Lost) -> None:
+def _read_chunk(content: bytes, sink: _Sink) -> None:
     """Unpack a chunk and process its records; note the chunk if it is damaged."""
     if len(content) < _CHUNK.size + 8:
         raise _Damaged("a chunk is cut short")
     start_ns, stop_ns, size, checksum, name = _CHUNK.unpack_from(content)
     data = _CHUNK.size + name + 8
-    check_chunk_size(size, sink.path)
     try:
         compression = content[_CHUNK.size : data - 8].decode()
-        records = unpacked(content[data:], compression, size)
+        records = unpacked(content[data:], compression, size, sink.path)
         if checksum and zlib.crc32(records) != checksum:
             raise _Damaged("its checksum does not match its content")
         sink.chunk(records)
     except InputError:
         raise
     except ValueError:
-        lost.add(start_ns, stop_ns)
+        sink.lost.append((start_ns, stop_ns))
 
 
 def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:

@@ -16,12 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import CHUNK_BYTES, Unpacking, refused
 from airpuck.recording.cdr import typestore
 from airpuck.recording.message import definitions
-from airpuck.recording.unpacking import (
-    Log,
-    TopicLog,
-    check_chunk_size,
-    unpacked,
-)
+from airpuck.recording.unpacking import Log, TopicLog, unpacked
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
@@ -79,9 +74,9 @@ class _BagRecords:
     def chunk(self, header: dict[str, bytes], content: bytes) -> None:
         """Process the records of a chunk."""
         (size,) = _LENGTH.unpack(_field(header, "size", 4))
-        check_chunk_size(size, self.path)
         compression = _COMPRESSIONS.get(_text(header, "compression"), "unknown")
-        records = list(_records(unpacked(content, compression, size), self._budget.records_left))
+        plain = unpacked(content, compression, size, self.path)
+        records = list(_records(plain, self._budget.records_left))
         self._budget.spend(size, len(records))
         for head, inner in records:
             self.take(head, inner, inside=True)

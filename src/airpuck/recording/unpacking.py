@@ -122,40 +122,32 @@ class Log:
         self.damage += later.damage
 
 
-def check_chunk_size(size: int, path: Path) -> None:
-    """Raise InputError if a chunk claims to unpack to too much."""
+def unpacked(data: bytes, compression: str, size: int, path: Path) -> bytes:
+    """Unpack a chunk to its size; ValueError if the size differs or the chunk is damaged.
+
+    Raise InputError if the chunk claims to unpack to too much.
+    """
+    import lz4.frame
+    import zstandard
+
     if size > CHUNK_BYTES:
         what, remedy = "contains a chunk that unpacks to too much", "record smaller chunks"
         raise refused(what, CHUNK_BYTES, remedy, file=path)
-
-
-def unpacked(data: bytes, compression: str, size: int) -> bytes:
-    """Unpack a chunk to its size; ValueError if the size differs or the chunk is damaged."""
-    if compression == "zstd":
-        import zstandard
-
-        # A decompressor takes as much memory as its window, up to the size of its output.
-        decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
-        try:
+    try:
+        if compression == "zstd":
+            # A decompressor takes as much memory as its window, up to the size of its output.
+            decompressor = zstandard.ZstdDecompressor(max_window_size=CHUNK_BYTES)
             content = decompressor.stream_reader(data).read(size + 1)
-        except zstandard.ZstdError as error:
-            raise ValueError("it is damaged") from error
-    elif compression == "lz4":
-        import lz4.frame
-
-        try:
+        elif compression == "lz4":
             content = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
-        except RuntimeError as error:
-            raise ValueError("it is damaged") from error
-    elif compression == "bz2":
-        try:
+        elif compression == "bz2":
             content = bz2.BZ2Decompressor().decompress(data, size + 1)
-        except (OSError, EOFError) as error:
-            raise ValueError("it is damaged") from error
-    elif compression:
-        raise ValueError("it is packed by an unknown method")
-    else:
-        content = data
+        elif not compression:
+            content = data
+        else:
+            raise ValueError("it is packed by an unknown method")
+    except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
+        raise ValueError("it is damaged") from error
     if len(content) != size:
         raise ValueError("its size differs from the stated one")
     return content
