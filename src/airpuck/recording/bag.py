@@ -38,20 +38,15 @@ def is_bag(path: Path) -> bool:
 
 def _stored(folder: Path) -> list[Path]:
     """List storage files by name, and by number if the name ends in one: 10 after 9."""
-
-    def order(file: Path) -> tuple[str, int]:
-        stem, _, number = file.name.partition(".")[0].rpartition("_")
-        return (stem, int(number)) if number.isdecimal() else (file.name, 0)
-
     found = (file for file in folder.iterdir() if file.name.endswith(STORAGE) and file.is_file())
-    return sorted(found, key=order)
+    return sorted(found, key=_part)
 
 
-def _part(file: Path) -> tuple[str, str]:
-    """Return what the files of one split bag have in common: the name up to a final number."""
-    stem, dot, suffix = file.name.partition(".")
+def _part(file: Path) -> tuple[str, str, int]:
+    """Return what the files of one split bag have in common, name and suffix, and the number."""
+    stem, _, suffix = file.name.partition(".")
     before, _, number = stem.rpartition("_")
-    return (before, dot + suffix) if number.isdecimal() else (stem, dot + suffix)
+    return (before, suffix, int(number)) if number.isdecimal() else (stem, suffix, 0)
 
 
 def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
@@ -97,7 +92,7 @@ def _in_order(folder: Path, metadata: Mapping[str, Any]) -> list[Path]:
     named = metadata.get("relative_file_paths")
     names = [PurePath(str(name)).name for name in named] if isinstance(named, list) else []
     found = [file for name in names for file in files if file.name == name]
-    if not found and len(set(map(_part, files))) > 1:
+    if not found and len({_part(file)[:2] for file in files}) > 1:
         raise _several(files, folder)
     return found or files
 
