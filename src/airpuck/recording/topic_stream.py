@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping, Sequence
-from functools import partial
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -111,11 +110,6 @@ def command_fields(msgtype: str, fields: Sequence[Field]) -> tuple[str, ...]:
     rest = [field for field in fields if not field.path.startswith(_BESIDE)]
     kinds = {_number(field.code) for field in rest}
     return tuple(field.path for field in rest) if len(kinds) == 1 and all(kinds) else ()
-
-
-def joint_names(msgtype: str) -> tuple[str, ...]:
-    """Return the field in which messages of this type name their values, if any."""
-    return (_JOINT_NAMES,) if msgtype == _JOINT_STATE else ()
 
 
 def _number(code: str) -> str:
@@ -277,14 +271,8 @@ def _stream_of_bodies(
         "position": several.pose[:split],
         "orientation": Orientation("quaternion", several.pose[split:]),
     }
-    arrivals = np.array(received, dtype=np.int64)
-    read = partial(chosen_fields, found)
-    return stream_of(stream, topic.msgtype, fields, read, arrivals, completed(own, usual))
-
-
-def chosen_fields(found: Decoded, paths: Sequence[str]) -> Decoded:
-    """Return some of the decoded fields."""
-    return {path: found[path] for path in paths}
+    arrivals, own = np.array(received, dtype=np.int64), completed(own, usual)
+    return stream_of(stream, topic.msgtype, fields, lambda _: found, arrivals, own)
 
 
 def stream_of(
@@ -383,7 +371,8 @@ def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping
             names = unnamed_columns(values.shape[1]) if whole else names
         return propellers_of(names, mapping), commands_of(values, mapping)
 
-    return [*(place.path for place in places), *joint_names(msgtype)], convert
+    names = (_JOINT_NAMES,) if msgtype == _JOINT_STATE else ()
+    return [*(place.path for place in places), *names], convert
 
 
 def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:

@@ -11,7 +11,6 @@ import io
 import re
 import struct
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256
 from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
 from airpuck.recording.stream import Recording, Stream
-from airpuck.recording.topic_stream import chosen_fields, section_of, stream_of
+from airpuck.recording.topic_stream import section_of, stream_of
 
 ULOG = ".ulg"
 #: Default topics; the first that is in the log is used. Motion capture comes before PX4's own
@@ -129,11 +128,10 @@ def _stream(
     if "timestamp" not in single or found["timestamp"].dtype.kind not in "iu":
         raise ValueError("has no timestamp")
     arrived = found["timestamp"].astype(np.int64) * _MICROSECOND_NS
-    read = partial(chosen_fields, found)
     name = topic.partition("[")[0]
     msgtype = _TYPES.get(name, name)
     own = section_of(stream, msgtype, mapping)
-    return stream_of(stream, msgtype, fields, read, arrived, own)[0]
+    return stream_of(stream, msgtype, fields, lambda _: found, arrived, own)[0]
 
 
 def _check_definitions(content: bytes, path: Path) -> None:
