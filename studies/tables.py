@@ -10,6 +10,7 @@ per cent or one unit of its last digit, a whole number within half a per cent.
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,7 +43,7 @@ MOVES = (
     ("0.8 m across, 3.1 rad", (0.0, -0.4, 0.0), (0.0, 0.4, 3.1)),
     ("0.54 m, 1 rad", (-0.25, -0.1, 0.0), (0.25, 0.1, 1.0)),
 )
-PRECISIONS = ("single", "double")
+PRECISIONS = {"single": ("-DAIRPUCK_SINGLE",), "double": ()}
 #: Largest relative change of a number that still holds.
 TOLERANCE = 5e-3
 _NUMBER = re.compile(r"\d+\.?\d*")
@@ -138,10 +139,20 @@ def memory() -> dict[str, str]:
     for title, tuning in tunings().items():
         with tempfile.TemporaryDirectory() as folder:
             model = airpuck.read_model("paper:M4")
-            facts = airpuck.export.write(model, "c", Path(folder), tuning=tuning).facts
-        sizes = (facts[f"state in {precision} precision, bytes"] for precision in PRECISIONS)
-        rows.append([title, *map(str, sizes)])
+            airpuck.export.write(model, "c", Path(folder), tuning=tuning)
+            (Path(folder) / "size.c").write_text(
+                '#include "airpuck.h"\n#include <stdio.h>\n'
+                'int main(void) { return printf("%zu", sizeof(airpuck)) < 0; }\n'
+            )
+            sizes = [size_of_state(Path(folder), *options) for options in PRECISIONS.values()]
+        rows.append([title, *sizes])
     return {"c_memory.md": lines(["", *(f"{p} precision [B]" for p in PRECISIONS)], rows)}
+
+
+def size_of_state(folder: Path, *options: str) -> str:
+    """Return the size of the controller's state as this machine's compiler lays it out."""
+    subprocess.run(["cc", "-std=c99", *options, "size.c", "-o", "size"], cwd=folder, check=True)
+    return subprocess.run([folder / "size"], capture_output=True, text=True, check=True).stdout
 
 
 def changed(before: str, now: str) -> list[str]:

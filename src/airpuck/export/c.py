@@ -6,11 +6,10 @@ numbers. It has the laws and the estimator of `airpuck.control.tracking`.
 
 from __future__ import annotations
 
-import ctypes
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -152,66 +151,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     copy_sources(_SOURCES, folder)
     golden = "\n".join(golden_flight(model, tuning, plan))
     (folder / "golden.csv").write_text(f"{golden}\n")
-    n = model.vehicle.n_propellers
-    return {
-        **facts,
-        "state in double precision, bytes": _state_bytes(sizes, n, ctypes.c_double),
-        "state in single precision, bytes": _state_bytes(sizes, n, ctypes.c_float),
-    }
-
-
-def _memory(sizes: Mapping[str, int], n: int) -> tuple[int, int]:
-    """Return the C macros AIRPUCK_NUMBERS and AIRPUCK_WORKING, for n motors."""
-    if not sizes["AIRPUCK_STEPS"]:
-        return 8 * n * sizes.get("AIRPUCK_PERIODS", 0), 0
-    commands, rows = n * sizes["AIRPUCK_BLOCKS"], sizes["AIRPUCK_STEPS"] * sizes["AIRPUCK_LIMITS"]
-    active = commands + rows + 1
-    factor = active * (active + 1) // 2
-    scratch = sizes["AIRPUCK_STEPS"] * (6 + 2 * n) + (6 + n) * commands
-    program = commands * (commands + 1) // 2 + rows * commands + 6 * commands + 3 * rows
-    return program + 3 * active + max(scratch, factor), active
-
-
-def _state_bytes(sizes: Mapping[str, int], n: int, number: Any) -> int:
-    """Return the size of the C struct `airpuck`; its layout is repeated here."""
-    whole, time = ctypes.c_int, ctypes.c_double
-    numbers, working = _memory(sizes, n)
-
-    class Held(ctypes.Structure):
-        _fields_: ClassVar = [("begins", time), ("command", number * n)]
-
-    class Plan(ctypes.Structure):
-        _fields_: ClassVar = [
-            ("commands", number * (n * sizes.get("AIRPUCK_BLOCKS", 0))),
-            ("times", time * 2),
-            ("way", number),
-            ("limits", whole),
-            ("borders", number * (4 + 3 * (sizes.get("AIRPUCK_DISCS", 0) + 1))),
-            ("astray", whole),
-            ("active", ctypes.c_byte * max(working - 1, 0)),
-        ]
-
-    class Craft(ctypes.Structure):
-        _fields_: ClassVar = [
-            ("status", whole),
-            ("estimate", number * (12 + n)),
-            ("iterations", whole),
-            ("times", time * 3),
-            ("doubt", whole * 2),
-            ("agreeing_since", time),
-            ("pose", number * 3),
-            ("filtered", time * 2),
-            ("belief", number * (30 + n)),
-            ("held", whole),
-            ("commands", Held * sizes["AIRPUCK_HELD"]),
-            ("sides", ctypes.c_byte * (n + 2)),
-            *([("plan", Plan)] if sizes["AIRPUCK_STEPS"] else []),
-            *([("departs", time)] if sizes["AIRPUCK_INTERVALS"] else []),
-            ("numbers", number * numbers),
-            ("working", whole * working),
-        ]
-
-    return ctypes.sizeof(Craft)
+    return facts
 
 
 def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:

@@ -112,6 +112,7 @@ int main(int count, char **words)
         }
     }
     fclose(file);
+    printf("the controller's state takes %zu bytes\n", sizeof craft);
     printf("%d steps, %d different, largest difference of a command %.2g\n", steps, unequal, worst);
     return steps == 0 || unequal > MOST_UNEQUAL * steps;
 }
