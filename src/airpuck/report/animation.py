@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyBboxPatch, Patch, Polygon, Rectangle
 from matplotlib.text import Text
-from matplotlib.ticker import MaxNLocator
 from PIL import GifImagePlugin, Image
 
 from airpuck.boundary import numbers
@@ -119,17 +118,16 @@ def _sized(length: float, width: float) -> AirHockey:
     return TABLE.model_copy(update={"table": table})
 
 
-#: Width of the picture, largest size of the table, and the margins [in].
-_WIDTH, _WIDEST, _TALLEST = 9.0, 8.32, 5.6
-_LEFT, _HEADER, _LEGEND, _PANELS, _BOTTOM, _GAP = 0.5, 0.46, 0.34, 1.2, 0.5, 0.42
-#: Height of the panels with their titles, and of the tick labels below the table [in].
-_BELOW, _TICKS = _BOTTOM + _PANELS + 0.2, 0.25
+#: Width and height of a GIF [in]: video encoders need an even number of pixels.
+_SIZE = 9.0, 7.2
 #: Room for the rails around the table [m].
 _RAIL = 0.035
 #: Colours of the GIF; the next index marks an unchanged pixel.
 _COLORS = 255
 #: Marker of the pose and the set point over time.
 _DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "clip_on": False}
+#: Height of the line above the table, in the figure.
+_HEADER = 0.97
 
 
 def write_animation_gif(
@@ -204,7 +202,7 @@ class _Background:
     def picture(self, k: int) -> Image.Image:
         """Draw frame k."""
         self.canvas.restore_region(self.background)  # pyright: ignore[reportAttributeAccessIssue]
-        table, *panels, motors, legend = self.figure.axes
+        table, *panels, motors = self.figure.axes
         now = float(self.frames.time[k])
         for artist in _moving_on_table(self.scene, self.frames, self.arrows[k], k):
             _draw(table, artist)
@@ -218,16 +216,13 @@ class _Background:
                 asked = self.frames.reference[k, i]
                 for value, color in ((asked, style.ASKED), (seen, style.BLACK)):
                     _draw(axes, Line2D([now], [value], color=color, **_DOT))
-        clock = Text(1 - 0.18 / _WIDTH, 1 - 0.23 / self.figure.get_figheight(), f"{now:.2f} s")
-        clock.set(ha="right", va="center", fontsize=15, fontweight="bold")
-        clock.set(transform=self.figure.transFigure, clip_on=False)
-        _draw(legend, clock)
         score = None if self.scene.game is None else self.scene.game.score_at(now)
-        if score is not None:
-            goals = Text(0.5, 1 - 0.23 / self.figure.get_figheight(), f"{score[0]} : {score[1]}")
-            goals.set(ha="center", va="center", fontsize=15, fontweight="bold")
-            goals.set(transform=self.figure.transFigure, clip_on=False)
-            _draw(legend, goals)
+        shown = [(0.98, "right", f"{now:.2f} s")]
+        shown += [] if score is None else [(0.5, "center", f"{score[0]} : {score[1]}")]
+        for x, side, words in shown:
+            text = Text(x, _HEADER, words, ha=side, va="center", fontsize=15, fontweight="bold")
+            text.set(transform=self.figure.transFigure, clip_on=False)
+            _draw(table, text)
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 
 
@@ -315,56 +310,39 @@ def _faded(share: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 3"]:
 @style.styled
 def _scenery(scene: FlightScene, speed: float) -> Figure:
     """Draw the static parts: table, panels for x, y, yaw and the motors, legend."""
-    x0, x1, y0, y1 = scene.view
-    width, height = x1 - x0 + 2 * _RAIL, y1 - y0 + 2 * _RAIL
-    scale = min(_WIDEST / width, _TALLEST / height)  # inches per metre
-    total = _HEADER + scale * height + _TICKS + _LEGEND + _BELOW
-    # Video encoders need an even number of pixels.
-    total = round(total * style.RESOLUTION / 2) * 2 / style.RESOLUTION
-    figure = Figure(figsize=(_WIDTH, total), dpi=style.RESOLUTION)
+    figure = Figure(figsize=_SIZE, dpi=style.RESOLUTION)
     FigureCanvasAgg(figure)
-
-    def place(left: float, bottom: float, width: float, height: float) -> Axes:
-        return figure.add_axes((left / _WIDTH, bottom / total, width / _WIDTH, height / total))
-
-    left = _LEFT + (_WIDEST - scale * width) / 2
-    bottom = total - _HEADER - scale * height
-    _draw_table(place(left, bottom, scale * width, scale * height), scene)
-    room = (_WIDEST - 3 * _GAP) / 4
-    panels = [place(_LEFT + i * (room + _GAP), _BOTTOM, room, _PANELS) for i in range(4)]
-    _draw_panels(panels, scene)
-    legend = place(left, bottom - _TICKS - _LEGEND, _WIDTH - left, _LEGEND)
-    legend.set(xlim=(0, _WIDTH - left), ylim=(-_LEGEND / 2, _LEGEND / 2))
-    _draw_legend(legend, scene, scale)
-    y = 1 - 0.23 / total
-    name = figure.text(_LEFT / _WIDTH, y, scene.vehicle.name, va="center", weight="bold", size=13)
-    after = name.get_window_extent().x1 / (_WIDTH * style.RESOLUTION) + 0.012
+    room = {"left": 0.06, "right": 0.98, "bottom": 0.07, "top": 0.94}
+    grid = figure.add_gridspec(2, 4, height_ratios=(3.7, 1), **room, wspace=0.24, hspace=0.34)
+    table = figure.add_subplot(grid[0, :])
+    _draw_table(table, scene)
+    _draw_panels([figure.add_subplot(grid[1, k]) for k in range(4)], scene)
+    thrust = f"commanded thrust, {moments.arrow_scale(scene.vehicle):.2g} m long for 1 N"
+    keys = [
+        style.key(f"path of the last {moments.TRAIL:g} s", lw=2.4),
+        style.key(thrust, style.GREY, marker=">", markevery=[-1], lw=2.0),
+    ]
+    if len(scene.reference):
+        keys.append(style.key("set point", style.ASKED, marker="o", mfc="none", ms=9, ls=""))
+    if scene.plans:
+        bounds = style.BOUND_WORDS.items()
+        keys += [style.key(words, style.BOUND_COLORS[bound], lw=2.2) for bound, words in bounds]
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.08)}
+    table.legend(handles=keys, ncols=min(len(keys), 3), **below)
     pace = "" if speed == 1 else f"  ·  {speed:g} × real time"
-    figure.text(after, y - 0.0015, scene.name + pace, fontsize=10, color=style.GREY, va="center")
+    name = f"{scene.vehicle.name}  ·  {scene.name}{pace}"
+    figure.text(0.06, _HEADER, name, va="center", size=11, color=style.GREY)
     return figure
 
 
 def _draw_table(axes: Axes, scene: FlightScene) -> None:
-    """Draw the floor, the rails and a grid."""
+    """Draw the floor and the rails, and the marks of a game."""
     x0, x1, y0, y1 = scene.view
-    axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL))
+    axes.set(xlim=(x0 - _RAIL, x1 + _RAIL), ylim=(y0 - _RAIL, y1 + _RAIL), aspect="equal")
     axes.spines[:].set_visible(False)
-    axes.tick_params(length=0, pad=2)
-    axes.grid(False)
-    locator = MaxNLocator(5, steps=[1, 2, 5, 10])
-    step = np.diff(locator.tick_values(0, max(x1 - x0, y1 - y0)))[0]
-    across, up = _multiples(x0, x1, step), _multiples(y0, y1, step)
-    axes.set(xticks=across, yticks=up)
-    axes.vlines(across, y0, y1, color=style.GRID, lw=0.8, zorder=0.5)
-    axes.hlines(up, x0, x1, color=style.GRID, lw=0.8, zorder=0.5)
-    # Axis labels go between the last two tick labels.
-    below, beside = axes.get_xaxis_transform(), axes.get_yaxis_transform()
-    small: dict[str, Any] = {"fontsize": 8, "ha": "center"}
-    axes.text(across[-1] - step / 2, -0.008, "x [m]", transform=below, va="top", **small)
-    middle = up[-1] - step / 2
-    axes.text(-0.024, middle, "y [m]", transform=beside, va="center", rotation=90, **small)
-    dots = np.meshgrid(_multiples(x0, x1, step / 5), _multiples(y0, y1, step / 5))
-    axes.plot(*(dot.ravel() for dot in dots), ".", color=style.HOLES, ms=2.6, mew=0, zorder=0.6)
+    axes.tick_params(length=0)
+    axes.grid(color=style.GRID)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
     if scene.table is None:
         axes.set_facecolor(style.FLOOR)
         return
@@ -374,7 +352,6 @@ def _draw_table(axes: Axes, scene: FlightScene) -> None:
     rails.set(facecolor=style.FLOOR, edgecolor=style.RAIL, lw=4.5, zorder=0.1)
     axes.add_patch(rails)
     if scene.game is None:
-        axes.plot(0, 0, "+", color=style.RAIL, ms=9, mew=1.2, zorder=0.7)
         return
     half = scene.game.play.table.goal_width_m / 2
     axes.vlines(0, -width / 2, width / 2, color=style.RAIL, lw=1.5, zorder=0.7)
@@ -384,11 +361,6 @@ def _draw_table(axes: Axes, scene: FlightScene) -> None:
         axes.vlines(x, -half, half, color="white", lw=5, zorder=0.8)
         axes.vlines(x, -half, half, color=_tint(side), lw=5, alpha=0.4, zorder=0.9)
         axes.plot([x, x], [-half, half], "o", color=_tint(side), ms=5, zorder=1)
-
-
-def _multiples(low: float, high: float, step: float) -> Float[np.ndarray, " ticks"]:
-    """Return the multiples of a step between two numbers."""
-    return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
 
 
 def _draw_panels(panels: list[Axes], scene: FlightScene) -> None:
@@ -431,33 +403,3 @@ def _draw_motors(axes: Axes, scene: FlightScene) -> None:
     axes.tick_params(axis="y", length=0, labelsize=size)
     for text, color in zip(axes.get_yticklabels(), colors, strict=True):
         text.set_color(color)
-
-
-def _draw_legend(axes: Axes, scene: FlightScene, scale: float) -> None:
-    """Draw the legend in inches; the arrow has the table's scale."""
-    axes.set_axis_off()
-    share = np.linspace(0, 1, 13)
-    points = np.stack([0.1 + 0.3 * share, np.zeros(13)], axis=1)
-    path = LineCollection(list(np.stack([points[:-1], points[1:]], axis=1)), capstyle="round")
-    path.set(color=_faded(1 - 0.75 * share[1:]), linewidth=1 + 1.4 * share[1:])
-    axes.add_collection(path)
-    words: dict[str, Any] = {"fontsize": 8.5, "va": "center_baseline"}
-    axes.text(0.48, 0, f"path of the last {moments.TRAIL:g} s", **words)
-    if len(scene.reference):
-        ring = Circle((2.3, 0), 0.1, fill=False, edgecolor=style.ASKED, lw=1.5, ls=(0, (3, 1.6)))
-        axes.add_patch(ring)
-        axes.text(2.48, 0, "set point", **words)
-    key = moments.round_thrust(scene.vehicle)
-    length = scale * key * moments.arrow_scale(scene.vehicle)
-    start = 3.4 if len(scene.reference) else 2.2
-    arrow = np.array([[[start, 0.0], [start + length, 0.0]]])
-    (shape,) = moments.arrow_shapes(arrow, scale * scene.vehicle.radius_m)
-    axes.add_patch(Polygon(shape, color=style.GREY, lw=0))
-    axes.text(start + length + 0.07, 0, f"commanded thrust of {key:g} N", **words)
-    if not scene.plans:
-        return
-    begin = start + length + 2.3
-    for color in style.BOUND_COLORS.values():
-        axes.plot([begin, begin + 0.15], [0, 0], color=color, lw=2.2)
-        begin += 0.17
-    axes.text(begin + 0.05, 0, "plan: no limit, motor, motion", **words)
