@@ -11,8 +11,8 @@ import time
 from collections import defaultdict
 from typing import Any
 
-from airpuck.live.events import EVENT_TYPE, EVENTS
 from airpuck.live.graph import Graph
+from airpuck.live.process import EVENT_TYPE, EVENTS
 from airpuck.live.record import Heard, Listener
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 

@@ -4,15 +4,170 @@ import os
 import re
 import subprocess
 import sys
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.numbers import Range
 from airpuck.cli.app import known_commands
-from airpuck.cli.output import show_time_left
+from airpuck.cli.output import origin, report, show_time_left, table
+from airpuck.model.model_file import published_model, read_model
+from airpuck.recording.bag_writer import write_bag
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.synthetic_flights import record
+
+KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
+
+
+def outputs():
+    """Return every option of every command that names an output."""
+    for name, command in known_commands().items():
+        for option in command.params:
+            read = option.name in command.declared or option.name == "settings_file"
+            if option.callback is not None and option.metavar in KINDS and not read:
+                yield name, option.opts[0], KINDS[option.metavar]
+
+
+@pytest.fixture
+def places(tmp_path):
+    """A folder with a file and a folder that is not empty."""
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "file").write_text("mine")
+    return tmp_path
+
+
+@pytest.mark.parametrize(("name", "option", "kind"), list(outputs()))
+def test_a_bad_output_is_refused_before_anything_is_read(places, name, option, kind):
+    bad = {"": "is empty", "x" * 300: "255 bytes", "file/x": "cannot be written"}
+    bad["/proc/none/x"] = "cannot be written"
+    if kind == "file":
+        bad |= {"folder": "is a folder", "/": "is the root", "/dev/null": "not an ordinary file"}
+    elif kind == "folder":
+        bad["file"] = "is a file"
+    else:
+        bad |= {"file": "exists already", "folder": "exists already", "/": "is the root"}
+    for place, words in bad.items():
+        process = airpuck(name, option, place, cwd=places)
+        assert refused(process, option, words), place
+    assert sorted(p.name for p in places.rglob("*")) == ["file", "file", "folder"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_what_is_protected_is_refused(places):
+    (places / "file").chmod(0o444)
+    assert refused(airpuck("present", "m", "--json", "file", cwd=places), "write-protected")
+    (places / "folder").chmod(0o555)
+    assert refused(airpuck("present", "m", "--json", "folder/x", cwd=places), "Permission denied")
+
+
+def test_a_folder_without_permission(places, monkeypatch):
+    def denied(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", denied)
+    process = airpuck("present", "m", "--json", "folder/x", cwd=places)
+    assert refused(process, "folder/x", "--json", "Permission denied")
+
+
+def test_nothing_is_written_over_what_is_read(tmp_path):
+    published_model("M3").save(tmp_path / "model.toml")
+    (tmp_path / "link.toml").symlink_to("model.toml")
+    before = (tmp_path / "model.toml").read_bytes()
+    for name in ("model.toml", "link.toml", f"../{tmp_path.name}/model.toml"):
+        process = airpuck("present", "model.toml", "--json", name, cwd=tmp_path)
+        assert refused(process, "model.toml", "--json", "is also an input")
+    # A folder's own recording, too.
+    (tmp_path / "bag").mkdir()
+    assert refused(airpuck("resid", "m", "bag", "-o", "./bag", cwd=tmp_path), "is also an input")
+    assert (tmp_path / "model.toml").read_bytes() == before
+
+
+def test_names_that_are_too_long_or_empty(tmp_path):
+    long = "x" * 5000
+    vehicle = ("excite", "-o", "b", "--vehicle", long)
+    for words in (("evaluate", "m", long), ("evaluate", long, "r"), vehicle):
+        process = airpuck(*words, cwd=tmp_path)
+        assert refused(process, "longer name than the system allows")
+    for words in (("evaluate", "m", ""), ("present", ""), ("check", "r", "--vehicle=")):
+        assert refused(airpuck(*words, cwd=tmp_path), "is empty")
+
+
+@pytest.mark.slow
+def test_an_empty_folder_counts_as_new(tmp_path):
+    (tmp_path / "bag").mkdir()
+    process = airpuck("excite", "--duration", "0.05", "-o", "bag", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+
+
+# Printed names ------------------------------------------------------------------------------------
+
+EVIL = "\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"
+SHOWN = r"\x1b[31mred\x1b]0;title\x07\r\u202e\x9b31m[bold]:smile:\nnext"
+
+
+def test_what_commands_a_terminal_is_escaped():
+    assert escaped(EVIL) == SHOWN
+    assert escaped("motor_a_1 ± 3 µm … „Größe“ 猫") == "motor_a_1 ± 3 µm … „Größe“ 猫"
+    # A file name that is not UTF-8.
+    assert escaped(os.fsdecode(b"caf\xe9")) == r"caf\udce9"
+
+
+def test_tables_lines_and_errors_print_names_as_they_are(capsys):
+    report({}, None, EVIL, table([EVIL, "x"], [[EVIL, "[red]1[/red]"]], title=EVIL))
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed and "\x9b" not in printed and "\u202e" not in printed
+    assert printed.replace("\n", "").count(SHOWN) == 4
+    assert "[red]1[/red]" in printed
+
+
+@pytest.mark.slow
+def test_names_of_propellers_topics_and_files(tmp_path):
+    evil = "\x1b[31m[red]"
+    path = tmp_path / "model.toml"
+    published_model("M3").save(path)
+    path.write_text(path.read_text().replace("motor_a_1", "\\u001b[31m[red]"))
+    assert read_model(path).vehicle.propeller_names[0] == evil
+    process = airpuck("present", "model.toml", cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
+    assert "F(1) \\x1b[31m[red]" in process.stdout and "\x1b" not in process.stdout
+    (tmp_path / "topics.toml").write_text('[topics]\npose = "/\\u001b[31m[red]"\n')
+    write_bag(record(duration=4.0), tmp_path / "bag")
+    process = airpuck("check", "bag", "--topics", "topics.toml", cwd=tmp_path)
+    assert refused(process, "\\x1b[31m[red]")
+    process = airpuck_process("check", "no\x1b[2Jthing", cwd=tmp_path)
+    assert refused(process, "no\\x1b[2Jthing")
+
+
+@pytest.mark.parametrize(
+    ("home", "shown"),
+    [
+        ("/home/al", "airpuck present '~/m.toml' '--json=~/x' /home/alice/y /mnt/home/al"),
+        ("/home/al/", "airpuck present '~/m.toml' '--json=~/x' /home/alice/y /mnt/home/al"),
+        ("/", "airpuck present /home/al/m.toml --json=/home/al/x /home/alice/y /mnt/home/al"),
+        ("", "airpuck present /home/al/m.toml --json=/home/al/x /home/alice/y /mnt/home/al"),
+    ],
+)
+def test_the_foot_of_a_page_does_not_name_the_home_folder(monkeypatch, home, shown):
+    words = ["present", "/home/al/m.toml", "--json=/home/al/x", "/home/alice/y", "/mnt/home/al"]
+    monkeypatch.setattr("sys.argv", ["/home/al/bin/airpuck", *words])
+    monkeypatch.setenv("HOME", home)
+    assert origin().command == shown
+
+
+def test_the_date_of_a_page_is_that_of_the_environment(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    assert origin().date == "2023-11-14 22:13 UTC"  # date -u -d @1700000000
+    for nonsense in ("9" * 30, "9" * 400, "253402300800", "yesterday", "-1", ""):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", nonsense)
+        now = datetime.now(UTC)
+        assert origin().date in {
+            (now + timedelta(minutes=k)).strftime("%Y-%m-%d %H:%M UTC") for k in (0, 1)
+        }
+
 
 COMMANDS = known_commands()
 

@@ -27,8 +27,8 @@ from airpuck.control.tuning import (
     tuning_for,
 )
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
-from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import nominal_model
+from airpuck.model.uncertainty import Cameras
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 positive = st.floats(1e-9, 1e4)

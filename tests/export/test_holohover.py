@@ -8,7 +8,7 @@ import pytest
 
 from airpuck import export
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.parsing import load_yaml
+from airpuck.boundary.files import load_yaml
 from airpuck.export.holohover import params_json, params_yaml
 from airpuck.model.model_file import read_model
 from tests.apparatus.export_crafts import EFFECTS, FOUR, ON_OFF, PAPER, random_states

@@ -12,9 +12,9 @@ from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.window_regression import regress_windows
 from airpuck.faults import layout_check, propeller_check
-from airpuck.faults.effect_match import match_effects, rotation, turned
 from airpuck.faults.layout_check import check_layout
 from airpuck.faults.layout_findings import AxisSigns
+from airpuck.faults.propeller_check import match_effects, rotation, turned
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.pipeline import preprocess

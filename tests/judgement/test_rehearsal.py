@@ -9,8 +9,8 @@ import pytest
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.deviation.effect_errors import EffectErrors, effect_errors
 from airpuck.judgement.rehearsal import GOAL, NEAR, as_seen, flown_margin, like, rehearse
-from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model, nominal_model, published_model
+from airpuck.model.uncertainty import Cameras
 from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.synthetic_flights import fly

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.boundary.finding import Finding
+from airpuck.boundary.results import Finding
 from airpuck.deviation.effect_errors import effect_errors
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.judgement.findings import LOW_LIMIT, Evidence

@@ -9,10 +9,9 @@ import numpy as np
 
 from airpuck.control.law import Prediction, Step
 from airpuck.estimate.estimator import Estimate
-from airpuck.live.events import HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.live.graph import SENSOR, STATE
 from airpuck.live.plan import NAME, PLAN, PLAN_TYPE, PlanOutbox, positions
-from airpuck.live.process import Process
+from airpuck.live.process import HEARTBEAT, HEARTBEAT_TYPE, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import MessageCodec, definitions
 

@@ -23,7 +23,7 @@ from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
-from airpuck.cli.names import check_inputs, refuse_empty
+from airpuck.cli.options import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
 

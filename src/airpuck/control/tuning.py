@@ -24,8 +24,8 @@ from airpuck.control.laws import check_law
 from airpuck.craft.actuators import OnOff
 from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise
-from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model
+from airpuck.model.uncertainty import Cameras
 
 #: Estimators by name.
 ESTIMATORS = ("kalman", "actuation")

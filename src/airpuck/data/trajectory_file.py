@@ -12,9 +12,8 @@ import pydantic
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Fraction, Section, checked
+from airpuck.boundary.files import Fraction, Section, checked, parse_json
 from airpuck.boundary.limits import ABOUT_BYTES, ARCHIVE_BYTES, SPANS, Archive, within_means
-from airpuck.boundary.parsing import parse_json
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import FORMAT, Span, Trajectory
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from airpuck.boundary.finding import Finding
+from airpuck.boundary.results import Finding
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.effect_errors import EffectErrors
 from airpuck.deviation.time_scale import patience

@@ -19,11 +19,13 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.deviation.window_regression import LEVEL, WindowRegression, regress_windows
-from airpuck.faults.effect_match import force_to_moment, rotation, rotation_error
 from airpuck.faults.layout_findings import AXES, AxisSigns, LayoutCheck, find_axis_signs
 from airpuck.faults.propeller_check import (
     PropellerCheck,
+    force_to_moment,
     judge_propellers,
+    rotation,
+    rotation_error,
 )
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds

@@ -9,8 +9,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.finding import Finding, Kind
-from airpuck.boundary.results import Result
+from airpuck.boundary.results import Finding, Kind, Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.window_regression import LEVEL
 from airpuck.faults.propeller_check import HARMLESS, REVERSED, TURNED, TURNS, PropellerCheck

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.results import Result
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import match_columns
-from airpuck.faults.effect_match import (
+from airpuck.faults.propeller_check import (
     AGREES,
     EffectMatch,
     cosines,

@@ -15,8 +15,8 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, refined
 from airpuck.deviation.motor_regression import integrated
 from airpuck.identification.retiming import modelled_acceleration
-from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model
+from airpuck.model.uncertainty import Cameras
 
 #: Samples of a third difference.
 _SAMPLES = 4

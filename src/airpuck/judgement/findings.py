@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.finding import Finding, by_cause
 from airpuck.boundary.numbers import percent
+from airpuck.boundary.results import Finding, by_cause
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
 from airpuck.deviation.time_scale import patience

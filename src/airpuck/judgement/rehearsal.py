@@ -22,8 +22,8 @@ from airpuck.deviation.effect_errors import EffectErrors
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.flight.loop import fly
 from airpuck.identification.cameras import cameras_of
-from airpuck.model.cameras import Cameras
 from airpuck.model.model_file import Model, nominal_model
+from airpuck.model.uncertainty import Cameras
 from airpuck.physics.angle import pose_difference
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings

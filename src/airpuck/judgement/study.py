@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.finding import Finding
 from airpuck.boundary.numbers import percent
-from airpuck.boundary.results import Result, html_table
+from airpuck.boundary.results import Finding, Result, html_table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
-from airpuck.faults.causes import recording_findings
 from airpuck.faults.layout_findings import AXES
-from airpuck.faults.strengths import Strengths, actuator_strengths
+from airpuck.faults.strengths import Strengths, actuator_strengths, recording_findings
 from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method

@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.finding import Finding
 from airpuck.boundary.numbers import percent
-from airpuck.boundary.results import Result
+from airpuck.boundary.results import Finding, Result
 from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.time_scale import patience
@@ -25,8 +24,8 @@ from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
 from airpuck.evaluation.presentation import WAYS
 from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
-from airpuck.faults.causes import recording_findings
 from airpuck.faults.layout_findings import AXES
+from airpuck.faults.strengths import recording_findings
 from airpuck.judgement.findings import (
     Evidence,
     first_causes,

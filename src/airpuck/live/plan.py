@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.law import Step
-from airpuck.live.events import Level, set_stamp
 from airpuck.live.graph import SENSOR
-from airpuck.live.process import Process
+from airpuck.live.process import Level, Process, set_stamp
 from airpuck.recording.message import MessageCodec, definitions
 
 #: A standard message, which rviz and Foxglove draw; and the name on ``/diagnostics`` of its active

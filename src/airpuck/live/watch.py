@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.flight.health import Health, HealthMonitor
-from airpuck.live.events import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.live.graph import LOG, SENSOR, STATE, Quality
 from airpuck.live.plan import PLAN, PLAN_TYPE, positions
-from airpuck.live.process import Inbox, Process
+from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE, Inbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 from airpuck.recording.message import MessageCodec, definitions

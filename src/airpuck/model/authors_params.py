@@ -9,8 +9,7 @@ import numpy as np
 import pydantic
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Fraction, NonNegative, Positive, checked
-from airpuck.boundary.parsing import load_json, load_yaml
+from airpuck.boundary.files import Fraction, NonNegative, Positive, checked, load_json, load_yaml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS

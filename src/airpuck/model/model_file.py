@@ -16,14 +16,12 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import checked, write_toml
+from airpuck.boundary.files import checked, load_toml, write_toml
 from airpuck.boundary.kinds import nearest
-from airpuck.boundary.parsing import load_toml
 from airpuck.boundary.results import frame
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import read_params_json, read_params_yaml
-from airpuck.model.cameras import Cameras
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of, with_code
 from airpuck.model.sections import (
@@ -37,7 +35,7 @@ from airpuck.model.sections import (
 )
 from airpuck.model.simulation import derivative, draw, simulate
 from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
-from airpuck.model.uncertainty import DelayJitter, Uncertainty
+from airpuck.model.uncertainty import Cameras, DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 

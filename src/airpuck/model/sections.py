@@ -15,11 +15,10 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import added
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
-from airpuck.model.cameras import Cameras
 from airpuck.model.parameters import Parameters, with_own
 from airpuck.model.quantities import QUANTITIES, Quantity, Rows, quantity_of
 from airpuck.model.rungs import effect_named
-from airpuck.model.uncertainty import Bootstrap, DelayJitter, Uncertainty
+from airpuck.model.uncertainty import Bootstrap, Cameras, DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame
 

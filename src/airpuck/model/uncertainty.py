@@ -1,4 +1,4 @@
-"""Uncertainty of the learned parameters, and of quantities computed from them."""
+"""What the data leave unknown: errors of parameters and derived quantities, noise of cameras."""
 
 from __future__ import annotations
 
@@ -10,7 +10,20 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.files import NonNegative, Section
+from airpuck.boundary.files import NonNegative, Positive, Section
+
+
+class Cameras(Section):
+    """Rate, noise and time stamps of the poses that a model was learned from."""
+
+    #: Poses per second, on average between gaps.
+    rate_hz: Positive
+    #: Standard deviations of the white noise of a pose.
+    position_noise_m: NonNegative
+    yaw_noise_rad: NonNegative
+    #: Standard deviation of the stamps' errors, which show as noise in proportion to speed.
+    stamp_jitter_s: NonNegative = 0.0
+
 
 #: Step of a finite difference, in standard errors: small enough that a product of parameters is
 #: linear, large enough for double precision.

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import load_yaml
 from airpuck.boundary.limits import DEFINITION_BYTES
-from airpuck.boundary.parsing import load_yaml
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.mapping import RecordingMapping, refuse_csv_settings

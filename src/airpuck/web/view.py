@@ -15,10 +15,9 @@ from airpuck.craft.table import Table
 from airpuck.deviation.model_errors import ModelError
 from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99, Every
 from airpuck.flight.health import HORIZON, Health
-from airpuck.live.events import EVENT_LEVELS
 from airpuck.live.fly import NAME as FLY
 from airpuck.live.plan import NAME as PLAN
-from airpuck.live.process import Outbox, Process
+from airpuck.live.process import EVENT_LEVELS, Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import Observer
 from airpuck.model.model_file import Model
