@@ -12,6 +12,7 @@ from airpuck.control.reference import (
 from airpuck.control.law import Law as Law, Step as Step
 from airpuck.control.tracking import TrackingController as TrackingController
 from airpuck.control.tuning import Tuning as Tuning, read_tuning as read_tuning
+from airpuck.craft.actuators import ActuatorKind as ActuatorKind
 from airpuck.craft.table import AirHockey as AirHockey, read_table as read_table
 from airpuck.craft.vehicle import (
     Vehicle as Vehicle,

@@ -66,7 +66,6 @@ from airpuck.control.reference import (
 )
 from airpuck.control.tracking import check_steerable as check_steerable
 from airpuck.control.tuning import default_tuning as default_tuning, tuning_for as tuning_for
-from airpuck.craft.actuators import OnOff as OnOff
 from airpuck.physics.thrust import thrust as thrust
 
 # Shortest times of a craft.

@@ -41,7 +41,7 @@ def test_the_file_of_a_propeller_craft_does_not_change(tmp_path: Path) -> None:
         ("dead_time_s", "deadtime_s", "did you mean dead_time_s"),
         ("thrust_N = [0.2]", "thrust_N = [0.1, 0.1]", "degree 2"),
         ("least_on_s = 0.01", "least_on_s = 0.2", "must not exceed pwm_period_s"),
-        ('"on_off"', '"valve"', "actuators"),
+        ('"on_off"', '"valve"', "actuators: there is no kind 'valve'.*FILE.py:NAME"),
     ],
 )
 def test_errors_name_the_field(wrong: str, instead: str, message: str, tmp_path: Path) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from airpuck import InputError, named_rung, read_vehicle
-from airpuck.craft.actuators import Spinning, Wheel
 from airpuck.craft.vehicle import default_vehicle
+from airpuck.craft.wheel import Spinning, Wheel
 from airpuck.export import write
 from airpuck.model.model_file import nominal_model
 

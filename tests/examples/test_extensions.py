@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import airpuck
+from airpuck.model.model_file import nominal_model
 from airpuck.physics.effects import Envelope
 from airpuck.physics.rigid_body import rollout
 from tests.apparatus import commands
@@ -75,6 +76,60 @@ def test_a_users_effect_is_named_wherever_a_model_is(tmp_path):
     assert json.loads(evaluated.stdout)["rmse"]["x_m"] < 0.01
     remedy = f"append +{term} to the name of the model"
     assert refused(commands.airpuck("evaluate", model, bag), "effects.cross_drag", remedy)
+
+
+CENTRED = EXAMPLES / "own_actuator/centred_pulses.py"
+
+
+@pytest.fixture
+def valves(tmp_path):
+    """Return files of a craft with valves: a user's kind, and the same with the package's."""
+    text = (EXAMPLES / "free_flyers/freeflyer2.toml").read_text("utf-8")
+    kept = [line for line in text.splitlines() if line[:4] not in ("rise", "fall", "leas")]
+    text = "\n".join([*kept, "motor_time_constant_s = 0.005"]).replace("[0.2]", "[1.0]")
+    (tmp_path / "on_off.toml").write_text(text, "utf-8")
+    own = tmp_path / "centred.toml"
+    own.write_text(text.replace('"on_off"', '"centred"'), "utf-8")
+    return f"{own}+{CENTRED}:CentredPulses", tmp_path / "on_off.toml"
+
+
+def test_a_users_actuators_fly_excitation_and_set_points(valves, tmp_path):
+    model = nominal_model(airpuck.read_vehicle(valves[0]))
+    settings = airpuck.read_twin_settings(EXAMPLES / "free_flyers/twin.toml")
+    assert len(airpuck.excite(model, 2.0, 1, settings=settings)["command"].values) == 20
+    flown, _ = airpuck.track(model, airpuck.SetPoint(0.2, 0.0, 0.0), 15.0, settings=settings)
+    assert np.hypot(*(flown["pose"].values[-1, :2] - [0.2, 0.0])) < 0.05
+    model.save(tmp_path / "model.toml")
+    assert airpuck.read_model(tmp_path / "model.toml").vehicle == model.vehicle
+
+
+@pytest.mark.slow
+def test_a_users_actuators_are_the_same_in_the_twin_and_in_a_fit(valves):
+    own, packaged = map(airpuck.read_vehicle, valves)
+    model, random = nominal_model(own), np.random.default_rng(0)
+    strengths = random.uniform(0.8, 1.2, (8, 1))
+    truth = replace(model.parameters, thrust=strengths, transport_delay=0.041)
+    settings = airpuck.read_twin_settings(EXAMPLES / "free_flyers/twin.toml")
+    quiet = {"rate_hz": 100.0, "position_noise_m": 1e-6, "yaw_noise_rad": 1e-5}
+    camera = settings.motion_capture.model_copy(update=quiet)
+    settings = settings.model_copy(update={"motion_capture": camera})
+    twin = airpuck.Twin(replace(model, parameters=truth), settings)
+    for k in range(60):
+        twin.wait_until(0.1 * k)
+        twin.send(random.random(8) * (random.random(8) < 0.5))
+    twin.wait_until(6.0)
+
+    def worst(craft):
+        fit = airpuck.identify(
+            airpuck.preprocess(twin.recording(), craft),
+            "M3",
+            loss=airpuck.Loss(prediction_time=0.4, encoder_time=0.1, spacing=0.23),
+            preparation=airpuck.Preparation(faults="keep", retimings=0),
+        )
+        return np.abs(fit.model.parameters.thrust / strengths - 1).max()
+
+    assert worst(own) < 0.02
+    assert worst(packaged) > 0.04  # the kind matters
 
 
 def test_an_encoder_is_given_to_evaluate():

@@ -1,17 +1,19 @@
 """On/off thrusters in the twin: dead time, rise, fall, least on-time, PWM."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
-from airpuck import InputError
+from airpuck import ActuatorKind, InputError
 from airpuck.craft.actuators import OnOff
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.twin.batch import TwinBatch
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
+from airpuck.twin.valves import Driver
 
 FORCE, MASS = 0.5, 10.0
 DEAD, RISE, FALL = 0.0123, 0.006, 0.02
@@ -104,3 +106,45 @@ def test_a_batch_rejects_valves() -> None:
     model = craft()
     with pytest.raises(InputError, match="use Twin"):
         TwinBatch([model, replace(model)], 2, 1.0)
+
+
+class Halved(ActuatorKind):
+    """Valves that open half, and fully a while later; commands up to 0.1 do nothing."""
+
+    kind: Literal["halved"] = "halved"
+    stage_s: float = 0.013
+
+    def possible(self, command):
+        return np.where(command > 0.1, command, 0.0)
+
+    def changes(self, time, command, since):
+        drive = self.possible(command)
+        first = np.where(np.isinf(since), drive / 2, drive)
+        return [(time, first), (time + self.stage_s, drive)]
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        Halved(),
+        Halved(dead_time_s=0.004),
+        OnOff(kind="on_off", least_on_s=0.03),
+        OnOff(kind="on_off", pwm_period_s=0.1, least_on_s=0.02),
+    ],
+    ids=["halved", "late", "switches", "pulses"],
+)
+def test_the_twin_drives_actuators_as_recordings_are_read(kind):
+    random, period = np.random.default_rng(3), 0.1
+    sent = period * np.arange(30)
+    command = random.random((30, 3)) * (random.random((30, 3)) < 0.7)
+    begun, drives = kind.drive(sent, command)
+    driver = Driver(kind, 3)
+    now = 0.0
+    while now < 2.9:
+        held = command[int((now + 1e-9) / period)]
+        found = driver.drive(now, held)
+        known = np.searchsorted(begun, now - kind.dead_time_s + 1e-7, side="right") - 1
+        expected = drives[known] if known >= 0 else np.zeros(3)
+        np.testing.assert_array_equal(found, expected, err_msg=f"at {now}")
+        following = period * (int((now + 1e-9) / period) + 1)
+        now = min(driver.next_change(now, lambda _, held=held: held), following)

@@ -12,10 +12,12 @@ from airpuck.boundary.errors import InputError
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-#: Groups of entry points, which any distribution may use: commands (functions), effects (`Effect`),
+#: Groups of entry points, which any distribution may use: kinds of actuators
+#: (`ActuatorKind`), commands (functions), effects (`Effect`),
 #: kinds of export (`ExportKind`), kinds of campaign items (`Item`), laws (`Law`), and opponents on
 #: the graph.
 Group = Literal[
+    "airpuck.actuators",
     "airpuck.commands",
     "airpuck.effects",
     "airpuck.exports",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import signal
@@ -10,6 +11,7 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -92,6 +94,30 @@ class UserCode:
         frames = traceback.walk_tb(error.__traceback__)
         lines = [line for frame, line in frames if Path(frame.f_code.co_filename) == path]
         return lines[-1] if lines else None
+
+
+def users_class(name: str, option: str) -> Any:
+    """Import the class FILE.py:NAME or MODULE:NAME; a file runs once, so that its class remains."""
+    path, _, attribute = name.rpartition(":")
+    if path and not path.endswith(".py"):
+        try:
+            return getattr(importlib.import_module(path), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"cannot be imported: {error}", file=name, field=option) from error
+    return _in_file(name, option, Path(path).stat().st_mtime_ns if Path(path).is_file() else 0)
+
+
+@cache
+def _in_file(name: str, option: str, _changed: int) -> Any:
+    return UserCode(name, option).kind
+
+
+def with_code(name: str | os.PathLike[str], option: str) -> tuple[Any, tuple[Any, ...]]:
+    """Split ``file.toml+FILE.py:NAME`` into the file and the classes that its reader names."""
+    path, _, sources = str(name).partition(".toml+")
+    if not sources or Path(name).exists():
+        return name, ()
+    return f"{path}.toml", tuple(users_class(one, option) for one in sources.split("+"))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import Tuning
-from airpuck.craft.actuators import ActuatorSet, OnOff
+from airpuck.craft.actuators import ActuatorKind, ActuatorSet
 from airpuck.model.model_file import Model
 
 #: Relative difference up to which a controller's period counts as the craft's PWM period.
@@ -37,7 +37,7 @@ class Modulator:
 class PulseWidth(Modulator):
     """One pulse per period: a switch sequence, or a duty cycle for a craft that has its own PWM."""
 
-    def __init__(self, kind: OnOff, tuning: Tuning) -> None:
+    def __init__(self, kind: ActuatorKind, tuning: Tuning) -> None:
         self._tick, self._least = tuning.period_s, kind.least_on_s
         self._switches = kind.pwm_period_s is None
         if kind.pwm_period_s is not None:
@@ -73,7 +73,7 @@ class PulseWidth(Modulator):
 class SigmaDelta(Modulator):
     """Starts a pulse as soon as the accumulated on-time reaches the least on-time."""
 
-    def __init__(self, kind: OnOff, tuning: Tuning) -> None:
+    def __init__(self, kind: ActuatorKind, tuning: Tuning) -> None:
         if kind.pwm_period_s is not None:
             raise InputError(
                 "sigma_delta needs switches, but this craft takes duty cycles; use pulse_width",
@@ -130,10 +130,8 @@ MODULATORS: dict[str, Callable[..., Modulator]] = {
 def modulator_for(model: Model, tuning: Tuning) -> Modulator:
     """Return the modulator that a craft needs."""
     kind, actuation = model.vehicle.actuators, model.vehicle.actuation
-    if isinstance(kind, OnOff):
-        thrusters = MODULATORS[tuning.modulation.kind](kind, tuning)
-    else:
-        thrusters = Modulator()
+    pulses = MODULATORS[tuning.modulation.kind]
+    thrusters = pulses(kind, tuning) if kind.pulsed else Modulator()
     if not actuation.two_way.any():
         return thrusters
     return TwoWayModulator(actuation, thrusters, tuning.period_s)

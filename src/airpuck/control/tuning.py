@@ -21,7 +21,6 @@ from airpuck.boundary.files import (
 )
 from airpuck.boundary.kinds import unknown
 from airpuck.control.laws import check_law
-from airpuck.craft.actuators import OnOff
 from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.model_file import Model
@@ -419,7 +418,7 @@ def tuning_for(model: Model) -> Tuning:
     tuning = default_tuning().slowed(slower) if slower > _SLOW else default_tuning()
     if model.cameras is not None:
         tuning = tuning.with_noise_of(model.cameras)
-    period = kind.pwm_period_s if isinstance(kind, OnOff) else None
+    period = kind.pwm_period_s
     if period is None:
         return tuning
     law = tuning.regulator

@@ -3,14 +3,15 @@
 The force of every kind is a thrust curve of a state that follows its drive in [0, 1] with a
 first-order lag, a transport delay after the command. An actuator that pushes both ways has two
 drives, one for each direction (`Channel`). So the physics is the same for all kinds, each direction
-has its own thrust curve, and every thrust is positive. A reaction wheel gives a moment instead of a
-force.
+has its own thrust curve, and every thrust is positive.
 """
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
@@ -18,8 +19,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import pydantic
 from jaxtyping import Float
+from pydantic_core import core_schema
 
-from airpuck.boundary.files import NonNegative, Positive, Section
+from airpuck.boundary.extensions import added, loaded
+from airpuck.boundary.files import NonNegative, Section
+from airpuck.craft.wheel import Spinning, Wheel
 
 #: Each packet starts a PWM period if the usual interval is this close to it [relative].
 _SAME_PERIOD = 0.1
@@ -27,50 +31,182 @@ _SAME_PERIOD = 0.1
 _ONE_EVENT = 1e-9
 #: Longest plausible times of a valve, and of a PWM period [s].
 _VALVE_TIME, _PWM_TIME = 0.5, 2.0
-#: Shortest and longest lag of a wheel [s]; a fit of propellers has the same bounds.
-_LEAST_LAG, _LONGEST_LAG = 1e-4, 1.0
-#: Changes of a wheel's speed below this are rounding [fraction of the largest speed].
-_NO_SPEED = 1e-12
 
 
-class Propellers(Section):
+class ActuatorKind(Section):
+    """Base of all kinds of thrusters: its physics, for recordings, controllers and the twin alike.
+
+    A subclass names itself by the default of `kind`. It overrides `possible` if its actuators can
+    follow some commands only, and `changes` if a command causes several drives, one after another.
+
+    Examples
+    --------
+    >>> from typing import Literal
+    >>> class Stepped(airpuck.ActuatorKind):
+    ...     kind: Literal["stepped"] = "stepped"
+    ...     levels: int = 8
+    ...     def possible(self, command):
+    ...         return np.round(command * self.levels) / self.levels
+    ...
+    >>> Stepped(levels=4).possible(np.array([0.3]))
+    array([0.25])
+    """
+
+    #: This kind.
+    kind: Any
+    #: Time from the driver to the force.
+    dead_time_s: NonNegative = 0.0
+    #: Shortest pulse; an open valve is held open this long.
+    least_on_s: NonNegative = 0.0
+    #: A driver with a clock of its own takes a new command once in this period.
+    pwm_period_s: Annotated[float, pydantic.Field(ge=1e-3, le=_PWM_TIME)] | None = None
+
+    #: Whether the force is either full or zero, so that only its mean can be commanded.
+    pulsed: ClassVar[bool] = False
+
+    @property
+    def lag_error(self) -> float | None:
+        """Standard error of the vehicle file's lag [s]; None: a fit learns the lag."""
+        return None
+
+    def nominal(self) -> dict[str, float]:
+        """Return nominal values of a vehicle that follow from this kind.
+
+        Returns
+        -------
+        dict
+            By name.
+        """
+        return {}
+
+    def check_thrust(self, degree: int) -> None:
+        """Raise ValueError for a thrust curve of a degree that this kind does not have.
+
+        Parameters
+        ----------
+        degree : int
+            Degree of the polynomial.
+        """
+
+    def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+        """Return the nearest command that the actuators can follow exactly.
+
+        Parameters
+        ----------
+        command : array
+            In [0, 1].
+
+        Returns
+        -------
+        array
+            In the same shape.
+        """
+        return command
+
+    def changes(
+        self, time: float, command: Float[np.ndarray, " n"], since: Float[np.ndarray, " n"]
+    ) -> Sequence[tuple[float, Float[np.ndarray, " n"]]]:
+        """Return the drives that a command causes, until the next one replaces them.
+
+        Parameters
+        ----------
+        time : float
+            When the driver takes the command [s].
+        command : array, shape (n,)
+            In [0, 1].
+        since : array, shape (n,)
+            When each drive last rose from zero; -inf where it is zero [s].
+
+        Returns
+        -------
+        sequence of (float, array of shape (n,))
+            Start times, the first of which is `time`, and the drives from then on.
+        """
+        return [(time, self.possible(command))]
+
+    def drive(
+        self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
+    ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
+        """Return the drives that recorded commands cause, and their start times; see `changes`.
+
+        Parameters
+        ----------
+        time : array, shape (K,)
+            When the commands arrive [s].
+        command : array, shape (K, n)
+            In [0, 1].
+
+        Returns
+        -------
+        time, drive : array, shape (E,) and (E, n)
+            Each drive holds until the next.
+        """
+        if type(self).changes is ActuatorKind.changes:
+            return time, self.possible(command)
+        driven, found = Driven(self, command.shape[1]), []
+        for begins, one in zip(time.tolist(), command, strict=True):
+            found += driven.until(begins - _ONE_EVENT)
+            driven.take(begins, one)
+        times, drives = zip(*found, *driven.until(math.inf), strict=True)
+        return np.array(times), np.array(drives)
+
+    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
+        """Return the lag of the force behind a drive.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        drive : array, shape (n,)
+            The drive now.
+        time_constant : array
+            The mean lag [s].
+
+        Returns
+        -------
+        array
+            One lag for all, or one for each, of shape (n, 1).
+        """
+        return time_constant
+
+
+class Driven:
+    """The drives of actuators under their commands, from rest on; times must not decrease."""
+
+    def __init__(self, kind: ActuatorKind, n: int) -> None:
+        self._kind, self.drive = kind, np.zeros(n)
+        self._since = np.full(n, -math.inf)
+        #: Drives that the last command causes from now on.
+        self.ahead: deque[tuple[float, Float[np.ndarray, " n"]]] = deque()
+
+    def take(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Take a command, which replaces what is left of the last one."""
+        self.ahead = deque(self._kind.changes(time, command, self._since))
+
+    def until(self, time: float) -> list[tuple[float, Float[np.ndarray, " n"]]]:
+        """Pass the changes up to a time, and return them."""
+        passed = []
+        while self.ahead and self.ahead[0][0] <= time:
+            passed.append(self.ahead.popleft())
+            begun, self.drive = passed[-1]
+            rising = np.where(np.isinf(self._since), begun, self._since)
+            self._since = np.where(self.drive > 0, rising, -math.inf)
+        return passed
+
+
+class Propellers(ActuatorKind):
     """Propellers: motors that follow any command; the thrust curve is a polynomial."""
 
     #: This kind.
     kind: Literal["propeller"] = "propeller"
 
-    #: Time from the driver to the force [s], and shortest pulse [s].
-    dead_time_s: ClassVar[float] = 0.0
-    least_on_s: ClassVar[float] = 0.0
-    #: Whether the force is either full or zero, so that only its mean can be commanded.
-    pulsed: ClassVar[bool] = False
-    #: Standard error of the vehicle file's lag [s]; None: a fit learns the lag.
-    lag_error: ClassVar[float | None] = None
 
-    def nominal(self) -> dict[str, float]:
-        """Return nominal values of a vehicle that follow from this kind."""
-        return {}
+class OnOff(ActuatorKind):
+    """Valves: full force (``nominal.thrust_N``) or none, by switches or by duty cycles.
 
-    def check_thrust(self, degree: int) -> None:
-        """Raise ValueError for a thrust curve of a degree that this kind does not have."""
-
-    def possible(self, command: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        """Return the nearest command that the actuators can follow exactly."""
-        return command
-
-    def drive(
-        self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
-    ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
-        """Return the drives that commands cause, and their start times."""
-        return time, command
-
-    def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
-        """Return the lag of the force behind a drive; `time_constant` is its mean."""
-        return time_constant
-
-
-class OnOff(Section):
-    """Valves: full force (``nominal.thrust_N``) or none, by switches or by duty cycles."""
+    With a PWM period, commands are duty cycles over it, which the craft turns into pulses. Without
+    it they are switches: open from 0.5 on.
+    """
 
     #: This kind.
     kind: Literal["on_off"]
@@ -82,11 +218,6 @@ class OnOff(Section):
     #: Standard error of their mean; by default as large as the mean. A fit keeps the mean unless
     #: poses determine it more accurately.
     lag_error_s: Annotated[float, pydantic.Field(ge=0, le=_VALVE_TIME)] | None = None
-    #: Shortest pulse; an open valve is held open this long.
-    least_on_s: NonNegative = 0.0
-    #: Commands are duty cycles over this period, which the craft turns into pulses. Without it they
-    #: are switches: open from 0.5 on.
-    pwm_period_s: Annotated[float, pydantic.Field(ge=1e-3, le=_PWM_TIME)] | None = None
 
     pulsed: ClassVar[bool] = True
 
@@ -125,6 +256,19 @@ class OnOff(Section):
         least = self.least_on_s / self.pwm_period_s
         return np.where(command < least, np.where(command < least / 2, 0.0, least), command)
 
+    def changes(
+        self, time: float, command: Float[np.ndarray, " n"], since: Float[np.ndarray, " n"]
+    ) -> Sequence[tuple[float, Float[np.ndarray, " n"]]]:
+        """Return when the valves open and shut; see `ActuatorKind.changes`."""
+        period = self.pwm_period_s
+        opens = command > 0 if period else command >= 0.5
+        lasts = np.where(command < 1, command * period, math.inf) if period else math.inf
+        # An open valve is held open for the least on-time.
+        held = np.where(opens & np.isinf(since), time, since) + self.least_on_s
+        shut = np.maximum(np.where(opens, time + lasts, -math.inf), held)
+        later = shut[(shut > time + _ONE_EVENT) & (shut < math.inf)]
+        return [(t, (shut > t + _ONE_EVENT) * 1.0) for t in (time, *np.unique(later).tolist())]
+
     def drive(
         self, time: Float[np.ndarray, " K"], command: Float[np.ndarray, "K n"]
     ) -> tuple[Float[np.ndarray, " E"], Float[np.ndarray, "E n"]]:
@@ -134,22 +278,10 @@ class OnOff(Section):
         unknown, so commands act by their mean.
         """
         period = self.pwm_period_s
-        if period is None:
-            return time, self.possible(command)
         pace = np.median(np.diff(time)) if len(time) > 1 else period
-        if abs(pace - period) > _SAME_PERIOD * period:
+        if period is not None and abs((pace or period) - period) > _SAME_PERIOD * period:
             return time, command
-        # The driver holds an open valve open for the least on-time.
-        lasting = np.where(command > 0, np.maximum(command * period, self.least_on_s), 0.0)
-        shut = time[:, None] + lasting
-        ends = np.append(time[1:], np.inf)
-        shuts = (lasting > 0) & (lasting < period) & (shut < ends[:, None] - _ONE_EVENT)
-        times = np.concatenate([time, shut[shuts]])
-        packet = np.concatenate([np.arange(len(time)), np.nonzero(shuts)[0]])
-        order = np.lexsort((times, packet))
-        times, packet = times[order], packet[order]
-        still = shut[packet] > times[:, None] + _ONE_EVENT
-        return times, np.where(still | (command[packet] >= 1), 1.0, 0.0)
+        return super().drive(time, command)
 
     def lag(self, xp: Any, drive: Any, time_constant: Any) -> Any:
         """Return a lag for each valve, (n, 1), which opens and closes at different rates."""
@@ -162,94 +294,38 @@ class OnOff(Section):
         )
 
 
-Actuators = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]
+def _of_kind(value: Any, packaged: Callable[[Any], ActuatorKind]) -> ActuatorKind:
+    """Return actuators of a kind in this package, or of a user's subclass that is imported."""
+    name = value.get("kind") if isinstance(value, dict) else None
+    if isinstance(value, ActuatorKind):
+        return value
+    if isinstance(name, str) and name in added("airpuck.actuators"):
+        loaded("airpuck.actuators", name)
+    for kind in ActuatorKind.__subclasses__():
+        if kind not in (Propellers, OnOff) and kind.model_fields["kind"].default == name:
+            return kind.model_validate_json(json.dumps(value), strict=True)
+    if isinstance(name, str) and name not in ("propeller", "on_off"):
+        raise ValueError(
+            f"there is no kind {name!r}; choose propeller or on_off, or append +FILE.py:NAME to "
+            "the name of the file"
+        )
+    return packaged(value)
 
 
-class Wheel(Section):
-    """A reaction wheel: a pure moment, until the wheel reaches its largest speed."""
+class _OpenKinds:
+    """The schema of actuators, for the kinds of this package and of users."""
 
-    #: The column of a command that drives it.
-    name: str = pydantic.Field(min_length=1)
-    #: Torque at full command; if speeds are commanded, torque while the wheel changes its speed.
-    torque_Nm: Positive
-    #: Moment of inertia of the wheel about its axis, and its largest speed.
-    inertia_kg_m2: Positive
-    max_speed_rad_s: Positive
-    #: Whether a command in [-1, 1] is a fraction of `torque_Nm` or of `max_speed_rad_s`.
-    commanded: Literal["torque", "speed"] = "torque"
-    #: Which way a positive command turns the craft: against the wheel.
-    turns_craft: Literal["left", "right"] = "right"
-    #: First-order lag of its torque; by default the propellers' lag.
-    time_constant_s: Annotated[float, pydantic.Field(ge=_LEAST_LAG, le=_LONGEST_LAG)] | None = None
-    #: Standard error of that lag; by default as large as the lag.
-    lag_error_s: Annotated[float, pydantic.Field(ge=0, le=_LONGEST_LAG)] | None = None
-
-    @property
-    def lag_error(self) -> float:
-        """Standard error of its own lag [s]; 0 if it has none."""
-        if self.time_constant_s is None:
-            return 0.0
-        return self.time_constant_s if self.lag_error_s is None else self.lag_error_s
-
-    def slower(self, by: float) -> Wheel:
-        """Return the wheel with its own lag longer by a time [s], within the plausible range."""
-        if self.time_constant_s is None:
-            return self
-        lag = min(max(self.time_constant_s + by, _LEAST_LAG), _LONGEST_LAG)
-        return self.model_copy(update={"time_constant_s": lag})
-
-    @property
-    def spin_up_s(self) -> float:
-        """Time from rest to the largest speed at full torque."""
-        return self.inertia_kg_m2 * self.max_speed_rad_s / self.torque_Nm
-
-    @property
-    def couple(self) -> float:
-        """Moment on the craft per torque of a positive command."""
-        return 1.0 if self.turns_craft == "left" else -1.0
+    def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
+        union = Annotated[Propellers | OnOff, pydantic.Field(discriminator="kind")]
+        dump = core_schema.plain_serializer_function_ser_schema(
+            lambda kind: kind.model_dump(mode="json")
+        )
+        return core_schema.no_info_wrap_validator_function(
+            _of_kind, handler.generate_schema(union), serialization=dump
+        )
 
 
-class Spinning:
-    """The speed of a wheel under its commands, starting at rest."""
-
-    def __init__(self, wheel: Wheel) -> None:
-        self._wheel = wheel
-        #: Fraction of the largest speed, at the time of the last command.
-        self.speed = 0.0
-        self._since, self.command = -math.inf, 0.0
-
-    def follow(self, time: float, command: float) -> None:
-        """Receive a command; times must not decrease."""
-        drive, lasts = self.drive()
-        if drive:
-            elapsed = min(max(time - self._since, 0.0), lasts)
-            self.speed += drive * elapsed / self._wheel.spin_up_s
-        self._since, self.command = time, command
-
-    def drive(self) -> tuple[float, float]:
-        """Return the torque from the last command on, as a fraction, and how long it lasts [s]."""
-        command, full = self.command, self._wheel.spin_up_s
-        away = command - self.speed
-        drive = math.copysign(1.0, away) if self._by_speed else command
-        left = away if self._by_speed else math.copysign(1.0, drive) - self.speed
-        # A wheel at its largest speed cannot be accelerated.
-        lasting = drive * left > _NO_SPEED
-        return (drive, full * left / drive) if lasting else (0.0, math.inf)
-
-    @property
-    def ends(self) -> float:
-        """Time at which the current torque ends [s]."""
-        return self._since + self.drive()[1]
-
-    def changes(self, time: float, command: float) -> list[tuple[float, float]]:
-        """Receive a command; return the drives that it causes, with their start times."""
-        self.follow(time, command)
-        drive, lasts = self.drive()
-        return [(time, drive)] if lasts == math.inf else [(time, drive), (time + lasts, 0.0)]
-
-    @property
-    def _by_speed(self) -> bool:
-        return self._wheel.commanded == "speed"
+Actuators = Annotated[ActuatorKind, _OpenKinds()]
 
 
 @dataclass(frozen=True)
@@ -280,7 +356,7 @@ class Channel:
 class ActuatorSet:
     """All actuators of a craft: between the columns of a command and the drives of channels."""
 
-    kind: Propellers | OnOff
+    kind: ActuatorKind
     wheels: tuple[Wheel, ...]
     channels: tuple[Channel, ...]
 

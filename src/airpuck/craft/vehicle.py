@@ -29,7 +29,9 @@ from airpuck.boundary.files import (
 )
 from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers, Wheel
+from airpuck.boundary.user_code import with_code
+from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers
+from airpuck.craft.wheel import Wheel
 
 #: Plausible radii of craft on a table [m].
 _RADII, _USUAL_RADIUS = (0.005, 2.0), 0.1
@@ -119,7 +121,7 @@ class Vehicle(Section):
         Names of propellers that are excited as a pair, one blowing at a time. They must oppose each
         other: push in opposite directions, and turn the craft in opposite directions about its
         centre.
-    actuators : Propellers or OnOff
+    actuators : ActuatorKind
         Kind of the actuators; by default propellers.
     nominal : Nominal
         Starting values for identification.
@@ -366,7 +368,8 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     Parameters
     ----------
     path : path-like
-        A TOML file; see ``docs/your_own_craft.md``.
+        A TOML file; see ``docs/your_own_craft.md``. With actuators of a kind of your own:
+        ``vehicle.toml+FILE.py:NAME``.
 
     Returns
     -------
@@ -384,7 +387,7 @@ def read_vehicle(path: str | os.PathLike[str]) -> Vehicle:
     >>> airpuck.read_vehicle("vehicle.toml") == airpuck.default_vehicle()
     True
     """
-    return read_toml(path, Vehicle)
+    return read_toml(with_code(path, "vehicle")[0], Vehicle)
 
 
 def default_vehicle() -> Vehicle:

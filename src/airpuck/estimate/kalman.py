@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.compiled import program
-from airpuck.craft.actuators import Spinning
+from airpuck.craft.wheel import Spinning
 from airpuck.estimate.actuation import ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate

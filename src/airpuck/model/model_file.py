@@ -19,11 +19,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import checked, load_toml, write_toml
 from airpuck.boundary.kinds import nearest
 from airpuck.boundary.results import frame
+from airpuck.boundary.user_code import with_code
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import read_params_json, read_params_yaml
 from airpuck.model.parameters import Parameters, nominal_parameters
-from airpuck.model.rungs import RUNGS, Rung, rung_of, with_code
+from airpuck.model.rungs import RUNGS, Rung, rung_of
 from airpuck.model.sections import (
     ModelFile,
     model_content,
@@ -385,8 +386,8 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     ----------
     name : str or path-like
         A model file, the authors' ``params.json``, the YAML of their ROS 2 controller, or
-        ``paper:M0`` … ``paper:M4`` for the published parameters. A file that was learned with an
-        effect of your own: ``model.toml+FILE.py:NAME``.
+        ``paper:M0`` … ``paper:M4`` for the published parameters. A file with code of your own:
+        ``model.toml+FILE.py:NAME``.
     effects : sequence of type, optional
         The classes of such effects, if their modules have not been imported.
 
@@ -409,7 +410,7 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     """
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))
-    name, named = with_code(name)
+    name, named = with_code(name, "model")
     try:
         if Path(name).suffix == ".json":
             return Model(**read_params_json(Path(name)))
@@ -418,8 +419,8 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
         content = load_toml(name)
         # Older files have the transport delay beside the parameters.
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
-            delay = {"transport_delay_s": content.pop("transport_delay_s")}
-            content["parameters"] = delay | content["parameters"]
+            delay = content.pop("transport_delay_s")
+            content["parameters"].setdefault("transport_delay_s", delay)
         return _from_file(checked(content, ModelFile, file=name), (*effects, *named))
     except InputError as error:
         if str(name) in _published() and not Path(name).exists():
@@ -432,22 +433,21 @@ def _from_file(content: ModelFile, effects: Sequence[type[Effect]]) -> Model:
     """Assemble the model that a checked file describes."""
     own = tuple(read_own(content.effects, effects))
     parameters = read_parameters(content.parameters, content.vehicle, own)
-    known, alike = content.uncertainty, ("name", "vehicle", "fit", "data", "source", "cameras")
+    known, alike = content.uncertainty, "name vehicle fit data source delay_jitter cameras"
     return Model(
         parameters=parameters,
         free=read_free(content.free, parameters),
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
         uncertainty=known and read_uncertainty(known, parameters, content.vehicle),
-        delay_jitter=content.delay_jitter,
-        **{name: getattr(content, name) for name in alike},
+        **{name: getattr(content, name) for name in alike.split()},
     )
 
 
 def _published() -> dict[str, Any]:
     """Return the parameters published with the paper, by model."""
-    with resources.as_file(resources.files("airpuck") / "packaged" / "paper.toml") as packaged:
-        return load_toml(packaged)
+    with resources.as_file(resources.files("airpuck") / "packaged" / "paper.toml") as path:
+        return load_toml(path)
 
 
 def published_model(name: str) -> Model:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib import import_module
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
@@ -18,7 +14,7 @@ from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.kinds import nearest
-from airpuck.boundary.user_code import UserCode
+from airpuck.boundary.user_code import users_class
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own
 from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, quantity_of
@@ -249,32 +245,9 @@ def rung_of(name: str, own: tuple[Quantity, ...], frame: CenterOfMassFrame) -> R
     return replace(rung, name=name, summary=summary, own=own)
 
 
-def with_code(name: str | os.PathLike[str]) -> tuple[Any, tuple[type[Effect], ...]]:
-    """Split ``model.toml+FILE.py:NAME`` into the file and the effects that its reader names."""
-    path, _, sources = str(name).partition(".toml+")
-    if not sources or Path(name).exists():
-        return name, ()
-    return f"{path}.toml", tuple(map(effect_named, sources.split("+")))
-
-
 def effect_named(name: str) -> type[Effect]:
     """Return the user's effect FILE.py:NAME, MODULE:NAME, or of an entry point."""
-    if ":" not in name:
-        return loaded("airpuck.effects", name)
-    path, _, attribute = name.rpartition(":")
-    if not path.endswith(".py"):
-        try:
-            return getattr(import_module(path), attribute)
-        except (ImportError, AttributeError) as error:
-            raise InputError(f"cannot be imported: {error}", file=name, field="model") from error
-    changed = Path(path).stat().st_mtime_ns if Path(path).is_file() else 0
-    return _in_file(name, changed)
-
-
-@cache
-def _in_file(name: str, _changed: int) -> type[Effect]:
-    """Run a user's file once, so that the class stays the same."""
-    return UserCode(name, "--model").kind
+    return users_class(name, "--model") if ":" in name else loaded("airpuck.effects", name)
 
 
 def _try(parameters: Parameters, vehicle: Vehicle) -> None:

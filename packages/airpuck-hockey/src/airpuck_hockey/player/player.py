@@ -26,7 +26,6 @@ from airpuck import (
 from airpuck.extend import (
     MPC,
     MinimalTimes,
-    OnOff,
     check_steerable,
     checked_class,
     default_tuning,
@@ -76,7 +75,7 @@ def check_player(model: Model) -> None:
             "one way; steer it with the LQR or MPC (`airpuck track`)"
         )
     kind, period = actuation.kind, default_tuning().period_s
-    if isinstance(kind, OnOff) and (kind.pwm_period_s or 0.0) > period:
+    if (kind.pwm_period_s or 0.0) > period:
         raise InputError(
             f"{name!r} takes one command every {1e3 * (kind.pwm_period_s or 0.0):g} ms "
             f"(pwm_period_s), and hockey needs one every {1e3 * period:g} ms; steer it with "
