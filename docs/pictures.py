@@ -293,6 +293,16 @@ def animated() -> None:
     airpuck.animate(recording, FOLDER / "flight.gif", log=log, frames_per_second=20.0)
 
 
+def crossing() -> None:
+    """Fly six craft across the table, and animate the flight."""
+    from airpuck.report.fleet_report import write_fleet_gif
+
+    fleet = airpuck.read_fleet("crossing")
+    write_fleet_gif(airpuck.fly_together(fleet), fleet, FOLDER / "fleet.gif")
+
+
+#: Pictures that move.
+ANIMATIONS: dict[str, Callable[[], None]] = {"flight": animated, "fleet": crossing}
 PICTURES: dict[str, Callable[[], Figure]] = {
     "frames": frames,
     "usage": usage,
@@ -310,9 +320,9 @@ PICTURES: dict[str, Callable[[], Figure]] = {
 
 def main(names: list[str]) -> None:
     """Draw the named pictures, or all."""
-    for name in names or [*PICTURES, "flight"]:
-        if name == "flight":
-            animated()
+    for name in names or [*PICTURES, *ANIMATIONS]:
+        if name in ANIMATIONS:
+            ANIMATIONS[name]()
             continue
         with mpl.rc_context(TEXT):
             PICTURES[name]().savefig(FOLDER / f"guide_{name}.png")

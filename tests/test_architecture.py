@@ -42,6 +42,7 @@ ORDER = (
     "twin",
     "judgement",
     "experiment_design",
+    "fleet",
     "live",
     "campaigns",
     "export",
@@ -57,8 +58,8 @@ HOCKEY_MODULES = sorted(HOCKEY_ROOT.rglob("*.py"))
 HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 40_294
-MOST_HOCKEY_LINES = 4_924
+MOST_LINES = 41_567
+MOST_HOCKEY_LINES = 4_997
 #: Names in `airpuck.extend`.
 MOST_EXTEND = 133
 
@@ -178,6 +179,7 @@ def test_few_names_are_for_those_who_extend_airpuck():
                 "deviation",
                 "evaluation",
                 "faults",
+                "fleet",
                 "flight",
                 "identification",
                 "planning",

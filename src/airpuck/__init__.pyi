@@ -41,6 +41,11 @@ from airpuck.evaluation.residuals import ResidualTests as ResidualTests, resid a
 from airpuck.experiment_design.design import design as design
 from airpuck.faults.find import find_faults as find_faults
 from airpuck.faults.layout_check import check_layout as check_layout
+from airpuck.fleet.flight import FleetFlight as FleetFlight
+from airpuck.fleet.flight import fly_together as fly_together
+from airpuck.fleet.scenario import Fleet as Fleet
+from airpuck.fleet.scenario import Scenario as Scenario
+from airpuck.fleet.scenario import read_fleet as read_fleet
 from airpuck.flight.loop import fly as fly
 from airpuck.control.pilot import Pilot as Pilot
 from airpuck.flight.preflight import preflight as preflight

@@ -330,8 +330,6 @@ def test_a_table_or_a_world_that_cannot_be_is_refused(plant):
     small = QUIET.model_copy(update={"table": Table(length_m=0.2, width_m=0.12, goal_width_m=0.1)})
     with pytest.raises(InputError, match="table: is smaller than the craft"):
         Twin(MODEL, small, plant=plant)
-    with pytest.raises(InputError, match="world: needs a puck"):
-        Twin(MODEL, QUIET, plant=plant, world=World(QUIET))
     alone = Twin(MODEL, QUIET, plant=plant, world=World(QUIET, PuckState(0.5, 0.0)))
     with pytest.raises(InputError, match="add a second one"):
         alone.wait_until(0.1)

@@ -238,3 +238,35 @@ def _excitation_line(excited: Excited) -> str:
         times = ", ".join(f"{time:.1f}" for time in contacts[:10]) + " …" * (len(contacts) > 10)
         met = f"{len(contacts)}, at {times} s (no model includes rails)"
     return f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {met}"
+
+
+@app.command(rich_help_panel=PANEL)
+def fleet(
+    scenario: Annotated[
+        str,
+        Argument(
+            metavar="SCENARIO",
+            help="A scenario (TOML), or crossing, into_center, into_line, into_square, "
+            "line_crossing, obstacles, square_crossing.",
+        ),
+    ] = "crossing",
+    seed: options.Seed = 0,
+    output: options.PageFolder = None,
+    animation: Annotated[
+        Path | None,
+        options.output("FILE", "Animation of the flight to write, a GIF.", "--animation"),
+    ] = None,
+    json_file: options.Json = None,
+) -> None:
+    """Fly several craft on one twin: everyone arrives, and nobody touches.
+
+    Each craft plans on its own model, and flies a path only after all others have accepted it.
+    """
+    from airpuck.report.fleet_report import sentences, write_fleet_gif
+
+    flown = airpuck.read_fleet(scenario)
+    flight = airpuck.fly_together(flown, seed)
+    written = page(output, "fleet_report.fleet_report", flight, flown)
+    if animation is not None:
+        write_fleet_gif(flight, flown, animation)
+    report(flight.to_json(), json_file, *sentences(flight), written, animation)

@@ -177,6 +177,8 @@ class World:
         self.bodies: list[Craft | HandMallet] = []
         self.observers: list[WorldObserver] = []
         self.time = 0.0
+        #: Contacts of discs other than the puck: when [s], which two, their closing speed [m/s].
+        self.met: list[tuple[float, Craft | HandMallet, Craft | HandMallet, float]] = []
 
     def other(self, body: Craft | HandMallet) -> Craft | HandMallet:
         """Return the disc on the other side."""
@@ -248,7 +250,9 @@ class World:
             if overlap <= 0 or not distance or not share:
                 continue
             nx, ny = dx / distance, dy / distance
-            if (one.vx - other.vx) * nx + (one.vy - other.vy) * ny < 0:
+            closing = (other.vx - one.vx) * nx + (other.vy - one.vy) * ny
+            if closing > 0:
+                self.met.append((self.time, first, second, closing))
                 strike(one, other, nx, ny, self._rail)
             for body, disc, side in ((first, one, 1), (second, other, -1)):
                 if isinstance(body, Craft):

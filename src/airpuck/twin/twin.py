@@ -67,8 +67,7 @@ class Twin:
     Raises
     ------
     InputError
-        If the seed is invalid, the craft or the puck would not be on the table, or a shared world
-        lacks a puck or, when time passes, a second disc.
+        If the seed is invalid, or the craft or the puck would not be on the table.
 
     Examples
     --------
@@ -106,10 +105,8 @@ class Twin:
             world = World(settings, puck, logs=logs)
         elif puck is not None or mallet is not None:
             raise InputError("come with the world; leave them out", field="puck and mallet")
-        elif world.puck is None:
-            raise InputError("needs a puck if it is shared; add a puck", field="world")
         else:
-            played = ("puck", "mallet")
+            played = () if world.puck is None else ("puck", "mallet")
         self.now = 0.0
         self.world = world
         # In a game, another object records contacts and drops them afterwards.

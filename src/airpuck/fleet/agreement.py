@@ -1,0 +1,190 @@
+"""How craft agree on paths that keep clear of each other, whatever messages are late or lost.
+
+Every craft has one agreed path, which it flies, and may propose another. It may fly a proposal only
+when every other craft has accepted it; see docs/fleet.md for the proof that agreed paths always
+keep their distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from airpuck.fleet.path import Route
+from airpuck.fleet.search import Reach, Taken, apart
+
+#: A craft that nobody has heard for this time has died [s].
+SILENT = 0.5
+
+
+class Numbered(NamedTuple):
+    """A path with its number, which grows from path to path of a craft."""
+
+    number: int
+    path: Route
+
+
+@dataclass(frozen=True)
+class Message:
+    """All that a craft tells the others; any message makes all earlier ones unnecessary."""
+
+    sender: str
+    #: When it was sent, on the common clock [s].
+    time: float
+    agreed: Numbered
+    proposal: Numbered | None
+    #: Numbers of the others' proposals that it has accepted, or refused.
+    accepted: Mapping[str, int]
+    refused: Mapping[str, int]
+    #: When it expects to arrive; those who arrive last go first [s].
+    arrival: float
+    #: The path that it would need, and the rank of that wish; None if it needs nothing.
+    wish: tuple[tuple[float, str], Route] | None = None
+
+
+@dataclass
+class _Other:
+    """What a craft knows about another one."""
+
+    reach: Reach
+    agreed: Numbered
+    accepted: Numbered | None = None
+    heard: float = -1.0
+    said: Message | None = None
+
+
+@dataclass
+class Agreement:
+    """The part of one craft in the agreement.
+
+    Parameters
+    ----------
+    name : str
+        The craft.
+    reach : Reach
+        What it can do.
+    start : Route
+        Its agreed path at the beginning.
+    others : mapping
+        Name, reach and agreed path at the beginning of every other craft.
+    """
+
+    name: str
+    reach: Reach
+    start: Route
+    others: Mapping[str, tuple[Reach, Route]]
+    agreed: Numbered = field(init=False)
+    proposal: Numbered | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.agreed = Numbered(0, self.start)
+        self.arrival = 0.0
+        self.wish: tuple[tuple[float, str], Route] | None = None
+        self._count = 0
+        self._leaves = 0.0
+        self._accepting: set[str] = set()
+        self._refused: dict[str, int] = {}
+        self._known = {
+            name: _Other(reach, Numbered(0, path)) for name, (reach, path) in self.others.items()
+        }
+
+    def taken(self, without: Container[str] = ()) -> list[Taken]:
+        """Return all paths that the others may fly, now or later; leave out some of the others."""
+        found = []
+        for name, other in self._known.items():
+            distance = self.reach.room + other.reach.room
+            for numbered in (other.agreed, other.accepted):
+                if numbered is not None and name not in without:
+                    found.append(Taken(numbered.path, distance))
+        return found
+
+    def followed(self) -> list[tuple[str, Reach, Route]]:
+        """Return name, reach and agreed path of each other craft."""
+        return [(name, one.reach, one.agreed.path) for name, one in self._known.items()]
+
+    def propose(self, path: Route, leaves: float) -> None:
+        """Propose a path that leaves the agreed one at a time; it keeps clear of `taken`."""
+        self._count += 1
+        self.proposal = Numbered(self._count, path)
+        self._leaves = leaves
+        self._accepting = set()
+
+    def withdraw(self) -> None:
+        """Give the proposal up; this is always safe."""
+        self.proposal = None
+
+    def settle(self, now: float, ahead: float) -> bool:
+        """Fly the proposal if all others have accepted it; give it up if that is too late.
+
+        The reference is used up to a time ahead [s]. Returns whether the path changed.
+        """
+        if self.proposal is None:
+            return False
+        if now + ahead >= self._leaves:
+            self.withdraw()
+            return False
+        if self.silent(now) | self._accepting < set(self._known):
+            return False
+        self.agreed, self.proposal = self.proposal, None
+        return True
+
+    def silent(self, now: float) -> set[str]:
+        """Return the craft that have died, as far as their messages tell."""
+        return {name for name, one in self._known.items() if now - max(one.heard, 0.0) > SILENT}
+
+    def message(self, now: float) -> Message:
+        """Return what to tell the others."""
+        accepted = {n: o.accepted.number for n, o in self._known.items() if o.accepted}
+        return Message(
+            self.name,
+            now,
+            self.agreed,
+            self.proposal,
+            accepted,
+            dict(self._refused),
+            self.arrival,
+            self.wish,
+        )
+
+    def wishes(self) -> Iterable[tuple[tuple[float, str], Route]]:
+        """Return the wishes of the others."""
+        return [o.said.wish for o in self._known.values() if o.said and o.said.wish]
+
+    def receive(self, message: Message, now: float) -> None:
+        """Take note of a message, and decide on the proposal in it."""
+        other = self._known.get(message.sender)
+        if other is None or (other.said is not None and message.time <= other.said.time):
+            return
+        other.said, other.heard = message, now
+        other.agreed = message.agreed
+        proposal = message.proposal
+        if other.accepted is not None and (
+            proposal is None or proposal.number != other.accepted.number
+        ):
+            other.accepted = None  # It is agreed now, or withdrawn.
+        mine = self.proposal
+        if mine is not None:
+            if message.accepted.get(self.name) == mine.number:
+                self._accepting.add(message.sender)
+            elif message.refused.get(self.name) == mine.number:
+                self.withdraw()
+        if proposal is not None and other.accepted is None:
+            self._decide(message, proposal, other, now)
+
+    def _decide(self, message: Message, proposal: Numbered, other: _Other, now: float) -> None:
+        """Accept or refuse a proposal."""
+        if self._refused.get(message.sender) == proposal.number:
+            return
+        distance = self.reach.room + other.reach.room
+        free = apart(self.agreed.path, Taken(proposal.path, distance), now)
+        if free and self.proposal is not None:
+            clear = apart(self.proposal.path, Taken(proposal.path, distance), now)
+            if not clear and (message.arrival, message.sender) > (self.arrival, self.name):
+                self.withdraw()
+                clear = True
+            free = clear
+        if free:
+            other.accepted = proposal
+        else:
+            self._refused[message.sender] = proposal.number

@@ -1,0 +1,156 @@
+"""Paths of a fleet: motions with piecewise constant accelerations that end at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from airpuck.control.reference import Preview, Target
+
+#: A craft follows the mean of its path over this time [s], so that its acceleration changes no
+#: faster than its motors can follow. All craft of a fleet use the same time.
+SMOOTHED = 0.06
+
+
+class Motion(NamedTuple):
+    """Pose, rate, and the integral of the pose since the path began, at several times."""
+
+    pose: Float[np.ndarray, "N 3"]
+    rate: Float[np.ndarray, "N 3"]
+    integral: Float[np.ndarray, "N 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A motion of x, y and yaw from a state to rest.
+
+    Attributes
+    ----------
+    begin : float
+        When it begins [s].
+    pose, rate : array, shape (3,)
+        State at the beginning.
+    durations, accelerations : array, shape (3, S)
+        Successive pieces of each coordinate [s; m/s², m/s², rad/s²].
+    """
+
+    begin: float
+    pose: Float[np.ndarray, " 3"]
+    rate: Float[np.ndarray, " 3"]
+    durations: Float[np.ndarray, "3 S"]
+    accelerations: Float[np.ndarray, "3 S"]
+
+    @classmethod
+    def at_rest(cls, time: float, pose: Any) -> Route:
+        """Return the path of a craft that rests at a pose."""
+        none = np.zeros((3, 0))
+        return cls(time, np.array(pose, dtype=float), np.zeros(3), none, none)
+
+    @cached_property
+    def end(self) -> float:
+        """When the craft comes to rest [s]."""
+        return self.begin + float(self.durations.sum(axis=1).max(initial=0.0))
+
+    @cached_property
+    def rest(self) -> Float[np.ndarray, " 3"]:
+        """The pose at which the path ends."""
+        return self.moved(np.array([self.end])).pose[0]
+
+    @cached_property
+    def push(self) -> float:
+        """Bound of its acceleration [m/s²]."""
+        return float(np.hypot(*np.abs(self.accelerations[:2]).max(axis=1, initial=0.0)))
+
+    @cached_property
+    def _pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Beginnings of all pieces since the path began [s], and rates and poses gained there."""
+        ends = np.cumsum(self.durations, axis=1)
+        rates = self.rate[:, None] + np.cumsum(self.accelerations * self.durations, axis=1)
+        rates = np.hstack([self.rate[:, None], rates])[:, :-1]
+        gained = rates * self.durations + self.accelerations * self.durations**2 / 2
+        return ends - self.durations, rates, gained
+
+    def moved(self, times: Float[np.ndarray, " N"]) -> Motion:
+        """Return the motion at several times; before the beginning the craft rests."""
+        since = np.maximum(times - self.begin, 0.0)
+        begins, rates, gained = self._pieces
+        elapsed = since[:, None, None] - begins
+        within = np.clip(elapsed, 0.0, self.durations)
+        pose = self.pose + np.sum((rates + self.accelerations * within / 2) * within, axis=2)
+        rate = self.rate + np.sum(self.accelerations * within, axis=2)
+        part = (rates / 2 + self.accelerations * within / 6) * within**2
+        part = part + gained * np.maximum(elapsed - self.durations, 0.0)
+        return Motion(pose, rate, self.pose * since[:, None] + part.sum(axis=2))
+
+    def followed(self, since: float, until: float, then: Route | None = None) -> Route:
+        """Return the part between two times, continued by another path that begins there."""
+        start = self.moved(np.array([max(since, self.begin)]))
+        begins = self.begin + self._pieces[0]
+        first, last = np.maximum(begins, since), np.minimum(begins + self.durations, until)
+        kept = np.maximum(last - first, 0.0)
+        # A coordinate that already rests waits for the others.
+        waits = until - max(since, self.begin) - kept.sum(axis=1)
+        durations = np.hstack([kept, waits[:, None]])
+        accelerations = np.hstack([self.accelerations, np.zeros((3, 1))])
+        if then is not None:
+            durations = np.hstack([durations, then.durations])
+            accelerations = np.hstack([accelerations, then.accelerations])
+        used = (durations > 0).any(axis=0)
+        begin = max(since, self.begin)
+        return Route(
+            begin, start.pose[0], start.rate[0], durations[:, used], accelerations[:, used]
+        )
+
+
+class Following:
+    """The reference of a craft: the mean of its path over the last `SMOOTHED` seconds.
+
+    At any time, the mean is within a s²/24 of the path half of that time earlier, for accelerations
+    up to a. As this lag is the same for all craft, paths keep their distance.
+    """
+
+    def __init__(self, path: Route) -> None:
+        #: The agreed path; replaced by paths that agree with it up to the present.
+        self.path = path
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target at ``now + ahead``; see `Reference.at`."""
+        wanted = self.over(now, np.array([ahead]))
+        return Target(wanted.states[0], wanted.accelerations[0])
+
+    def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
+        """Return the targets at several times; see `airpuck.control.reference.preview`."""
+        times = now + ahead
+        after, before = self.path.moved(times), self.path.moved(times - SMOOTHED)
+        # Before its beginning a path has no integral: the craft rested there.
+        early = np.minimum(times - SMOOTHED - self.path.begin, 0.0)[:, None]
+        integral = after.integral - before.integral - early * self.path.pose
+        poses, rates = integral / SMOOTHED, (after.pose - before.pose) / SMOOTHED
+        accelerations = (after.rate - before.rate) / SMOOTHED
+        return Preview(np.hstack([poses, rates]), accelerations)
+
+
+def braked(
+    offset: Float[np.ndarray, "*#shape"],
+    rate: Float[np.ndarray, "*#shape"],
+    push: Float[np.ndarray, "*#shape"],
+    fastest: float | Float[np.ndarray, "*#shape"],
+) -> tuple[Float[np.ndarray, "*full 3"], Float[np.ndarray, "*full 3"]]:
+    """Return durations and accelerations that bring double integrators to rest at zero soonest.
+
+    Each accelerates, coasts at its largest speed if it reaches that, and brakes.
+    """
+    stops = offset + rate * np.abs(rate) / (2 * push)
+    side = np.where(stops < 0, -1.0, 1.0)
+    distance, away = side * offset, side * rate
+    peak = np.minimum(np.sqrt(np.maximum(push * distance + away**2 / 2, 0.0)), fastest)
+    gains = (away + peak) / push
+    coasts = distance - (2 * peak**2 - away**2) / (2 * push)
+    coasts = np.maximum(coasts, 0.0) / np.maximum(peak, 1e-9)
+    durations = np.stack([np.abs(gains), coasts, peak / push], axis=-1)
+    pushes = np.stack([-np.sign(gains), np.zeros_like(gains), np.ones_like(gains)], axis=-1)
+    return durations, pushes * (side * push)[..., None]

@@ -1,0 +1,268 @@
+"""The report on a flight of several craft: `airpuck fleet -o`."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch, Rectangle
+from PIL import Image
+
+from airpuck.boundary.outputs import replacing
+from airpuck.fleet.flight import FleetFlight
+from airpuck.fleet.scenario import Fleet
+from airpuck.report import style
+from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
+
+#: Colours of the craft, repeated for more.
+_COLORS = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
+#: Frames per second of the animation, how long its last frame stays, and length of the trails [s].
+_RATE, _LASTS, _TRAIL = 20.0, 1.5, 1.2
+#: Pixels per metre of the animation, and room around the table [m].
+_SCALE, _AROUND = 400, 0.04
+
+
+def fleet_report(
+    flight: FleetFlight,
+    fleet: Fleet,
+    out: str | os.PathLike[str],
+    origin: Origin | None = None,
+) -> Path:
+    """Write a page on a flight: an animation, the paths, the distances."""
+    moving = Picture("flight", fleet_animation(flight, fleet), "The flight, in real time.")
+    paths = Picture(
+        "paths", path_figure(flight, fleet), "Paths from the starts (open) to the goals (dashed)."
+    )
+    gaps = Picture(
+        "gaps",
+        gap_figure(flight),
+        "Smallest distance between the edges of two craft; at zero they touch.",
+    )
+    margins = Text(
+        [
+            "A path keeps its distance from every other path that its craft may fly. The distance "
+            "is both radii and both margins: how far a craft can be from its path, by what its "
+            "model does not know."
+        ]
+    )
+    sections = [
+        PageSection("flight", "Flight", (moving, _table(flight))),
+        PageSection("paths", "Paths", (paths, margins)),
+        PageSection("gaps", "Distances", (gaps,)),
+    ]
+    return write_page(
+        out, "Several craft on one table", " ".join(sentences(flight)), sections, origin
+    )
+
+
+def sentences(flight: FleetFlight) -> Iterator[str]:
+    """Describe a flight."""
+    count = len(flight.names)
+    if math.isfinite(flight.settled):
+        yield f"{count} craft arrived within {flight.settled:.2f} s."
+    else:
+        late = [n for n, t in flight.arrived.items() if n not in flight.died and t == math.inf]
+        yield f"{', '.join(late)} did not arrive within {flight.time[-1]:.0f} s."
+    touched = [c for c in flight.contacts if not {c[1], c[2]} & set(flight.died)]
+    if touched:
+        time, one, other, speed = touched[0]
+        yield f"{one} and {other} touched at {time:.2f} s, at {speed:.2f} m/s."
+    elif count > 1:
+        yield f"Nobody touched; the smallest gap was {1e3 * flight.least_gap:.0f} mm."
+    for name, time in flight.died.items():
+        met = [c for c in flight.contacts if name in c[1:3]]
+        hit = f"; it was touched at {max(c[3] for c in met):.2f} m/s" if met else ""
+        yield f"{name} died at {time:.2f} s{hit}."
+
+
+def _table(flight: FleetFlight) -> PageTable:
+    """Tabulate arrivals and distances from the paths."""
+    rows = []
+    for k, name in enumerate(flight.names):
+        time = flight.arrived[name]
+        arrived = f"{time:.2f}" if math.isfinite(time) else "–"
+        if name in flight.died:
+            arrived = f"died at {flight.died[name]:.2f}"
+        off, margin = 1e3 * flight.strayed[k], 1e3 * flight.margins[k]
+        rows.append((name, arrived, f"{off:.1f}", f"{margin:.1f}"))
+    return PageTable(
+        "Arrival of each craft, its largest distance from its path, and the margin for it.",
+        ("craft", "arrived [s]", "off its path [mm]", "margin [mm]"),
+        rows,
+    )
+
+
+def _color(k: int) -> str:
+    return _COLORS[k % len(_COLORS)]
+
+
+@style.styled
+def path_figure(flight: FleetFlight, fleet: Fleet) -> Figure:
+    """Draw all paths from above."""
+    figure = style.new_figure(style.PAGE_WIDTH, 4.6)
+    axes = figure.subplots()
+    table = fleet.settings.table
+    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.set(
+        xlim=np.array([-0.52, 0.52]) * table.length_m, ylim=np.array([-0.52, 0.52]) * table.width_m
+    )
+    for patch in _scenery(fleet):
+        axes.add_patch(patch)
+    for k, name in enumerate(flight.names):
+        color, track, radius = _color(k), flight.poses[:, k], flight.radii[k]
+        axes.plot(track[:, 0], track[:, 1], color=color, lw=1.6)
+        axes.add_patch(Circle(tuple(track[0, :2]), radius, fc="none", ec=color, lw=1.2))
+        goal = fleet.member(name).goals[-1]
+        axes.add_patch(
+            Circle(tuple(goal[:2]), radius, fc="none", ec=color, ls=style.DASHED, lw=1.2)
+        )
+        above = track[0, 1] + 1.15 * radius
+        axes.text(track[0, 0], above, name, ha="center", va="bottom", color=color, fontsize=9)
+    return figure
+
+
+@style.styled
+def gap_figure(flight: FleetFlight) -> Figure:
+    """Draw the smallest gap of all pairs over time, of live craft and of those that died."""
+    figure = style.new_figure(style.PAGE_WIDTH, 2.6)
+    axes = figure.subplots()
+    gaps = flight.gaps
+    dead = np.array([name in flight.died for name in flight.names])
+    pairs = dead[:, None] | dead
+    for chosen, color, label in (
+        (~pairs, style.BLUE, "live craft"),
+        (pairs, style.VERMILLION, "with a craft that died"),
+    ):
+        if chosen.any() and len(dead) > 1:
+            least = np.where(chosen, gaps, np.inf).min(axis=(1, 2))
+            axes.plot(flight.time, 1e3 * least, color=color, label=label)
+    axes.axhline(0, color=style.GREY, lw=0.8)
+    axes.set(xlabel="time [s]", ylabel="smallest gap [mm]", xlim=(0, flight.time[-1]))
+    axes.legend()
+    return figure
+
+
+def _scenery(fleet: Fleet) -> Iterator[Patch]:
+    """Yield the table and the obstacles."""
+    table = fleet.settings.table
+    corner = -table.length_m / 2, -table.width_m / 2
+    yield Rectangle(
+        corner, table.length_m, table.width_m, fc=style.FLOOR, ec=style.RAIL, lw=2, zorder=0
+    )
+    for disc in fleet.scenario.obstacles:
+        yield Circle((disc.x_m, disc.y_m), disc.radius_m, fc=style.GREY, ec="none")
+
+
+def _frames(flight: FleetFlight) -> np.ndarray:
+    """Return the rows of the animation's frames."""
+    times = np.arange(flight.time[0], flight.time[-1], 1 / _RATE)
+    return np.minimum(np.searchsorted(flight.time, times), len(flight.time) - 1)
+
+
+def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
+    """Return the flight as an animated SVG, which repeats."""
+    table, rows = fleet.settings.table, _frames(flight)
+    width, height = (side + 2 * _AROUND for side in (table.length_m, table.width_m))
+    lasts = len(rows) / _RATE + _LASTS
+    keys = ";".join(f"{k / _RATE / lasts:.4f}" for k in range(len(rows))) + ";1"
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{-width / 2:.3f} {-height / 2:.3f} '
+        f'{width:.3f} {height:.3f}" width="{_SCALE * width:.0f}">',
+        f'<rect x="{-table.length_m / 2}" y="{-table.width_m / 2}" width="{table.length_m}" '
+        f'height="{table.width_m}" rx=".02" fill="{style.FLOOR}" stroke="{style.RAIL}" '
+        'stroke-width=".012"/>',
+    ]
+    for disc in fleet.scenario.obstacles:
+        parts.append(
+            f'<circle cx="{disc.x_m}" cy="{-disc.y_m}" r="{disc.radius_m}" fill="#767676"/>'
+        )
+    for k, name in enumerate(flight.names):
+        color, radius, goal = _color(k), flight.radii[k], fleet.member(name).goals[-1]
+        parts.append(
+            f'<circle cx="{goal[0]:.3f}" cy="{-goal[1]:.3f}" r="{radius:.3f}" fill="none" '
+            f'stroke="{color}" stroke-width=".005" stroke-dasharray=".02 .015"/>'
+        )
+    for k, name in enumerate(flight.names):
+        parts.append(_moving(flight.poses[rows, k], flight.radii[k], _color(k), keys, lasts, name))
+    return "\n".join([*parts, "</svg>"])
+
+
+def _moving(
+    poses: Float[np.ndarray, "N 3"], radius: float, color: str, keys: str, lasts: float, name: str
+) -> str:
+    """Return a craft that moves along its poses and turns; y points down in an SVG."""
+    yaw = np.unwrap(poses[:, 2])
+    shown = np.vstack([poses, poses[-1:]])
+    places = ";".join(f"{x:.4f} {-y:.4f}" for x, y, _ in shown)
+    turns = ";".join(f"{-math.degrees(a):.1f}" for a in [*yaw, yaw[-1]])
+    timing = f'keyTimes="{keys}" dur="{lasts:.3f}s" repeatCount="indefinite"'
+    return (
+        f"<g><title>{name}</title>"
+        f'<animateTransform attributeName="transform" type="translate" values="{places}" {timing}/>'
+        f'<g><animateTransform attributeName="transform" type="rotate" values="{turns}" {timing}/>'
+        f'<circle r="{radius:.3f}" fill="{color}" fill-opacity=".25" stroke="{color}" '
+        'stroke-width=".006"/>'
+        f'<path transform="scale({radius:.4f})" d="M.9 0L.45 .25V-.25Z" '
+        f'fill="{color}"/></g></g>'
+    )
+
+
+@style.styled
+def _canvas(fleet: Fleet) -> Figure:
+    """Return an empty picture of the table."""
+    table = fleet.settings.table
+    width, height = (side + 2 * _AROUND for side in (table.length_m, table.width_m))
+    figure = Figure(figsize=(width * _SCALE / 100, height * _SCALE / 100), dpi=100)
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2))
+    axes.axis("off")
+    for patch in _scenery(fleet):
+        axes.add_patch(patch)
+    return figure
+
+
+def write_fleet_gif(flight: FleetFlight, fleet: Fleet, path: str | os.PathLike[str]) -> None:
+    """Write the flight as an animated GIF, in real time."""
+    figure, rows = _canvas(fleet), _frames(flight)
+    pictures = [_picture(figure, flight, fleet, row) for row in rows]
+    durations = [round(1e3 / _RATE)] * (len(rows) - 1) + [round(1e3 * _LASTS)]
+    with replacing(path) as temporary:
+        pictures[0].save(
+            temporary, "GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
+        )
+
+
+def _picture(figure: Figure, flight: FleetFlight, fleet: Fleet, row: int) -> Image.Image:
+    """Draw the craft with their trails at one time."""
+    axes, time = figure.axes[0], flight.time[row]
+    first = int(np.searchsorted(flight.time, time - _TRAIL))
+    added = []
+    for k, name in enumerate(flight.names):
+        color, radius, pose = _color(k), flight.radii[k], flight.poses[row, k]
+        goal = fleet.member(name).goal(time)
+        head = pose[:2] + 0.6 * radius * np.array([np.cos(pose[2]), np.sin(pose[2])])
+        added += [
+            axes.add_collection(
+                LineCollection([flight.poses[first : row + 1, k, :2]], colors=color, lw=2)
+            ),
+            axes.add_patch(Circle(tuple(goal[:2]), radius, fc="none", ec=color, ls=style.DASHED)),
+            axes.add_patch(
+                Circle(tuple(pose[:2]), radius, fc=(color, 0.3), ec=color, lw=2, zorder=3)
+            ),
+            axes.add_patch(Circle(tuple(head), 0.18 * radius, fc=color, ec="none", zorder=3)),
+        ]
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    for artist in added:
+        artist.remove()
+    return picture.quantize(64)
