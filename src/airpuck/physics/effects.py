@@ -97,7 +97,20 @@ class Effect:
 
     @classmethod
     def of(cls, layout: Layout, value: Any) -> Effect:
-        """Make the effect from its coefficients, in the order of the class's fields."""
+        """Make the effect from its coefficients.
+
+        Parameters
+        ----------
+        layout : Layout
+            Of the craft's propellers, for an effect that depends on it.
+        value : array, shape (K,)
+            The coefficients, in the order of the class's fields.
+
+        Returns
+        -------
+        Effect
+            With these coefficients.
+        """
         return cls(*value)
 
     @property
@@ -114,22 +127,74 @@ class Effect:
         return None
 
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
-        """Change the thrusts."""
+        """Change the thrusts.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace, such as NumPy.
+        thrust : array, shape (n, ...)
+            Thrusts of the curves [N].
+        motion : BodyMotion
+            Motion of the craft in its own frame.
+
+        Returns
+        -------
+        array, shape (n, ...)
+            Thrusts that act [N].
+        """
         return thrust
 
     def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
-        """Add accelerations of the centre of mass."""
+        """Add accelerations of the centre of mass.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace, such as NumPy.
+        motion : BodyMotion
+            Motion of the craft in its own frame.
+
+        Returns
+        -------
+        forward, left, angular : array
+            Accelerations in the frame of the craft [m/s², m/s², rad/s²].
+        """
         if self.gravity is None:
             return 0.0, 0.0, 0.0
         ax, ay = self.gravity
         return motion.cos * ax + motion.sin * ay, motion.cos * ay - motion.sin * ax, 0.0
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
-        """Bound the changed thrusts, for any thrusts (n, K) from `low` to `high`."""
+        """Bound the thrusts that act.
+
+        Parameters
+        ----------
+        low, high : array, shape (n, K)
+            Bounds of the thrusts of the curves [N].
+        within : Envelope
+            Bounds of the motion.
+
+        Returns
+        -------
+        low, high : array, shape (n, K)
+            Bounds of the changed thrusts [N]; None if none is known.
+        """
         return low, high
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float] | None:
-        """Bound the added linear and angular acceleration, apart from `gravity`."""
+        """Bound the added accelerations, apart from `gravity`.
+
+        Parameters
+        ----------
+        within : Envelope
+            Bounds of the motion.
+
+        Returns
+        -------
+        linear, angular : float
+            Largest added accelerations [m/s², rad/s²]; None if none is known.
+        """
         return 0.0, 0.0
 
     def __init_subclass__(cls, **options: Any) -> None:
