@@ -17,7 +17,7 @@ from airpuck.export.gym import ENVIRONMENTS, CourseEnv
 from airpuck.export.gym_task import CourseTask
 from airpuck.export.gym_vector import CourseVectorEnv
 from airpuck.model.model_file import published_model
-from airpuck.twin.race import COURSES
+from airpuck.twin.experiments import COURSES
 from airpuck.twin.twin import Twin
 
 from ..apparatus.environments import MODEL, NOISELESS, PERIOD, SETTINGS, actions, flown

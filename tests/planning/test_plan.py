@@ -270,13 +270,17 @@ def test_a_plan_moves_only_between_its_start_and_its_end(coasting):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("times_s = [0.0, 0.5]", "times_s = [0.0]", "rows of a wrong length"),
-        ("times_s = [0.0, 0.5]", "times_s = [0.0, 0.0]", "times must rise from 0"),
-        ("times_s = [0.0, 0.5]", "times_s = [0.1, 0.5]", "times must rise from 0"),
-        ("    [0.5, ", "    [", "rows of a wrong length"),
-        ("    [0.0, 0.0, ", "    [", "rows of a wrong length"),
-        ("    [0.03, ", "    [", "rows of a wrong length"),
-        ("commands = [", "commands = [\n    [0.1, 0.1, 0.1, 0.1, 0.1, 0.1],", "times must rise"),
+        ("times_s = [0.0, 0.5]", "times_s = [0.0]", "times_s: must have two entries"),
+        ("times_s = [0.0, 0.5]", "times_s = [0.0, 0.0]", "times_s: must increase from 0"),
+        ("times_s = [0.0, 0.5]", "times_s = [0.1, 0.5]", "times_s: must increase from 0"),
+        ("    [0.5, ", "    [", "states: must be finite numbers of the shape"),
+        ("    [0.0, 0.0, ", "    [", "states: must be finite numbers of the shape"),
+        ("    [0.03, ", "    [", "commands: must be finite numbers of the shape"),
+        (
+            "commands = [",
+            "commands = [\n    [0.1, 0.1, 0.1, 0.1, 0.1, 0.1],",
+            "commands: must be finite",
+        ),
     ],
 )
 def test_rows_of_a_plan_file_must_belong_together(coasting, tmp_path, old, new, said):

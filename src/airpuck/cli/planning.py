@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from airpuck.planning.plan import Plan
     from airpuck.planning.request import Goal
-    from airpuck.twin.race import Race
+    from airpuck.twin.experiments import Race
 
 _PANEL = "Control and flight"
 
@@ -146,7 +146,7 @@ def race(
 ) -> None:
     """Fly a plan on the twin; without points and discs, also fly to its goal as a set point."""
     from airpuck.planning.plan import read_plan
-    from airpuck.twin import race as racing
+    from airpuck.twin import experiments as racing
     from airpuck.twin.settings import default_twin_settings
 
     settings = twin or default_twin_settings()

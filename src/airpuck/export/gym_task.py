@@ -19,7 +19,7 @@ from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.kinds import refuse_actuators
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.angle import wrapped
-from airpuck.twin.race import COURSES, arrived, passes
+from airpuck.twin.experiments import COURSES, arrived, passes
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 

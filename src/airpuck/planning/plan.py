@@ -342,20 +342,17 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
             file=path,
             field="motors",
         )
-    n, nodes = len(content.motors), len(content.times_s)
-    time = np.array(content.times_s)
-    widths = {len(row) for row in content.states}, {len(row) for row in content.commands}
-    if nodes < 2 or widths != ({6 + n}, {n}) or len(content.states) != nodes:
-        raise InputError("has rows of a wrong length", file=path, field="states")
-    if len(content.commands) != nodes - 1 or time[0] != 0 or (np.diff(time) <= 0).any():
-        raise InputError("times must rise from 0, one for each state", file=path, field="times_s")
-    states, commands = np.array(content.states), np.array(content.commands)
-    bound, reserve = content.lower_bound_s, content.reserve
     points = {"via": content.via_m, "keep_out": content.keep_out_m}
     try:
+        time, states, commands = (
+            numbers_of(getattr(content, name), (None,) * axes, name)
+            for name, axes in (("times_s", 1), ("states", 2), ("commands", 2))
+        )
+        bound, reserve = content.lower_bound_s, content.reserve
         return Plan(model, time, states, commands, bound, reserve=reserve, **points)
     except InputError as error:
-        raise InputError(error.problem, file=path, field=error.field) from error
+        field = "times_s" if error.field == "time" else error.field
+        raise InputError(error.problem, file=path, field=field) from error
 
 
 def plan(

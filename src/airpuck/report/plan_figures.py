@@ -15,7 +15,7 @@ from airpuck.craft.table import Table
 from airpuck.physics.thrust import thrust
 from airpuck.planning.plan import Plan
 from airpuck.report import style
-from airpuck.twin.race import Race
+from airpuck.twin.experiments import Race
 from airpuck.twin.tracking_study import Tracked
 
 #: Number of craft drawn along the path.

@@ -1,15 +1,16 @@
-"""Experiments on the twin: excitation, and tracking of set points."""
+"""Experiments on the twin: excitation, tracking of set points, and races along plans."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Result
 from airpuck.control.excitation import Excitation
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, SetPoints
@@ -19,8 +20,12 @@ from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.flight.loop import FlightLog, fly
 from airpuck.flight.pilot import PilotMaker
 from airpuck.model.model_file import Model, nominal_model
+from airpuck.physics.angle import wrapped
+from airpuck.planning.plan import Plan, plan
+from airpuck.planning.settings import Limits
+from airpuck.planning.tracking import plan_tracker
 from airpuck.recording.stream import Recording
-from airpuck.twin.plant import Plant
+from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -204,11 +209,7 @@ def track(
     tuning = tuning or tuning_for(model)
     _check_duration(duration, tuning)
     truth = truth or model
-    if len(truth.vehicle.columns) != len(model.vehicle.columns):
-        raise InputError(
-            f"the controller's model has {len(model.vehicle.columns)} propellers, the twin "
-            f"{len(truth.vehicle.columns)}; name a truth of the same craft"
-        )
+    _check_same_craft(model, truth)
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
     if make_pilot is not None:
         pilot: Pilot = make_pilot(model, reference)
@@ -235,3 +236,219 @@ def _check_duration(duration: float, tuning: Tuning) -> None:
     if duration < tuning.period_s:
         words = f"must be at least the controller's period, {tuning.period_s:g} s"
         raise InputError(words, field="duration")
+
+
+#: The goal counts as reached within these distances [m, rad, m/s].
+TOLERANCE = (0.01, 0.1, 0.05)
+#: A point counts as passed within this distance [m].
+_PASSED = 0.03
+#: Speeds below which a plan counts as starting, or ending, at rest [m/s, rad/s].
+_STANDING, _STOPPED = 1e-6, 1e-2
+#: Time at rest before the start; waiting time after the planned end, for a plan and a set point
+#: [s].
+_LEAD, _PATIENCE, _SET_POINT_PATIENCE = 0.5, 0.5, 2.5
+#: Limits of the plans of courses: reserve of thrust, distance to the rails [m], smoothness.
+_LIMITS = Limits(reserve=0.1, margin=0.02, smoothing=2e-4)
+
+#: Start, goal and way points of each course.
+COURSES: dict[str, tuple[Sequence[float], Sequence[float], Sequence[Sequence[float]]]] = {
+    "straight": ((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), ()),
+    "slalom": ((-0.8, 0.0, 0.0), (0.8, 0.0, 0.0), ((-0.4, 0.2), (0.0, -0.2), (0.4, 0.2))),
+    "eight": (
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.0),
+        ((0.5, 0.25), (0.5, -0.25), (0.0, 0.0), (-0.5, 0.25), (-0.5, -0.25)),
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Race(Result):
+    """A plan and its flights.
+
+    Attributes
+    ----------
+    plan : Plan
+        The planned flight.
+    flown : tuple of float or None
+        Time of each flight to the goal [s]; None: not reached.
+    set_point : tuple of float or None, or None
+        The same for a controller with only the goal. None if that is a different task: a plan past
+        points or discs, or to a moving goal.
+    contacts : int
+        Number of rail contacts in all flights of the plan.
+    touches : int
+        Number of flights of the plan that touched a forbidden disc.
+    paths : tuple of array, shape (N, 2)
+        True positions of the craft in each flight of the plan [m].
+    recording : Recording
+        Log of the first flight of the plan.
+    """
+
+    JSON = (
+        "planned_s=plan.duration flown_s=flown lower_bound_s=plan.lower_bound contacts "
+        "touches set_point_s=set_point reserve=plan.reserve"
+    )
+
+    plan: Plan
+    flown: tuple[float | None, ...]
+    set_point: tuple[float | None, ...] | None
+    contacts: int
+    touches: int
+    paths: tuple[Float[np.ndarray, "N 2"], ...]
+    recording: Recording
+
+
+def course_plan(course: str, model: Model, settings: TwinSettings) -> Plan:
+    """Plan a course on the twin's table."""
+    start, goal, via = COURSES[course]
+    intervals = 20 if via else 40
+    return plan(
+        model, start, goal, via=via, table=settings.table, limits=_LIMITS, intervals=intervals
+    )
+
+
+def race(
+    planned: Plan,
+    truth: Model,
+    *,
+    seeds: int = 1,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Race:
+    """Fly a plan on the twin, and the same controller to the goal as a set point.
+
+    Parameters
+    ----------
+    planned : Plan
+        Plan to fly; its model is the controller's.
+    truth : Model
+        The truth of the twin.
+    seeds : int, default 1
+        Number of flights, each with its own noise and radio.
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Tuning of the controller; by default the one for the model.
+    progress : callable, optional
+        Called with the number of flights done and the total.
+
+    Returns
+    -------
+    Race
+        All flights.
+
+    Raises
+    ------
+    InputError
+        If the plan starts in motion: the twin's craft is initially at rest.
+    """
+    if np.abs(planned.states[0, 3:6]).max() > _STANDING:
+        raise InputError(
+            "starts in motion; the twin only flies plans that start at rest (plan without "
+            "--velocity)",
+            field="plan",
+        )
+    _check_same_craft(planned.model, truth)
+    settings = settings or default_twin_settings()
+    tuning = tuning or tuning_for(planned.model)
+    plant = build_plant(truth, settings)
+    goal = planned.samples[1][-1]
+    ends = SetPoints([0.0, _LEAD], [planned.states[0, :3], goal[:3]])
+    flights: list[tuple[Reference, float]] = [(planned.starting(_LEAD), _PATIENCE)]
+    if not (planned.via or planned.keep_out) and np.abs(goal[3:6]).max() < _STOPPED:
+        flights.append((ends, _SET_POINT_PATIENCE))
+    twins: list[list[Twin]] = []
+    for seed in range(seeds):
+        durations = [_LEAD + planned.duration + patience for _, patience in flights]
+        twins.append(
+            [
+                _flown(planned, reference, duration, truth, seed, settings, tuning, plant)
+                for (reference, _), duration in zip(flights, durations, strict=True)
+            ]
+        )
+        progress(seed + 1, seeds)
+    raced, *alone = zip(*twins, strict=True)
+    return Race(
+        planned,
+        tuple(_reached(twin, planned) for twin in raced),
+        tuple(_reached(twin, planned) for twin in alone[0]) if alone else None,
+        sum(len(twin.contacts) for twin in raced),
+        sum(_touches(twin, planned) for twin in raced),
+        tuple(twin.truth[1][:, :2] for twin in raced),
+        raced[0].recording(),
+    )
+
+
+def _check_same_craft(model: Model, truth: Model) -> None:
+    """Raise InputError if the twin has other propellers than the controller's model."""
+    ours, theirs = (len(one.vehicle.columns) for one in (model, truth))
+    if ours != theirs:
+        raise InputError(
+            f"the controller's model has {ours} propellers, the twin {theirs}; name a truth of the "
+            "same craft",
+            field="truth",
+        )
+
+
+def _flown(
+    planned: Plan,
+    reference: Reference,
+    duration: float,
+    truth: Model,
+    seed: int,
+    settings: TwinSettings,
+    tuning: Tuning,
+    plant: Plant,
+) -> Twin:
+    """Fly a reference from the start of a plan; return the twin."""
+    x, y, yaw = (float(v) for v in planned.states[0, :3])
+    twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
+    if isinstance(reference, Plan):
+        pilot = plan_tracker(reference, tuning, settings.table)
+    else:
+        pilot = TrackingController(planned.model, reference, tuning, table=settings.table)
+    fly(pilot, twin, duration, tuning.period_s)
+    return twin
+
+
+def _reached(twin: Twin, planned: Plan) -> float | None:
+    """Return when the craft reached the goal after passing all points, or None."""
+    time, states = twin.truth
+    time, passed = time - _LEAD, 0
+    for point in planned.via:
+        near = np.flatnonzero(passes(states[passed:], np.array(point)))
+        if not len(near):
+            return None
+        passed += int(near[0])
+    there = arrived(states, planned.samples[1][-1])
+    there[:passed] = False
+    begun = np.flatnonzero(there & (time > 0))
+    return float(time[begun[0]]) if len(begun) else None
+
+
+def passes(
+    states: Float[np.ndarray, "*n k"], points: Float[np.ndarray, "*#n 2"]
+) -> Bool[np.ndarray, "*n"]:
+    """Return whether poses or states count as passing points."""
+    return np.hypot(*np.moveaxis(states[..., :2] - points, -1, 0)) < _PASSED
+
+
+def arrived(
+    states: Float[np.ndarray, "*n k"], goals: Float[np.ndarray, "*#n m"]
+) -> Bool[np.ndarray, "*n"]:
+    """Return whether states count as having reached goals."""
+    away = np.hypot(*np.moveaxis(states[..., :2] - goals[..., :2], -1, 0))
+    turned = np.abs(wrapped(np, states[..., 2] - goals[..., 2]))
+    faster = np.hypot(*np.moveaxis(states[..., 3:5] - goals[..., 3:5], -1, 0))
+    return (away < TOLERANCE[0]) & (turned < TOLERANCE[1]) & (faster < TOLERANCE[2])
+
+
+def _touches(twin: Twin, planned: Plan) -> bool:
+    """Return whether the craft touched a forbidden disc."""
+    place, radius = twin.truth[1][:, :2], planned.model.vehicle.radius_m
+    return any(
+        bool((np.hypot(*(place - (x, y)).T) < disc + radius).any())
+        for x, y, disc in planned.keep_out
+    )
