@@ -1,7 +1,7 @@
 """What a player gains by learning drag and restitution during play.
 
     python studies/learned_puck.py --games 30
-    python studies/learned_puck.py --games 7 --duration 90 --against human:medium wild:medium
+    python studies/learned_puck.py --games 7 --against human:medium studies/opponents.py:Wild
 
 The first measures errors of predicted bounces. Two scripted hands play with pucks drawn within what
 is known of them. Filters that start from the table file see noisy poses. Each prediction reaches
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from one_line import run
@@ -62,7 +63,8 @@ def drawn_game(
 def predictions(seed: int, duration: float) -> list[tuple[float, ...]]:
     """Play a game; return age, and for each filter the error [m] and whether it is in the band."""
     random = np.random.default_rng(seed)
-    hands = contestant("striker:medium"), contestant("counter:medium")
+    counter = Path(__file__).with_name("opponents.py")
+    hands = contestant("striker:medium"), contestant(f"{counter}:Counter")
     game = drawn_game(*hands, duration, seed, random)
     filters = [PuckFilter(default_twin_settings(), learns=learns) for learns in (False, True)]
     noise = np.array([PuckNoise().position_m] * 2 + [PuckNoise().yaw_rad])

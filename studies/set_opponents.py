@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from one_line import run
@@ -23,7 +24,8 @@ from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.player.frame import Frame
 from airpuck_hockey.player.shot import flown
 
-OPPONENTS = ("human", "keeper", "banker", "wild", "wall")
+_FAMILIES = Path(__file__).with_name("opponents.py")
+OPPONENTS = ("human", "keeper", "wall", f"{_FAMILIES}:Banker", f"{_FAMILIES}:Wild")
 SPEEDS = (1.5, 2.5, 3.5, 4.5, 5.5)
 #: Time before the shot, longest time after it, and time between targets of the hand [s].
 BEFORE, AFTER, PERIOD = 0.6, 2.5, 0.01

@@ -13,7 +13,7 @@ from airpuck.twin.settings import default_twin_settings
 from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.game import KINDS
 from airpuck_hockey.game.rules import Rules
-from tests.apparatus.studies import study
+from tests.apparatus.studies import STUDIES, study
 
 HANDS = study("measured_hands")
 Measure, measured_hand = HANDS.Measure, HANDS.measured_hand
@@ -112,7 +112,8 @@ def test_nothing_is_claimed_from_a_few_hits():
 @pytest.mark.slow
 def test_a_scripted_hand_shows_its_limits():
     hand, rules = contestant("human:medium"), Rules(goals=None, limit_s=60.0)
-    game = airpuck_hockey.Game(contestant("wild:hard"), hand, rules=rules, seed=1)
+    wild = contestant(f"{STUDIES / 'opponents.py'}:Wild")
+    game = airpuck_hockey.Game(wild, hand, rules=rules, seed=1)
     game.play()
     found = measured_hand([game.recording()], default_twin_settings())
     # 0.22 s late, and decides every 30 ms; 2.5 m/s less the braking within a period of 10 ms.

@@ -41,7 +41,7 @@ def test_the_help_names_every_player(name):
         (("play", "--level", "hrd"), "--level: must be .*, not 'hrd'; did you mean 'hard'"),
         (("play", "hard"), "hard: unexpected argument; use --level hard .see .*play --help"),
         (("skills", "shots"), "shots: unexpected argument .see .*skills --help"),
-        (("match", "wild", "x.py:M"), "wild: unexpected argument; use --left wild --right x.py:M"),
+        (("match", "wall", "x.py:M"), "wall: unexpected argument; use --left wall --right x.py:M"),
         (("animate", "a", "b", "-o", "c.gif"), "b: unexpected argument .see .*animate --help"),
         (("play-live", "--port", "-1"), "--port: must be from 0 to 65535"),
         (("play-live", "--port", "0", "--no-browser"), "--no-browser: has no effect with --port 0"),

@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck_hockey.game.contestant import contestant
-from airpuck_hockey.game.hand import Dexterity, Keeper, Striker
-from airpuck_hockey.game.opponents import HANDS, Banker, Counter, Wild, WrongFoot
+from airpuck_hockey.game.hand import HANDS, Dexterity, Keeper, Striker
 from apparatus.hands import PLAY, played_alone
+from tests.apparatus.studies import STUDIES, study
 
+OPPONENTS = study("opponents")
+Banker, Counter, Wild = OPPONENTS.Banker, OPPONENTS.Counter, OPPONENTS.Wild
+WrongFoot = OPPONENTS.WrongFoot
 EXACT = Dexterity(reaction_s=0.1, noise_m=0.0, aim_rad=0.0, speed_m_s=4.0)
 
 
@@ -33,6 +37,19 @@ def test_every_family_plays_at_every_level(name, level):
     x, y = kind(PLAY, skill, 1).target(0.0, (-0.9, 0.0), PuckState(-0.4, 0.1), (0.9, 0.0))
     assert -PLAY.table.length_m / 2 <= x <= 0.2
     assert abs(y) <= PLAY.table.width_m / 2
+
+
+def test_a_hand_from_a_file_plays_and_its_errors_name_the_file(tmp_path):
+    made = contestant(f"{STUDIES / 'opponents.py'}:Counter").hand
+    assert isinstance(made(PLAY, 0).target(0.0, (-0.9, 0.0), None, (0.9, 0.0)), tuple)
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from airpuck_hockey.game.hand import Keeper\n\n\n"
+        "class Lost(Keeper):\n    def decided(self, time, own):\n        return 1 / 0\n"
+    )
+    lost = contestant(f"{file}:Lost").hand(PLAY, 0)
+    with pytest.raises(InputError, match=r"mine.py:Lost.*line 6: target.*division by zero"):
+        lost.target(0.0, (-0.9, 0.0), PuckState(-0.4, 0.1), (0.9, 0.0))
 
 
 def test_a_counter_attacker_strikes_back_what_a_striker_only_stops():

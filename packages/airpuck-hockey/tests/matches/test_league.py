@@ -12,7 +12,7 @@ from airpuck_hockey.matches.league import LeagueResult, league
 from tests.apparatus.commands import airpuck, refused
 
 SHORT = Rules(limit_s=3.0)
-PLAYERS = ("keeper", "striker:hard", "wild")
+PLAYERS = ("keeper", "striker:hard", "human")
 
 
 def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, monkeypatch):
@@ -28,11 +28,11 @@ def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, m
     found = league(PLAYERS, 2, seed=7, rules=SHORT, workers=1, output=tmp_path)
     assert [game[:3] for game in played] == [
         ("keeper", "striker:hard", 7),
-        ("keeper", "wild", 7),
-        ("striker:hard", "wild", 7),
+        ("keeper", "human", 7),
+        ("striker:hard", "human", 7),
         ("striker:hard", "keeper", 8),
-        ("wild", "keeper", 8),
-        ("wild", "striker:hard", 8),
+        ("human", "keeper", 8),
+        ("human", "striker:hard", 8),
     ]
     # The seed alone determines the table, not the players.
     assert played[0][3] == played[1][3] != played[3][3]
@@ -60,7 +60,7 @@ def test_figures_of_a_pair_are_those_of_both_sides():
     assert (other["goals_for"], other["goals_against"]) == (7, 5)
 
 
-@pytest.mark.parametrize("players", [("keeper",), ("keeper", "wild", "keeper")])
+@pytest.mark.parametrize("players", [("keeper",), ("keeper", "human", "keeper")])
 def test_a_league_needs_two_different_players(players):
     with pytest.raises(InputError, match="at least two players"):
         league(players, rules=SHORT)
@@ -68,11 +68,11 @@ def test_a_league_needs_two_different_players(players):
 
 def test_the_command_prints_the_standings_and_writes_the_matrix(tmp_path):
     ended = airpuck(
-        *("league", "keeper", "wild", "--games", "1", "--limit", "1", "--workers", "1"),
+        *("league", "keeper", "human", "--games", "1", "--limit", "1", "--workers", "1"),
         *("--json", str(tmp_path / "league.json")),
     )
     figures = json.loads((tmp_path / "league.json").read_text())
-    assert figures["players"] == ["keeper", "wild"]
+    assert figures["players"] == ["keeper", "human"]
     assert "points per game" in ended.stdout
     assert figures["matrix"][0][0] is None
     assert figures["matrix"][0][1]["seconds"] == pytest.approx(1.0)
@@ -83,7 +83,7 @@ def test_an_unknown_player_is_refused():
 
 
 def test_a_league_of_hands_takes_no_model():
-    ended = airpuck("league", "keeper", "wild", "--model", "paper:M2")
+    ended = airpuck("league", "keeper", "human", "--model", "paper:M2")
     assert refused(ended, "--model: has no effect: all players are hands")
 
 
@@ -102,7 +102,7 @@ def test_goals_of_a_result_add_up():
 
 def test_only_the_pairs_of_one_player_play(tmp_path):
     rules = Rules(limit_s=0.2)
-    found = league(PLAYERS, 1, rules=rules, workers=1, output=tmp_path, only="wild")
+    found = league(PLAYERS, 1, rules=rules, workers=1, output=tmp_path, only="human")
     assert sorted(game[:2] for game in found.games) == [(0, 2), (1, 2)]
     with pytest.raises(InputError, match="bob is not among the players"):
         league(PLAYERS, 1, rules=rules, only="bob")

@@ -67,7 +67,7 @@ def test_an_interrupted_match_says_whether_its_games_are_kept(tmp_path, monkeypa
 
     monkeypatch.setattr(match_module, "compute", interrupted)
     for output, words in (((), "only -o DIR keeps"), (("-o", tmp_path), "run it again to play")):
-        ended = airpuck("match", "--left", "wild", "--workers", 1, *output)
+        ended = airpuck("match", "--left", "striker", "--workers", 1, *output)
         assert ended.returncode == 130
         assert words in ended.stderr
 

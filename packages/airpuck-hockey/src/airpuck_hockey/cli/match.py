@@ -73,8 +73,8 @@ _LETTERS = (78, 20)
 _REDRAWN = 0.05
 #: Names all of `airpuck_hockey.game.contestant.PLAYERS`, which takes long to import.
 PLAYER = (
-    "airpuck, predecessor, human, keeper, striker, counter, banker, wrongfoot, wild, wall, each "
-    "with :LEVEL, or a tactic, FILE.py:NAME."
+    "airpuck, predecessor, human, keeper, striker, wall, each with :LEVEL, or FILE.py:NAME, a "
+    "tactic or a hand."
 )
 GameRules = Annotated[Rules, Without(("foul_s", "stuck_s", "pause_s"))]
 

@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from airpuck import AirHockey, InputError, Model, Pilot
+from airpuck import AirHockey, InputError, Model, Pilot, PuckState
 from airpuck.extend import UserCode, nearest, numbers_of, sheltered
-from airpuck_hockey.game.hand import Hand
-from airpuck_hockey.game.opponents import HANDS
+from airpuck_hockey.game.hand import HANDS, KEEPERS, Hand, HumanHand, Place
 from airpuck_hockey.player.all_rounder import predecessor
 from airpuck_hockey.player.level import LEVELS, Level
 from airpuck_hockey.player.player import Player
@@ -47,8 +46,8 @@ def contestant(name: str) -> Contestant:
     name : str
         ``airpuck`` or ``airpuck:LEVEL``, a craft with the package's tactic; ``predecessor``, also
         with ``:LEVEL``, the same without learning and with slower shots; a name of
-        `airpuck_hockey.game.opponents.HANDS`, also with ``:LEVEL``, a scripted hand;
-        ``FILE.py:NAME``, a craft with a user's tactic.
+        `airpuck_hockey.game.hand.HANDS`, also with ``:LEVEL``, a scripted hand;
+        ``FILE.py:NAME``, a craft with a user's tactic, or a user's `HumanHand`.
 
     Returns
     -------
@@ -76,6 +75,9 @@ def contestant(name: str) -> Contestant:
         strength = _by_level(LEVELS, level if colon else "hard", name)
         return _flown(name, predecessor, strength, learns=False)
     if ".py" in name:
+        code = UserCode(name, "player")
+        if isinstance(code.kind, type) and issubclass(code.kind, HumanHand):
+            return Contestant(name, hand=lambda equipment, seed: _UserHand(code, equipment, seed))
         return _flown(name, tactic_maker(name), LEVELS["hard"])
     known = ", ".join(f"{player}[:LEVEL]" for player in PLAYERS)
     problem = f"unknown player; use {known} or FILE.py:NAME{nearest(kind, PLAYERS)}"
@@ -93,6 +95,18 @@ def tactic_maker(name: str) -> Callable[[], Tactic]:
         return _UserTactic(tactic, code)
 
     return make
+
+
+class _UserHand:
+    """A hand of a user's class, with the limits of a keeper of medium level; a `Hand`."""
+
+    def __init__(self, code: UserCode, equipment: AirHockey, seed: int) -> None:
+        self._code = code
+        self._own = code.run("cannot be made", code.kind, equipment, KEEPERS["medium"], seed)
+
+    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
+        """Return the target of the mallet; see `Hand.target`."""
+        return self._code.run("target()", self._own.target, time, own, puck, opponent)
 
 
 class _UserTactic:

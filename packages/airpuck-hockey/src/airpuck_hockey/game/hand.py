@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -346,3 +347,17 @@ def _turned(puck: PuckState, faster: float, angle: float) -> PuckState:
     """Return a puck with another speed and direction."""
     cos, sin = faster * math.cos(angle), faster * math.sin(angle)
     return puck._replace(vx=cos * puck.vx - sin * puck.vy, vy=sin * puck.vx + cos * puck.vy)
+
+
+#: A machine: it sees late and inexactly like a person, but judges motion and bounces exactly.
+_EXACT = {
+    level: replace(skill, velocity_error=0.0, heading_rad=0.0, bounce_rad=0.0)
+    for level, skill in KEEPERS.items()
+}
+#: Scripted hands and their levels, by name. All but ``wall`` have human limits.
+HANDS: Mapping[str, tuple[type[HumanHand], Mapping[str, Dexterity]]] = {
+    "human": (ScriptedHand, HUMANS),
+    "keeper": (Keeper, KEEPERS),
+    "striker": (Striker, KEEPERS),
+    "wall": (Keeper, _EXACT),
+}

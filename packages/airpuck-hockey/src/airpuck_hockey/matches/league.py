@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from airpuck import InputError, TwinSettings
 from airpuck.extend import Row, Workers
-from airpuck_hockey.game.opponents import HANDS
+from airpuck_hockey.game.hand import HANDS
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.matches.match import checked_game, played
 

@@ -1,22 +1,23 @@
-"""Families of scripted opponents, by name: each a strategy with human limits at three levels."""
+"""Families of scripted opponents with human limits, to play against by name.
+
+    airpuck match --right studies/opponents.py:Counter
+
+The package's own hands are in `airpuck_hockey.game.hand`.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
-from airpuck import PuckState
+from airpuck import AirHockey, PuckState
 from airpuck_hockey.game.hand import (
-    HUMANS,
     KEEPERS,
     LOOK,
     STEP,
     Dexterity,
     HumanHand,
-    Keeper,
     Place,
-    ScriptedHand,
     Striker,
 )
 
@@ -87,9 +88,13 @@ class WrongFoot(Striker):
 
 
 class Wild(HumanHand):
-    """A wild hitter: rushes at every puck in its half, and never guards its goal."""
+    """A wild hitter: rushes at every puck in its half, aims badly, and never guards its goal."""
 
     waits_m = _FORWARD
+
+    def __init__(self, equipment: AirHockey, dexterity: Dexterity, seed: int = 0) -> None:
+        fastest, badly = KEEPERS["hard"].speed_m_s, 2 * dexterity.aim_rad
+        super().__init__(equipment, replace(dexterity, speed_m_s=fastest, aim_rad=badly), seed)
 
     def decided(self, time: float, own: Place) -> Place:
         """Strike, or wait for the puck; see `HumanHand.decided`."""
@@ -106,26 +111,3 @@ class Wild(HumanHand):
                 self._stroke = time + number * STEP + LOOK, nx, ny
                 return puck.x + self._together * nx, puck.y + self._together * ny
         return self._struck(time, own)
-
-
-#: A wild hitter moves as fast as the mallet allows, and aims twice as badly.
-_WILD = {
-    level: replace(skill, speed_m_s=KEEPERS["hard"].speed_m_s, aim_rad=2 * skill.aim_rad)
-    for level, skill in KEEPERS.items()
-}
-#: A machine: it sees late and inexactly like a person, but judges motion and bounces exactly.
-_EXACT = {
-    level: replace(skill, velocity_error=0.0, heading_rad=0.0, bounce_rad=0.0)
-    for level, skill in KEEPERS.items()
-}
-#: Scripted hands and their levels, by name. All but ``wall`` have human limits.
-HANDS: Mapping[str, tuple[type[HumanHand], Mapping[str, Dexterity]]] = {
-    "human": (ScriptedHand, HUMANS),
-    "keeper": (Keeper, KEEPERS),
-    "striker": (Striker, KEEPERS),
-    "counter": (Counter, KEEPERS),
-    "banker": (Banker, KEEPERS),
-    "wrongfoot": (WrongFoot, KEEPERS),
-    "wild": (Wild, _WILD),
-    "wall": (Keeper, _EXACT),
-}
