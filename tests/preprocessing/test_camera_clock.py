@@ -77,6 +77,15 @@ def test_the_motion_tells_which_of_two_frames_is_lost(rate):
     assert np.mean(np.abs(off(found, time)) > 0.1 / rate) < 0.004
 
 
+@pytest.mark.parametrize("share_lost", [0.0, 0.05])
+def test_a_client_that_polls_about_as_often_as_the_cameras_expose_is_recognised(share_lost):
+    time = exposures(240.0, share_lost)
+    arrival = np.ceil((time + 5e-4) / 0.004) * 0.004
+    found, warnings = at_exposure(stamped(arrival, moving(time)))
+    assert "stamped on arrival" in warnings[0]
+    assert np.mean(np.abs(off(found, time)) > 0.1 / 240) < 0.01
+
+
 def test_frames_of_a_craft_at_rest_are_counted_by_their_arrivals():
     time = exposures(120.0, 0.02)
     found, _ = at_exposure(stamped(held_up(time)))
@@ -102,8 +111,9 @@ def test_a_stated_rate_is_used_where_many_frames_are_lost():
     ],
 )
 def test_the_cameras_own_stamps_are_left_alone(stamps):
-    stream = stamped(np.sort(stamps))
-    assert at_exposure(stream) == (stream, ())
+    stamps = np.sort(stamps)
+    for stream in (stamped(stamps), stamped(stamps, moving(stamps))):
+        assert at_exposure(stream) == (stream, ())
 
 
 def test_stamps_that_are_stated_to_be_exact_are_left_alone():

@@ -20,6 +20,13 @@ from airpuck.recording.stream import Stream, rows_of
 #: A step below this fraction of the mean step, and the fraction of such steps, from which stamps
 #: are times of arrival.
 _FAR_BELOW, _MANY = 0.3, 0.01
+#: Change of the logarithm of a step from which steps are uneven.
+_UNEVEN = 0.3
+#: Squared error of a pose, in those usual, from which the motion bends; and fraction of the bends
+#: that is left if stamps are times of arrival, and poses are placed where they were exposed.
+_BENDS, _STRAIGHTER = 20.0, 0.55
+#: Poses by which this is judged.
+_JUDGED = 2000
 #: Fewest poses from which a clock is estimated.
 _FEWEST = 200
 #: Poses at the end that are too few to show a lost frame.
@@ -61,13 +68,21 @@ def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     if stream.exact or len(time) < _FEWEST or (steps < 0).any() or not time[-1] > 0:
         return stream, warnings
     share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
+    uneven = np.mean(np.abs(np.diff(np.log(np.maximum(steps, 1e-9)))) > _UNEVEN) > _MANY
     if not (share > _MANY or stream.rate_hz or warnings):
-        return stream, warnings
+        # Steps of a client that polls about as often as the cameras expose look like lost frames.
+        if not uneven or (stream.stamp_ns != stream.received_ns).any():
+            return stream, warnings
+        begin, values = time[:_JUDGED], stream.values[:_JUDGED]
+        found = _exposures(begin, values, None)
+        if not found or not _straighter(values, found[0], begin):
+            return stream, warnings
+        said = "poses are stamped on arrival (otherwise the craft would jerk)"
+    else:
+        said = "poses are spaced evenly"
     found = _exposures(time, stream.values, stream.rate_hz)
     if share > _MANY:
         said = f"poses are stamped on arrival ({100 * share:.0f} % of the steps are far too short)"
-    else:
-        said = "poses are spaced evenly"
     if found is None:
         if stream.rate_hz:
             usual = 1 / float(np.median(steps[steps > 0]))
@@ -143,6 +158,28 @@ def _exposures(
     return None
 
 
+def _motion(
+    values: Float[np.ndarray, "N 3"], steps: Float[np.ndarray, " M"] | Int[np.ndarray, " M"]
+) -> tuple[Float[np.ndarray, "M 3"], Float[np.ndarray, "L 3"]]:
+    """Return the motion in each step, and the errors of poses on the line of the two before.
+
+    The errors are for these durations of the steps, and scaled to equal variances.
+    """
+    moved = np.diff(np.column_stack([values[:, :2], np.unwrap(values[:, 2])]), axis=0)
+    ratio = (steps[1:] / steps[:-1])[:, None]
+    return moved, (moved[1:] - ratio * moved[:-1]) / np.sqrt(1 + ratio + ratio**2)
+
+
+def _straighter(
+    values: Float[np.ndarray, "N 3"], time: Float[np.ndarray, " N"], other: Float[np.ndarray, " N"]
+) -> bool:
+    """Return whether the motion bends at far fewer poses with these times than with the others."""
+    errors = [np.abs(_motion(values, np.maximum(np.diff(t), 1e-9))[1]) for t in (time, other)]
+    usual = np.min([np.median(error, axis=0) for error in errors], axis=0) + 1e-12
+    bent, before = (((error / usual) ** 2).sum(axis=1) > _BENDS for error in errors)
+    return bool(bent.mean() < _STRAIGHTER * before.mean())
+
+
 def _smoothest(
     frame: Int[np.ndarray, " N"],
     late: Float[np.ndarray, " N"],
@@ -156,10 +193,8 @@ def _smoothest(
     """
     if frame[-1] - frame[0] == len(frame) - 1 or not np.isfinite(values).all():
         return frame
-    steps = np.diff(np.column_stack([values[:, :2], np.unwrap(values[:, 2])]), axis=0)
-    ratio = (np.diff(frame)[1:] / np.diff(frame)[:-1])[:, None]
-    error = np.abs(steps[1:] - ratio * steps[:-1]) / np.sqrt(1 + ratio + ratio**2)
-    usual = np.median(error, axis=0)
+    steps, error = _motion(values, np.diff(frame))
+    usual = np.median(np.abs(error), axis=0)
     steps = steps[:, usual > 0] / usual[usual > 0]
     squares, products = (steps**2).sum(axis=1), (steps[1:] * steps[:-1]).sum(axis=1)
     frames, latency = frame[:, None] + _MOVES, late[:, None] - period * _MOVES
