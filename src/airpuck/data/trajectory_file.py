@@ -72,11 +72,8 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     known = checked(about, _About, file=path)
     try:
         return Trajectory(
-            time=arrays["t"],
-            state=arrays["state"],
-            acceleration=arrays["acceleration"],
-            command_time=arrays["command_time"],
-            command=arrays["command"],
+            time=arrays.pop("t"),
+            **arrays,
             propellers=known.propellers,
             delay=known.delay_s,
             delay_known=known.delay_known,
@@ -85,7 +82,6 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             hashes=known.hashes,
             warnings=known.warnings,
             vehicle=known.vehicle,
-            lost=arrays["lost"],
         )
     except InputError as error:
         # The file is at fault, not the recording that it was made from.

@@ -59,7 +59,7 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
     hashes = {file.name: sha256(file) for file in read}
     if metadata:
         hashes[METADATA] = sha256(path / METADATA)
-    log = Log()
+    log = Log(path)
     for file in files:
         later = _read_file(file, wanted)
         if not metadata:

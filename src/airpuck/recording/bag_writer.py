@@ -174,32 +174,29 @@ class BagFile:
         yaml = YAML(typ="safe")
         yaml.default_flow_style = False
         yaml.width = 2**20
+        # Repeated content is written out, not as a reference.
+        yaml.representer.ignore_aliases = lambda *_: True
         with (self.folder / METADATA).open("w", encoding="utf-8", newline="\n") as output:
             yaml.dump({"rosbag2_bagfile_information": self._summary()}, output)
 
     def _summary(self) -> dict[str, Any]:
         """Return the metadata that rosbag2 stores beside its storage file."""
-        n_messages, first_ns = sum(self.counts.values()), self._first_ns or 0
-
-        # Build a new object for each place: YAML would write the second as a reference to the
-        # first.
-        def span() -> dict[str, Any]:
-            return {
-                "starting_time": {"nanoseconds_since_epoch": first_ns},
-                "duration": {"nanoseconds": self._last_ns - first_ns},
-                "message_count": n_messages,
-            }
-
+        first_ns = self._first_ns or 0
+        span = {
+            "starting_time": {"nanoseconds_since_epoch": first_ns},
+            "duration": {"nanoseconds": self._last_ns - first_ns},
+            "message_count": sum(self.counts.values()),
+        }
         return {
             "version": _ROSBAG2_VERSION,
             "storage_identifier": "mcap",
-            **span(),
+            **span,
             "topics_with_message_count": self._topics,
             # For rosbag2's own compression. MCAP compresses its chunks without it.
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [self._name],
-            "files": [{"path": self._name, **span()}],
+            "files": [{"path": self._name, **span}],
             "custom_data": {**self._about, "written_by": "airpuck"},
             "ros_distro": "unknown",
         }

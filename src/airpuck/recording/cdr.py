@@ -127,11 +127,8 @@ def decode(
         parts = {path: [_part(table, path, codes[path]) for table in tables] for path in paths}
         return {path: np.concatenate(part)[order] for path, part in parts.items()}
     rows = decode_singly(messages, types, msgtype, paths)
-    columns = zip(*rows, strict=True)
-    return {
-        path: _column(path, codes[path], column)
-        for path, column in zip(paths, columns, strict=True)
-    }
+    columns = zip(paths, zip(*rows, strict=True), strict=True)
+    return {path: _column(path, codes[path], column) for path, column in columns}
 
 
 def _tables(

@@ -48,7 +48,7 @@ class _Sink:
     """Processes records in the order of the file."""
 
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
-        self.log = Log()
+        self.log = Log(path)
         self.path, self._wanted = path, wanted
         self._budget = Unpacking(path, path.stat().st_size)
         self._schemas: dict[int, Schema] = {}
@@ -63,20 +63,17 @@ class _Sink:
 
     def describe(self, code: int, content: bytes) -> None:
         """Process a schema or a channel."""
-        from mcap.data_stream import ReadDataStream
         from mcap.records import Channel, Schema
 
-        stream = ReadDataStream(BytesIO(content))
         if code == _SCHEMA_CODE:
-            schema = _parsed(Schema, stream)
+            schema = _parsed(Schema, content)
             self._schemas[schema.id] = schema
             return
-        channel = _parsed(Channel, stream)
+        channel = _parsed(Channel, content)
         if channel.id in self._channels:
             return
         described = _topic_log(self._schemas.get(channel.schema_id), channel.message_encoding)
         topic = self.log.topic(channel.topic, described)
-        self.log.check_topics(self.path)
         self._channels[channel.id] = topic if channel.topic in self._wanted else None
 
     def chunk(self, content: bytes) -> None:
@@ -118,10 +115,12 @@ def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
         start = end + _HEAD.size
 
 
-def _parsed(record: Any, stream: Any) -> Any:
+def _parsed(record: Any, content: bytes) -> Any:
     """Let mcap parse a record, which may be damaged in any way."""
+    from mcap.data_stream import ReadDataStream
+
     try:
-        return record.read(stream)
+        return record.read(ReadDataStream(BytesIO(content)))
     except Exception as error:
         raise _Damaged("a record cannot be read") from error
 
@@ -225,7 +224,6 @@ def _read_chunk(content: bytes, sink: _Sink) -> None:
 
 def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
     """Return the index entry of each chunk, by position; empty if the index is damaged."""
-    from mcap.data_stream import ReadDataStream
     from mcap.records import ChunkIndex
 
     file.seek(max(0, size - _FOOTER_BYTES))
@@ -239,8 +237,7 @@ def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
     content = file.read(size - _FOOTER_BYTES - start)
     try:
         found = [record for record in _framed(content) if record[0] == _CHUNK_INDEX_CODE]
-        records = [content[start:end] for _, start, end in found]
-        indices = [_parsed(ChunkIndex, ReadDataStream(BytesIO(record))) for record in records]
+        indices = [_parsed(ChunkIndex, content[start:end]) for _, start, end in found]
     except _Damaged:
         return {}
     return {index.chunk_start_offset: index for index in indices}

@@ -48,7 +48,7 @@ class _BagRecords:
     """Processes records in the order of the file."""
 
     def __init__(self, path: Path, wanted: Collection[str]) -> None:
-        self.log, self.path, self._wanted = Log(), path, wanted
+        self.log, self.path, self._wanted = Log(path), path, wanted
         self._budget = Unpacking(path, path.stat().st_size)
         self._topics: dict[int, TopicLog] = {}
 
@@ -58,7 +58,6 @@ class _BagRecords:
         (number,) = _LENGTH.unpack(_field(header, "conn", 4))
         topic = ros1_topic(_text(described, "type"), _text(described, "message_definition"))
         self._topics[number] = self.log.topic(_text(header, "topic"), topic)
-        self.log.check_topics(self.path)
 
     def message(self, header: dict[str, bytes], content: bytes) -> None:
         """Process a message; one without a connection belongs to a lost chunk."""

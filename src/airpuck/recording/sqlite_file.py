@@ -99,7 +99,7 @@ def _topics(
     there = {name for (name,) in database.execute(tables)}
     if not there >= {"messages", "topics"}:
         raise ValueError("it has no tables of messages and topics")
-    log, numbers = Log(), {}
+    log, numbers = Log(path), {}
     columns = _columns(database, "topics")
     encoding = _SERIALIZATION if _SERIALIZATION in columns else "'cdr'"
     digest = _DIGEST if _DIGEST in columns else "''"
@@ -120,7 +120,6 @@ def _topics(
         topic = log.topic(name, described)
         if name in wanted:
             numbers[number] = topic
-        log.check_topics(path)
     return log, numbers
 
 

@@ -325,11 +325,9 @@ def stream_of(
 
 def _rows_of_body(names: np.ndarray | None, body: str, stream: str) -> Any:
     """Return which rows are of the chosen rigid body; all, if no other is named."""
+    if names is None and body:
+        chosen_body((), body, stream=stream)
     if names is None or not len(names):
-        if body and names is None:
-            chosen_body((), body, stream=stream)
-        return ...
-    if (names == names[0]).all() and body in ("", names[0]):
         return ...
     return names == chosen_body(map(str, names.tolist()), body, stream=stream)
 

@@ -61,6 +61,7 @@ class TopicLog:
 class Log:
     """Contents of a bag's files."""
 
+    path: Path
     #: Definitions of each topic, since publishers may disagree; messages of wanted topics only.
     topics: dict[str, list[TopicLog]] = field(default_factory=dict)
     #: Messages on all topics.
@@ -83,7 +84,10 @@ class Log:
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
     def topic(self, name: str, like: TopicLog) -> TopicLog:
-        """Return the entry of a topic with this type, encoding and definition; add it if new."""
+        """Return the entry of a topic with this type, encoding and definition; add it if new.
+
+        Raise InputError if there are too many topics, or definitions of one.
+        """
         entries = self.topics.setdefault(name, [])
         for entry in entries:
             same = (entry.msgtype, entry.encoding) == (like.msgtype, like.encoding)
@@ -92,15 +96,12 @@ class Log:
                 ((entry.definition, entry.idl),) = texts or {("", False)}
                 return entry
         entries.append(replace(like, received_ns=[], messages=[], name=name))
-        return entries[-1]
-
-    def check_topics(self, path: Path) -> None:
-        """Raise InputError if there are too many topics, or definitions of one."""
         if len(self.topics) > TOPICS:
-            raise refused("contains too many topics", TOPICS, "split it", file=path)
-        if any(len(entries) > DEFINITIONS for entries in self.topics.values()):
-            what, remedy = "defines a topic in too many ways", "split it"
-            raise refused(what, DEFINITIONS, remedy, file=path)
+            raise refused("contains too many topics", TOPICS, "split it", file=self.path)
+        if len(entries) > DEFINITIONS:
+            what = "defines a topic in too many ways"
+            raise refused(what, DEFINITIONS, "split it", file=self.path)
+        return entries[-1]
 
     def sort(self) -> None:
         """Sort messages by the recorder's clock, as readers of bags do."""
