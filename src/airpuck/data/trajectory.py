@@ -164,8 +164,7 @@ class Trajectory:
             raise InputError("must increase", file=self.source, field="time")
         if (np.diff(self.command_time) < 0).any():
             raise InputError("must not decrease", file=self.source, field="command_time")
-        lowest, highest = np.min(self.command, initial=0), np.max(self.command, initial=0)
-        if lowest < -_ROUNDING or highest > 1 + _ROUNDING:
+        if (np.abs(np.asarray(self.command) - 0.5) > 0.5 + _ROUNDING).any():
             raise InputError("must be in [0, 1]", file=self.source, field="command")
 
     def __len__(self) -> int:

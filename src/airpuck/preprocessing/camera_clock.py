@@ -194,8 +194,7 @@ def _smoothest(
     if frame[-1] - frame[0] == len(frame) - 1 or not np.isfinite(values).all():
         return frame
     steps, error = _motion(values, np.diff(frame))
-    usual = np.median(np.abs(error), axis=0)
-    steps = steps[:, usual > 0] / usual[usual > 0]
+    steps /= np.median(np.abs(error), axis=0) + 1e-12
     squares, products = (steps**2).sum(axis=1), (steps[1:] * steps[:-1]).sum(axis=1)
     frames, latency = frame[:, None] + _MOVES, late[:, None] - period * _MOVES
     most = np.quantile(late, 0.995) + _ABOVE * period

@@ -12,7 +12,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import load_yaml
 from airpuck.boundary.limits import DEFINITION_BYTES
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.files import listing, sha256, shortened
+from airpuck.recording.files import listing, several_recordings, sha256, shortened
 from airpuck.recording.mapping import RecordingMapping, refuse_csv_settings
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.ros1_file import convert_ros1, read_ros1
@@ -93,13 +93,8 @@ def _in_order(folder: Path, metadata: Mapping[str, Any]) -> list[Path]:
     names = [PurePath(str(name)).name for name in named] if isinstance(named, list) else []
     found = [file for name in names for file in files if file.name == name]
     if not found and len({_part(file)[:2] for file in files}) > 1:
-        raise _several(files, folder)
+        raise several_recordings(files, folder)
     return found or files
-
-
-def _several(files: Sequence[Path], folder: Path) -> InputError:
-    names = listing(file.name for file in files)
-    return InputError(f"contains several recordings; choose one of {names}", file=folder)
 
 
 def _check_follows(log: Log, later: Log, files: Sequence[Path], folder: Path) -> None:
@@ -108,7 +103,7 @@ def _check_follows(log: Log, later: Log, files: Sequence[Path], folder: Path) ->
         return
     pause = (later.first_ns - log.last_ns) / SECOND_NS
     if not -_OVERLAP_S <= pause <= _PAUSE_S:
-        raise _several(files, folder)
+        raise several_recordings(files, folder)
 
 
 def _read_file(path: Path, wanted: Collection[str]) -> Log:

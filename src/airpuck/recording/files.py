@@ -25,13 +25,11 @@ def sha256(path: str | os.PathLike[str]) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
-    # For a name with a null byte.
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"cannot be read ({error})", file=path) from error
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read ({reason})", file=path) from error
 
 
 @contextlib.contextmanager
@@ -64,6 +62,12 @@ def listing(names: Iterable[str], most: int = 12) -> str:
     if len(shown) > most:
         shown[most:] = [f"{len(shown) - most} more"]
     return ", ".join(shown) or "none"
+
+
+def several_recordings(found: Iterable[Path], folder: Path) -> InputError:
+    """Return the error for a folder from which one recording must be chosen."""
+    names = listing(path.name for path in found)
+    return InputError(f"contains several recordings; choose one of {names}", file=folder)
 
 
 def chosen_body(

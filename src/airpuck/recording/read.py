@@ -14,7 +14,7 @@ from airpuck.boundary.limits import within_means
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.bag import METADATA, is_bag, read_bag
 from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
-from airpuck.recording.files import listing
+from airpuck.recording.files import several_recordings
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.stream import Recording, Stream, of_cameras, rows_of
 from airpuck.recording.ulog_file import ULOG, read_ulog
@@ -106,7 +106,7 @@ def _with_wheels(recording: Recording) -> Recording:
     wheels, craft = streams.pop("wheels", None), streams.get("command")
     if not wheels or not craft:
         return replace(recording, streams=streams)
-    craft, wheels = _in_order(craft), _in_order(wheels)
+    craft, wheels = (rows_of(s, np.argsort(s.stamp_ns, kind="stable")) for s in (craft, wheels))
     stamps = np.union1d(craft.stamp_ns, wheels.stamp_ns)
     stamps = stamps[stamps >= craft.stamp_ns[0]]
     last, turned = (np.searchsorted(s.stamp_ns, stamps, side="right") - 1 for s in (craft, wheels))
@@ -123,11 +123,6 @@ def _with_wheels(recording: Recording) -> Recording:
     return replace(recording, streams=streams)
 
 
-def _in_order(stream: Stream) -> Stream:
-    """Sort messages by their stamps."""
-    return rows_of(stream, np.argsort(stream.stamp_ns, kind="stable"))
-
-
 def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
     """Return the folder that contains the recording: this one, or its only subfolder that does."""
 
@@ -141,8 +136,7 @@ def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
     if len(candidates) == 1:
         return candidates[0]
     if candidates:
-        names = listing(entry.name for entry in candidates)
-        raise InputError(f"contains several recordings; choose one of {names}", file=folder)
+        raise several_recordings(candidates, folder)
     if (folder / METADATA).is_file():
         raise InputError(
             "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
