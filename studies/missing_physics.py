@@ -23,8 +23,10 @@ from verdicts import beyond, resumed
 
 import airpuck
 from airpuck import InputError
+from airpuck.control.tuning import tuning_for
 from airpuck.judgement.study import Study
 from airpuck.model.model_file import Model
+from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Length of a recording [s], camera rate [Hz].
@@ -91,13 +93,14 @@ def judged(flight: int, seed: int) -> dict[str, Any]:
         study = airpuck.study(airpuck.preprocess(recording, craft(6).vehicle))
     except InputError as error:
         return line | {"outcome": "refused", "why": [str(error)], "bars": {}, "named": False}
+    heard = as_received(truth, settings, tuning_for(truth).period_s)
     line |= {"model": study.model.name, "outcome": study.verdict.outcome}
     line |= {"right": study.verdict.parameters.right, "named": names(missing, study)}
     line |= {"quantile": study.model.known.quantile if study.model.known else 2.0}
     line |= {"missing_terms": [one.term for one in study.selection.missing]}
     line |= {
         "why": [one.sentence for one in study.findings],
-        "bars": beyond(study.model, truth, exact=True),
+        "bars": beyond(study.model, heard, exact=True),
     }
     return line | {"cpu_s": round(time.process_time() - began, 1)}
 

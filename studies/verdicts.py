@@ -46,6 +46,7 @@ from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.tolerances import bar
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite, track
+from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -388,7 +389,8 @@ def judged(flight: int, seed: int) -> dict[str, Any]:
     line |= {"margins": {law: one.margin for law, one in said.controller.items()}}
     line |= {"right": said.parameters.right, "why": [one.sentence for one in said.findings]}
     line["settles"] = settles(found.model, model, settings, own)
-    line["bars"] = beyond(found.model, model) if situation.exact else {}
+    truth = as_received(model, settings, tuning_for(model).period_s)
+    line["bars"] = beyond(found.model, truth) if situation.exact else {}
     return line | {"cpu_s": round(time.process_time() - began, 1)}
 
 

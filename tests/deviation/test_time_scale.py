@@ -7,9 +7,9 @@ import pytest
 
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.deviation.time_scale import patience, showing_time
+from airpuck.deviation.time_scale import measured_poses, patience, showing_time
 from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration, velocity
-from airpuck.preprocessing.smoothing import smoothing_time
+from airpuck.preprocessing.smoothing import is_slow, smoothing_times
 
 PAPER = default_vehicle()
 
@@ -68,7 +68,7 @@ def test_the_noisiest_recording_counts():
 
 def test_the_smoothing_of_the_papers_craft_does_not_change():
     flight = watched(1 / 240, 7e-5, 3.0)
-    assert smoothing_time(flight.time, flight.state[:, :2], PAPER) == VELOCITY_TIME
+    assert smoothing_times(*measured_poses(flight), PAPER) == (VELOCITY_TIME, VELOCITY_TIME)
     assert patience(PAPER) == patience(pushing(30.0)) == 1.0
 
 
@@ -87,8 +87,20 @@ def test_smoothing_is_near_the_best_for_velocities(noise, push):
         found = velocity(time, position, period, duration)[:, 0]
         return float(np.sqrt(np.mean((found - truth) ** 2)))
 
-    chosen = smoothing_time(time, position, pushing(push))
+    pose = np.column_stack([position, 0 * moved])
+    chosen, of_yaw = smoothing_times(time, pose, pushing(push))
     assert error(chosen) < 1.5 * min(error(d) for d in np.geomspace(0.05, 0.5, 8))
+    assert of_yaw == VELOCITY_TIME  # which has no noise
+
+
+def test_noise_of_yaw_alone_lengthens_the_smoothing_of_yaw_alone():
+    flight = watched(1 / 120, 2e-5, 3.0)
+    noise = 0.015 * np.random.default_rng(1).normal(size=len(flight))
+    noisy = replace(flight, state=flight.state + np.outer(noise, np.eye(6)[2]), vehicle=PAPER)
+    position, yaw = smoothing_times(*measured_poses(noisy), PAPER)
+    assert position == VELOCITY_TIME < yaw
+    assert is_slow(noisy)
+    assert not is_slow(replace(flight, vehicle=PAPER))
 
 
 def test_long_smoothing_keeps_cubics_on_uneven_samples():

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.judgement.verdict import verdict
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 
@@ -56,3 +57,14 @@ def test_from_few_poses_a_model_is_learned_that_beats_coasting(recording, rate, 
     judged = verdict(model, trajectory, evaluate(model, trajectory))
     assert (judged.missed < 1).all()
     assert judged.sentences
+
+
+@pytest.mark.slow
+def test_between_rare_poses_switches_keep_their_time():
+    recording = record(duration=20.0)
+    trajectory = preprocess(seen_at(recording, 60.0, gaps=0.0), delay=0.0)
+    found, truth = identify(trajectory, "M3").model, published_model("M3")
+    # Commands spread over the 17 ms between poses would shorten the lag by 0.8 ms.
+    lag, expected = (float(one.parameters.motor_time_constant) for one in (found, truth))
+    assert lag == pytest.approx(expected, abs=2e-4)
+    assert found.transport_delay == pytest.approx(5 / 240, abs=2e-4)

@@ -66,6 +66,17 @@ def dense_jacobian(loss, parameters, free):
     return residuals(vector), np.stack(columns, axis=-1)
 
 
+def ledoit_wolf(samples):
+    """Section 3.3 of Ledoit and Wolf (2004), term by term, for samples whose mean is zero."""
+    count, size = samples.shape
+    covariance = samples.T @ samples / count
+    mean = np.trace(covariance) / size
+    distance = np.sum((covariance - mean * np.eye(size)) ** 2) / size
+    scatter = [np.sum((np.outer(x, x) - covariance) ** 2) / size for x in samples]
+    weight = min(np.sum(scatter) / count**2, distance) / distance
+    return weight * mean * np.eye(size) + (1 - weight) * covariance
+
+
 @pytest.mark.slow
 def test_equals_a_dense_computation():
     loss = clustered_loss()
@@ -85,7 +96,9 @@ def test_equals_a_dense_computation():
         # Change of the estimate when the block is left out, in one Gauss-Newton step.
         score = np.einsum("wrp,wr->p", jacobian[own], residual[own])
         changes.append(np.linalg.solve(without, score))
-    dense = (count - 1) / count * np.array(changes).T @ np.array(changes)
+    root = np.linalg.cholesky(hessian)
+    shrunk = ledoit_wolf(np.array(changes) @ root)
+    dense = (count - 1) * np.linalg.solve(root.T, np.linalg.solve(root.T, shrunk).T)
     spread = np.sqrt(np.diag(dense))
     ours = found.covariance[np.ix_(free, free)]
     np.testing.assert_allclose(ours / np.outer(spread, spread), dense / np.outer(spread, spread),
@@ -98,11 +111,16 @@ def test_equals_a_dense_computation():
     np.testing.assert_allclose(quadratic.hessian, whole.hessian, rtol=1e-9, atol=1e-15)
 
 
-def linear_quadratic(rng, parameters, free, count=400, rows=8, noise=0.3):
-    """Scores of y = X β + e at the least squares estimate, e constant within each cluster."""
+def constant(design, rng):
+    """Errors that are the same within each cluster."""
+    return np.repeat(rng.normal(size=(len(design), 1)), design.shape[1], axis=1)
+
+
+def linear_quadratic(rng, parameters, free, count=400, rows=8, noise=0.3, errors=constant):
+    """Scores of y = X β + e at the least squares estimate."""
     size = int(free.sum())
     design = rng.normal(size=(count, rows, size))
-    error = noise * np.repeat(rng.normal(size=(count, 1)), rows, axis=1)
+    error = noise * errors(design, rng)
     flat = design.reshape(-1, size)
     estimate = np.linalg.lstsq(flat, error.ravel(), rcond=None)[0]
     residual = design @ estimate - error
@@ -124,6 +142,39 @@ def test_a_linear_model_whose_covariance_is_known():
     expected = 0.3 / np.sqrt(400 * 8)
     assert np.mean(errors) == pytest.approx(expected, rel=0.03)
     assert np.std([estimate for _, estimate in found]) == pytest.approx(expected, rel=0.15)
+
+
+def test_a_dozen_blocks_know_errors_to_a_tenth_if_all_directions_are_alike():
+    parameters = TRUTH.parameters
+    free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
+    rng = np.random.default_rng(6)
+
+    def independent(design, rng):
+        return rng.normal(size=design.shape[:2])
+
+    found = [
+        linear_quadratic(rng, parameters, free, 12, 40, errors=independent)[0] for _ in range(60)
+    ]
+    errors = np.array([along(one, parameters, free).standard_errors[free] for one in found])
+    expected = 0.3 / np.sqrt(12 * 40)
+    assert np.mean(errors) == pytest.approx(expected, rel=0.05)
+    # Each alone would scatter by 1/√(2·11), a fifth.
+    assert np.sqrt(np.mean((errors / expected - 1) ** 2)) < 0.14
+
+
+def test_directions_that_differ_keep_their_own_errors():
+    parameters = TRUTH.parameters
+    free = parameters.mask(frozenset({"center_of_mass", "inertia", "angle_offset"}))
+    rng = np.random.default_rng(7)
+
+    def with_first(design, rng):
+        return constant(design, rng) * design[..., 0]
+
+    found = [linear_quadratic(rng, parameters, free, errors=with_first)[0] for _ in range(20)]
+    errors = np.mean([along(q, parameters, free).standard_errors[free] for q in found], axis=0)
+    # E (Σ x²)² = 80 in a cluster of 8 rows for that column, E (Σ x y)² = 8 for others.
+    expected = 0.3 / np.sqrt(400 * 8) * np.sqrt([10.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(errors, expected, rtol=0.06)
 
 
 def quadratic_at_the_truth():

@@ -8,6 +8,7 @@ import pytest
 
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.deviation.effect_errors import EffectErrors, effect_errors
+from airpuck.judgement.findings import next_step
 from airpuck.judgement.rehearsal import GOAL, NEAR, as_seen, flown_margin, like, rehearse
 from airpuck.model.model_file import Model, nominal_model, published_model
 from airpuck.model.uncertainty import Cameras
@@ -145,3 +146,10 @@ def test_no_controller_is_no_trust(flight):
     )
     found = rehearse(falling, flight, shown(MODEL, flight))
     assert found.remedy.startswith("No controller can be designed") and not found.settles
+
+
+def test_the_next_step_is_one_that_was_not_taken():
+    assert "Leave out `--model`" in next_step(replace(MODEL, name="M2+drag"))
+    for name in ("M3", "M3+tilt"):  # as the library chooses it
+        words = next_step(replace(MODEL, name=name))
+        assert "`airpuck resid`" in words and "--model" not in words

@@ -33,14 +33,14 @@ def test_unwrapping_restores_what_was_wrapped(steps, start):
 def test_smoothing_is_that_of_scipy(count, window):
     values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
     expected = savgol_filter(values, window, 3, axis=0)
-    smoothed = smooth(times(count, 0.0), values, window / 240)
+    smoothed = smooth(times(count, 0.0), values, duration=window / 240)
     np.testing.assert_allclose(smoothed, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("count", "window"), [(11, 11), (12, 11), (13, 13), (14, 13)])
 def test_a_short_stretch_gets_the_longest_odd_window(count, window):
     values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
-    smoothed = smooth(times(count, 0.0), values, 25 / 240)
+    smoothed = smooth(times(count, 0.0), values, duration=25 / 240)
     np.testing.assert_allclose(smoothed, savgol_filter(values, window, 3, axis=0), atol=1e-12)
 
 
@@ -63,7 +63,7 @@ def test_cubics_in_time_pass_through_smoothing_at_alternating_steps():
     time = thinned_times(0.5)
     assert len(np.unique(np.diff(time).round(9))) == 2
     cubic = np.stack([time**3 - 2 * time**2, 5 * time], axis=1)
-    np.testing.assert_allclose(smooth(time, cubic, 15 / 240), cubic, atol=1e-12)
+    np.testing.assert_allclose(smooth(time, cubic, duration=15 / 240), cubic, atol=1e-12)
 
 
 def test_alternating_steps_leave_velocity_and_acceleration_as_they_are():

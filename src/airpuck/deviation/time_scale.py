@@ -43,8 +43,9 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
 
     A craft of acceleration a moves by a t²/2. At most 3; 0 if recordings are too short.
     """
-    push = usual_push(vehicle)
-    noise = (pose_noise(*measured_positions(one), push) for one in trajectories)
+    push, _ = usual_pushes(vehicle)
+    seen = (measured_poses(one) for one in trajectories)
+    noise = (pose_noise(time, pose[:, :2], push) for time, pose in seen)
     return min(math.sqrt(2 * _CLEAR * max(noise) / push), _LONGEST) if push > 0 else 0.0
 
 
@@ -59,29 +60,32 @@ def patience(vehicle: Vehicle) -> float:
     A slow craft is less sensitive to timing errors, because its controllers act over longer times.
     The factor is proportional to the time in which an actuator at full command moves it by 1 cm.
     """
-    push = usual_push(vehicle)
+    push, _ = usual_pushes(vehicle)
     return max(1.0, math.sqrt(2 * _CENTIMETRE / push) / _USUAL_MOVE) if push > 0 else 1.0
 
 
-def usual_push(vehicle: Vehicle) -> float:
-    """Return a typical actuator's acceleration at full command; 0 if none pushes [m/s²]."""
+def usual_pushes(vehicle: Vehicle) -> tuple[float, float]:
+    """Return a typical actuator's accelerations at full command, linear and angular [m/s², rad/s²].
+
+    0 if none pushes, or turns.
+    """
     model = nominal_model(vehicle)
     full = np.abs(np.asarray(model.dynamics.thrust).sum(axis=1))
-    each = np.hypot(*np.asarray(model.dynamics.configuration)[:2]) * full
-    return float(np.median(each[each > 0])) if each.any() else 0.0
+    x, y, turn = np.abs(np.asarray(model.dynamics.configuration)) * full
+    each = np.hypot(x, y), turn
+    linear, angular = (float(np.median(one[one > 0])) if one.any() else 0.0 for one in each)
+    return linear, angular
 
 
-def measured_positions(
+def measured_poses(
     trajectory: Trajectory,
-) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 2"]]:
-    """Return times and positions of the measured poses."""
-    return trajectory.time[trajectory.measured], trajectory.state[trajectory.measured, :2]
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M 3"]]:
+    """Return times and values of the measured poses."""
+    return trajectory.time[trajectory.measured], trajectory.state[trajectory.measured, :3]
 
 
-def pose_noise(
-    time: Float[np.ndarray, " N"], position: Float[np.ndarray, "N 2"], push: float
-) -> float:
-    """Return the standard deviation of the white noise of positions [m]; 0 if there are too few.
+def pose_noise(time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N k"], push: float) -> float:
+    """Return the standard deviation of the white noise of poses; 0 if there are too few.
 
     Differences of poses contain the motion of a craft with the acceleration `push`, too.
     """
@@ -90,7 +94,7 @@ def pose_noise(
     period = usual_period(time)
     near = np.diff(time) < _NO_GAP * period
     whole = np.lib.stride_tricks.sliding_window_view(near, _DIFFERENCES).all(axis=1)
-    steps = np.diff(position, n=_DIFFERENCES, axis=0)[whole]
+    steps = np.diff(pose, n=_DIFFERENCES, axis=0)[whole]
     if not len(steps):
         return 0.0
     # The median ignores jumps and impacts.

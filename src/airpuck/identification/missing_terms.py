@@ -26,7 +26,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
 
-#: Probability below which a term is missing: the twelve tests of a healthy flight then find one in
+#: Probability below which a term is missing: the tests of a healthy flight then find one of all in
 #: less than a percent of all flights.
 _LEVEL = 5e-4
 #: Decrease of the mean square below which a term is not worth its coefficients: half a percent of
@@ -38,8 +38,6 @@ _STEP = 1e-3
 _FOLDS = 5
 #: Fewest blocks of time beyond a term's coefficients.
 _FEWEST = 6
-#: Terms whose gradient vanishes where they are zero, so that no score shows them.
-_STATIONARY = frozenset({"pair_interaction"})
 #: The term that is not an effect: a higher degree of the thrust curves.
 DEGREE = "degree"
 #: Prefix of what changed steadily during the recording: ``all`` thrusts, one motor's thrust, or the
@@ -174,7 +172,7 @@ class _Tests:
     ) -> MissingTerm | None:
         """Test a term; coefficients that would be below their bound stay at zero."""
         hessian, scores = self.quadratic.hessian, self.quadratic.scores
-        positive = dict(zip(entries.tolist(), lower >= 0, strict=True))
+        bound = dict(zip(entries.tolist(), lower.tolist(), strict=True))
         kept = [int(entry) for entry in entries]
         while kept:
             mixed = basis.T @ hessian[:, kept]
@@ -184,7 +182,7 @@ class _Tests:
             if not (np.diag(information) > _OWN * np.diag(whole)).all():
                 return None
             value = -_solved(information, effective.sum(axis=0))
-            impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 and positive[e]]
+            impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 <= bound[e]]
             if not impossible:
                 break
             kept = [entry for entry in kept if entry not in impossible]
@@ -197,6 +195,9 @@ class _Tests:
         along = np.eye(len(hessian))[:, kept] - basis @ mixed
         each = np.einsum("qi,gqp,pj->gij", along, self.quadratic.informations, along, optimize=True)
         chance = _by_chance(effective, each, information, value)
+        # Effects of a coefficient with a lower bound grow with its square.
+        least = np.maximum([bound[entry] for entry in kept], 0.0)
+        value = np.where(least > 0, np.sqrt(least * np.abs(least + 2 * value)), value)
         coefficients = tuple(value.tolist())
         held_out = self._held_out(basis, kept) if chance < _LEVEL else 0.0
         return MissingTerm(term, chance, gain, held_out, coefficients, own)
@@ -259,15 +260,14 @@ def _by_chance(
 
 
 def _with_all_terms(model: Model) -> Parameters:
-    """Return the parameters with every missing term at zero."""
+    """Return the parameters with every missing term at zero, or at its negligible lower bound."""
     parameters, degree = model.parameters, np.shape(model.parameters.thrust)[1]
     added: dict[str, Any] = {}
     direct = parameters.configuration_matrix is not None
     for name, quantity in EFFECTS.items():
-        unused = name in _STATIONARY or (direct and quantity.in_matrix)
-        if getattr(parameters, name) is None and not unused:
-            start = quantity.start
-            added[name] = np.zeros(len(start)) if isinstance(start, tuple) else 0.0
+        if getattr(parameters, name) is None and not (direct and quantity.in_matrix):
+            least = max(quantity.bounds[0], 0.0)
+            added[name] = np.full(np.shape(quantity.start), least)[()]
     if degree < numbers.DEGREE.high and _can_bend(model, degree + 1):
         added["thrust"] = change_degree(np.asarray(parameters.thrust), degree + 1)
     return replace(parameters, **added)

@@ -141,15 +141,8 @@ def prediction_loss(
     """
     before, ahead, stride = loss.samples(trajectories)
     windows = make_windows(trajectories, before, ahead, stride)
-    return PredictionLoss(
-        windows,
-        vehicle,
-        loss.encoder,
-        loss.weights,
-        frame,
-        continuous_delay=learns_delay,
-        clusters=cluster_windows(windows),
-    )
+    own, clusters = (loss.encoder, loss.weights), cluster_windows(windows)
+    return PredictionLoss(windows, vehicle, *own, frame, None, learns_delay, clusters)
 
 
 def mean_delay(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:

@@ -23,7 +23,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, make_windows, refined
 from airpuck.deviation.motor_regression import integrated
 from airpuck.deviation.packet_delays import PacketDelays, delay_response, moved, packet_delays
-from airpuck.deviation.time_scale import measured_positions
+from airpuck.deviation.time_scale import measured_poses
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import DelayJitter
@@ -31,7 +31,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import smooth_stretches
-from airpuck.preprocessing.smoothing import is_slow, smoothing_time
+from airpuck.preprocessing.smoothing import in_parts, is_slow, smoothing_times
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9
@@ -89,20 +89,15 @@ def smoothed_along(trajectory: Trajectory, model: Model) -> Trajectory:
     fine = refined(trajectory, parts)
     modelled = modelled_acceleration(fine, model)
     fewest = shortest_stretch(trajectory.sample_period)
-    duration = smoothing_time(*measured_positions(trajectory), model.vehicle)
-    for part in smooth_stretches(time, trajectory.bridged, duration, trajectory.excluded):
+    durations = smoothing_times(*measured_poses(trajectory), model.vehicle)
+    for part in smooth_stretches(time, trajectory.bridged, max(durations), trajectory.excluded):
         if len(time[part]) < fewest:
             continue  # excluded by preprocessing, which has no velocities there either
         within = slice(part.start * parts, (part.stop - 1) * parts + 1)
         steps = np.diff(fine.time[within])[:, None]
         gained, moved = (one[::parts] for one in integrated(modelled[within], steps))
-        smoothed = velocity(
-            time[part],
-            state[part, :3] - moved,
-            trajectory.sample_period,
-            duration,
-            trajectory.measured[part],
-        )
+        rest, real = state[part, :3] - moved, trajectory.measured[part]
+        smoothed = in_parts(velocity, time[part], rest, trajectory.sample_period, durations, real)
         state[part, 3:] = gained + smoothed
     return replace(trajectory, state=state)
 

@@ -26,10 +26,10 @@ from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_te
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import retime_packets
 from airpuck.identification.settings import Loss, Preparation
+from airpuck.identification.uncertainty import with_held
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import Rung, named_rung
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import CenterOfMassFrame
 from airpuck.preprocessing.pipeline import Source, load_all
 from airpuck.recording.mapping import RecordingMapping
@@ -150,12 +150,13 @@ def structured(
     fit = fitting.identify(trajectories, rung, **options)
     missing = missing_terms(fit.model, fit.objective)
     added = tuple(one for one in missing if one.worthwhile) if usual else ()
-    if not added:
-        return _widened(fit, missing), ModelStructure(rung.name, rung.name, (), missing)
-    richer = _richer(rung, [one.term for one in added], np.shape(fit.model.parameters.thrust)[1])
-    fit = fitting.identify(trajectories, richer, **options)
-    missing = missing_terms(fit.model, fit.objective)
-    return _widened(fit, missing), ModelStructure(rung.name, richer.name, added, missing)
+    chosen = rung
+    if added:
+        bent = np.shape(fit.model.parameters.thrust)[1]
+        chosen = _richer(rung, [one.term for one in added], bent)
+        fit = fitting.identify(trajectories, chosen, **options)
+        missing = missing_terms(fit.model, fit.objective)
+    return _widened(fit, missing), ModelStructure(rung.name, chosen.name, added, missing)
 
 
 def lacking_on(model: Model, trajectory: Trajectory) -> tuple[MissingTerm, ...]:
@@ -181,17 +182,9 @@ def _widened(fit: Fit, missing: Sequence[MissingTerm]) -> Fit:
     known = fit.model.known
     if known is None or not missing:
         return fit
-    shifts = np.array([one.direction for one in missing])
-    note = f"errors include what the model lacks: {', '.join(one.term for one in missing)}"
-    wider = _with_shifts(known, shifts, note)
-    return replace(fit, model=replace(fit.model, uncertainty=wider))
-
-
-def _with_shifts(known: Uncertainty, shifts: Any, note: str) -> Uncertainty:
-    """Add the squares of shifts to a covariance."""
     sure = np.isfinite(known.standard_errors)
-    shifts = np.where(sure, shifts, 0.0)
-    covariance = known.covariance + shifts.T @ shifts
-    errors = np.where(sure, np.sqrt(np.diag(covariance)), np.nan)
-    notes = (*known.notes, note)
-    return replace(known, covariance=covariance, standard_errors=errors, notes=notes)
+    shifts = np.where(sure, [one.direction for one in missing], 0.0)
+    note = f"errors include what the model lacks: {', '.join(one.term for one in missing)}"
+    wider = with_held(known, shifts, held=np.zeros_like(sure))
+    wider = replace(wider, notes=(*known.notes, note))
+    return replace(fit, model=replace(fit.model, uncertainty=wider))

@@ -5,7 +5,9 @@ Windows that begin within one prediction length of each other share samples, and
 independent, and s²(JᵀJ)⁻¹ would be much too small. The sandwich estimator (White 1980; Liang and
 Zeger 1986) only needs blocks of time that are nearly independent of each other. Scores are
 corrected for the leverage of their block; with a few dozen blocks and two dozen parameters this is
-the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023).
+the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023). So few blocks hardly
+determine a covariance: it is shrunk towards that of equal, independent residuals, as far as its own
+scatter says (Ledoit and Wolf, Journal of Multivariate Analysis 88, 2004).
 """
 
 from __future__ import annotations
@@ -216,7 +218,7 @@ def sandwich(
     turned /= 1 - np.minimum(value, _LEVERAGE)
     change = np.einsum("gij,gj->gi", vectors, turned)
     factor = (count - 1) / count / (1 - shared)
-    covariance = factor * space.basis @ (change.T @ change) @ space.basis.T
+    covariance = factor * space.basis @ _shrunk(change) @ space.basis.T
     covariance = (covariance + covariance.T) / 2
     rank = space.basis.shape[1]
     rough = (
@@ -234,6 +236,20 @@ def sandwich(
         notes=(*warnings, *_notes(space)),
         warnings=warnings,
     )
+
+
+def _shrunk(change: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "R R"]:
+    """Return the sum of the blocks' outer products, shrunk towards a multiple of the identity.
+
+    In this basis equal, independent residuals give the identity. The weights minimise the expected
+    square of the error, estimated from the scatter of the blocks.
+    """
+    count, size = change.shape
+    total = change.T @ change
+    alike = np.trace(total) / max(size, 1) * np.eye(size)
+    scatter = np.sum(np.sum(change**2, axis=1) ** 2) - np.sum(total**2) / count
+    share = min(scatter / max(float(np.sum((total - alike) ** 2)), 1e-300), 1.0)
+    return share * alike + (1 - share) * total
 
 
 def widened(

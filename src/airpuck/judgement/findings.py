@@ -41,6 +41,8 @@ _JUDGED_RESPONSE = 0.006
 _REACHED = 0.6
 #: Directions count only if the nominal acceleration exceeds this fraction of the largest one.
 _ABLE = 0.05
+#: The rung that the library's own choice of a structure extends.
+_CHOSEN = "M3"
 #: Remedy for too little excitation.
 _FLY = "Fly an excitation of 30 s or more: `airpuck excite`, or `airpuck design` for this craft."
 
@@ -178,7 +180,7 @@ def too_wrong(
                 if abs(share) <= WRONG_LIMIT:
                     off[-1] += f" and uncertain by another {percent(chance)}"
         cause = f"The modelled largest acceleration is wrong: {', '.join(off)}"
-        remedy = "Leave out `--model`, or check mass, inertia and motors in the vehicle file."
+        remedy = f"{next_step(model)} Or check mass, inertia and motors in the vehicle file."
         found.append(Finding("physics", cause, remedy=remedy))
     if abs(low := float(np.median(effects.low))) > LOW_LIMIT:
         cause = (
@@ -186,13 +188,23 @@ def too_wrong(
             f"{percent(abs(low))} too {'large' if low > 0 else 'small'}: the thrust curves have "
             "the wrong shape"
         )
-        found.append(Finding("physics", cause, remedy="Leave out `--model`."))
+        found.append(Finding("physics", cause, remedy=next_step(model)))
     if response > patience(model.vehicle) * RESPONSE_LIMIT:
         when = "later" if effects.later > 0 else "earlier"
         cause = f"Commands take effect {1e3 * abs(effects.later):.0f} ms {when} than modelled"
         remedy = "Use a model with a motor lag, and learn the delay (`--delay fit`)."
         found.append(Finding("physics", cause, remedy=remedy))
     return found
+
+
+def next_step(model: Model) -> str:
+    """Return what to do about wrong physics beyond the terms that findings of their own name."""
+    if model.name.partition("+")[0] != _CHOSEN:
+        return "Leave out `--model`: the structure is then chosen by the recording."
+    return (
+        "No term that airpuck tests explains it beyond those named here: `airpuck resid` shows "
+        "which motors or times are wrong."
+    )
 
 
 def _ways(relative: Float[np.ndarray, " 6"]) -> str:

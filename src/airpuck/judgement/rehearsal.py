@@ -22,6 +22,7 @@ from airpuck.deviation.effect_errors import EffectErrors
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.flight.loop import fly
 from airpuck.identification.cameras import cameras_of
+from airpuck.judgement.findings import next_step
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
 from airpuck.physics.angle import pose_difference
@@ -200,8 +201,7 @@ def _unsettled(model: Model, seen: Model, settings: TwinSettings, tuning: Tuning
     if flown_margin(model, model, settings, tuning) >= 1:
         return (
             f"{flown} settles on the modelled craft, but not on the craft that the recording "
-            "shows: motors and timing differ too much. Try a richer model "
-            "(`--model auto`)."
+            f"shows: motors and timing differ too much. {next_step(model)}"
         )
     return (
         f"{flown} does not settle on the modelled craft: {_weakness(model)}. "

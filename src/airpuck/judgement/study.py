@@ -182,17 +182,9 @@ def study(
     other = None
     if validation is not None:
         other = load_trajectory(validation, vehicle, mapping=mapping)
-    fit, structure = structured(
-        training,
-        model,
-        degree=degree,
-        frame=frame,
-        vehicle=vehicle,
-        loss=loss,
-        method=method,
-        preparation=preparation,
-        progress=progress,
-    )
+    options: dict[str, Any] = {"degree": degree, "frame": frame, "vehicle": vehicle, "loss": loss}
+    options |= {"method": method, "preparation": preparation, "progress": progress}
+    fit, structure = structured(training, model, **options)
     if bootstrap:
         fit = resample(fit, bootstrap, seed=seed, progress=resampled)
     return judged(fit, structure, training, other, mapping=mapping, laws=laws)

@@ -189,18 +189,11 @@ def verdict(
         *_compared(evidence),
         *_errors_in_words(errors),
     )
-    accelerations, response = evidence.total
     known = judged or model.known is not None
+    accelerations, response = evidence.total if known else (None, None)
+    said = tuple(dict.fromkeys(sentences))
     return Verdict(
-        outcome,
-        tuple(dict.fromkeys(sentences)),
-        errors,
-        evidence.missed,
-        accelerations if known else None,
-        response if known else None,
-        findings,
-        parameters,
-        flown,
+        outcome, said, errors, evidence.missed, accelerations, response, findings, parameters, flown
     )
 
 

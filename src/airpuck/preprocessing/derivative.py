@@ -44,8 +44,8 @@ def unwrap_yaw(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
 def smooth(
     time: Float[np.ndarray, " N"],
     values: Float[np.ndarray, "N k"],
-    duration: float,
     period: float | None = None,
+    duration: float = VELOCITY_TIME,
     measured: Bool[np.ndarray, " N"] | None = None,
 ) -> Float[np.ndarray, "N k"]:
     """Smooth with local cubic polynomials (Savitzky-Golay).
@@ -132,7 +132,7 @@ def velocity(
     """
     if duration > VELOCITY_TIME:
         return _local_derivative(time, values, duration, period, 1, measured)
-    smoothed = smooth(time, values, duration, period, measured)
+    smoothed = smooth(time, values, period, duration, measured)
     return np.gradient(smoothed, time, axis=0, edge_order=2)
 
 
@@ -149,7 +149,7 @@ def acceleration(
     """
     if duration > VELOCITY_TIME:
         return _local_derivative(time, values, acceleration_time(duration), period, 2, measured)
-    smoothed = smooth(time, values, ACCELERATION_TIME, period, measured)
+    smoothed = smooth(time, values, period, ACCELERATION_TIME, measured)
     before, after = np.diff(time)[:-1, None], np.diff(time)[1:, None]
     inner = (
         2

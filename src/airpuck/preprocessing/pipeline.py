@@ -46,7 +46,7 @@ from airpuck.preprocessing.quality import (
     find_jumps,
     smooth_stretches,
 )
-from airpuck.preprocessing.smoothing import smoothing_time
+from airpuck.preprocessing.smoothing import in_parts, smoothing_times
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
@@ -270,13 +270,13 @@ def _differentiated(
     rates, accelerations = np.zeros_like(values), np.zeros_like(values)
     short, period = [], usual_period(time[measured])
     fewest = shortest_stretch(period)
-    duration = smoothing_time(time[measured], values[measured, :2], vehicle)
+    durations = smoothing_times(time[measured], values[measured], vehicle)
     known = bridged(time, measured)
-    for part in smooth_stretches(time, known, duration, jumps):
+    for part in smooth_stretches(time, known, max(durations), jumps):
         within, real = time[part], measured[part]
         if len(within) >= fewest:
-            rates[part] = velocity(within, values[part], period, duration, real)
-            accelerations[part] = acceleration(within, values[part], period, duration, real)
+            for found, derive in ((rates, velocity), (accelerations, acceleration)):
+                found[part] = in_parts(derive, within, values[part], period, durations, real)
         elif not any(jump.start <= within[0] and within[-1] <= jump.stop for jump in jumps):
             short.append(Span(float(within[0]), float(within[-1]), "too short to smooth"))
     if measured.all():
