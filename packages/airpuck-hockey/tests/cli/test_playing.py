@@ -27,6 +27,15 @@ def test_skills_on_the_command_line():
     assert refused(airpuck("skills", "--episodes", "0"), "--episodes")
 
 
+def test_listing_the_commands_imports_no_heavy_package():
+    code = (
+        "import sys; from airpuck.cli.app import known_commands; known_commands(); "
+        "print(*{'numpy', 'scipy', 'jax', 'matplotlib'} & set(sys.modules))"
+    )
+    words = [sys.executable, "-c", code]
+    assert not subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
+
+
 @pytest.mark.parametrize("name", ["match", "league"])
 def test_the_help_names_every_player(name):
     shown = " ".join(airpuck(name, "--help", env={**os.environ, "COLUMNS": "1000"}).stdout.split())

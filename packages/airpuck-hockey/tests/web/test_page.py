@@ -29,7 +29,8 @@ from airpuck_hockey.game.game import Game
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.web import page as match_page
 from airpuck_hockey.web.live_page import live_hello
-from airpuck_hockey.web.page import GAME_PAGE, ArenaSettings, hello_of, watch_in_browser
+from airpuck_hockey.web.page import GAME_PAGE, hello_of, watch_in_browser
+from airpuck_hockey.web.settings import ArenaSettings
 from tests.apparatus.arena import Arena, free_port
 
 

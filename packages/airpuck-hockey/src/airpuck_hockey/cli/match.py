@@ -166,7 +166,8 @@ def watch_match(
     if port is None:
         _watch(game, is_stdout(json_file), quiet)
     else:
-        from airpuck_hockey.web.page import ArenaSettings, watch_in_browser
+        from airpuck_hockey.web.page import watch_in_browser
+        from airpuck_hockey.web.settings import ArenaSettings
 
         watch_in_browser(game, craft, ArenaSettings(port), say(quiet))
     wall = time.monotonic() - began

@@ -24,7 +24,7 @@ from airpuck.extend import (
     say,
 )
 from airpuck_hockey.cli.match import read_player
-from airpuck_hockey.web.page import ArenaSettings
+from airpuck_hockey.web.settings import ArenaSettings
 
 
 @dataclass(frozen=True)

@@ -32,12 +32,12 @@ from airpuck_hockey.player.player import Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
 from airpuck_hockey.web.page import (
     GAME_PAGE,
-    ArenaSettings,
     hello_of,
     news_of,
     state_of,
     thought_of,
 )
+from airpuck_hockey.web.settings import ArenaSettings
 
 #: Rate limit of new games [1/s], and its burst: starting one stops the physics for 0.2 s. Orders
 #: that arrive meanwhile count as one.
