@@ -27,6 +27,10 @@ from airpuck.data.trajectory import (
 from airpuck.data.trajectory_file import read_trajectory as read_trajectory
 from airpuck.estimate.encoder import PaperEncoder as PaperEncoder
 from airpuck.evaluation.drift import Drift as Drift, drift as drift
+from airpuck.evaluation.error_budget import (
+    ErrorBudget as ErrorBudget,
+    error_budget as error_budget,
+)
 from airpuck.evaluation.evaluate import (
     Evaluation as Evaluation,
     compare as compare,

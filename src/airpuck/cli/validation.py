@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary import numbers
@@ -48,6 +48,9 @@ def evaluate(
     protocol: options.ProtocolName = "paper",
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
+    budget: Annotated[
+        bool, Option("--budget", help="Also show who owns the error: share of each cause.")
+    ] = False,
     mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -56,20 +59,29 @@ def evaluate(
     from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.coasting import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
+    from airpuck.judgement.healthy import reference_faults
     from airpuck.judgement.study import judged_on
-    from airpuck.report.tables import error_tables
+    from airpuck.report.tables import budget_table, error_tables
 
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = judged_on(judged, trajectory, found, mapping)
     since = better_from(found, trajectory)
+    faults = reference_faults(trajectory, judged.vehicle)
+    owned = None
+    if budget:
+        given = {"protocol": chosen, "encoder": encoder}
+        owned = airpuck.error_budget(judged, trajectory, faults, **given)
     content = [judged], [found], trajectory
-    known = {judged.name: said}
-    written = page(output, "evaluation_report.evaluation_report", *content, verdicts=known)
-    shown = error_tables([model], [found], trajectory)
+    known = {"verdicts": {judged.name: said}, "faults": faults, "budget": owned}
+    written = page(output, "evaluation_report.evaluation_report", *content, **known)
+    shown = [budget_table(owned)] if owned else []
+    shown += error_tables([model], [found], trajectory, faults)
     figures = {
         **found.to_json(),
+        "healthy_start": found.healthy(faults).to_json(),
+        **({"budget": owned.to_json()} if owned else {}),
         "constant_velocity": coasting(found, trajectory).to_json(),
         **since.to_json(),
         "name": model,
@@ -192,6 +204,7 @@ def compare(
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.model_difference import model_differences
+    from airpuck.judgement.healthy import reference_faults
     from airpuck.judgement.verdict import verdict
     from airpuck.report.tables import error_tables, fit_table
 
@@ -211,9 +224,11 @@ def compare(
         trajectory = load(Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet)
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
         fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
+        faults = reference_faults(trajectory, read[0].vehicle)
         figures["evaluations"] = [
             {
                 **evaluation.to_json(),
+                "healthy_start": evaluation.healthy(faults).to_json(),
                 **fit.to_json(),
                 "name": name,
                 "verdict": verdict(model, trajectory, evaluation).to_json(),
@@ -227,9 +242,9 @@ def compare(
             for one in differences
         ]
         verdicts = [one.verdict for one in differences]
-        tables = error_tables(called, evaluations, trajectory)
+        tables = error_tables(called, evaluations, trajectory, faults)
         shown = [*tables, *verdicts, fit_table(called, fits), *shown]
-        said = {"names": called, "differences": verdicts, "fits": fits}
+        said = {"names": called, "differences": verdicts, "fits": fits, "faults": faults}
         content = read, evaluations, trajectory
         shown.append(page(output, "evaluation_report.evaluation_report", *content, **said))
     report(figures, json_file, *shown)

@@ -44,6 +44,8 @@ _SHARE = 0.03
 _MISFIT = 9.0
 #: Step of the difference quotients of speed, and number of Gauss-Newton iterations.
 _STEP, _PASSES = 1e-6, 3
+#: `_KNOWN`, `_SHARE` and `_PASSES` of a thorough search.
+_THOROUGH = 12e-3, 1.0, 8
 #: Squared densities of the disturbance to try, per variance of the pose [1/s³].
 _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
 
@@ -74,7 +76,7 @@ def delay_for(model: Model, trajectory: Trajectory) -> float:
     return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
-def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
+def packet_delays(trajectory: Trajectory, model: Model, *, thorough: bool = False) -> PacketDelays:
     """Estimate packet arrival times from the poses around packets that switched a motor.
 
     Over the samples around an arrival the poses are
@@ -84,20 +86,22 @@ def packet_delays(trajectory: Trajectory, model: Model) -> PacketDelays:
     where a are the modelled accelerations along the measured yaw; p, v and the δ of all packets
     nearby are unknown. The δ get a prior of 10 ms, which is removed from the results. The noise
     consists of the poses' noise and of white accelerations that the model does not explain; both
-    sizes are fitted to the residuals of the recording (maximum likelihood).
+    sizes are fitted to the residuals of the recording (maximum likelihood). A `thorough`
+    search also finds packets that are very late, or less well known, and motors of any strength.
     """
     near = _surroundings(trajectory, model)
     if near is None:
         return UNKNOWN
     late = np.zeros(len(trajectory.command_time))
-    found = _regressed(near, late)
-    for _ in range(_PASSES - 1):
+    known, share, passes = _THOROUGH if thorough else (_KNOWN, _SHARE, _PASSES)
+    found = _regressed(near, late, share=share)
+    for _ in range(passes - 1):
         late[found.packet] = np.clip(found.late, -_LOST, _LOST)
-        found = _regressed(near, late, found)
+        found = _regressed(near, late, found, share)
     # Estimates without the prior.
     gain = np.maximum(found.gain, 1e-12)
     error, deviation = np.sqrt(found.variance / gain), found.late / gain
-    good = found.usual & (np.abs(deviation) < _LOST) & (error < _KNOWN)
+    good = (found.usual | thorough) & (np.abs(deviation) < _LOST) & (error < known)
     return PacketDelays(found.packet[good], deviation[good], error[good])
 
 
@@ -267,12 +271,13 @@ class _Regression:
         variance: Float[np.ndarray, "k 3"],
         packet: Int[np.ndarray, "m B"],
         late: Float[np.ndarray, "m B"],
+        share: float,
     ) -> None:
         self._weight, self._m = 1 / np.sqrt(variance), len(packet)
         unknowns, batch = slope.shape[2:]
         weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
         self._rows = weighted.reshape(batch, -1, unknowns)
-        precision = np.repeat([_USUAL**-2, _SHARE**-2], [self._m, unknowns - self._m])
+        precision = np.repeat([_USUAL**-2, share**-2], [self._m, unknowns - self._m])
         aim = self._aim(residual[:, :, None])[..., 0]
         information, score, _ = normal_equations(self._rows, aim)
         score[:, : self._m] -= _USUAL**-2 * late.T
@@ -309,7 +314,10 @@ class _Regression:
 
 
 def _regressed(
-    near: _Surroundings, late: Float[np.ndarray, " K"], before: _Regression | None = None
+    near: _Surroundings,
+    late: Float[np.ndarray, " K"],
+    before: _Regression | None = None,
+    share: float = _SHARE,
 ) -> _Regression:
     """Repeat the regression with other delays of all packets and the same noise."""
     components = near.components
@@ -318,7 +326,7 @@ def _regressed(
 
     def at(rest: Float[np.ndarray, "k 3 B"]) -> _Regression:
         variance = components.variances(rest)
-        return _Regression(residual, slope, variance, near.packet, late[near.packet])
+        return _Regression(residual, slope, variance, near.packet, late[near.packet], share)
 
     # Noise and delays barely depend on each other.
     before = before or at(residual)

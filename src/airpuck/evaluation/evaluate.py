@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result, html_table, plain
-from airpuck.data.trajectory import Trajectory, as_trajectories, check_propellers
+from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.deviation.time_scale import forgetting_time, showing_time
 from airpuck.estimate.actuation import ActuationEncoder
@@ -33,6 +33,8 @@ CHANNELS = ("x_m", "y_m", "yaw_rad")
 _STARTS_PER_HORIZON = 12
 #: Past that is long enough for the motors of the paper's craft [s].
 _LONG = 40 / 240
+#: After a fault, until motor speeds are known again: three time constants [s].
+RECOVERY_S = 0.08
 #: Number of windows predicted at once, which bounds the memory.
 _BATCH = 1024
 
@@ -226,6 +228,26 @@ class Evaluation(Result):
         """Median absolute error at the reported step."""
         return np.median(np.abs(self.at_horizon), axis=1)
 
+    def healthy(self, faults: Sequence[Span]) -> EveryStart:
+        """Return the errors from every start that touches no fault.
+
+        Parameters
+        ----------
+        faults : sequence of Span
+            Faults that a model which is not under test found.
+
+        Returns
+        -------
+        EveryStart
+            Errors of the other starts.
+        """
+        every, sound = self.every_start, np.full(len(self.every_start.start), True)
+        first = every.start - max(self.protocol.encoder_time, self.protocol.longest_past or 0.0)
+        last = every.start + self.horizon_step * self.sample_period
+        for fault in faults:
+            sound &= (last <= fault.start) | (first >= fault.stop + RECOVERY_S)
+        return EveryStart(every.errors[:, sound], every.start[sound])
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
@@ -287,21 +309,10 @@ def evaluate(
     """
     [trajectory] = as_trajectories(trajectory)
     check_propellers(model.vehicle, trajectory)
-    if not isinstance(protocol, Protocol):
-        protocol = chosen(protocol, PROTOCOLS, "protocol").suited(model, trajectory)
-    if isinstance(encoder, str):
-        encoder = chosen(encoder, ENCODERS, "encoder")(model, protocol)
-    if protocol.causal and not encoder.causal:
-        raise InputError(
-            f"the encoder {encoder.name} looks ahead, which the protocol {protocol.name} forbids; "
-            "choose the encoder actuation",
-            field="encoder",
-        )
+    protocol, encoder = with_choices(model, trajectory, protocol, encoder)
     before, ahead = _samples(trajectory, protocol)
-    step = min(trajectory.steps(protocol.horizon), ahead)
-    spacing = max(1, round(step / _STARTS_PER_HORIZON))
     windows, errors = _predicted(model, trajectory, protocol, encoder, before + ahead)
-    judged = replace(protocol, prediction_time=step * trajectory.sample_period)
+    judged, spacing = every_start(trajectory, protocol)
     everywhere, all_errors = _predicted(model, trajectory, judged, encoder, spacing)
     return Evaluation(
         model=model.name,
@@ -312,8 +323,25 @@ def evaluate(
         sample_period=trajectory.sample_period,
         left_out=len(trajectory) // (before + ahead) - len(windows),
         every_start=EveryStart(all_errors[-1], everywhere.time[everywhere.present]),
-        horizon_step=step,
+        horizon_step=all_errors.shape[0],
     )
+
+
+def with_choices(
+    model: Model, trajectory: Trajectory, protocol: Protocol | str, encoder: Encoder | str
+) -> tuple[Protocol, Encoder]:
+    """Return protocol and encoder, which may be named; raise InputError if they do not fit."""
+    if not isinstance(protocol, Protocol):
+        protocol = chosen(protocol, PROTOCOLS, "protocol").suited(model, trajectory)
+    if isinstance(encoder, str):
+        encoder = chosen(encoder, ENCODERS, "encoder")(model, protocol)
+    if protocol.causal and not encoder.causal:
+        raise InputError(
+            f"the encoder {encoder.name} looks ahead, which the protocol {protocol.name} forbids; "
+            "choose the encoder actuation",
+            field="encoder",
+        )
+    return protocol, encoder
 
 
 def _samples(trajectory: Trajectory, protocol: Protocol) -> tuple[int, int]:
@@ -327,6 +355,21 @@ def _predicted(
     model: Model, trajectory: Trajectory, protocol: Protocol, encoder: Encoder, stride: int
 ) -> tuple[Windows, Float[np.ndarray, "T 3 W"]]:
     """Predict from one start in every `stride` samples."""
+    windows, past = judged_windows(model, trajectory, protocol, encoder, stride)
+    return windows, prediction_errors(model.dynamics, windows, encoder, past)
+
+
+def every_start(trajectory: Trajectory, protocol: Protocol) -> tuple[Protocol, int]:
+    """Return a protocol whose predictions end at the horizon, and the samples between starts."""
+    step = min(trajectory.steps(protocol.horizon), _samples(trajectory, protocol)[1])
+    spacing = max(1, round(step / _STARTS_PER_HORIZON))
+    return replace(protocol, prediction_time=step * trajectory.sample_period), spacing
+
+
+def judged_windows(
+    model: Model, trajectory: Trajectory, protocol: Protocol, encoder: Encoder, stride: int
+) -> tuple[Windows, Int[np.ndarray, " W"]]:
+    """Return the windows to predict, and the samples of each that the encoder may use."""
     before, ahead = _samples(trajectory, protocol)
     judged = min(trajectory.steps(protocol.horizon), ahead)
     windows = make_windows(trajectory, before, ahead, stride=stride, judged=judged)
@@ -337,7 +380,7 @@ def _predicted(
     elif model.delay_learned:
         # Such an encoder compares its model with each pose, and finer steps would add no poses.
         windows = windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
-    return windows, prediction_errors(model.dynamics, windows, encoder, past)
+    return windows, past
 
 
 def _past(trajectory: Trajectory, windows: Windows, protocol: Protocol) -> Int[np.ndarray, " W"]:

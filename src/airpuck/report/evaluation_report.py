@@ -23,6 +23,7 @@ from airpuck.faults.strengths import (
 )
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
+from airpuck.report.budget_figure import budget_section
 from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.fit_figures import thrust_figure
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
@@ -142,7 +143,8 @@ def _error_tables(judged: JudgedModels) -> tuple[PageTable, PageTable]:
     """Tabulate the errors of all models."""
     names = [f"{e.model}, {judged.reference_label}" for e in judged.reference]
     names += [e.model for e in judged.evaluations]
-    return error_tables(names, (*judged.reference, *judged.evaluations), judged.trajectory)
+    shown = (*judged.reference, *judged.evaluations)
+    return error_tables(names, shown, judged.trajectory, judged.faults)
 
 
 def _timeline_section(judged: JudgedModels) -> PageSection:
@@ -209,6 +211,8 @@ def evaluation_report(
     differences: Sequence[str] = (),
     fits: Sequence[FitMeasures] = (),
     verdicts: Mapping[str, Verdict] | None = None,
+    faults: Sequence[Span] = (),
+    budget: ErrorBudget | None = None,
     origin: Origin | None = None,
 ) -> Path:
     """Write a page that compares models of one craft on one recording.
@@ -231,6 +235,10 @@ def evaluation_report(
         Their fit to the recording, in the same order.
     verdicts : mapping of str to Verdict, optional
         Known verdicts by display name; other models are judged here.
+    faults : sequence of Span, optional
+        Known faults of the recording, found by a model that is not under test.
+    budget : ErrorBudget, optional
+        Who owns the errors of the first model.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -247,13 +255,15 @@ def evaluation_report(
     names = names or [model.name for model in models]
     models = [replace(model, name=name) for model, name in zip(models, names, strict=True)]
     named = [replace(one, model=name) for one, name in zip(evaluations, names, strict=True)]
-    judged = JudgedModels(trajectory, tuple(named))
+    judged = JudgedModels(trajectory, tuple(named), faults=tuple(faults))
     said = {
         model.name: (verdicts or {}).get(model.name) or verdict(model, trajectory, one)
         for model, one in zip(models, named, strict=True)
     }
     vehicle = models[0].vehicle
     sections = [verdict_section(said, judged.best.model), *judged_sections(judged, vehicle)]
+    if budget is not None:
+        sections.insert(1, budget_section(budget))
     if differences:
         text = Text(differences, bullets=True)
         sections.append(PageSection("differences", "Do the models differ?", (text,)))

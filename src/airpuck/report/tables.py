@@ -10,6 +10,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from airpuck.data.trajectory import Span, Trajectory
+    from airpuck.evaluation.error_budget import ErrorBudget
     from airpuck.evaluation.evaluate import Evaluation
     from airpuck.evaluation.fit_measures import FitMeasures
     from airpuck.evaluation.prediction_bands import PredictionBands
@@ -61,9 +62,12 @@ def errors_as_text(values: np.ndarray) -> list[str]:
 
 
 def error_tables(
-    names: Sequence[str], evaluations: Sequence[Evaluation], trajectory: Trajectory
+    names: Sequence[str],
+    evaluations: Sequence[Evaluation],
+    trajectory: Trajectory,
+    faults: Sequence[Span] = (),
 ) -> tuple[PageTable, PageTable]:
-    """Tabulate the errors of models and of a craft that coasts, and those from every start."""
+    """Tabulate errors from every and from healthy starts, and from windows without overlap."""
     from airpuck.evaluation.coasting import coasting
 
     first = evaluations[0]
@@ -76,17 +80,34 @@ def error_tables(
         ["model", *CHANNELS, *(f"median {name}" for name in CHANNELS)],
         [[name, *errors_as_text(e.rmse), *errors_as_text(e.median_abs)] for name, e in named],
     )
-    rows = []
-    for name, evaluation in named:
-        found = evaluation.every_start
-        ends = [errors_as_text(found.rmse), *map(errors_as_text, found.interval)]
-        cells = [f"{a} ({b} to {c})" if b != "nan" else a for a, b, c in zip(*ends, strict=True)]
-        rows.append([name, *cells])
+    rows, healthy = [], [e.healthy(faults) for _, e in named]
+    for (name, evaluation), sound in zip(named, healthy, strict=True):
+        for what, found in ((name, evaluation.every_start), (f"{name}, healthy", sound)):
+            ends = [errors_as_text(found.rmse), *map(errors_as_text, found.interval)]
+            cells = [
+                f"{a} ({b} to {c})" if b != "nan" else a for a, b, c in zip(*ends, strict=True)
+            ]
+            rows.append([what, *cells])
     caption = (
         f"RMS errors from every start, {len(first.every_start.start)} windows that overlap (95 % "
-        "interval). The result does not depend on where the first window starts."
+        "interval). The result does not depend on where the first window starts. Healthy: the "
+        f"{len(healthy[0].start)} that touch no fault found by a model that is not under test."
     )
-    return usual, PageTable(caption, ["model", *CHANNELS], rows)
+    return PageTable(caption, ["model", *CHANNELS], rows), usual
+
+
+def budget_table(budget: ErrorBudget) -> PageTable:
+    """Tabulate who owns the error."""
+    rows = [
+        [owner, *(f"{100 * part:.1f}" for part in share), *errors_as_text(budget.bounds[owner])]
+        for owner, share in budget.shares.items()
+    ]
+    caption = (
+        "Shares of the squared error: its drop when a cause is removed, averaged over opposite "
+        "orders of removal; a cause counts only if it lowers BIC. Right: the error if it were "
+        "known; in the last row, if all were."
+    )
+    return PageTable(caption, ["owner", "x %", "y %", "γ %", *CHANNELS], rows)
 
 
 def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
