@@ -17,8 +17,8 @@ from ..apparatus.public_recordings import VALIDATION
 
 @pytest.mark.data
 @pytest.mark.slow
-def test_the_order_of_models_does_not_depend_on_the_model_that_finds_the_faults():
-    flight = read_authors_experiment(VALIDATION)
+def test_the_order_of_models_does_not_depend_on_the_model_that_finds_the_faults(experiments):
+    flight = read_authors_experiment(experiments / VALIDATION / "data.pt")
     models = [published_model(name) for name in ("M0", "M2", "M3", "M4")]
     evaluations = [evaluate(model, flight) for model in models]
     published = reference_faults(flight, default_vehicle())

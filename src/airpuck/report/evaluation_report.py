@@ -13,6 +13,7 @@ import numpy as np
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Span, Trajectory
+from airpuck.evaluation.error_budget import ErrorBudget
 from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.faults.strengths import (
