@@ -10,10 +10,11 @@ import pytest
 import airpuck_hockey
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 from airpuck.twin.settings import default_twin_settings
-from airpuck_hockey.game.contestant import contestant
+from airpuck_hockey.game.contestant import Contestant, contestant
 from airpuck_hockey.game.game import KINDS
+from airpuck_hockey.game.hand import KEEPERS
 from airpuck_hockey.game.rules import Rules
-from tests.apparatus.studies import STUDIES, study
+from tests.apparatus.studies import study
 
 HANDS = study("measured_hands")
 Measure, measured_hand = HANDS.Measure, HANDS.measured_hand
@@ -112,7 +113,8 @@ def test_nothing_is_claimed_from_a_few_hits():
 @pytest.mark.slow
 def test_a_scripted_hand_shows_its_limits():
     hand, rules = contestant("human:medium"), Rules(goals=None, limit_s=60.0)
-    wild = contestant(f"{STUDIES / 'opponents.py'}:Wild")
+    hard, kind = KEEPERS["hard"], study("opponents").Wild
+    wild = Contestant("wild", hand=lambda equipment, seed: kind(equipment, hard, seed))
     game = airpuck_hockey.Game(wild, hand, rules=rules, seed=1)
     game.play()
     found = measured_hand([game.recording()], default_twin_settings())
