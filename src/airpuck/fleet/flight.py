@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -165,7 +165,9 @@ class _OnTwin(Pilot):
         return _there(self.twin.state[:3], self.pilot.member.goals[-1])
 
 
-def fly_together(fleet: Fleet, seed: int = 0) -> FleetFlight:
+def fly_together(
+    fleet: Fleet, seed: int = 0, pilot: Callable[..., FleetPilot] = FleetPilot
+) -> FleetFlight:
     """Fly a scenario on the twin.
 
     Parameters
@@ -174,6 +176,8 @@ def fly_together(fleet: Fleet, seed: int = 0) -> FleetFlight:
         Craft, goals, obstacles, network and deaths.
     seed : int, default 0
         Of sensors, radios, messages and searches.
+    pilot : callable, optional
+        Makes the pilot of a craft; takes what `FleetPilot` takes.
 
     Returns
     -------
@@ -188,8 +192,8 @@ def fly_together(fleet: Fleet, seed: int = 0) -> FleetFlight:
         own = 1000 * seed + k
         start = (float(one.start.pose[0]), float(one.start.pose[1]), float(one.start.pose[2]))
         twin = Twin(one.truth, fleet.settings, seed=own, pose=start, world=world)
-        pilot = FleetPilot(fleet, one.name, air.tell, seed=own)
-        pilots.append(_OnTwin(pilot, twin, air, seen, dies.get(one.name, math.inf)))
+        flies = pilot(fleet, one.name, air.tell, seed=own)
+        pilots.append(_OnTwin(flies, twin, air, seen, dies.get(one.name, math.inf)))
     took = _flown(fleet, pilots)
     return _flight(fleet, pilots, took, world)
 
