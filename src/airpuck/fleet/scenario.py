@@ -138,7 +138,12 @@ class Member:
         self.start = Route.at_rest(0.0, craft.start)
         goals = craft.goals or [(0.0, *(craft.goal or craft.start))]
         self.times = np.array([time for time, *_ in goals])
-        self.goals = np.array([pose for _, *pose in goals], dtype=float)
+        self.send_to(np.array([pose for _, *pose in goals], dtype=float))
+
+    def send_to(self, goals: Float[np.ndarray, "N 3"]) -> None:
+        """Set the goals; the craft turns to each the shorter way round."""
+        yaws = np.unwrap([self.start.pose[2], *goals[:, 2]])[1:]
+        self.goals = np.column_stack([goals[:, :2], yaws])
 
     def goal(self, now: float) -> Float[np.ndarray, " 3"]:
         """Return the goal at a time."""
@@ -243,7 +248,7 @@ class Fleet:
         starts = np.array([one.start.pose for one in free])
         squares = np.sum((starts[:, None, :2] - poses[:, :2]) ** 2, axis=2)
         for row, column in zip(*linear_sum_assignment(squares), strict=True):
-            free[row].goals = poses[column][None]
+            free[row].send_to(poses[column][None])
 
     def _check_places(self) -> None:
         """Raise InputError if craft would overlap, at their starts or at their goals."""
