@@ -137,12 +137,13 @@ def fleet_of(kind: str, draw: int, folder: Path, truths: dict[str, list[str]]) -
     return crossing(draw, folder, truths, COUNTS[draw % len(COUNTS)] if kind == "scaling" else None)
 
 
-def flown(fleet: Fleet, method: str, seed: int) -> dict[str, Any]:
-    """Fly once."""
+def flown(fleet: Fleet, method: str, seed: int, timed: bool) -> dict[str, Any]:
+    """Fly once; `timed`: measure processor times."""
     pilots: list[TimedPilot] = []
 
     def pilot(*arguments: Any, **options: Any) -> TimedPilot:
         pilots.append(PILOTS[method](*arguments, **options))
+        pilots[-1].timed = timed
         return pilots[-1]
 
     flight = fly_together(fleet, seed, pilot=pilot)
@@ -157,7 +158,7 @@ def flown(fleet: Fleet, method: str, seed: int) -> dict[str, Any]:
         "margins": [round(float(one), 5) for one in flight.margins],
         "blocked": blocked(fleet, flight),
         "wall": histogram(flight.computing_s),
-        "processor": histogram(np.concatenate([one.processor for one in pilots])),
+        "processor": histogram([took for one in pilots for took in one.processor]),
     }
     if method == "ours" and math.isfinite(flight.settled) and not flight.died:
         chosen = np.searchsorted(flight.time, np.linspace(0, flight.settled, INTERVALS + 1))
@@ -179,7 +180,7 @@ def blocked(fleet: Fleet, flight: FleetFlight) -> bool:
 
 def histogram(times: Any) -> dict[str, int]:
     """Count computing times by the intervals of `EDGES`."""
-    counts = np.bincount(np.searchsorted(EDGES, times), minlength=1)
+    counts = np.bincount(np.searchsorted(EDGES, np.array(times)), minlength=1)
     return {str(k): int(count) for k, count in enumerate(counts) if count}
 
 
@@ -190,7 +191,7 @@ def quantile(lines: Iterable[dict[str, Any]], field: str, share: float) -> float
         for k, count in line[field].items():
             total[int(k)] += count
     index = int(np.searchsorted(np.cumsum(total), share * total.sum()))
-    return 1e3 * float(EDGES[min(index, len(EDGES) - 1)])
+    return 1e3 * float(EDGES[min(index, len(EDGES) - 1)]) if total.any() else math.nan
 
 
 def optimum(fleet: Fleet, ours: dict[str, Any], draw: int) -> dict[str, Any]:
@@ -318,7 +319,10 @@ def main() -> None:
         fleet = fleet_of(kind, draw, folder, truths)
         line: dict[str, Any] = {"kind": kind, "draw": draw, "method": method}
         line |= {"name": packaged_scenarios()[draw]} if kind == "named" else {}
-        line |= optimum(fleet, ours, draw) if method == "central" else flown(fleet, method, draw)
+        if method == "central":
+            line |= optimum(fleet, ours, draw)
+        else:
+            line |= flown(fleet, method, draw, timed=kind == "scaling")
         shown = {k: v for k, v in line.items() if k not in ("wall", "processor", "paths")}
         print(json.dumps(shown), flush=True)
         lines.append(line)
