@@ -73,3 +73,8 @@ def test_a_file_with_a_mistake_is_refused_by_name(tmp_path, text, words):
 def test_an_unknown_scenario_is_answered_with_those_there_are():
     with pytest.raises(airpuck.InputError, match="into_square"):
         airpuck.read_fleet("into_sqare")
+
+
+def test_a_craft_turns_to_its_goal_the_shorter_way_round():
+    flown = fleet({**A, "start": (-0.5, 0.0, 3.0), "goal": (0.5, 0.0, -3.0)})
+    np.testing.assert_allclose(flown.member("a").goal(0.0)[2], 2 * np.pi - 3.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +27,8 @@ _SHARES = np.radians([8.0, 25.0, 45.0, 65.0, 82.0])
 _FINE, _COARSE = 0.025, 4
 #: Longest first and second acceleration [s].
 _LONGEST = 0.8
-#: Longest path [s]; on a usual table all are shorter.
-_HORIZON = 12.0
+#: Longest path [s]; a slow craft may take that long across the table.
+_HORIZON = 30.0
 #: Cost of resting away from the goal, besides the time to get there from rest [s].
 _AWAY = 1.0
 #: Cost of resting in the way of a path that has priority, per distance that is missing [s/m].
@@ -149,11 +149,11 @@ class Search:
         """Return when the craft will have arrived, at the earliest [s]."""
         rest = path.rest
         away = float(np.hypot(*(goal - rest)[:2]))
-        turned = 2 * np.sqrt(abs(goal[2] - rest[2]) / self.reach.turn)
+        turned = soonest(abs(goal[2] - rest[2]), self.reach.turn, self.reach.spin)
         end = max(path.end, now)
         if away < 1e-6:
             return end + turned
-        return end + max(2 * np.sqrt(away / self.reach.push), turned) + _AWAY
+        return end + max(soonest(away, self.reach.push, self.reach.speed), turned) + _AWAY
 
     def path(
         self,
@@ -186,9 +186,10 @@ class Search:
         laid = self._laid(agreed, begin, recipe)
         ends = begin + recipe.later + laid.durations.sum(axis=2).max(axis=1)
         away = np.hypot(*(recipe.target - goal[:2]).T)
-        costs = ends + (away > 1e-9) * (_AWAY + 2 * np.sqrt(away / self.reach.push))
+        later = _AWAY + soonest(away, self.reach.push, self.reach.speed)
+        costs = ends + (away > 1e-9) * later
         others = Sampled.of(taken, begin, min(float(ends.max()), begin + _HORIZON))
-        free = self._free(laid, begin + recipe.later, agreed, others)
+        free = self._free(laid, begin + recipe.later, agreed, others) & self._is_slow(laid)
         if corridor is not None:
             costs += in_the_way(corridor, recipe.target)
         costs[~free | (ends > begin + _HORIZON)] = np.inf
@@ -281,6 +282,15 @@ class Search:
             np.concatenate([pushes, accelerations[chosen]], axis=2),
         )
 
+    def _is_slow(self, laid: _Laid) -> np.ndarray:
+        """Return which candidates keep to the craft's speed."""
+        # A speed is largest where an acceleration changes.
+        ends = np.cumsum(laid.durations, axis=2)
+        since = ends.reshape(len(ends), -1, 1, 1) - (ends - laid.durations)[:, None]
+        within = np.clip(since, 0.0, laid.durations[:, None])
+        rates = laid.rate[:, None, :2] + np.sum(laid.accelerations[:, None] * within, axis=3)
+        return (np.hypot(rates[..., 0], rates[..., 1]) <= self.reach.speed + 1e-6).all(axis=1)
+
     def _free(
         self, laid: _Laid, leaves: Float[np.ndarray, " C"], agreed: Route, others: Sampled
     ) -> np.ndarray:
@@ -331,6 +341,12 @@ def _places(laid: _Laid, since: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "
         within = np.clip(since[..., None] - begins[..., piece], 0.0, durations[..., piece])
         place += (rates[..., piece] + accelerations[..., piece] / 2 * within) * within
     return place
+
+
+def soonest(distance: Any, push: float, fastest: float) -> Any:
+    """Return the least time from rest to rest [s]."""
+    slow = distance * push < fastest**2
+    return np.where(slow, 2 * np.sqrt(distance / push), distance / fastest + fastest / push)
 
 
 def apart(path: Route, other: Taken, since: float) -> bool:
