@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.law import Step
-from airpuck.fleet.path import Path, braked
-from airpuck.fleet.pilot import FleetPilot, Seen
+from airpuck.fleet.path import Route, braked
+from airpuck.fleet.pilot import FleetPilot, Sighting
 from airpuck.fleet.scenario import Fleet, Member
 
 #: Period of planning [s], and number of periods in a plan.
@@ -93,7 +93,7 @@ class Replanning(TimedPilot):
             one.name: Plan(one.name, 0.0, np.tile(one.start.pose[:2], (STEPS, 1)))
             for one in fleet.members
         }
-        self.seen: Mapping[str, Seen] = {}
+        self.seen: Mapping[str, Sighting] = {}
 
     def heard(self, messages: Iterable[Any], now: float) -> None:
         """Receive plans of the others."""
@@ -101,7 +101,7 @@ class Replanning(TimedPilot):
             if plan.time > self.plans[plan.sender].time:
                 self.plans[plan.sender] = plan
 
-    def saw(self, seen: Mapping[str, Seen]) -> None:
+    def saw(self, seen: Mapping[str, Sighting]) -> None:
         """Receive the latest poses of the others."""
         self.seen = dict(seen)
 
@@ -116,7 +116,7 @@ class Replanning(TimedPilot):
             if found is not None:
                 turn = yaw_plan(pose[2], rate[2], self.member.goal(time)[2])
                 durations = np.full((3, STEPS), DT)
-                then = Path(time, pose, rate, durations, np.vstack([found.T, turn]))
+                then = Route(time, pose, rate, durations, np.vstack([found.T, turn]))
                 self.reference.path = own.followed(time - 1.0, time, then)
                 self.tell(self.plan(time, pose, rate, found))
         return self.controller.step(time)
@@ -330,7 +330,7 @@ def _turned(one: Member) -> tuple[float, float]:
     durations, pushes = braked(
         np.array(away), np.array(0.0), np.array(one.reach.turn), one.reach.spin
     )
-    path = Path(
+    path = Route(
         0.0,
         np.array([0.0, 0.0, away]),
         np.zeros(3),
