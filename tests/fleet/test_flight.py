@@ -76,7 +76,10 @@ def test_the_others_arrive_untouched_when_one_dies_at_rest():
 
 
 def test_craft_that_collide_are_reported_with_their_closing_speed():
-    fleet = crossing(2, radius=(0.5, 0.1))
+    # Their straight paths are 5 cm apart.
+    left = FleetCraft(name="h0", start=(-0.5, 0.025, 0.0), goal=(0.5, 0.025, 0.0))
+    right = FleetCraft(name="h1", start=(0.5, -0.025, 0.0), goal=(-0.5, -0.025, 0.0))
+    fleet = Fleet(Scenario(craft=(left, right), network=LOSSY))
     for one in fleet.members:  # they believe that they have no size
         one.reach = dataclasses.replace(one.reach, radius=0.0, margin=0.0)
     flight = airpuck.fly_together(fleet)
