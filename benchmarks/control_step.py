@@ -59,14 +59,14 @@ def main() -> None:
     parser.add_argument(
         "--solver", default="daqp", choices=("daqp", "piqp"), help="of the allocation"
     )
-    parser.add_argument("--regulator", default="lqr", choices=LAWS)
+    parser.add_argument("--law", default="lqr", choices=LAWS)
     parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
     parser.add_argument("--processor", action="store_true", help="measure processor time")
     options = parser.parse_args()
     clock = time.process_time_ns if options.processor else time.perf_counter_ns
 
     low_latency()
-    tuning = default_tuning().with_estimator(options.estimator).with_regulator(options.regulator)
+    tuning = default_tuning().with_estimator(options.estimator).with_law(options.law)
     allocation = tuning.allocation.model_copy(update={"solver": options.solver})
     tuning = tuning.model_copy(update={"allocation": allocation})
     model = read_model(options.model)
@@ -99,7 +99,7 @@ def main() -> None:
         spent["total"].append(ended - started)
         statuses[result.status] += 1
         craft.sent(now, result.command)
-    named = options.model, options.regulator, options.solver, options.estimator
+    named = options.model, options.law, options.solver, options.estimator
     print(f"{options.steps} steps, {', '.join(named)}")
     print(", ".join(f"{status} {count}" for status, count in statuses.most_common()))
     for name, values in spent.items():

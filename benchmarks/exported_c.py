@@ -61,7 +61,7 @@ def main() -> None:
     options = parser.parse_args()
     model = airpuck.read_model(options.model)
     for regulator in ("lqr", "mpc"):
-        tuning = default_tuning().with_regulator(regulator)
+        tuning = default_tuning().with_law(regulator)
         with tempfile.TemporaryDirectory() as folder:
             shared = library(model, Path(folder), "-O3", tuning=tuning)
             python = TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning)

@@ -79,8 +79,8 @@ def main() -> None:
     options = parser.parse_args()
 
     low_latency()
-    model, tuning = read_model(options.model), default_tuning().with_regulator("mpc")
-    settings, vehicle, blocks = tuning.regulator, model.vehicle, Blocks.of(tuning.regulator)
+    model, tuning = read_model(options.model), default_tuning().with_law("mpc")
+    settings, vehicle, blocks = tuning.law, model.vehicle, Blocks.of(tuning.law)
     given = vehicle, blocks, settings, LIMITED
     condensed, stagewise = Condensed(*given), Multistage(*given)
     rows = LIMITED * len(blocks.owner)

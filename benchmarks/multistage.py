@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.sparse import csc_matrix
 
 from airpuck.control.horizon import Answer, Blocks, Sizes, Stages
-from airpuck.control.tuning import Regulator
+from airpuck.control.tuning import LawSettings
 from airpuck.craft.vehicle import Vehicle
 
 #: A bound that nothing reaches [m, m/s, rad/s]: PIQP needs one on either side of every row.
@@ -46,8 +46,8 @@ class Multistage(Sizes):
 
     _ACTIVE = 1e-6
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator, count: int) -> None:
-        super().__init__(vehicle, blocks, regulator)
+    def __init__(self, vehicle: Vehicle, blocks: Blocks, settings: LawSettings, count: int) -> None:
+        super().__init__(vehicle, blocks, settings)
         self._size = 6 + self.n
         lengths = np.array(blocks.lengths)
         # In turn: the commands of a block, then state and slacks of each of its steps.

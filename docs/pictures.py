@@ -164,7 +164,7 @@ def control() -> Figure:
     figure = new(3.4)
     axes = figure.add_subplot()
     for law, color in (("lqr", style.GREY), ("mpc", style.VERMILLION)):
-        tuning = tuning_for(truth()).with_regulator(law)
+        tuning = tuning_for(truth()).with_law(law)
         recording, _ = airpuck.track(truth(), SET_POINTS, 6.5, seed=1, tuning=tuning)
         pose = recording["pose"]
         time = (pose.stamp_ns - pose.stamp_ns[0]) / 1e9
@@ -288,7 +288,7 @@ def animated() -> None:
     goals = airpuck.SetPoints(
         [0.0, 0.5, 2.5, 4.5], [(0, 0, 0), (1, 0.3, 1.5), (0.5, -0.3, -1), (0, 0, 0)]
     )
-    tuning = tuning_for(model).with_regulator("mpc")
+    tuning = tuning_for(model).with_law("mpc")
     recording, log = airpuck.track(model, goals, 6.2, tuning=tuning)
     airpuck.animate(recording, FOLDER / "flight.gif", log=log, frames_per_second=20.0)
 

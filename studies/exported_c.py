@@ -1,7 +1,7 @@
 """The exported controller against the one in Python: commands, states and statuses step by step.
 
     python studies/exported_c.py --steps 100000
-    python studies/exported_c.py --regulator mpc --steps 10000
+    python studies/exported_c.py --law mpc --steps 10000
     python studies/exported_c.py --single
 
 Targets are random, many out of reach; poses are lost, not finite, stale, or jump; commands are lost
@@ -33,13 +33,13 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", default="paper:M4")
-    parser.add_argument("--regulator", default="lqr", choices=("lqr", "mpc"))
+    parser.add_argument("--law", default="lqr", choices=("lqr", "mpc"))
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--single", action="store_true", help="compile in single precision")
     options = parser.parse_args()
     model = airpuck.read_model(options.model)
-    tuning = default_tuning().with_regulator(options.regulator)
+    tuning = default_tuning().with_law(options.law)
     with tempfile.TemporaryDirectory() as folder:
         flags = ("-O2", *["-DAIRPUCK_SINGLE"] * options.single)
         shared = library(model, Path(folder), *flags, tuning=tuning)
@@ -49,7 +49,7 @@ def main() -> None:
         found = compare(
             python, c, options.steps, options.seed, lambda: iterations.append(c.iterations)
         )
-    print(f"{options.steps} steps, {options.model}, {options.regulator}, seed {options.seed}")
+    print(f"{options.steps} steps, {options.model}, {options.law}, seed {options.seed}")
     worst = found.worst("state")
     print(f"equal statuses: {found.same:.4%}; largest difference of a state {worst:.2g}")
     for k, (one, done) in enumerate(zip(found.steps, iterations, strict=True)):

@@ -109,11 +109,11 @@ void reset(void)
 
 def tunings() -> dict[str, Tuning]:
     """Return the laws to build."""
-    predictive = default_tuning().with_regulator("mpc")
+    predictive = default_tuning().with_law("mpc")
 
     def shorter(**changes: object) -> Tuning:
-        regulator = predictive.regulator.model_copy(update=changes)
-        return predictive.model_copy(update={"regulator": regulator})
+        regulator = predictive.law.model_copy(update=changes)
+        return predictive.model_copy(update={"law": regulator})
 
     return {
         "LQR": default_tuning(),

@@ -5,7 +5,7 @@
  *         studies/fuzz_exported_c.c $(ls out/c/airpuck*.c | grep -v selftest) -lm -o out/fuzz
  *     out/fuzz -max_total_time=3600
  *
- * With --regulator mpc or --plan FILE the export contains the other laws.
+ * With --law mpc or --plan FILE the export contains the other laws.
  * Any bits may be a time, a pose or a command. Every step must give finite commands in range.
  * Afterwards the craft must fly again: poses at rest follow, for long enough to be believed. With
  * the predictive law that would take too long. */

@@ -1,7 +1,7 @@
 """Does the loop meet its deadlines? Twin, controller and recorder as processes, for ten minutes.
 
     python studies/live_loop.py --duration 600
-    python studies/live_loop.py --duration 600 --regulator mpc
+    python studies/live_loop.py --duration 600 --law mpc
 
 Prints jitter, latency and deadlines as measured by the controller, and the memory of all three
 processes at the start and at the end; exits with status 1 if a limit is exceeded. A bare loop runs
@@ -92,7 +92,7 @@ def flown(duration: float, domain: int, regulator: str = "lqr") -> dict[str, Any
             # The recorder is there long before the controller is compiled.
             processes["fly"] = started(
                 *("fly-setpoints", points, "--model", "paper:M3", "--duration", duration),
-                *("--regulator", regulator, "--json", figures, *common),
+                *("--law", regulator, "--json", figures, *common),
                 said=said["fly"],
             )
             # A busy machine takes long to compile.
@@ -154,13 +154,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--duration", type=float, default=600.0)
     parser.add_argument("--domain", type=int, default=99)
-    parser.add_argument("--regulator", choices=LAWS, default="lqr")
+    parser.add_argument("--law", choices=LAWS, default="lqr")
     parser.add_argument("--bare", action="store_true", help="only the bare loop, as JSON")
     options = parser.parse_args()
     if options.bare:
         print(json.dumps(bare_loop(options.duration)))
         return
-    figures = flown(options.duration, options.domain, options.regulator)
+    figures = flown(options.duration, options.domain, options.law)
     print(json.dumps(figures, indent=2))
     held = True
     for name, value, limit in bounds(figures):

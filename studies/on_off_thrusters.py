@@ -129,7 +129,7 @@ def steered(craft: str, duration: float) -> None:
     for law in ("lqr", "mpc"):
         recording, log = track(
             model, SetPoint(*GOAL), duration, pose=START, settings=settings,
-            tuning=tuning.with_regulator(law),
+            tuning=tuning.with_law(law),
         )  # fmt: skip
         pose = recording["pose"]
         left = np.abs(pose.values[:, :3] - GOAL)

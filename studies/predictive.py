@@ -26,7 +26,7 @@ from predictive_limits.rails import passed
 def cost(options: argparse.Namespace) -> None:
     """Compare costs, flight by flight."""
     tuning = law("mpc").model_copy(update={"period_s": options.period})
-    problem = Problem(craft(), tuning.regulator, compiled=options.compile)
+    problem = Problem(craft(), tuning.law, compiled=options.compile)
     pairs = []
     for seed in range(options.first, options.first + options.flights):
         pairs.append(compare(seed, tuning, options.duration, problem))

@@ -66,8 +66,8 @@ def knowing(
     thrust[motor] *= FAULTS[fault]
     faulty = replace(model, parameters=replace(model.parameters, thrust=thrust))
     if law == "converged":
-        return Converged(faulty, reference, _SLOW, Problem(faulty, _SLOW.regulator))
-    return TrackingController(faulty, reference, default_tuning().with_regulator(law))
+        return Converged(faulty, reference, _SLOW, Problem(faulty, _SLOW.law))
+    return TrackingController(faulty, reference, default_tuning().with_law(law))
 
 
 def flown(fault: str, law: str, estimator: str, seed: int) -> list[float]:
@@ -76,7 +76,7 @@ def flown(fault: str, law: str, estimator: str, seed: int) -> list[float]:
     names, known = model.vehicle.propeller_names, estimator == "known"
     motor, tuning = seed % len(names), default_tuning()
     if not known:
-        tuning = tuning.with_estimator(estimator).with_regulator(law)
+        tuning = tuning.with_estimator(estimator).with_law(law)
     recording, _ = track(
         model,
         set_points,

@@ -17,7 +17,7 @@ from airpuck.compute.arrays import with_symbols
 from airpuck.control.law import Law, Moment, Step
 from airpuck.control.lqr import cost_to_go, point_mass
 from airpuck.control.reference import preview
-from airpuck.control.tuning import Regulator
+from airpuck.control.tuning import LawSettings
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.rigid_body import Dynamics, acceleration, step
@@ -38,7 +38,7 @@ class Problem:
     ----------
     model : Model
         The craft.
-    regulator : Regulator
+    settings : LawSettings
         Cost and horizon.
     dynamics : Dynamics, optional
         Dynamics of the prediction; by default the model's.
@@ -53,7 +53,7 @@ class Problem:
     def __init__(
         self,
         model: Model,
-        regulator: Regulator,
+        settings: LawSettings,
         *,
         dynamics: Dynamics | None = None,
         solver: str = "fatrop",
@@ -61,10 +61,10 @@ class Problem:
         compiled: bool = False,
     ) -> None:
         vehicle, self.n = model.vehicle, model.vehicle.n_propellers
-        self.count = round(regulator.horizon_s / regulator.step_s)
-        self.times = regulator.step_s * np.arange(1, self.count + 1)
+        self.count = round(settings.horizon_s / settings.step_s)
+        self.times = settings.step_s * np.arange(1, self.count + 1)
         self.range = vehicle.command_min, vehicle.command_max
-        problem = _posed(model, regulator, dynamics or model.dynamics)
+        problem = _posed(model, settings, dynamics or model.dynamics)
         options: dict[str, Any] = {"print_time": False, "error_on_fail": False}
         options[solver] = {"print_level": 0, "tol": tolerance, "mu_init": 1e-2}
         if solver == "ipopt":
@@ -120,10 +120,10 @@ class Converged(Law):
         return Step(command, "optimal", np.zeros(3), estimate), plan if solved else state
 
 
-def _posed(model: Model, regulator: Regulator, dynamics: Dynamics) -> dict[str, Any]:
+def _posed(model: Model, settings: LawSettings, dynamics: Dynamics) -> dict[str, Any]:
     """Pose the problem, step by step: states and commands."""
-    n, h, w = model.vehicle.n_propellers, regulator.step_s, regulator.weights
-    count, size, least = round(regulator.horizon_s / h), 6 + n, model.vehicle.command_min
+    n, h, w = model.vehicle.n_propellers, settings.step_s, settings.weights
+    count, size, least = round(settings.horizon_s / h), 6 + n, model.vehicle.command_min
     z, u = ca.SX.sym("z", size), ca.SX.sym("u", n)
     moved = with_symbols(lambda z, u: step(np, dynamics, z, u, h), z, u)
     following = ca.Function("f", [z, u], [moved])

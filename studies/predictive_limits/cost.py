@@ -27,7 +27,7 @@ _AREA = np.array([0.9, 0.4, np.pi])
 
 def flight_cost(flight: Flight, tuning: Tuning) -> float:
     """Integrate the regulator's cost over a flight."""
-    weights, n = tuning.regulator.weights, flight.command.shape[1]
+    weights, n = tuning.law.weights, flight.command.shape[1]
     felt = accelerations(craft().dynamics, flight.state.T)
     sent = flight.sent.searchsorted(flight.time - craft().transport_delay, side="right") - 1
     held = np.where((sent >= 0)[:, None], flight.command[sent], 0.0)
@@ -81,7 +81,7 @@ def compare(seed: int, tuning: Tuning, duration: float, problem: Problem) -> Pai
 
     def by_law(reference: SetPoint, tuning: Tuning) -> TrackingController:
         LAWS["timed"] = Timed
-        tuning = tuning.with_regulator("timed")
+        tuning = tuning.with_law("timed")
         controller = TrackingController(craft(), reference, tuning, table=_WIDE.table)
         assert isinstance(controller.law, Timed)
         ours.append(controller.law)
@@ -90,7 +90,7 @@ def compare(seed: int, tuning: Tuning, duration: float, problem: Problem) -> Pai
     def by_solver(reference: SetPoint, tuning: Tuning) -> TrackingController:
         theirs.append(Converged(problem))
         LAWS["converged"] = lambda *_: theirs[0]
-        return TrackingController(craft(), reference, tuning.with_regulator("converged"))
+        return TrackingController(craft(), reference, tuning.with_law("converged"))
 
     costs = [
         flight_cost(flown(start, target, tuning, duration, settings=_WIDE, make=make), tuning)

@@ -40,8 +40,8 @@ def _plant() -> Any:
 def law(kind: str, **changes: Any) -> Tuning:
     """Return the packaged tuning with a law, some of its settings changed."""
     tuning = default_tuning()
-    regulator = tuning.regulator.model_copy(update={"kind": kind, **changes})
-    return tuning.model_copy(update={"regulator": regulator})
+    regulator = tuning.law.model_copy(update={"kind": kind, **changes})
+    return tuning.model_copy(update={"law": regulator})
 
 
 def calm() -> TwinSettings:

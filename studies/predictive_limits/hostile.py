@@ -56,8 +56,8 @@ def thrown(tuning: Tuning, count: int, seed: int = 0, *, compiled: bool = True) 
     rng, found = np.random.default_rng(seed), Steps()
     low, high = craft().vehicle.command_min, craft().vehicle.command_max
     for changes, table in LIMITS:
-        regulator = tuning.regulator.model_copy(update={"limits": SoftLimits(**changes)})
-        given = tuning.model_copy(update={"regulator": regulator})
+        regulator = tuning.law.model_copy(update={"limits": SoftLimits(**changes)})
+        given = tuning.model_copy(update={"law": regulator})
         controller = TrackingController(
             craft(), SetPoint(0.0, 0.0, 0.0), given, table=table, compiled=compiled
         )

@@ -63,11 +63,11 @@ class CompiledController(Pilot):
         self._library.access_size.restype = ctypes.c_size_t
         self._craft = ctypes.create_string_buffer(self._library.access_size())
         self._library.airpuck_init(self._craft)
-        regulator, delay = self.tuning.regulator, model.transport_delay
+        settings, delay = self.tuning.law, model.transport_delay
         ahead = [delay + self.tuning.period_s]
-        if regulator.kind == "mpc":
-            steps = max(round(regulator.horizon_s / regulator.step_s), 1)
-            ahead += [delay + regulator.step_s * k for k in range(1, steps + 1)]
+        if settings.kind == "mpc":
+            steps = max(round(settings.horizon_s / settings.step_s), 1)
+            ahead += [delay + settings.step_s * k for k in range(1, steps + 1)]
         self._ahead, self._n = np.array(ahead), model.vehicle.n_propellers
         #: Poses and commands pass through one array: making a pointer takes longer than a step.
         self._passed = np.zeros(max(self._n, 3))

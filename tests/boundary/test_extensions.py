@@ -149,9 +149,9 @@ def test_an_export_of_another_distribution_writes_its_files(installed, tmp_path)
 
 
 def test_a_law_of_another_distribution_is_named_like_ours(installed):
-    ended = installed("track", "--dwell", "0.1", "--regulator", "idle", "--json", "-")
+    ended = installed("track", "--dwell", "0.1", "--law", "idle", "--json", "-")
     assert ended.returncode == 0, ended.stderr
-    assert refused(installed("track", "--regulator", "idel"), "did you mean 'idle'?")
+    assert refused(installed("track", "--law", "idel"), "did you mean 'idle'?")
 
 
 def test_a_campaign_computes_items_of_another_distribution(installed, tmp_path):
@@ -206,3 +206,4 @@ def test_a_former_name_tells_what_replaces_it(former, now):
 
 def test_a_former_option_tells_what_replaces_it():
     refused(commands.airpuck("identify", "bag", "--adam", "7"), "--adam", "studies/adam.py")
+    refused(commands.airpuck("track", "--regulator", "mpc"), "--regulator", "use --law")

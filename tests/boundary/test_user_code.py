@@ -60,7 +60,7 @@ def test_modules_beside_the_file_can_be_imported_and_hide_none(tmp_path):
     (tmp_path / "json.py").write_text("1 / 0\n")
     (tmp_path / "mine.py").write_text("import json\nimport beside_it\ndef mine(): return json\n")
     try:
-        assert UserCode(f"{tmp_path / 'mine.py'}:mine", "--regulator").kind() is json
+        assert UserCode(f"{tmp_path / 'mine.py'}:mine", "--law").kind() is json
     finally:
         sys.path.remove(str(tmp_path))
         del sys.modules["beside_it"]
@@ -102,7 +102,7 @@ PROGRAM = """
 import sys
 from airpuck.boundary.user_code import UserCode
 
-code = UserCode(sys.argv[1], "--regulator")
+code = UserCode(sys.argv[1], "--law")
 code.run("cannot be made", code.kind)
 print("made")
 """

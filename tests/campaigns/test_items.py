@@ -27,7 +27,7 @@ from ..apparatus.synthetic_flights import record
     ("fields", "options"),
     [
         ({"controller": "full"}, {"controller": "full"}),
-        ({"regulator": "mpc"}, {"controller": "full", "regulators": ["mpc"]}),
+        ({"law": "mpc"}, {"controller": "full", "laws": ["mpc"]}),
     ],
 )
 def test_a_flight_is_the_tracking_studys(fields, options):

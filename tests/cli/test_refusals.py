@@ -120,11 +120,9 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
         process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", cwd=tmp_path)
         assert refused(process, "mine.toml", "weights.position")
     # More commands than can be decided in time; the number depends on file and craft.
-    (tmp_path / "mine.toml").write_text("[regulator]\nblock = 1\nhorizon_s = 0.8\n")
-    process = airpuck(
-        *track, "paper:M4", "--tuning", "mine.toml", "--regulator", "mpc", cwd=tmp_path
-    )
-    assert refused(process, "mine.toml: regulator.block", "240 commands; at most 200")
+    (tmp_path / "mine.toml").write_text("[law]\nblock = 1\nhorizon_s = 0.8\n")
+    process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", "--law", "mpc", cwd=tmp_path)
+    assert refused(process, "mine.toml: law.block", "240 commands; at most 200")
 
 
 @pytest.mark.parametrize(
@@ -168,5 +166,5 @@ def test_too_little_data_is_no_failure_of_ours(tmp_path):
 @pytest.mark.parametrize(("option", "value"), [("controller", "full"), ("estimator", "kalman")])
 def test_options_of_laws_for_a_pilot(option, value):
     pilot = f"{EXAMPLES / 'own_pilot' / 'spring.py'}:Spring"
-    done = airpuck("track", "--regulator", pilot, f"--{option}", value)
+    done = airpuck("track", "--law", pilot, f"--{option}", value)
     assert refused(done, option, "no effect on a pilot")

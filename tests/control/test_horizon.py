@@ -89,14 +89,14 @@ def posed(
     plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, shares=(1,) * 6, **limits
 ):
     """Pose a problem with equal weights, and a fence of ± 1 m and ± 0.4 m."""
-    regulator = default_tuning().regulator.model_copy(update={"limits": SoftLimits(**limits)})
+    settings = default_tuning().law.model_copy(update={"limits": SoftLimits(**limits)})
     blocks = blocks or Blocks(0.02, (2, 2, 2))
     count = len(blocks.times)
     ask = np.tile(wanted, (count, 1)), np.zeros((count, 3)), np.ones((count, 6)), np.eye(6)
     fence = np.array([[-1.0, -0.4], [1.0, 0.4]])
     believed = state, SPEED, np.zeros(3), np.array(shares)
-    discs = np.array(regulator.limits.keep_out_m).reshape(-1, 3)
-    pose = stages(model, blocks, regulator, True)
+    discs = np.array(settings.limits.keep_out_m).reshape(-1, 3)
+    pose = stages(model, blocks, settings, True)
     return pose(np, *believed, np.array(way), plan, *ask, fence, discs)
 
 
@@ -180,8 +180,8 @@ def test_limits_are_met_by_changes_that_reach_them():
 def test_the_hessian_includes_the_curvature_of_the_thrust_curves():
     # One short step: only the thrusts are nonlinear, so the Hessian of the cost is known.
     blocks, h = Blocks(0.01, (1,)), 0.01
-    regulator = default_tuning().regulator
-    w = regulator.weights
+    settings = default_tuning().law
+    w = settings.weights
     effort = h * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
     wanted = np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0])
 
@@ -210,8 +210,8 @@ def test_the_hessian_includes_the_curvature_of_the_thrust_curves():
 
 def test_the_curvature_is_weighted_by_the_effect_on_all_later_steps():
     blocks, step = Blocks(0.01, (12,)), 0.01
-    regulator = default_tuning().regulator
-    w = regulator.weights
+    settings = default_tuning().law
+    w = settings.weights
     effort = step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
     plan, wanted, tiny = np.full((1, 6), 0.9), np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0]), 1e-3
     s = posed(plan, wanted, blocks=blocks)
@@ -258,8 +258,8 @@ def test_a_shifted_plan_has_the_means_of_the_old_plan(elapsed, lengths):
 
 
 def test_a_horizon_is_cut_into_blocks():
-    regulator = default_tuning().regulator
-    blocks = Blocks.of(regulator.model_copy(update={"horizon_s": 0.22, "block": (4,)}))
+    settings = default_tuning().law
+    blocks = Blocks.of(settings.model_copy(update={"horizon_s": 0.22, "block": (4,)}))
     assert blocks.lengths == (4, 4, 3)
     np.testing.assert_array_equal(blocks.owner, [0] * 4 + [1] * 4 + [2] * 3)
     np.testing.assert_allclose(blocks.times[[0, -1]], [0.02, 0.22])
@@ -269,9 +269,9 @@ N_MOTORS, SIZE = 4, 10
 
 
 def regulator(**limits):
-    weights = default_tuning().regulator.weights.model_copy(update={"command": 0.1})
+    weights = default_tuning().law.weights.model_copy(update={"command": 0.1})
     given = {"weights": weights, "limits": SoftLimits(**limits), "iterations": 2000}
-    return default_tuning().regulator.model_copy(update=given)
+    return default_tuning().law.model_copy(update=given)
 
 
 def problem(seed: int, blocks: Blocks, *, tight: float = np.inf) -> Stages:

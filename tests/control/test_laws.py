@@ -11,6 +11,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import LawOptions, law_named
 from airpuck.control.laws import LAWS
+from airpuck.control.mpc import MPC
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
@@ -29,7 +30,7 @@ def test_the_example_is_short():
 @pytest.mark.slow
 def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
     controller = airpuck.TrackingController(
-        M3, airpuck.SetPoint(0.4, -0.1, 0.5), default_tuning().with_regulator(PID)
+        M3, airpuck.SetPoint(0.4, -0.1, 0.5), default_tuning().with_law(PID)
     )
     np.testing.assert_array_equal(controller.state, np.zeros(3))
     twin = airpuck.Twin(M3)
@@ -41,14 +42,42 @@ def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
 
 def test_a_law_registered_in_python_is_found_by_name(monkeypatch):
     monkeypatch.setitem(LAWS, "mine", law_named(PID))
-    tuning = default_tuning().with_regulator("mine")
+    tuning = default_tuning().with_law("mine")
     _, log = track(M3, airpuck.SetPoint(0.1, 0.0, 0.0), 0.3, tuning=tuning)
     assert log.status[-1] == "exact"
 
 
+class Creep(airpuck.Law):
+    """Gives every motor the same command."""
+
+    def __init__(self, model, tuning, options=None, level=0.2):
+        self.command = np.full(model.vehicle.n_propellers, level)
+
+    def step(self, state, moment):
+        return airpuck.Step(self.command), state
+
+
+def test_a_law_is_given_by_name_by_class_or_as_an_object():
+    goal, own = airpuck.SetPoint(0.1, 0.0, 0.0), Creep(M3, default_tuning(), level=0.3)
+    for law, kind, level in (("mpc", MPC, None), (Creep, Creep, 0.2), (own, Creep, 0.3)):
+        controller = airpuck.TrackingController(M3, goal, law=law, compiled=False)
+        controller.pose(0.0, np.zeros(3))
+        assert type(controller.law) is kind
+        assert level is None or (controller.step(0.0).command == level).all()
+    recording, _ = track(M3, goal, 0.2, law=Creep)
+    assert (recording["command"].values[5:] == 0.2).all()
+    assert "a law of its own" in recording.source
+
+
+def test_a_name_of_what_makes_no_law_is_refused(monkeypatch):
+    monkeypatch.setitem(LAWS, "mine", lambda *given: object())
+    with pytest.raises(InputError, match=r"law: must inherit from airpuck\.Law"):
+        airpuck.TrackingController(M3, airpuck.SetPoint(0.1, 0.0, 0.0), law="mine")
+
+
 def test_a_step_changes_nothing_but_the_state_it_returns():
     controller = airpuck.TrackingController(
-        M3, airpuck.SetPoint(0.3, 0.0, 0.0), default_tuning().with_regulator("mpc"), compiled=False
+        M3, airpuck.SetPoint(0.3, 0.0, 0.0), default_tuning().with_law("mpc"), compiled=False
     )
     controller.pose(0.0, np.zeros(3))
     begun = controller.state
@@ -66,10 +95,10 @@ def test_it_flies_by_name_from_the_command_line(tmp_path):
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "3", "--json", "-"),
-        *("--setpoints", points, "--regulator", PID),
+        *("--setpoints", points, "--law", PID),
     )
     (flight,) = json.loads(ran.stdout)["flights"]
-    assert flight["regulator"] == PID and flight["gains"] is None
+    assert flight["law"] == PID and flight["gains"] is None
     (result,) = flight["setpoints"]
     assert abs(result["steady_state_error"]["x_m"]) < 0.05
 
@@ -87,4 +116,4 @@ def test_what_is_no_law_is_refused(tmp_path, text, problem):
     path.write_text(textwrap.dedent(text))
     with pytest.raises(InputError) as refused:
         law_named(f"{path}:PID")(M3, default_tuning(), LawOptions())
-    assert problem in str(refused.value) and "--regulator" in str(refused.value)
+    assert problem in str(refused.value) and "--law" in str(refused.value)

@@ -16,9 +16,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.lqr import (
     look_ahead,
     lqr,
+    lqr_gain,
     motor_lag,
     point_mass,
-    regulator,
     rotation_error,
 )
 from airpuck.control.tuning import Weights, default_tuning
@@ -41,7 +41,7 @@ def test_gain_agrees_with_python_control(six, h):
     plant = control.c2d(control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), 0), h, "zoh")
     expected, _, _ = control.dlqr(plant, q, r)
     np.testing.assert_allclose(
-        regulator(w, h), expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max()
+        lqr_gain(w, h), expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max()
     )
 
 
@@ -75,7 +75,7 @@ def test_the_gain_is_a_minimum_of_the_cost():
 
 def test_the_packaged_tuning_gives_the_gains_of_the_real_flights():
     tuning = default_tuning()
-    k = regulator(tuning.weights, tuning.period_s)
+    k = lqr_gain(tuning.weights, tuning.period_s)
     position, speed, yaw, spin = 9.04, 5.07, 15.0, 6.28
     expected = np.hstack([np.diag([position, position, yaw]), np.diag([speed, speed, spin])])
     np.testing.assert_allclose(k, expected, rtol=0.01, atol=1e-9)
@@ -84,11 +84,11 @@ def test_the_packaged_tuning_gives_the_gains_of_the_real_flights():
 @pytest.mark.parametrize("state", ["position", "yaw"])
 def test_a_position_without_weight_is_refused(state):
     with pytest.raises(InputError, match=r"weights: .*positive weight"):
-        regulator(weights(**{state: 0.0}), 0.01)
+        lqr_gain(weights(**{state: 0.0}), 0.01)
 
 
 def test_rates_need_no_weight():
-    k = regulator(weights(speed=0.0, spin=0.0), 0.01)
+    k = lqr_gain(weights(speed=0.0, spin=0.0), 0.01)
     a, b = point_mass(0.01)
     assert np.abs(np.linalg.eigvals(a - b @ k)).max() < 1
 
@@ -97,7 +97,7 @@ def test_the_step_response_of_the_closed_loop_agrees_with_python_control():
     tuning = default_tuning()
     h, target = tuning.period_s, np.array([0.5, -0.3, 1.2, 0.0, 0.0, 0.0])
     a, b = point_mass(h)
-    k = regulator(tuning.weights, h)
+    k = lqr_gain(tuning.weights, h)
     # x⁺ = A x + B (-K (x - target)): ours, step by step.
     steps = 500
     ours = np.zeros((steps, 6))

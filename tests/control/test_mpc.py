@@ -35,8 +35,8 @@ H = 0.01
 
 def tuned(**limits) -> Tuning:
     base = default_tuning()
-    found = base.regulator.model_copy(update={"kind": "mpc", "limits": SoftLimits(**limits)})
-    return base.model_copy(update={"regulator": found})
+    found = base.law.model_copy(update={"kind": "mpc", "limits": SoftLimits(**limits)})
+    return base.model_copy(update={"law": found})
 
 
 def law(table: Table | None = None, **limits) -> TrackingController:
@@ -232,8 +232,8 @@ def test_it_keeps_the_margin_to_the_rails(axis, side):
 def test_an_arrival_between_two_steps_is_weighted_by_how_near_they_are(after):
     """As if the error at the arrival were interpolated: the nearer end of a step counts more."""
     precision = np.array([0.01, 0.02, 0.1, 0.5, 0.4, 1.0])
-    regulator, delay, count = law().tuning.regulator, 0.03, 4
-    step, efforts = regulator.step_s, np.tile(regulator.weights.efforts, 2)
+    settings, delay, count = law().tuning.law, 0.03, 4
+    step, efforts = settings.step_s, np.tile(settings.weights.efforts, 2)
     meeting = Rendezvous(delay + (count + after) * step, np.zeros(6), precision=precision)
     controller = law().law
     assert isinstance(controller, MPC)

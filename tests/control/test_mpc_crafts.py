@@ -19,7 +19,7 @@ from airpuck.physics.rigid_body import Dynamics, derivative
 pytestmark = pytest.mark.slow
 
 M4 = published_model("M4")
-MPC = default_tuning().with_regulator("mpc")
+MPC = default_tuning().with_law("mpc")
 GOAL = SetPoint(0.4, -0.2, 1.0)
 
 
@@ -82,7 +82,7 @@ def test_excitation_uses_the_lqr_whatever_law_the_tuning_names():
 
 
 def test_more_commands_than_can_be_decided_in_time_are_refused():
-    tuning = MPC.model_copy(update={"regulator": MPC.regulator.model_copy(update={"block": (1,)})})
+    tuning = MPC.model_copy(update={"law": MPC.law.model_copy(update={"block": (1,)})})
     with pytest.raises(InputError, match="240 commands; at most 200") as error:
         TrackingController(craft(8), GOAL, tuning, compiled=False)
-    assert error.value.field == "regulator.block"
+    assert error.value.field == "law.block"

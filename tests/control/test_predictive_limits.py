@@ -22,7 +22,7 @@ rails = importlib.import_module("predictive_limits.rails")
 @pytest.fixture(scope="module")
 def pairs():
     tuning = flights.law("mpc").model_copy(update={"period_s": 0.02})
-    problem = converged.Problem(flights.craft(), tuning.regulator)
+    problem = converged.Problem(flights.craft(), tuning.law)
     return [cost.compare(seed, tuning, 0.6, problem) for seed in range(3)]
 
 

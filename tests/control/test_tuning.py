@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.laws import LAWS
-from airpuck.control.lqr import point_mass, regulator
+from airpuck.control.lqr import lqr_gain, point_mass
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import (
     Allocation,
     Estimation,
-    Regulator,
+    LawSettings,
     SoftLimits,
     Tuning,
     Weights,
@@ -69,10 +69,10 @@ angular_disturbance_density = 0.4
         allocation=st.builds(
             Allocation, solver=st.sampled_from(["daqp", "piqp"]), slack_weight=positive
         ),
-        regulator=st.builds(
-            Regulator,
+        law=st.builds(
+            LawSettings,
             kind=st.sampled_from(["lqr", "mpc"]),
-            weights=st.just(default_tuning().regulator.weights),
+            weights=st.just(default_tuning().law.weights),
             limits=st.builds(
                 SoftLimits,
                 fence_m=st.none() | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
@@ -113,7 +113,7 @@ def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
 )
 def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
     try:
-        gain = regulator(weights, period)
+        gain = lqr_gain(weights, period)
     except InputError as error:
         assert error.field == "weights"
         return
@@ -173,42 +173,42 @@ def test_missing_keys_have_the_packaged_values(tmp_path):
         *[
             ("[estimation]", f"[{table}]\n{line}\n[estimation]", field, problem)
             for table, line, field, problem in [
-                ("regulator", 'kind = "pid"', "regulator.kind", "must be 'lqr', 'mpc', "),
-                ("regulator", "horizon_s = -0.6", "regulator.horizon_s", "equal to 0.02"),
-                ("regulator", "horizon_s = nan", "regulator.horizon_s", "finite"),
-                ("regulator", "step_s = 0.0", "regulator.step_s", "equal to 0.001"),
-                ("regulator", "block = 0", "regulator.block.0", "equal to 1"),
-                ("regulator", "block = 1.5", "regulator.block.0", "integer"),
-                ("regulator", "block = []", "regulator.block", "block: must have at least 1 item"),
-                ("regulator", "horizon_s = 0.03\nstep_s = 0.05", "regulator", "longer than hor"),
-                ("regulator", "horizon_s = 5.0\nstep_s = 0.001", "regulator", "5000 steps; at m"),
-                ("regulator", "penalty = 1.0", "regulator.penalty", "not a known key"),
-                ("regulator.weights", "yaw = -1.0", "regulator.weights.yaw", "equal to 0.000001"),
+                ("law", 'kind = "pid"', "law.kind", "must be 'lqr', 'mpc', "),
+                ("law", "horizon_s = -0.6", "law.horizon_s", "equal to 0.02"),
+                ("law", "horizon_s = nan", "law.horizon_s", "finite"),
+                ("law", "step_s = 0.0", "law.step_s", "equal to 0.001"),
+                ("law", "block = 0", "law.block.0", "equal to 1"),
+                ("law", "block = 1.5", "law.block.0", "integer"),
+                ("law", "block = []", "law.block", "block: must have at least 1 item"),
+                ("law", "horizon_s = 0.03\nstep_s = 0.05", "law", "longer than hor"),
+                ("law", "horizon_s = 5.0\nstep_s = 0.001", "law", "5000 steps; at m"),
+                ("law", "penalty = 1.0", "law.penalty", "not a known key"),
+                ("law.weights", "yaw = -1.0", "law.weights.yaw", "equal to 0.000001"),
                 (
-                    "regulator.limits",
+                    "law.limits",
                     "speed_m_s = 0",
-                    "regulator.limits.speed_m_s",
+                    "law.limits.speed_m_s",
                     "than or equal to 0",
                 ),
-                ("regulator.limits", "margin_m = -1", "regulator.limits.margin_m", "equal to 0"),
-                ("regulator.limits", "penalty = 1e300", "regulator.limits.penalty", "100000000"),
+                ("law.limits", "margin_m = -1", "law.limits.margin_m", "equal to 0"),
+                ("law.limits", "penalty = 1e300", "law.limits.penalty", "100000000"),
                 (
-                    "regulator.limits",
+                    "law.limits",
                     "fence_m = [1.0, -0.5, -1.0, 0.5]",
-                    "regulator.limits.fence_m",
+                    "law.limits.fence_m",
                     "lowest x and y, then highest",
                 ),
                 (
-                    "regulator.limits",
+                    "law.limits",
                     "fence_m = [-1.0, 0.5, 1.0, -0.5]",
-                    "regulator.limits.fence_m",
+                    "law.limits.fence_m",
                     "lowest x and y, then highest",
                 ),
-                ("regulator.limits", "fence_m = [1.0]", "regulator.limits.fence_m.1", "missing"),
+                ("law.limits", "fence_m = [1.0]", "law.limits.fence_m.1", "missing"),
                 (
-                    "regulator.limits",
+                    "law.limits",
                     f"keep_out_m = {[[0.0, 0.0, 0.1]] * 9}",
-                    "regulator.limits.keep_out_m",
+                    "law.limits.keep_out_m",
                     "at most 8",
                 ),
             ]
@@ -229,7 +229,7 @@ def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, probl
 def test_a_slowed_regulator_does_the_same_more_slowly():
     tuning = default_tuning()
     gain, slow = (
-        regulator(one.weights, period)
+        lqr_gain(one.weights, period)
         for one, period in ((tuning, 0.001), (tuning.slowed(4.0), 0.004))
     )
     np.testing.assert_allclose(slow[:, :3], gain[:, :3] / 16, rtol=1e-6, atol=1e-12)
@@ -268,9 +268,9 @@ def test_every_default_is_the_tuning_for_the_model():
 def test_a_tuning_file_may_state_only_differences_from_the_tuning_for_a_model(tmp_path):
     cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3)
     model = replace(nominal_model(default_vehicle()), cameras=cameras)
-    (tmp_path / "mine.toml").write_text('regulator.kind = "mpc"')
-    assert read_tuning(tmp_path / "mine.toml", model) == tuning_for(model).with_regulator("mpc")
-    assert read_tuning(tmp_path / "mine.toml") == default_tuning().with_regulator("mpc")
+    (tmp_path / "mine.toml").write_text('law.kind = "mpc"')
+    assert read_tuning(tmp_path / "mine.toml", model) == tuning_for(model).with_law("mpc")
+    assert read_tuning(tmp_path / "mine.toml") == default_tuning().with_law("mpc")
 
 
 def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
@@ -282,21 +282,21 @@ def test_a_craft_with_its_own_pwm_gets_a_command_per_period():
             TrackingController(
                 nominal_model(vehicle),
                 SetPoint(0.1, 0.0, 0.0),
-                tuning.with_regulator(kind),
+                tuning.with_law(kind),
                 compiled=False,
             )
 
 
 def test_a_law_is_chosen_by_name_and_nothing_else_changes():
     tuning = default_tuning()
-    assert [tuning.with_regulator(kind).regulator.kind for kind in LAWS] == list(LAWS)
-    assert tuning.with_regulator("mpc").with_regulator("lqr") == tuning
+    assert [tuning.with_law(kind).law.kind for kind in LAWS] == list(LAWS)
+    assert tuning.with_law("mpc").with_law("lqr") == tuning
 
 
 def test_an_unknown_law_or_estimator_is_refused():
     tuning = default_tuning()
-    with pytest.raises(InputError, match=r"regulator\.kind: must be 'lqr', 'mpc', .*not 'MPC'"):
-        tuning.with_regulator("MPC")
+    with pytest.raises(InputError, match=r"law\.kind: must be 'lqr', 'mpc', .*not 'MPC'"):
+        tuning.with_law("MPC")
     with pytest.raises(InputError, match=r"estimation\.estimator: must be 'kalman' or 'actuation'"):
         tuning.with_estimator("actuaton")
 
@@ -307,3 +307,13 @@ def test_a_missing_file_and_broken_toml_are_named(tmp_path):
     (tmp_path / "broken.toml").write_text("[weights\n")
     with pytest.raises(InputError, match=r"broken\.toml: is not valid TOML"):
         read_tuning(tmp_path / "broken.toml")
+
+
+def test_a_file_that_calls_the_law_a_regulator_is_read(tmp_path):
+    path = tmp_path / "older.toml"
+    path.write_text(
+        '[regulator]\nkind = "mpc"\nhorizon_s = 0.5\n[regulator.limits]\nspeed_m_s = 0.4\n'
+    )
+    law = read_tuning(path).law
+    assert (law.kind, law.horizon_s, law.limits.speed_m_s) == ("mpc", 0.5, 0.4)
+    assert law.step_s == default_tuning().law.step_s

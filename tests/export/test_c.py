@@ -36,10 +36,10 @@ PLANNED = ("optimal", "softened")
 
 def predictive() -> Tuning:
     """A short horizon with every kind of limit."""
-    tuning = default_tuning().with_regulator("mpc")
+    tuning = default_tuning().with_law("mpc")
     limits = SoftLimits(speed_m_s=0.8, spin_rad_s=5.0, keep_out_m=((0.4, 0.2, 0.2),))
     changed = {"horizon_s": 0.2, "limits": limits}
-    return tuning.model_copy(update={"regulator": tuning.regulator.model_copy(update=changed)})
+    return tuning.model_copy(update={"law": tuning.law.model_copy(update=changed)})
 
 
 def program(folder: Path, main: str, *options: str, using: str = "gcc") -> Path:
@@ -72,13 +72,13 @@ def test_commands_and_states_equal_those_of_python(name, tmp_path):
         assert {"scaled", "nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
 
 
-@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
-def test_the_flight_of_the_export_repeats(regulator, exported, tmp_path):
-    if regulator == "mpc":
+@pytest.mark.parametrize("law", ["lqr", "mpc"])
+def test_the_flight_of_the_export_repeats(law, exported, tmp_path):
+    if law == "mpc":
         exported = tmp_path
         airpuck.export.write(M4, "c", exported, tuning=predictive())
     golden = (exported / "golden.csv").read_text()
-    flying = {"lqr": {"exact", "scaled"}, "mpc": {"optimal", "softened"}}[regulator]
+    flying = {"lqr": {"exact", "scaled"}, "mpc": {"optimal", "softened"}}[law]
     assert flying | {"stale pose", "jumping pose", "bad input"} <= {
         line.split(",")[2] for line in golden.splitlines() if line.startswith("step")
     }
@@ -89,9 +89,7 @@ def test_the_flight_of_the_export_repeats(regulator, exported, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
         assert re.search(r"state takes [1-9]\d{3,5} bytes", done.stdout)
     # The test notices a difference.
-    wrong = golden.replace(
-        *{"lqr": ("scaled", "exact"), "mpc": ("optimal", "softened")}[regulator], 1
-    )
+    wrong = golden.replace(*{"lqr": ("scaled", "exact"), "mpc": ("optimal", "softened")}[law], 1)
     (exported / "wrong.csv").write_text(wrong)
     assert subprocess.run([selftest, exported / "wrong.csv"], capture_output=True).returncode == 1
 
@@ -107,15 +105,15 @@ def plan() -> Plan:
 
 
 @pytest.mark.parametrize(
-    ("regulator", "options", "largest"),
+    ("law", "options", "largest"),
     [
         ("lqr", (), 1e-9),
         pytest.param("lqr", SINGLE, 1e-3, marks=pytest.mark.slow),
         pytest.param("mpc", (), 1e-9, marks=pytest.mark.slow),
     ],
 )
-def test_a_planned_flight_repeats(regulator, options, largest, plan, tmp_path):
-    tuning = default_tuning() if regulator == "lqr" else predictive()
+def test_a_planned_flight_repeats(law, options, largest, plan, tmp_path):
+    tuning = default_tuning() if law == "lqr" else predictive()
     airpuck.export.write(M4, "c", tmp_path, tuning=tuning, plan=plan)
     words = [program(tmp_path, "airpuck_selftest.c", *options), tmp_path / "golden.csv"]
     done = subprocess.run(words, capture_output=True, text=True)
@@ -142,9 +140,9 @@ def test_no_compiler_warns(exported, using):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
-def test_the_sources_compile_as_c_plus_plus(regulator, tmp_path):
-    tuning = predictive() if regulator == "mpc" else default_tuning()
+@pytest.mark.parametrize("law", ["lqr", "mpc"])
+def test_the_sources_compile_as_c_plus_plus(law, tmp_path):
+    tuning = predictive() if law == "mpc" else default_tuning()
     airpuck.export.write(M4, "c", tmp_path, tuning=tuning)
     strict = [option for option in STRICT if not option.startswith("-std")]
     words = [compiler("clang"), "-x", "c++", "-std=c++20", *strict, "-c", "-fsyntax-only"]
@@ -262,9 +260,9 @@ def test_the_program_goes_on_after_a_wrong_stamp(wrong, exported):
     assert all(answers[f"{time}00"] == "exact" for time in times[-5:])
 
 
-@pytest.mark.parametrize("regulator", ["lqr", "mpc"])
-def test_without_targets_and_plan_the_motors_idle(regulator, tmp_path):
-    airpuck.export.write(M4, "c", tmp_path, tuning=default_tuning().with_regulator(regulator))
+@pytest.mark.parametrize("law", ["lqr", "mpc"])
+def test_without_targets_and_plan_the_motors_idle(law, tmp_path):
+    airpuck.export.write(M4, "c", tmp_path, tuning=default_tuning().with_law(law))
     (tmp_path / "none.c").write_text(
         '#include "airpuck.h"\n'
         "int main(void)\n{\n    static airpuck craft;\n    airpuck_real command[AIRPUCK_MOTORS];\n"
@@ -330,8 +328,8 @@ def test_features_without_c_code_are_named(tmp_path):
     tuning = default_tuning()
     for model, chosen, name in (
         (M4, tuning.with_estimator("actuation"), "actuation"),
-        (M4, tuning.with_regulator("own.py:Law"), "own.py:Law"),
-        (M4, tuning.with_regulator("plan"), "--plan"),
+        (M4, tuning.with_law("own.py:Law"), "own.py:Law"),
+        (M4, tuning.with_law("plan"), "--plan"),
         (ON_OFF, tuning, "on_off"),
         (
             replace(M4, parameters=replace(M4.parameters, thrust=-M4.parameters.thrust)),

@@ -11,7 +11,7 @@ import pytest
 
 from airpuck import export
 from airpuck.boundary.errors import InputError
-from airpuck.control.lqr import regulator
+from airpuck.control.lqr import lqr_gain
 from airpuck.control.tuning import default_tuning, tuning_for
 from airpuck.export import kinds
 from airpuck.export.c_source import initializer
@@ -142,11 +142,11 @@ def test_the_command_exports_the_controller_that_other_commands_fly(tmp_path):
     airpuck("export", tmp_path / "slow.toml", "--to", "c", "-o", tmp_path)
     slowed = tuning_for(nominal_model(heavy))
     assert slowed != default_tuning()
-    gain = initializer(regulator(slowed.weights, slowed.period_s))
+    gain = initializer(lqr_gain(slowed.weights, slowed.period_s))
     assert f".gain = {gain}" in (tmp_path / "airpuck_data.c").read_text()
 
 
-@pytest.mark.parametrize("option", ["--tuning", "--regulator"])
+@pytest.mark.parametrize("option", ["--tuning", "--law"])
 def test_the_command_names_the_option_that_a_kind_does_not_use(option, tmp_path):
     done = airpuck("export", "paper:M4", "--to", "mjcf", "-o", tmp_path, option, "lqr")
     assert refused(done, f"{option}: is not part of an export to mjcf")

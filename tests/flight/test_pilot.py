@@ -48,7 +48,7 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "5", "--json", "-"),
-        *("--setpoints", points, "--regulator", f"{file}:Spring"),
+        *("--setpoints", points, "--law", f"{file}:Spring"),
     )
     (flight,) = json.loads(ran.stdout)["flights"]
     assert flight["gains"] is None and list(flight["outcomes"]) == ["open loop"]
@@ -65,7 +65,7 @@ def test_a_pilot_whose_commands_are_clipped_is_warned_of_and_named(file, tmp_pat
     points.write_text("setpoints = [{at_s = 0.2, x_m = 0.8, y_m = 0.3, yaw_rad = 3.0}]")
     ran = command_line.airpuck(
         *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
-        *("--setpoints", points, "--regulator", f"{file}:Spring", "-o", tmp_path / "page"),
+        *("--setpoints", points, "--law", f"{file}:Spring", "-o", tmp_path / "page"),
     )
     assert ran.stderr.startswith(f"warning: commands of {file}:Spring from 0.057 to ")
     assert ran.stderr.endswith("were clipped to [0, 1]\n")
@@ -176,7 +176,7 @@ def test_a_flight_lasts_for_a_period_at_least(duration, period):
     ("text", "name", "problem"),
     [
         (SPRING, "{}:Springs", "has no class 'Springs'"),
-        (SPRING, "{}", "must be FILE.py:NAME, such as my_regulator.py:Mine, not"),
+        (SPRING, "{}", "must be FILE.py:NAME, such as my_law.py:Mine, not"),
         ("import nowhere_to_be_found", "{}:Spring", "cannot be imported: ModuleNotFoundError"),
         ("def (", "{}:Spring", "cannot be imported: SyntaxError"),
         (
@@ -191,7 +191,7 @@ def test_a_wrong_file_is_refused(tmp_path, text, name, problem):
     path.write_text(textwrap.dedent(text))
     with pytest.raises(InputError) as refused:
         pilot_maker(name.format(path))(M3, airpuck.SetPoint(0, 0, 0))
-    assert problem in str(refused.value) and "--regulator" in str(refused.value)
+    assert problem in str(refused.value) and "--law" in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused():

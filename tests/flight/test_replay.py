@@ -259,8 +259,8 @@ def test_figures_are_plain_statistics_of_what_is_compared():
 
 
 def test_a_law_without_gains_has_none_to_fit(recording):
-    predictive = default_tuning().with_regulator("mpc")
-    with pytest.raises(InputError, match="only the LQR has gains; use --regulator lqr"):
+    predictive = default_tuning().with_law("mpc")
+    with pytest.raises(InputError, match="only the LQR has gains; use --law lqr"):
         replay(recording, M4, tuning=predictive, fit_gains=True)
 
 

@@ -27,7 +27,7 @@ def run(*arguments: str) -> None:
         (("--setpoint", "0", "0", "0", "--dwell", "0"), "--dwell: must be from 0.1 to 1000 s"),
         (("--dwell", "2"), "--dwell: has no effect with one set point"),
         (("--setpoints", "p.toml"), r"--setpoints: no such option; did you mean --setpoint\?"),
-        (("--regulator", "nowhere.py:Mine"), "nowhere.py: --regulator: there is no such file"),
+        (("--law", "nowhere.py:Mine"), "nowhere.py: --law: there is no such file"),
         (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
         (("--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
         (("--geofence", "inf", "1"), "--geofence: must be above 0, at most 100 m"),

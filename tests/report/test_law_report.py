@@ -60,7 +60,7 @@ def test_figures_are_those_of_the_flight(flights):
     assert content["clearance_m"] == pytest.approx(nearest)
     assert content["step_ms"]["p50"] == pytest.approx(2.0)
     assert content["step_ms"]["max"] == pytest.approx(3.0)
-    assert content["outcomes"] == {"optimal": 190} and content["regulator"] == "mpc"
+    assert content["outcomes"] == {"optimal": 190} and content["law"] == "mpc"
 
 
 def test_the_summary_says_the_same_of_each_law(flights):

@@ -28,7 +28,7 @@ def test_it_settles_at_a_set_point(law: str) -> None:
         SetPoint(*GOAL),
         12.0,
         settings=settings.model_copy(update={"motion_capture": seen}),
-        tuning=read_tuning(FREE_FLYERS / "atmos_tuning.toml").with_regulator(law),
+        tuning=read_tuning(FREE_FLYERS / "atmos_tuning.toml").with_law(law),
     )
     # Only the first steps come before the first pose.
     assert sum(status in ("no pose", "stale pose") for status in log.status) <= 2

@@ -74,9 +74,7 @@ def test_missing_poses_at_the_end_of_a_dwell_are_reported(tmp_path):
 @pytest.mark.slow
 def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     points = SetPoints([0.0, 0.3], [(0.0, 0.0, 0.0), (0.5, 0.2, 1.0)])
-    lqr, mpc = tracking_study(
-        [M4], M4, set_points=points, dwell=1.4, seed=2, regulators=("lqr", "mpc")
-    )
+    lqr, mpc = tracking_study([M4], M4, set_points=points, dwell=1.4, seed=2, laws=("lqr", "mpc"))
     assert [flight.label for flight in (lqr, mpc)] == ["M4 lqr", "M4 mpc"]
     assert lqr.gains is not None and mpc.gains is None
     # The same truth and noise: until the first command acts, both see the same.
@@ -91,7 +89,7 @@ def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     np.testing.assert_allclose(plan.states[14, :2], mpc.twin.pose[then, :2], atol=0.03)
     assert not lqr.log.predictions
     content = mpc.to_json()
-    assert (content["regulator"], content["gains"]) == ("mpc", None)
+    assert (content["law"], content["gains"]) == ("mpc", None)
     assert 0 < content["step_ms"]["p50"] <= content["step_ms"]["p99"]
 
 

@@ -187,7 +187,7 @@ class Tracking(TwinItem):
     #: Tuning, which overrides the tuning for the model.
     tuning: TuningTable = pydantic.Field(default_factory=dict)
     #: By default the law of the tuning file.
-    regulator: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
+    law: Annotated[str, pydantic.AfterValidator(check_law)] | None = None
 
     def run(self) -> list[Row]:
         """Fly; see `Item.run`."""
@@ -198,7 +198,7 @@ class Tracking(TwinItem):
             dwell=self.dwell_s,
             seed=self.seed,
             controller=self.controller,
-            regulators=() if self.regulator is None else (self.regulator,),
+            laws=() if self.law is None else (self.law,),
             settings=self.twin,
             tuning=_tuning(self.tuning, tuning_for(model)),
         )

@@ -86,7 +86,10 @@ class Command(_PlainFlags, TyperCommand):
 
 
 #: Former options, with their replacement.
-_FORMER = {"--adam": "airpuck.identify(method=...), as in studies/adam.py"}
+_FORMER = {
+    "--adam": "airpuck.identify(method=...), as in studies/adam.py",
+    "--regulator": "--law",
+}
 
 
 def _rejected(error: Any) -> Exception:

@@ -27,7 +27,7 @@ def export(
     ],
     output: Annotated[Path, options.output("DIR", "Folder for the files.")],
     tuning: options.TuningFile = None,
-    regulator: options.RegulatorName = None,
+    law: options.LawName = None,
     plan: Annotated[
         Path | None,
         Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE"),
@@ -39,7 +39,7 @@ def export(
     """Write a model, or its whole controller, for other tools."""
     from airpuck.planning.plan import read_plan
 
-    check_given(kind, tuning=tuning, regulator=regulator, twin=twin, plan=plan)
+    check_given(kind, tuning=tuning, law=law, twin=twin, plan=plan)
     exported = airpuck.read_model(model)
     # The controller is the same as in the other commands; it depends on the craft.
     controls = "tuning" in kind_named(kind).uses
@@ -47,7 +47,7 @@ def export(
         exported,
         kind,
         output,
-        tuning=inputs.read_controls(tuning, regulator, exported) if controls else None,
+        tuning=inputs.read_controls(tuning, law, exported) if controls else None,
         twin=None if twin is None else airpuck.read_twin_settings(twin),
         plan=None if plan is None else read_plan(plan, exported),
         inputs=[one for one in (model, tuning, twin, plan) if one is not None],

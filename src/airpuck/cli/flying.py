@@ -33,7 +33,7 @@ def replay(
     fit_gains: Annotated[
         bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
     ] = False,
-    regulator: options.RegulatorName = None,
+    law: options.LawName = None,
     tuning: options.TuningFile = None,
     span: options.Span = None,
     mapping: options.ReadMapping = None,
@@ -44,7 +44,7 @@ def replay(
     from airpuck.report.tables import agreement_table, controller_tables
 
     craft = inputs.read_belief(model)
-    settings = inputs.read_controls(tuning, regulator, craft)
+    settings = inputs.read_controls(tuning, law, craft)
     result = airpuck.replay(
         airpuck.read_recording(flight, mapping=mapping),
         craft,
@@ -114,12 +114,12 @@ def track(
     ] = None,
     dwell: Dwell | None = None,
     controller: ControllerKind = None,
-    regulators: Annotated[
+    laws: Annotated[
         list[str] | None,
         Setting(
             f"{options.LAWS_THERE_ARE} or pilot; repeat to compare. By default the tuning's.",
             metavar="LAW",
-            option="--regulator",
+            option="--law",
         ),
     ] = None,
     estimator: Annotated[
@@ -137,7 +137,7 @@ def track(
 ) -> None:
     """Fly set points on the twin: by default the paper's, compared with the real flights.
 
-    With --regulator lqr --regulator mpc both laws fly the same task, and the page compares them.
+    With --law lqr --law mpc both laws fly the same task, and the page compares them.
     """
     from airpuck.control.reference import read_setpoints
     from airpuck.flight.pilot import pilot_named
@@ -151,7 +151,7 @@ def track(
         raise InputError(
             "sets the set points and times; leave out --setpoints and --dwell", field="flights"
         )
-    laws = list(dict.fromkeys(regulators or [controls.regulator.kind]))
+    laws = list(dict.fromkeys(laws or [controls.law.kind]))
     beyond_paper = set(laws) != {"lqr"}
     names = models or ["paper:M0", "paper:M4"][beyond_paper:]
     paths: list[Path | None] = list(flights or ())
@@ -163,7 +163,7 @@ def track(
     beliefs = [inputs.read_belief(name) for name in names]
     computed = [law for law in laws if pilot_named(law) is None]
     for law in computed:
-        inputs.check_law(tuning, controls.with_regulator(law), *beliefs)
+        inputs.check_law(tuning, controls.with_law(law), *beliefs)
     for name, given in {"controller": controller, "estimator": estimator}.items():
         if given is not None and not computed:
             raise InputError("has no effect on a pilot; leave it out", field=name)
@@ -175,7 +175,7 @@ def track(
         dwell=dwell,
         seed=seed,
         controller="paper" if as_flown else "full",
-        regulators=laws,
+        laws=laws,
         settings=twin,
         tuning=controls,
     )

@@ -93,11 +93,11 @@ def model_or_nominal(
 
 
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:
-    """Read a tuning file, by default the one for the craft, and check that it gives a regulator.
+    """Read a tuning file, by default the one for the craft, and check its weights.
 
     `kind` overrides the tuning's law; it must suit the models.
     """
-    from airpuck.control.lqr import regulator
+    from airpuck.control.lqr import lqr_gain
     from airpuck.control.tuning import default_tuning, tuning_for
 
     usual = tuning_for(models[0]) if models else default_tuning()
@@ -105,10 +105,10 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
     if models and models[0].fit and models[0].cameras is None:
         words = "does not state the noise of its recordings; the controller assumes the packaged "
         warn([f"the model {models[0].name} {words}noise: identify it again"])
-    tuning = tuning if kind is None else tuning.with_regulator(kind)
+    tuning = tuning if kind is None else tuning.with_law(kind)
     if path is not None:
         with about(path):
-            regulator(tuning.weights, tuning.period_s)
+            lqr_gain(tuning.weights, tuning.period_s)
     check_law(path, tuning, *models)
     return tuning
 
@@ -117,8 +117,8 @@ def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
     """Raise InputError if the law of a tuning file, or the user's own law, does not suit."""
     from airpuck.control.law import LawOptions, law_named
 
-    make = law_named(tuning.regulator.kind)
-    if tuning.regulator.kind == "lqr":
+    make = law_named(tuning.law.kind)
+    if tuning.law.kind == "lqr":
         return
     with contextlib.nullcontext() if path is None else about(path):
         for model in models:

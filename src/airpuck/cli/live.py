@@ -97,7 +97,7 @@ class Steered(Guarded):
     """The model, and the law or the pilot, that steer to a reference."""
 
     model: options.ControllersModel
-    regulator: options.RegulatorName = None
+    law: options.LawName = None
 
     def read(self, law: str | None) -> tuple[Model, Tuning]:
         """Read the model and the tuning, with a law."""
@@ -113,8 +113,8 @@ class Steered(Guarded):
         """Fly to a reference, which is made from the fence: our controller, or a user's pilot."""
         from airpuck.flight.pilot import pilot_named
 
-        own = None if self.regulator is None else pilot_named(self.regulator)
-        craft, controls = self.read(self.regulator if own is None else None)
+        own = None if self.law is None else pilot_named(self.law)
+        craft, controls = self.read(self.law if own is None else None)
         where = reference(self.fence(craft))
         make = partial(airpuck.TrackingController, craft, where, controls, table=self.rails(craft))
         if own is not None:
@@ -242,7 +242,7 @@ def fly_plan(
     """Fly a time-optimal plan on the graph, once the craft is at its start."""
     from airpuck.planning.tracking import Departing, plan_tracker
 
-    craft, controls = steered.read(steered.regulator)
+    craft, controls = steered.read(steered.law)
     optimal = _time_optimal(plan, craft, steered.fence(craft))
 
     def make() -> Pilot:

@@ -183,12 +183,12 @@ Experiment = Annotated[
     ),
 ]
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME of your own law"
-RegulatorName = Annotated[
+LawName = Annotated[
     str | None,
     Setting(
         f"{LAWS_THERE_ARE}; by default the tuning's.",
         metavar="LAW",
-        option="--regulator",
+        option="--law",
         complete=lambda: list(LAWS),
     ),
 ]

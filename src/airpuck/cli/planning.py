@@ -123,7 +123,7 @@ def race(
     ] = "straight",
     model: options.ControllersModel = "paper:M3",
     truth: options.Truth = "paper:M3",
-    regulator: options.RegulatorName = None,
+    law: options.LawName = None,
     seeds: Annotated[
         int,
         Setting(
@@ -163,7 +163,7 @@ def race(
             airpuck.read_model(truth),
             seeds=seeds,
             settings=settings,
-            tuning=inputs.read_controls(tuning, regulator, belief),
+            tuning=inputs.read_controls(tuning, law, belief),
             progress=progress,
         )
     draw(figure, "plan_figures.race_figure", found, settings.table)

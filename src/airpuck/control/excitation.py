@@ -98,7 +98,7 @@ class Excitation(Pilot):
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
             reference or SetPoint(0.0, 0.0, 0.0),
             # The signals are added to the regulator's commands, which do not foresee them.
-            (tuning or tuning_for(model)).with_regulator("lqr"),
+            (tuning or tuning_for(model)).with_law("lqr"),
             reject_disturbance=False,
             compensate_delay=False,
         )

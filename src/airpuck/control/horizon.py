@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
 from airpuck.compute.arrays import scan, slopes
-from airpuck.control.tuning import Regulator
+from airpuck.control.tuning import LawSettings
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
@@ -62,13 +62,13 @@ class Blocks:
     lengths: tuple[int, ...]
 
     @classmethod
-    def of(cls, regulator: Regulator) -> Blocks:
+    def of(cls, law: LawSettings) -> Blocks:
         """Divide the horizon according to the settings; the last block may be shorter."""
-        count = max(round(regulator.horizon_s / regulator.step_s), 1)
-        given = regulator.block
+        count = max(round(law.horizon_s / law.step_s), 1)
+        given = law.block
         ends = np.cumsum([*given, *given[-1:] * count]).clip(max=count)
         lengths = np.diff(np.unique(ends), prepend=0)
-        return cls(regulator.step_s, tuple(lengths.tolist()))
+        return cls(law.step_s, tuple(lengths.tolist()))
 
     @property
     def owner(self) -> Int[np.ndarray, " N"]:
@@ -148,15 +148,15 @@ class Stages(NamedTuple):
 
 
 def stages(
-    model: Model, blocks: Blocks, regulator: Regulator, reject_disturbance: bool
+    model: Model, blocks: Blocks, law: LawSettings, reject_disturbance: bool
 ) -> Callable[..., Stages]:
     """Return prediction and linearisation as one function.
 
     (xp, state, motor speeds, disturbance, effectiveness, plan (B, n), the four arrays of `Ahead`,
     fence (2, 2), discs (D, 3)) → stages.
     """
-    dynamics, limits, owner = model.dynamics, regulator.limits, blocks.owner
-    most, effort = model.vehicle.command_max, blocks.step * regulator.weights.efforts
+    dynamics, limits, owner = model.dynamics, law.limits, blocks.owner
+    most, effort = model.vehicle.command_max, blocks.step * law.weights.efforts
 
     def posed(
         xp: Any,
@@ -340,11 +340,11 @@ class Answer:
 class Sizes:
     """Sizes and weights of the program."""
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator) -> None:
-        w, n = regulator.weights, vehicle.n_propellers
+    def __init__(self, vehicle: Vehicle, blocks: Blocks, law: LawSettings) -> None:
+        w, n = law.weights, vehicle.n_propellers
         self.n, self.m = n, n * len(blocks.lengths)
-        self.most = regulator.iterations
-        self.penalty = regulator.limits.penalty
+        self.most = law.iterations
+        self.penalty = law.limits.penalty
         #: Weights of accelerations, of commands, and of their changes.
         self.effort = w.efforts * blocks.step
         self.used = np.repeat(w.command * blocks.step * np.array(blocks.lengths), n)
@@ -359,8 +359,8 @@ class Sizes:
 class Condensed(Sizes):
     """DAQP on the commands alone, started from the last active set."""
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, regulator: Regulator, count: int) -> None:
-        super().__init__(vehicle, blocks, regulator)
+    def __init__(self, vehicle: Vehicle, blocks: Blocks, law: LawSettings, count: int) -> None:
+        super().__init__(vehicle, blocks, law)
         import daqp
 
         n, rows = self.n, count * len(blocks.owner)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Literal, NamedTuple, get_args
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.user_code import UserCode
 from airpuck.compute.compiled import program
@@ -236,6 +238,16 @@ def staged(law: Law, model: Model, compiled: bool) -> Callable[..., tuple[Estima
     return computed
 
 
+def make_law(law: str | type[Law] | Law, model: Model, tuning: Tuning, options: LawOptions) -> Law:
+    """Make a law from its name or class; a law that exists already is copied."""
+    if isinstance(law, Law):
+        return copy(law)
+    made = (law_named(law) if isinstance(law, str) else law)(model, tuning, options)
+    if not isinstance(made, Law):
+        raise InputError("must inherit from airpuck.Law; see docs/control.md", field="law")
+    return made
+
+
 def law_named(name: str) -> Callable[..., Any]:
     """Return a factory that makes the named law from model, tuning and options."""
     found = LAWS.get(check_law(name))
@@ -251,7 +263,7 @@ def law_named(name: str) -> Callable[..., Any]:
 
 def _users_law(name: str) -> Callable[..., Any]:
     """Return a factory that makes a user's law and checks its results."""
-    code = UserCode(name, "--regulator")
+    code = UserCode(name, "--law")
 
     def make(*given: Any) -> Any:
         law = code.run("cannot be made from (model, tuning, options)", code.kind, *given)

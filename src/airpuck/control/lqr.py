@@ -96,7 +96,7 @@ def cost_to_go(
         ) from error
 
 
-def regulator(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
+def lqr_gain(weights: Weights, period: float) -> Float[np.ndarray, "3 6"]:
     """Compute the gain of the point mass.
 
     Parameters
@@ -147,7 +147,7 @@ class LQR(Law):
         n, period, allocation = model.vehicle.n_propellers, tuning.period_s, tuning.allocation
         slack_weight = allocation.slack_weight
         #: May be replaced at any time.
-        self.gain = regulator(tuning.weights, period) if options.gain is None else options.gain
+        self.gain = lqr_gain(tuning.weights, period) if options.gain is None else options.gain
         self.stage = plan_stage(model, period, slack_weight, options.reject_disturbance)
         self.inputs = np.zeros(6), np.zeros(3), self.gain
         self._period, self._idle = period, np.full(n, model.vehicle.command_min)

@@ -59,7 +59,7 @@ class MPC(Law):
     model : Model
         The craft; its thrust curves must rise.
     tuning : Tuning
-        The section `regulator` applies to this law; the rest to the LQR.
+        The section `law` applies to this law; the rest to the LQR.
     options : LawOptions, optional
         Options, including the table whose rails the law avoids; the gain is for the LQR.
 
@@ -74,9 +74,9 @@ class MPC(Law):
         options = options or LawOptions()
         #: Steers when there is no plan.
         self.fallback = LQR(model, tuning, options)
-        regulator, vehicle = tuning.regulator, model.vehicle
-        limits = regulator.limits
-        self._blocks = blocks = Blocks.of(regulator)
+        settings, vehicle = tuning.law, model.vehicle
+        limits = settings.limits
+        self._blocks = blocks = Blocks.of(settings)
         self._times = blocks.times
         decided = vehicle.n_propellers * len(blocks.lengths)
         if decided > _MOST_COMMANDS:
@@ -84,7 +84,7 @@ class MPC(Law):
                 f"{vehicle.n_propellers} propellers and {len(blocks.lengths)} blocks are {decided} "
                 f"commands; at most {_MOST_COMMANDS} can be decided in time: use a larger block, a "
                 "longer step or a shorter horizon",
-                field="regulator.block",
+                field="law.block",
             )
         count = len(self._times)
         self._fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
@@ -93,10 +93,10 @@ class MPC(Law):
         self._kinds += ["speed"] * (limits.speed_m_s is not None)
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
         self._kinds += ["disc"] * len(self._keep_out)
-        self._solver = Condensed(vehicle, blocks, regulator, len(self._kinds))
-        posed = stages(model, blocks, regulator, options.reject_disturbance)
+        self._solver = Condensed(vehicle, blocks, settings, len(self._kinds))
+        posed = stages(model, blocks, settings, options.reject_disturbance)
         self.stage = _stage(posed, self._solver.form)
-        errors, self._efforts = regulator.weights.errors * blocks.step, regulator.weights.efforts
+        errors, self._efforts = settings.weights.errors * blocks.step, settings.weights.efforts
         self._weights = np.tile(errors, (count, 1))
         parts = np.diag(errors), np.diag(self._efforts * blocks.step)
         self._terminal = cost_to_go(*point_mass(blocks.step), *parts)
@@ -134,7 +134,7 @@ class MPC(Law):
         if found is None:
             raise InputError(
                 f"must be x, y and distance [m] of {count} disc{'s' * (count != 1)}, as many as "
-                "the tuning has in regulator.limits.keep_out_m",
+                "the tuning has in law.limits.keep_out_m",
                 field="keep_out",
             )
         self._keep_out = found.reshape(count, 3)

@@ -16,7 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.authority import control_authority, weakest_effort
-from airpuck.control.law import Law, LawOptions, Moment, Status, Step, law_named, staged
+from airpuck.control.law import Law, LawOptions, Moment, Status, Step, make_law, staged
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
@@ -37,7 +37,7 @@ class TrackingController(Pilot):
     """Steers the craft along a reference.
 
     Each step predicts the state over the transport delay, to the time at which the command acts.
-    The law that the tuning names then computes the command.
+    The law then computes the command.
 
     Parameters
     ----------
@@ -47,6 +47,9 @@ class TrackingController(Pilot):
         Reference to track; may be replaced at any time.
     tuning : Tuning, optional
         Tuning; by default the one for the model.
+    law : str, or subclass of Law or an object of it, optional
+        The law, such as "mpc", FILE.py:NAME or ``MyLaw``; by default the tuning's. An object is
+        copied.
     table : Table, optional
         The table whose rails a predictive law avoids; by default the paper's.
     gain : array, shape (3, 6), optional
@@ -87,6 +90,7 @@ class TrackingController(Pilot):
         reference: Reference,
         tuning: Tuning | None = None,
         *,
+        law: str | type[Law] | Law | None = None,
         table: Table | None = None,
         gain: Float[np.ndarray, "3 6"] | None = None,
         reject_disturbance: bool = True,
@@ -94,6 +98,7 @@ class TrackingController(Pilot):
         compiled: bool = True,
     ) -> None:
         tuning = tuning or tuning_for(model)
+        tuning = tuning.with_law(law) if isinstance(law, str) else tuning
         vehicle = model.vehicle
         check_steerable(model)
         if gain is not None:
@@ -104,7 +109,7 @@ class TrackingController(Pilot):
         self.compensate_delay = compensate_delay
         self._idle = vehicle.idle
         options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
-        self.law: Law = law_named(tuning.regulator.kind)(of_means(model), tuning, options)
+        self.law = make_law(law or tuning.law.kind, of_means(model), tuning, options)
         self.law.stage = stage_of_means(model, self.law.stage)
         self._modulator = modulator_for(model, tuning)
         self.state = self.law.init()

@@ -15,8 +15,10 @@ from airpuck.boundary.files import (
     NonNegative,
     Positive,
     Section,
+    checked,
+    laid_over,
+    load_toml,
     read_packaged,
-    read_toml,
     write_toml,
 )
 from airpuck.boundary.kinds import unknown
@@ -79,7 +81,7 @@ class Allocation(Section):
 
 
 class PredictiveWeights(Weights):
-    """Weights of the predictive law: the regulator's, and one for the commands."""
+    """Weights of the predictive law: those of the LQR, and one for the commands."""
 
     #: Weight of commands above idle.
     command: PositiveWeight = 0.05
@@ -120,7 +122,7 @@ def _listed(value: Any) -> Any:
     return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
-class Regulator(Section):
+class LawSettings(Section):
     """Choice of the law, and settings of the predictive one."""
 
     #: ``lqr``, ``mpc`` or a law of your own; what follows is for ``mpc``.
@@ -141,7 +143,7 @@ class Regulator(Section):
     limits: SoftLimits = SoftLimits()
 
     @pydantic.model_validator(mode="after")
-    def _in_time(self) -> Regulator:
+    def _in_time(self) -> LawSettings:
         if self.step_s > self.horizon_s:
             raise ValueError(
                 f"step_s = {self.step_s:g} is longer than horizon_s = {self.horizon_s:g}; use a "
@@ -211,7 +213,7 @@ class Tuning(Section):
         Time between commands, from 1e-3 to 0.1.
     weights : Weights
         Weights of the linear-quadratic regulator.
-    regulator : Regulator
+    law : LawSettings
         The law: linear-quadratic or predictive, with its settings.
     allocation : Allocation
         Settings of the thrust allocation.
@@ -232,7 +234,7 @@ class Tuning(Section):
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
     weights: Weights
     allocation: Allocation = Allocation()
-    regulator: Regulator
+    law: LawSettings
     estimation: Estimation
     modulation: Modulation = Modulation()
 
@@ -259,7 +261,7 @@ class Tuning(Section):
         changed = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": changed})
 
-    def with_regulator(self, kind: str) -> Tuning:
+    def with_law(self, kind: str) -> Tuning:
         """Return the tuning with another law.
 
         Parameters
@@ -280,10 +282,8 @@ class Tuning(Section):
         try:
             check_law(kind)
         except InputError as error:
-            raise InputError(error.problem, field="regulator.kind") from error
-        return self.model_copy(
-            update={"regulator": self.regulator.model_copy(update={"kind": kind})}
-        )
+            raise InputError(error.problem, field="law.kind") from error
+        return self.model_copy(update={"law": self.law.model_copy(update={"kind": kind})})
 
     def slowed(self, times: float) -> Tuning:
         """Return the tuning for a craft that takes `times` as long for the same motion.
@@ -384,11 +384,14 @@ def read_tuning(path: str | os.PathLike[str], model: Model | None = None) -> Tun
     Examples
     --------
     >>> from pathlib import Path
-    >>> _ = Path("tuning.toml").write_text('regulator.kind = "mpc"')
-    >>> airpuck.read_tuning("tuning.toml").regulator.kind
+    >>> _ = Path("tuning.toml").write_text('law.kind = "mpc"')
+    >>> airpuck.read_tuning("tuning.toml").law.kind
     'mpc'
     """
-    return read_toml(path, Tuning, base=default_tuning() if model is None else tuning_for(model))
+    usual, content = default_tuning() if model is None else tuning_for(model), load_toml(path)
+    if "regulator" in content and "law" not in content:  # of older files
+        content["law"] = content.pop("regulator")
+    return checked(laid_over(usual.model_dump(mode="json"), content), Tuning, file=path)
 
 
 def default_tuning() -> Tuning:
@@ -421,7 +424,7 @@ def tuning_for(model: Model) -> Tuning:
     period = kind.pwm_period_s
     if period is None:
         return tuning
-    law = tuning.regulator
+    law = tuning.law
     longer = max(period / law.step_s, 1.0)
     times = {"step_s": longer * law.step_s, "horizon_s": longer * law.horizon_s}
-    return tuning.model_copy(update={"period_s": period, "regulator": law.model_copy(update=times)})
+    return tuning.model_copy(update={"period_s": period, "law": law.model_copy(update=times)})

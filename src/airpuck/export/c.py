@@ -17,12 +17,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.allocation import TIE_SLACK, TIE_THRUST, UNSCALED
 from airpuck.control.horizon import MOST_ROOM, TURNING, UNDECIDED, Blocks, Sizes, braking
 from airpuck.control.law import LawOptions
-from airpuck.control.lqr import cost_to_go, motor_lag, point_mass, regulator
+from airpuck.control.lqr import cost_to_go, lqr_gain, motor_lag, point_mass
 from airpuck.control.mpc import FLOWN_ON, MPC, Ongoing
 from airpuck.control.pose_gate import JUMP, ROUNDING, longest_pause, remembered
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Regulator, Tuning
+from airpuck.control.tuning import LawSettings, Tuning
 from airpuck.estimate.axis_filter import INITIAL_DISTURBANCE, INITIAL_VELOCITY
 from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.kinds import Subject, refuse_actuators
@@ -119,8 +119,8 @@ _FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the controller of a model as C99; return its sizes."""
     model, tuning, plan = subject.model, subject.tuning, subject.plan
-    if plan is not None and tuning.regulator.kind == "lqr":
-        tuning = tuning.with_regulator("plan")
+    if plan is not None and tuning.law.kind == "lqr":
+        tuning = tuning.with_law("plan")
     _check(model, tuning, plan)
     held = remembered(longest_pause(model, tuning)) + model.transport_delay
     sizes = {
@@ -129,14 +129,14 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "AIRPUCK_HELD": math.ceil(held / tuning.period_s) + 4,
     }
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
-    facts: dict[str, Any] = {"law": tuning.regulator.kind, "on-board sensors": "not used"}
-    if tuning.regulator.kind == "mpc":
-        sizes |= _prediction_sizes(tuning.regulator)
+    facts: dict[str, Any] = {"law": tuning.law.kind, "on-board sensors": "not used"}
+    if tuning.law.kind == "mpc":
+        sizes |= _prediction_sizes(tuning.law)
         horizon = _horizon(model, tuning)
         numbers.append(constant("airpuck_horizon", "airpuck_predicted", horizon))
         copy_sources(_PREDICTIVE, folder)
         low, high = np.round(horizon["fence"], 4).tolist()
-        facts["fence, m"] = f"{low} to {high}; set regulator.limits.fence_m for another table"
+        facts["fence, m"] = f"{low} to {high}; set law.limits.fence_m for another table"
     if plan is not None:
         flight = _flight(plan)
         sizes |= {
@@ -156,12 +156,12 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
 
 def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     """Raise InputError for settings that the C sources do not support."""
-    kind = tuning.regulator.kind
+    kind = tuning.law.kind
     if kind == "plan" and plan is None:
-        raise InputError("'plan' needs a plan; pass it with --plan FILE", field="regulator.kind")
+        raise InputError("'plan' needs a plan; pass it with --plan FILE", field="law.kind")
     if kind not in ("lqr", "mpc", "plan"):
         raise InputError(
-            f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="regulator.kind"
+            f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="law.kind"
         )
     if tuning.estimation.estimator != "kalman":
         problem = f"{tuning.estimation.estimator!r} cannot be exported to c; choose 'kalman'"
@@ -184,7 +184,7 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "remembered": remembered(pause),
         "jump": np.array(JUMP),
         "period": period,
-        "gain": regulator(tuning.weights, period),
+        "gain": lqr_gain(tuning.weights, period),
         "motor_lag": lag,
         "motor_drive": drive,
         "command_min": vehicle.command_min,
@@ -226,9 +226,9 @@ def _flight(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _prediction_sizes(regulator: Regulator) -> dict[str, int]:
+def _prediction_sizes(law: LawSettings) -> dict[str, int]:
     """Return the macros that set the sizes of a prediction."""
-    blocks, limits = Blocks.of(regulator), regulator.limits
+    blocks, limits = Blocks.of(law), law.limits
     speed, spin = limits.speed_m_s is not None, limits.spin_rad_s is not None
     discs = len(limits.keep_out_m)
     return {
@@ -243,10 +243,10 @@ def _prediction_sizes(regulator: Regulator) -> dict[str, int]:
 
 def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_horizon`."""
-    regulator, law = tuning.regulator, MPC(model, tuning, LawOptions(compiled=False))
-    limits, blocks = regulator.limits, Blocks.of(regulator)
-    sizes, h = Sizes(model.vehicle, blocks, regulator), blocks.step
-    weights = regulator.weights.errors * h
+    chosen, law = tuning.law, MPC(model, tuning, LawOptions(compiled=False))
+    limits, blocks = chosen.limits, Blocks.of(chosen)
+    sizes, h = Sizes(model.vehicle, blocks, chosen), blocks.step
+    weights = chosen.weights.errors * h
     terminal = cost_to_go(*point_mass(h), np.diag(weights), np.diag(sizes.effort))
     n = model.vehicle.n_propellers
     return {

@@ -60,7 +60,7 @@ class ExportKind:
         Module whose ``write(subject, folder)`` writes the files and returns facts for the user, by
         name.
     uses : tuple of str
-        Inputs besides the model: ``tuning``, ``regulator``, ``twin``, ``plan``.
+        Inputs besides the model: ``tuning``, ``law``, ``twin``, ``plan``.
     """
 
     summary: str
@@ -70,7 +70,7 @@ class ExportKind:
 
 #: A new kind is a module with `write`, and an entry here or an entry point (`airpuck.exports`).
 KINDS: dict[str, ExportKind] = {
-    "c": ExportKind("the controller as C99", "airpuck.export.c", ("tuning", "regulator", "plan")),
+    "c": ExportKind("the controller as C99", "airpuck.export.c", ("tuning", "law", "plan")),
     "casadi": ExportKind("the dynamics as casadi.Functions", "airpuck.export.casadi"),
     "fmu": ExportKind(
         "the craft on its table as an FMU (FMI 3.0)", "airpuck.export.fmu", ("twin",)

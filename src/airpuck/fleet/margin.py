@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck.control.authority import control_authority
-from airpuck.control.lqr import point_mass, regulator
+from airpuck.control.lqr import lqr_gain, point_mass
 from airpuck.control.tuning import Tuning
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.fleet.path import SMOOTHED
@@ -61,7 +61,7 @@ def tracking_margin(model: Model, tuning: Tuning, push: float) -> float:
 def _worst_response(tuning: Tuning) -> float:
     """Return the largest position error per acceleration error of the LQR's loop [s²]."""
     a, b = point_mass(tuning.period_s)
-    closed = a - b @ regulator(tuning.weights, tuning.period_s)
+    closed = a - b @ lqr_gain(tuning.weights, tuning.period_s)
     state, total = b[:, 0], 0.0
     for _ in range(round(5 / tuning.period_s)):
         total += abs(state[0])

@@ -125,14 +125,14 @@ def pilot_named(name: str) -> PilotMaker | None:
     """Return a factory for a user's pilot, named FILE.py:NAME; None if it names a law."""
     if ".py:" not in check_law(name):
         return None
-    kind = UserCode(name, "--regulator").kind
+    kind = UserCode(name, "--law").kind
     is_law = isinstance(kind, type) and issubclass(kind, Law)
     return None if is_law else pilot_maker(name)
 
 
 def pilot_maker(name: str) -> PilotMaker:
     """Return a factory for a user's pilot, named FILE.py:NAME, from a model and a reference."""
-    code = UserCode(name, "--regulator")
+    code = UserCode(name, "--law")
 
     def make(model: Model, reference: Reference) -> Pilot:
         pilot = code.run("cannot be made from (model, reference)", code.kind, model, reference)

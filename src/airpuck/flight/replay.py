@@ -185,8 +185,8 @@ def replay(
     (6,)
     """
     tuning = tuning or tuning_for(model)
-    if fit_gains and tuning.regulator.kind != "lqr":
-        problem = "only the LQR has gains; use --regulator lqr"
+    if fit_gains and tuning.law.kind != "lqr":
+        problem = "only the LQR has gains; use --law lqr"
         raise InputError(problem, field="--fit-gains")
     _, commands, aligned = clean_streams(recording, model.vehicle)
     # Aligned times are those of the poses without repetitions.

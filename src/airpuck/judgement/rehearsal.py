@@ -94,7 +94,7 @@ def _margin(model: Model, craft: Model, settings: TwinSettings, tuning: Tuning, 
     """Fly once; see `Rehearsal.margin`."""
     # NumPy, since compiling a program for one flight takes longer than it saves; MPC's programs are
     # so large that it does not.
-    compiled = tuning.regulator.kind != "lqr"
+    compiled = tuning.law.kind != "lqr"
     pilot = TrackingController(
         model, SetPoint(*GOAL), tuning, table=settings.table, compiled=compiled
     )
@@ -169,7 +169,7 @@ def rehearse(
             0.0, f"No controller can hold the modelled craft: {why}. Check the motors."
         )
     tuning, settings = tuning_for(model), like(cameras, model)
-    tuning = tuning if law is None else tuning.with_regulator(law)
+    tuning = tuning if law is None else tuning.with_law(law)
     try:
         margin = flown_margin(model, seen, settings, tuning)
         if margin >= 1:
@@ -181,7 +181,7 @@ def rehearse(
 
 def _unsettled(model: Model, seen: Model, settings: TwinSettings, tuning: Tuning) -> str:
     """Describe why the controller does not settle, and the remedy."""
-    flown = f"In simulation, {tuning.regulator.kind.upper()} with the usual tuning"
+    flown = f"In simulation, {tuning.law.kind.upper()} with the usual tuning"
     noise, good = settings.motion_capture, default_twin_settings().motion_capture
     if flown_margin(model, seen, settings.model_copy(update={"motion_capture": good}), tuning) >= 1:
         told = (

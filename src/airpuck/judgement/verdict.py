@@ -236,7 +236,7 @@ def _decided(
     if wrong := too_wrong(model, *evidence.total, evidence.effects):
         return "not_trusted", wrong, {}
     # Flights come last, since they take longer than everything else.
-    law = tuning_for(model).regulator.kind
+    law = tuning_for(model).law.kind
     flown = {law: rehearse(model, evidence.trajectory, evidence.effects)}
     if flown[law].settles:
         return "trusted", [], flown

@@ -234,7 +234,7 @@ def least_correction(
 
 def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:
     """Return a controller with the tuning's law, but `PlanTracker` instead of the LQR."""
-    tuning = tuning.with_regulator("plan") if tuning.regulator.kind == "lqr" else tuning
+    tuning = tuning.with_law("plan") if tuning.law.kind == "lqr" else tuning
     return TrackingController(plan.model, plan, tuning, table=table)
 
 

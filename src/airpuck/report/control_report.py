@@ -120,7 +120,7 @@ def flight_figure(replay: Replay) -> Figure:
 
 def compares_laws(flights: Sequence[Tracked]) -> bool:
     """Return whether any flight used another law than the paper's."""
-    return any(flight.regulator not in (None, "lqr") for flight in flights)
+    return any(flight.law not in (None, "lqr") for flight in flights)
 
 
 def flight_colors(flights: Sequence[Tracked]) -> list[str]:

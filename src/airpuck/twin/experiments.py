@@ -12,6 +12,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.control.excitation import Excitation
+from airpuck.control.law import Law
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.settings import ExcitationPlan
@@ -155,6 +156,7 @@ def track(
     tuning: Tuning | None = None,
     plant: Plant | None = None,
     make_pilot: PilotMaker | None = None,
+    law: str | type[Law] | Law | None = None,
 ) -> tuple[Recording, FlightLog]:
     """Fly the twin along a reference.
 
@@ -187,6 +189,8 @@ def track(
     make_pilot : callable, optional
         Factory of a user's pilot from (model, reference); the controller's options then do not
         apply.
+    law : str, or subclass of Law or an object of it, optional
+        See `TrackingController`.
 
     Returns
     -------
@@ -218,15 +222,17 @@ def track(
             model,
             reference,
             tuning.with_camera(twin.settings.motion_capture.rate_hz),
+            law=law,
             table=twin.settings.table,
             gain=gain,
             compensate_delay=compensate_delay,
             reject_disturbance=reject_disturbance,
         )
     log = fly(pilot, twin, duration, tuning.period_s, on_board=on_board)
-    law = "a pilot" if make_pilot else _LAWS.get(tuning.regulator.kind, "a law of its own")
+    kind = law if isinstance(law, str) else "" if law else tuning.law.kind
+    words = "a pilot" if make_pilot else _LAWS.get(kind, "a law of its own")
     goal = "set points" if isinstance(reference, SetPoints) else "its target"
-    source = f"flying to {goal} with {law} ({model.name} on a twin of {truth.name}, seed {seed})"
+    source = f"flying to {goal} with {words} ({model.name} on a twin of {truth.name}, seed {seed})"
     return replace(twin.recording(), source=source), log
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result, plain
 from airpuck.control.laws import law_label
-from airpuck.control.lqr import regulator
+from airpuck.control.lqr import lqr_gain
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.settings import DWELL, ControllerKind, Dwell
 from airpuck.control.tuning import Tuning, tuning_for
@@ -40,12 +40,12 @@ _LEAD = 0.9
 class Tracked(Result):
     """One flight through the set points."""
 
-    JSON = "model pilot regulator gains setpoints=results outcomes"
+    JSON = "model pilot law gains setpoints=results outcomes"
 
     #: Name of the controller's model.
     model: str
     #: Law of the controller; None if a user's pilot flew.
-    regulator: str | None
+    law: str | None
     #: Gains of the LQR; None if another law or pilot flew.
     gains: Gains | None
     #: The flight on the twin.
@@ -68,7 +68,7 @@ class Tracked(Result):
     @property
     def file_name(self) -> str:
         """The suffix of file names that distinguishes flights."""
-        law = self.regulator
+        law = self.law
         return self.model if law in (None, "lqr") else f"{self.model}_{law_label(law)}"
 
     @property
@@ -152,7 +152,7 @@ def tracking_study(
     dwell: Dwell | None = None,
     seed: int = 0,
     controller: ControllerKind = None,
-    regulators: Sequence[str] = (),
+    laws: Sequence[str] = (),
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     make_pilot: PilotMaker | None = None,
@@ -181,7 +181,7 @@ def tracking_study(
     controller : {"paper", "full"}, optional
         ``full`` compensates the transport delay and rejects disturbances. By default it flies if a
         law is not ``lqr``; the paper's controller did neither.
-    regulators : sequence of str, optional
+    laws : sequence of str, optional
         Laws that each model flies with, by name (see `airpuck.Law`), or FILE.py:NAME of a pilot; by
         default the tuning's law.
     settings : TwinSettings, optional
@@ -215,7 +215,7 @@ def tracking_study(
     if dwell is None:
         dwell = DWELL * patience(truth.vehicle)
     tunings = [tuning or tuning_for(model) for model in models]
-    laws = regulators or tuple({one.regulator.kind: None for one in tunings})
+    laws = laws or tuple({one.law.kind: None for one in tunings})
     beyond_paper = set(laws) != {"lqr"}
     fly = partial(
         _flown,
@@ -233,7 +233,7 @@ def tracking_study(
             task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
             label = f"{model.name} {law_label(kind)}" if beyond_paper else model.name
-            own, controls = make_pilot or pilot_named(kind), tuned.with_regulator(kind)
+            own, controls = make_pilot or pilot_named(kind), tuned.with_law(kind)
             found.append(fly(model, flight, task, label, tuning=controls, make_pilot=own))
     return found
 
@@ -252,12 +252,12 @@ def _flown(
     **options: Any,
 ) -> Tracked:
     """Fly a task on the twin with one model and one law; `options` go to `track`."""
-    law, pilot, gains = tuning.regulator.kind, None, None
+    law, pilot, gains = tuning.law.kind, None, None
     if make_pilot is not None:
         pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)
         law, label = None, f"{pilot} ({model.name})"
     elif law == "lqr":
-        gains = Gains.of(regulator(tuning.weights, tuning.period_s))
+        gains = Gains.of(lqr_gain(tuning.weights, tuning.period_s))
         if flight is not None:
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
     recording, log = track(
@@ -276,7 +276,7 @@ def _flown(
     )
     return Tracked(
         model=model.name,
-        regulator=law,
+        law=law,
         gains=gains,
         twin=Track.of(recording, truth.vehicle, f"{model.name}, twin"),
         real=task.real,

@@ -403,11 +403,11 @@ def pitch_of(
 
 def _predictive(tuning: Tuning) -> Tuning:
     """Return a tuning with the predictive law, which can keep out of one disc."""
-    regulator = tuning.regulator
+    law = tuning.law
     disc = tuple(_NOWHERE.ravel().tolist())
-    limits = regulator.limits.model_copy(update={"keep_out_m": (disc,)})
-    regulator = regulator.model_copy(update={"kind": "mpc", "limits": limits})
-    return tuning.model_copy(update={"regulator": regulator})
+    limits = law.limits.model_copy(update={"keep_out_m": (disc,)})
+    law = law.model_copy(update={"kind": "mpc", "limits": limits})
+    return tuning.model_copy(update={"law": law})
 
 
 def _queue(
