@@ -56,12 +56,13 @@ def test_help_texts_keep_their_units(name):
 
 
 def test_commands_are_verbs_of_the_package():
-    # airpuck.export and airpuck.faults are packages, to check what would remain open, and `vehicle`
+    # airpuck.export, faults and fleet are packages, to check what would remain open, and `vehicle`
     # shows one. Others start a process on the graph; their functions are in airpuck.live.
     others = {
         "demo",
         "export",
         "faults",
+        "fleet",
         "check",
         "vehicle",
         "race",

@@ -49,7 +49,7 @@ def with_nan(values):
         ("t", lambda t: t[::-1], "must increase"),
         ("command", lambda u: 100 * u, "[0, 1]"),
         ("command_time", lambda t: t[::-1], "must not decrease"),
-        ("state", lambda x: x.astype(np.float32), "float64"),
+        ("state", lambda x: x.astype(str), "number"),
         ("acceleration", lambda _: None, "is missing"),
     ],
 )

@@ -27,7 +27,8 @@ def test_a_study_without_its_data_ends_with_one_line():
     studies = {name: text for name, text in texts.items() if "\nfrom airpuck" in text}
     assert len(studies) > 10
     ends = [name for name, text in studies.items() if not text.endswith("    run(main)\n")]
-    assert ends == ["one_line.py"]
+    # What other studies use.
+    assert sorted(ends) == ["fleet_methods.py", "one_line.py", "opponents.py"]
 
 
 @pytest.mark.study

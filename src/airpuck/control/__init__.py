@@ -1,5 +1,5 @@
 """Controllers: from a model to motor commands.
 
-Entry points: `lqr.law`, `allocation.ThrustAllocator`, `excitation.Excitation`,
+Entry points: `lqr.lqr_gain`, `allocation.ThrustAllocator`, `excitation.Excitation`,
 `reference.Reference`, `authority.control_authority`.
 """

@@ -121,7 +121,10 @@ def _read_archive(
     """Return the arrays of the file, and its metadata."""
     with Archive(path) as archive:
         text = str(_array(archive, "about", ABOUT_BYTES))
-        arrays = {n: _array(archive, n).astype(np.float64, copy=False) for n in _ARRAYS}
+        arrays = {name: _array(archive, name) for name in _ARRAYS}
+        if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
+            raise InputError("must hold numbers", file=path, field=wrong[0])
+        arrays = {name: array.astype(np.float64, copy=False) for name, array in arrays.items()}
         # Earlier versions left out what is around a lost frame.
         known = "lost.npy" in archive.names
         arrays["lost"] = _array(archive, "lost") if known else np.zeros(0)

@@ -70,6 +70,12 @@ class ErrorBudget(Result):
         Errors if all causes were known: what stays unexplained.
     hindsight : Hindsight
         What happened.
+
+    Examples
+    --------
+    >>> budget = airpuck.error_budget(model, trajectory)
+    >>> isinstance(budget, airpuck.ErrorBudget), "outages" in budget.shares
+    (True, True)
     """
 
     start: Float[np.ndarray, " W"]

@@ -53,6 +53,14 @@ class FleetFlight(Result):
         Time, both craft, and closing speed of each contact [s; m/s].
     computing_s : array, shape (K,)
         Computing time of every step of every craft.
+
+    Examples
+    --------
+    >>> from airpuck.fleet.scenario import FleetCraft
+    >>> alone = FleetCraft(name="h0", start=(0.0, 0.0, 0.0))
+    >>> fleet = airpuck.Fleet(airpuck.Scenario(craft=(alone,), duration_s=0.1))
+    >>> isinstance(airpuck.fly_together(fleet), airpuck.FleetFlight)
+    True
     """
 
     JSON = (
@@ -183,6 +191,15 @@ def fly_together(
     -------
     FleetFlight
         Motions and contacts.
+
+    Examples
+    --------
+    >>> from airpuck.fleet.scenario import FleetCraft
+    >>> alone = FleetCraft(name="h0", start=(0.0, 0.0, 0.0), goal=(0.1, 0.0, 0.0))
+    >>> fleet = airpuck.Fleet(airpuck.Scenario(craft=(alone,), duration_s=0.1))
+    >>> flight = airpuck.fly_together(fleet, seed=1)
+    >>> isinstance(flight, airpuck.FleetFlight), flight.arrived["h0"]  # on its way
+    (True, inf)
     """
     world, air = World(fleet.settings), _Air(fleet.scenario.network, fleet.names, seed)
     dies = {death.craft: death.time_s for death in fleet.scenario.deaths}
@@ -222,7 +239,7 @@ def _there(pose: Float[np.ndarray, " 3"], goal: Float[np.ndarray, " 3"]) -> bool
     """Return whether a craft is at its goal."""
     off = pose - goal
     turned = (off[2] + math.pi) % (2 * math.pi) - math.pi
-    return math.hypot(off[0], off[1]) <= NEAR and abs(turned) <= TURNED
+    return bool(math.hypot(off[0], off[1]) <= NEAR and abs(turned) <= TURNED)
 
 
 def _flight(

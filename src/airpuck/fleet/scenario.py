@@ -100,6 +100,13 @@ class Scenario(Section):
         Largest speed.
     duration_s : float
         Longest flight.
+
+    Examples
+    --------
+    >>> from airpuck.fleet.scenario import FleetCraft
+    >>> alone = FleetCraft(name="h0", start=(0.0, 0.0, 0.0), goal=(0.1, 0.0, 0.0))
+    >>> airpuck.Scenario(craft=(alone,), duration_s=5.0).speed_m_s
+    1.2
     """
 
     craft: Annotated[tuple[FleetCraft, ...], pydantic.Field(min_length=1, max_length=_MOST_CRAFT)]
@@ -165,6 +172,12 @@ class Fleet:
     InputError
         If two craft have one name, starts or goals overlap or are off the table, or a formation
         does not have a pose for each craft without goals.
+
+    Examples
+    --------
+    >>> fleet = airpuck.read_fleet("into_square")
+    >>> isinstance(fleet, airpuck.Fleet), fleet.names
+    (True, ('h0', 'h1', 'h2', 'h3'))
     """
 
     def __init__(self, scenario: Scenario, folder: str | os.PathLike[str] = ".") -> None:
@@ -315,6 +328,11 @@ def read_fleet(source: str | os.PathLike[str]) -> Fleet:
     ------
     InputError
         If it cannot be read, or craft would overlap.
+
+    Examples
+    --------
+    >>> airpuck.read_fleet("obstacles").scenario.obstacles[0].radius_m
+    0.07
     """
     name = os.fspath(source)
     known = packaged_scenarios()
