@@ -51,6 +51,17 @@ def test_clocks_that_agree_are_used_as_they_are():
     assert aligned.warnings == ()
 
 
+def test_a_clock_that_is_corrected_in_flight_is_named_and_left_alone():
+    # It gains 30 ms between 3 and 5 s, as a time server would have it.
+    time = np.arange(2400) / 240
+    gained = 0.03 * np.clip((time - 3.0) / 2.0, 0.0, 1.0)
+    stamps = POSES.stamp_ns + np.rint(1e9 * gained).astype(np.int64)
+    aligned = align_clocks(replace(POSES, stamp_ns=stamps), COMMANDS)
+    np.testing.assert_allclose(aligned.pose_time, time + gained, atol=1e-6)
+    (warning,) = aligned.warnings
+    assert "pose stream move by -30.0 ms against its stamps, but not steadily" in warning
+
+
 @pytest.mark.parametrize("name", ["pose", "command"])
 @pytest.mark.parametrize("drift", [-1e-3, 1e-3])
 def test_a_clock_that_drifts_is_named_and_measured(name, drift):

@@ -18,6 +18,8 @@ _DRIFTS = 5e-3
 _ENOUGH_FOR_DRIFT = 400
 #: Relative drift that no clock has: another unit of time, for example.
 _IMPOSSIBLE = 0.01
+#: Deviation from a steady drift that latencies explain [s], and as a share of the drift.
+_STEADY, _STEADY_SHARE = 3e-3, 0.15
 #: Change of the latency from one message to the next at which a step is looked for [s]; messages
 #: on either side that show its size, and the quantile of their latencies that does.
 _SUDDEN, _BESIDE, _LEAST, _SHORT = 2.5e-3, 120, 20, 0.1
@@ -112,15 +114,30 @@ def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]
     # From the middle of the first quarter to the middle of the last.
     begin, *_, end = (float(np.median(quarter)) for quarter in np.array_split(elapsed, 4))
     if _DRIFTS < abs(drift) < _IMPOSSIBLE * (end - begin):
+        steady = drift * (elapsed - begin) / (end - begin)
+        levels = [_lowest(part) for part in np.array_split(offset - late - steady, 8)]
+        bent = float(np.max(np.abs(levels - np.median(levels))))
+        if bent > max(_STEADY, _STEADY_SHARE * abs(drift)):
+            warnings.append(
+                f"times of arrival of the {name} stream move by {1e3 * drift:.1f} ms against its "
+                "stamps, but not steadily: a clock was corrected, or the recorder fell behind; "
+                "nothing was removed"
+            )
+            return _moved(stream, late), warnings
         warnings.append(
             f"the clock of the {name} stream drifts against the recorder's by "
             f"{1e3 * drift:.1f} ms over the recording; the drift was removed"
         )
-        late += drift * (elapsed - begin) / (end - begin)
+        late += steady
         begun, ended = (abs(_lowest(part) - usual) for part in (first, last))
         late -= late[-1] if ended < begun else late[0]
+    return _moved(stream, late), warnings
+
+
+def _moved(stream: Stream, late: Float[np.ndarray, " N"]) -> Stream:
+    """Return a stream with later stamps [s]."""
     moved = np.rint(late * SECOND_NS).astype(np.int64)
-    return replace(stream, stamp_ns=stream.stamp_ns + moved), warnings
+    return replace(stream, stamp_ns=stream.stamp_ns + moved)
 
 
 def _clock_steps(stream: Stream, offset: Float[np.ndarray, " N"]) -> list[tuple[int, float]]:
