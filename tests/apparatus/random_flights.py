@@ -29,7 +29,6 @@ def _program() -> Any:
     import jax
     import jax.numpy as jnp
 
-    register_pytrees()
     return jax.jit(lambda *arguments: rollout(jnp, *arguments))
 
 
@@ -59,6 +58,7 @@ def fast_rollout(
     """
     import jax
 
+    register_pytrees()  # a test may have added an effect
     with jax.enable_x64(True):
         return np.asarray(_program()(dynamics, state, commands, durations))
 

@@ -32,7 +32,8 @@ def test_bootstrap_agrees_with_the_sandwich(tmp_path, fit):
     again = found.uncertainty.bootstrap
     assert again.replicates == 30
     spread = (again.upper - again.lower) / np.diff(found.uncertainty.intervals, axis=1)[:, 0]
-    assert 0.5 < np.nanmedian(spread) < 1.6
+    # So few blocks differ less in a resample; the sandwich allows for that.
+    assert 0.4 < np.nanmedian(spread) < 1.6
     found.model.save(tmp_path / "model.toml")
     read = read_model(tmp_path / "model.toml").uncertainty.bootstrap
     np.testing.assert_array_equal(read.lower, again.lower)

@@ -42,6 +42,9 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
+import gymnasium  # isort: skip  # after gym_task, which says what to install
+from gymnasium import spaces  # isort: skip
+
 #: Pixels per metre, and room for the rails around the table [m].
 _SCALE, _RAIL = 300, 0.03
 #: Width of an outline, and half the length and width of the mark that shows the yaw, in radii.
@@ -110,13 +113,6 @@ def _draw(
         cos, sin = np.cos(disc.pose[2]), np.sin(disc.pose[2])
         ahead, aside = (cos * x + sin * y) / disc.radius, (cos * y - sin * x) / disc.radius
         image[(np.abs(ahead - _MARK[0]) < _MARK[0]) & (np.abs(aside) < _MARK[1])] = disc.edge
-
-
-try:
-    import gymnasium
-    from gymnasium import spaces
-except ImportError:
-    raise InputError("environments need Gymnasium: pip install gymnasium") from None
 
 
 #: Stamps closer than this count as equal, since ages are rounded [s].

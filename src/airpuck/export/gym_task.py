@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
@@ -22,6 +21,11 @@ from airpuck.physics.angle import wrapped
 from airpuck.twin.experiments import COURSES, arrived, passes
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
+
+try:
+    from gymnasium import spaces
+except ImportError:
+    raise InputError("environments need Gymnasium: pip install gymnasium") from None
 
 #: Time between commands, and the usual time limit of an episode [s].
 PERIOD, LONGEST = 0.01, 10.0
