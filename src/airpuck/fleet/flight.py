@@ -18,6 +18,7 @@ from airpuck.fleet.path import Following
 from airpuck.fleet.pilot import FleetPilot, Sighting, sighted
 from airpuck.fleet.scenario import Fleet, Network
 from airpuck.flight.loop import control
+from airpuck.physics.angle import pose_difference
 from airpuck.twin.play import World
 from airpuck.twin.twin import Twin
 
@@ -207,8 +208,8 @@ def fly_together(
     pilots = []
     for k, one in enumerate(fleet.members):
         own = 1000 * seed + k
-        start = (float(one.start.pose[0]), float(one.start.pose[1]), float(one.start.pose[2]))
-        twin = Twin(one.truth, fleet.settings, seed=own, pose=start, world=world)
+        x, y, yaw = one.start.pose.tolist()
+        twin = Twin(one.truth, fleet.settings, seed=own, pose=(x, y, yaw), world=world)
         flies = pilot(fleet, one.name, air.tell, seed=own)
         pilots.append(_OnTwin(flies, twin, air, seen, dies.get(one.name, math.inf)))
     took = _flown(fleet, pilots)
@@ -237,9 +238,8 @@ def _flown(fleet: Fleet, pilots: Sequence[_OnTwin]) -> list[float]:
 
 def _there(pose: Float[np.ndarray, " 3"], goal: Float[np.ndarray, " 3"]) -> bool:
     """Return whether a craft is at its goal."""
-    off = pose - goal
-    turned = (off[2] + math.pi) % (2 * math.pi) - math.pi
-    return bool(math.hypot(off[0], off[1]) <= NEAR and abs(turned) <= TURNED)
+    x, y, turned = pose_difference(np, pose, goal)
+    return bool(math.hypot(x, y) <= NEAR and abs(turned) <= TURNED)
 
 
 def _flight(

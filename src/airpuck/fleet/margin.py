@@ -48,9 +48,8 @@ def tracking_margin(model: Model, tuning: Tuning, push: float) -> float:
     """
     if model.known is None:
         return _UNKNOWN
-    strength = _CERTAIN * float(
-        np.max(np.abs(bar(model, largest_acceleration) / largest_acceleration(model)))
-    )
+    relative = bar(model, largest_acceleration) / largest_acceleration(model)
+    strength = _CERTAIN * float(np.max(np.abs(relative)))
     late = _CERTAIN * float(bar(model, response_time))
     if not math.isfinite(strength + late):
         return _UNKNOWN

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -96,8 +95,6 @@ class FleetPilot(Pilot):
         self._next_message = 0.0
         self._stuck_since: float | None = None
         self._yields: tuple[float, str] | None = None
-        #: Computing time of each search [s].
-        self.searched: list[float] = []
 
     @property
     def reference(self) -> Following:  # type: ignore[override]
@@ -129,9 +126,7 @@ class FleetPilot(Pilot):
         if time >= self._next_search:
             self._next_search = max(self._next_search + _SEARCHES, time)
             if agreement.proposal is None:
-                began = clock.perf_counter()
                 self._look(time)
-                self.searched.append(clock.perf_counter() - began)
         if time >= self._next_message:
             self._next_message = max(self._next_message + _TELLS, time)
             self._tell(agreement.message(time))
