@@ -31,9 +31,8 @@ _FASTEST_PUSH, _SPIN = 2.5, 6.0
 def reach_of(model: Model, tuning: Tuning, speed: float) -> Reach:
     """Return what a craft can do on a path, and how well it follows."""
     alone = control_authority(model).alone
-    push = min(
-        _PUSH * min(alone[name] for name in ("forward", "back", "left", "right")), _FASTEST_PUSH
-    )
+    weakest = min(alone[name] for name in ("forward", "back", "left", "right"))
+    push = min(_PUSH * weakest, _FASTEST_PUSH)
     turn = _TURN * min(alone["turn left"], alone["turn right"])
     margin = tracking_margin(model, tuning, push)
     return Reach(push, turn, speed, _SPIN, model.vehicle.radius_m, margin)

@@ -68,11 +68,9 @@ class Route:
     @cached_property
     def _pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Beginnings of all pieces since the path began [s], and rates and poses gained there."""
-        ends = np.cumsum(self.durations, axis=1)
-        rates = self.rate[:, None] + np.cumsum(self.accelerations * self.durations, axis=1)
-        rates = np.hstack([self.rate[:, None], rates])[:, :-1]
+        begins, rates = pieces(self.rate, self.durations, self.accelerations)
         gained = rates * self.durations + self.accelerations * self.durations**2 / 2
-        return ends - self.durations, rates, gained
+        return begins, rates, gained
 
     def places(self, times: Float[np.ndarray, " N"]) -> Float[np.ndarray, "N 2"]:
         """Return x and y at several times; `moved` in half the time."""
@@ -96,19 +94,19 @@ class Route:
 
     def followed(self, since: float, until: float, then: Route | None = None) -> Route:
         """Return the part between two times, continued by another path that begins there."""
-        start = self.moved(np.array([max(since, self.begin)]))
+        begin = max(since, self.begin)
+        start = self.moved(np.array([begin]))
         begins = self.begin + self._pieces[0]
         first, last = np.maximum(begins, since), np.minimum(begins + self.durations, until)
         kept = np.maximum(last - first, 0.0)
         # A coordinate that already rests waits for the others.
-        waits = until - max(since, self.begin) - kept.sum(axis=1)
+        waits = until - begin - kept.sum(axis=1)
         durations = np.hstack([kept, waits[:, None]])
         accelerations = np.hstack([self.accelerations, np.zeros((3, 1))])
         if then is not None:
             durations = np.hstack([durations, then.durations])
             accelerations = np.hstack([accelerations, then.accelerations])
         used = (durations > 0).any(axis=0)
-        begin = max(since, self.begin)
         return Route(
             begin, start.pose[0], start.rate[0], durations[:, used], accelerations[:, used]
         )
@@ -140,6 +138,17 @@ class Following:
         poses, rates = integral / SMOOTHED, (after.pose - before.pose) / SMOOTHED
         accelerations = (after.rate - before.rate) / SMOOTHED
         return Preview(np.hstack([poses, rates]), accelerations)
+
+
+def pieces(
+    rate: Float[np.ndarray, "*paths"],
+    durations: Float[np.ndarray, "*paths S"],
+    accelerations: Float[np.ndarray, "*paths S"],
+) -> tuple[Float[np.ndarray, "*paths S"], Float[np.ndarray, "*paths S"]]:
+    """Return the beginnings of successive pieces, from the first on [s], and the rates there."""
+    rates = rate[..., None] + np.cumsum(accelerations * durations, axis=-1)
+    rates = np.concatenate([rate[..., None], rates], axis=-1)[..., :-1]
+    return np.cumsum(durations, axis=-1) - durations, rates
 
 
 def braked(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.fleet.path import SMOOTHED, Route, braked
+from airpuck.fleet.path import SMOOTHED, Route, braked, pieces
 
 #: Number of candidates of a search, of which this many vary the best ones of the last search.
 _CANDIDATES, _VARIED = 72, 32
@@ -80,10 +80,8 @@ class Sampled(NamedTuple):
         """Sample paths from a time until they and another one rest."""
         until = max([until, *(one.path.end for one in taken)])
         times = since + _FINE * np.arange(math.ceil((until - since) / _FINE) + 2)
-        places, distances = (
-            np.zeros((len(times), len(taken), 2)),
-            np.zeros((len(times), len(taken))),
-        )
+        distances = np.zeros((len(times), len(taken)))
+        places = np.zeros((*distances.shape, 2))
         for k, one in enumerate(taken):
             places[:, k] = one.path.places(times)
             distances[times <= one.until, k] = one.distance
@@ -332,10 +330,7 @@ class Search:
 def _places(laid: _Laid, since: Float[np.ndarray, "T C"]) -> Float[np.ndarray, "T C 2"]:
     """Return x and y of many paths at times since each began."""
     durations, accelerations = laid.durations, laid.accelerations
-    gains = np.cumsum(accelerations * durations, axis=2)
-    rates = np.concatenate([np.zeros_like(gains[..., :1]), gains[..., :-1]], axis=2)
-    rates += laid.rate[:, :2, None]
-    begins = np.cumsum(durations, axis=2) - durations
+    begins, rates = pieces(laid.rate[:, :2], durations, accelerations)
     place = np.broadcast_to(laid.pose[:, :2], (*since.shape, 2)).copy()
     for piece in range(durations.shape[2]):
         within = np.clip(since[..., None] - begins[..., piece], 0.0, durations[..., piece])
