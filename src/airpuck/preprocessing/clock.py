@@ -115,7 +115,7 @@ def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]
     begin, *_, end = (float(np.median(quarter)) for quarter in np.array_split(elapsed, 4))
     if _DRIFTS < abs(drift) < _IMPOSSIBLE * (end - begin):
         steady = drift * (elapsed - begin) / (end - begin)
-        levels = [_lowest(part) for part in np.array_split(offset - late - steady, 8)]
+        levels = np.array([_lowest(part) for part in np.array_split(offset - late - steady, 8)])
         bent = float(np.max(np.abs(levels - np.median(levels))))
         if bent > max(_STEADY, _STEADY_SHARE * abs(drift)):
             warnings.append(
