@@ -87,6 +87,7 @@ class Replanning(TimedPilot):
     ) -> None:
         super().__init__(fleet, name, tell, seed=seed)
         self.tell, self.fleet = tell, fleet
+        self.reference.path = self.member.start
         self.border = np.array(fleet.settings.table.reach(self.member.reach.radius))
         self.next = DT * fleet.names.index(name) / len(fleet.names)
         self.plans = {

@@ -147,9 +147,11 @@ class Agreement:
             self.wish,
         )
 
-    def wishes(self) -> Iterable[tuple[tuple[float, str], Route]]:
-        """Return the wishes of the others."""
-        return [o.said.wish for o in self._known.values() if o.said and o.said.wish]
+    def wishes(self, now: float) -> Iterable[tuple[tuple[float, str], Route]]:
+        """Return the wishes of the others that live."""
+        silent = self.silent(now)
+        live = [one.said for name, one in self._known.items() if name not in silent]
+        return [said.wish for said in live if said and said.wish]
 
     def receive(self, message: Message, now: float) -> None:
         """Take note of a message, and decide on the proposal in it."""

@@ -166,7 +166,8 @@ class _OnTwin(Pilot):
 
     def note(self, now: float) -> None:
         """Take note of where the craft is, and where its path leads it."""
-        place = self.reference.at(now, 0.0).state[:2]
+        # The true pose is that of the twin's last event.
+        place = self.reference.at(self.twin.world.time, 0.0).state[:2]
         self.noted.append((now, self.twin.state[:3].copy(), place))
 
     def is_there(self) -> bool:

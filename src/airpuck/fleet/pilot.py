@@ -16,12 +16,14 @@ from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import Message
 from airpuck.fleet.path import SMOOTHED, Following, Route
 from airpuck.fleet.scenario import Fleet
-from airpuck.fleet.search import SAVES, Search, Taken, in_the_way
+from airpuck.fleet.search import SAME, SAVES, Search, Taken, in_the_way
 
 #: Time between two searches, and between two messages [s].
 _SEARCHES, _TELLS = 0.06, 0.02
 #: Time for which others are given to accept a proposal, besides the craft's own delays [s].
 _ANSWERS = 0.22
+#: The rest of a path that is shorter than this is not improved any more [s].
+_LATE = 0.6
 #: A craft that finds no path to its goal for this time asks others to make way [s].
 _PATIENT = 0.6
 #: A craft is off its path beyond this multiple of its margin; it is treated as coasting for this
@@ -31,8 +33,6 @@ _OFF, _COASTS, _UNSURE = 2.5, 1.5, 0.03
 _RESTS = 0.03
 #: Poses this far apart give a velocity [s].
 _APART = 0.02
-#: Route and goal closer than this are the same [m, rad].
-_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -79,16 +79,13 @@ class FleetPilot(Pilot):
         member, table = fleet.member(name), fleet.settings.table
         self.member, self._tell = member, tell
         self.agreement = fleet.agreement(name)
-        self._following = Following(member.start)
+        self._following = Following(self.agreement.agreed.path)
         self.controller = TrackingController(
             member.model, self._following, member.tuning, table=table
         )
         room = member.reach.room
         self._search = Search(member.reach, np.array(table.reach(room)), seed)
-        self._still = [
-            Taken(Route.at_rest(0.0, (o.x_m, o.y_m, 0.0)), o.radius_m + room)
-            for o in fleet.scenario.obstacles
-        ]
+        self._still = [one._replace(distance=one.distance + room) for one in fleet.obstacles]
         self._ahead = member.model.transport_delay + 2 * member.tuning.period_s
         self._seen: dict[str, Sighting] = {}
         self._next_search = _SEARCHES * np.random.default_rng(seed).random()
@@ -137,13 +134,13 @@ class FleetPilot(Pilot):
         agreement, search, goal = self.agreement, self._search, self.member.goal(now)
         path = agreement.agreed.path
         own = search.cost(path, goal, now)
-        there = np.abs(path.rest - goal).max() < _SAME
+        there = np.abs(path.rest - goal).max() < SAME
         agreement.arrival = own
-        way = self._way_to_make()
+        way = self._way_to_make(now)
         missing = 0.0 if way is None else float(in_the_way(way, path.rest[None, :2])[0])
         loose = self._loose(now)
         threatened = bool(loose) and not search.is_free(path, list(loose.values()), now)
-        if there and not missing and not threatened:
+        if there and not missing and not threatened and path.end < now + _LATE:
             self._stuck_since = agreement.wish = None
             return
         begin = now + self._ahead + _ANSWERS
@@ -155,7 +152,7 @@ class FleetPilot(Pilot):
         found = search.path(path, begin, goal, taken, keeps=keeps, corridor=way)
         if found is not None:
             agreement.propose(found, begin)
-        arrives = found is not None and np.abs(found.rest - goal).max() < _SAME
+        arrives = found is not None and np.abs(found.rest - goal).max() < SAME
         self._wish(now, arrives or (there and not missing), missing > 0 and found is None, begin)
 
     def _wish(self, now: float, served: bool, cornered: bool, begin: float) -> None:
@@ -176,9 +173,9 @@ class FleetPilot(Pilot):
         wish = self._search.path(path, begin, goal, self._still, keeps=math.inf)
         agreement.wish = None if wish is None else (rank, wish)
 
-    def _way_to_make(self) -> Taken | None:
+    def _way_to_make(self, now: float) -> Taken | None:
         """Return the path for which this craft must make way: the wish of the highest rank."""
-        wishes = sorted(self.agreement.wishes(), key=lambda wish: wish[0])
+        wishes = sorted(self.agreement.wishes(now), key=lambda wish: wish[0])
         own = self.agreement.wish
         self._yields = None
         if not wishes or (own is not None and own[0] <= wishes[0][0]):

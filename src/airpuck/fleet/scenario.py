@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -19,8 +20,9 @@ from airpuck.boundary.kinds import unknown
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.fleet.agreement import Agreement
 from airpuck.fleet.margin import reach_of
+from airpuck.fleet.opening import Journey, opening
 from airpuck.fleet.path import Route
-from airpuck.fleet.search import Reach
+from airpuck.fleet.search import Reach, Taken
 from airpuck.model.model_file import Model, read_model
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 
@@ -193,6 +195,11 @@ class Fleet:
             for one in scenario.craft
         )
         self.names = tuple(one.name for one in self.members)
+        #: Obstacles, with their radii as distances.
+        self.obstacles = tuple(
+            Taken(Route.at_rest(0.0, (one.x_m, one.y_m, 0.0)), one.radius_m)
+            for one in scenario.obstacles
+        )
         self._check_names()
         self._assign()
         self._check_places()
@@ -208,11 +215,18 @@ class Fleet:
         Returns
         -------
         Agreement
-            At its start, with the others at theirs.
+            At its path of the opening, with the others at theirs.
         """
-        parts = {one.name: (one.reach, one.start) for one in self.members}
+        pairs = zip(self.members, self.opening, strict=True)
+        parts = {one.name: (one.reach, path) for one, path in pairs}
         own = parts.pop(self.member(name).name)
         return Agreement(name, *own, parts)
+
+    @cached_property
+    def opening(self) -> list[Route]:
+        """Paths of all craft at the beginning; see `airpuck.fleet.opening`."""
+        journeys = [Journey(one.reach, one.start, one.goal(0.0)) for one in self.members]
+        return opening(journeys, self.obstacles, self.settings.table)
 
     def member(self, name: str) -> Member:
         """Return a craft.

@@ -35,6 +35,8 @@ _AWAY = 1.0
 _BLOCKING = 100.0
 #: A new path must save so much of the present cost [s].
 SAVES = 0.05
+#: The end of a path and a goal that are closer than this are the same [m, rad].
+SAME = 1e-6
 #: Number of candidates that are checked in fine steps.
 _CHECKED = 6
 
