@@ -11,7 +11,9 @@ test flight finds the faults, for all methods alike. Intervals (95 %) are by blo
 
 Each line of the result file is one method on one task: `task`, `method`, `parameters` (numbers
 learned), `learning_s`, and for the starts `all` and `healthy`: `starts`, `rmse` and `interval_95`
-of x [m], y [m], yaw [rad] and the weighted error. A finished line is not measured again.
+of x [m], y [m], yaw [rad] and the weighted error; `ratio` compares healthy errors with those of the
+first method. A line is written as soon as it is measured, and never measured again: start the same
+command again to continue. Only the first method then learns anew, as the others' reference.
 """
 
 from __future__ import annotations
@@ -108,7 +110,7 @@ def summary(errors: np.ndarray, start: np.ndarray) -> dict[str, Any]:
     return {"starts": errors.shape[1], "rmse": rmse.tolist(), "interval_95": ends}
 
 
-def compared(task: Task, methods: dict[str, Method]) -> Iterator[dict[str, Any]]:
+def compared(task: Task, methods: dict[str, Method], done: set[str]) -> Iterator[dict[str, Any]]:
     """Let each method learn and predict; the first is what the others are compared with."""
     windows = make_windows([task.test], PAST, AHEAD, STRIDE)
     start = windows.time[windows.present]
@@ -116,6 +118,8 @@ def compared(task: Task, methods: dict[str, Method]) -> Iterator[dict[str, Any]]
     healthy = healthy_starts(windows, task)
     reference = None
     for name, method in methods.items():
+        if name in done and reference is not None:
+            continue
         began = time.perf_counter()
         predictor = method(task.train, task.vehicle)
         took = time.perf_counter() - began
@@ -128,7 +132,8 @@ def compared(task: Task, methods: dict[str, Method]) -> Iterator[dict[str, Any]]
         else:
             ratio, (low, high), _ = rmse_ratio(reference, errors[:, healthy], start[healthy])
             row["ratio"] = {"rmse": ratio.tolist(), "interval_95": [low.tolist(), high.tolist()]}
-        yield row
+        if name not in done:
+            yield row
 
 
 def line(row: dict[str, Any]) -> str:
@@ -150,23 +155,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", default="", help="beginnings of their names, between commas")
     parser.add_argument("--methods", help="separated by commas; the first is the reference")
-    parser.add_argument("--json", type=Path, help="result file; tasks that are in it are skipped")
+    parser.add_argument(
+        "--json", type=Path, help="result file; what is in it is not measured again"
+    )
     options = parser.parse_args()
-    done = set()
+    finished = set()
     if options.json and options.json.exists():
-        done = {json.loads(row)["task"] for row in options.json.read_text().splitlines()}
+        rows = [json.loads(row) for row in options.json.read_text().splitlines()]
+        finished = {(row["task"], row["method"]) for row in rows}
     for task in tasks():
-        if task.name in done or not task.name.startswith(tuple(options.tasks.split(","))):
+        published = PUBLISHED if task.name.startswith("paper") else {}
+        methods = chosen(options.methods, {**METHODS, **published})
+        done = {method for name, method in finished if name == task.name}
+        if done >= set(methods) or not task.name.startswith(tuple(options.tasks.split(","))):
             continue
         print(task.name, flush=True)
-        published = PUBLISHED if task.name.startswith("paper") else {}
-        rows = []
-        for row in compared(task, chosen(options.methods, {**METHODS, **published})):
+        for row in compared(task, methods, done):
             print(line(row), flush=True)
-            rows.append(json.dumps(row) + "\n")
-        if options.json:
-            with options.json.open("a") as file:
-                file.writelines(rows)
+            if options.json:
+                with options.json.open("a") as file:
+                    file.write(json.dumps(row) + "\n")
 
 
 if __name__ == "__main__":
