@@ -14,6 +14,7 @@ from airpuck.control import tracking
 from airpuck.control.lqr import motor_lag
 from airpuck.control.reference import SetPoint, SetPoints, TimedPath
 from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import acceleration
@@ -313,3 +314,22 @@ def test_the_first_example_of_the_documentation_runs(tmp_path, monkeypatch):
     exec(example, names)
     assert names["step"].flies
     np.testing.assert_array_equal(sent, [names["step"].command])
+
+
+@pytest.mark.parametrize("law", ["lqr", "mpc"])
+def test_motors_keep_turning_at_the_least_command_of_the_tuning_while_the_craft_is_steered(law):
+    turning = default_tuning().model_copy(update={"least_command": 0.08})
+    commands = {}
+    for tuning in (default_tuning(), turning):
+        ours = controller(SetPoint(0.3, 0.1, 0.5), tuning=tuning, law=law)
+        _, poses, steps = fly(ours, 2.0)
+        np.testing.assert_allclose(poses[-1], [0.3, 0.1, 0.5], atol=0.02)
+        commands[tuning.least_command] = np.array([step.command for step in steps])
+    assert commands[0.0].min() == LEAST
+    assert commands[0.08][1:].min() == pytest.approx(0.08)
+
+
+def test_a_least_command_that_the_craft_cannot_take_is_refused():
+    tuning = default_tuning().model_copy(update={"least_command": 1.0})
+    with pytest.raises(InputError, match="least_command"):
+        controller(tuning=tuning)

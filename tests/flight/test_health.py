@@ -72,6 +72,7 @@ def test_a_healthy_craft_is_not_alarmed(plant):
         assert health.flying
         assert health.findings == ()
         assert "agree with the model" in str(health)
+    assert told[-1].failed_starts == ()
 
 
 @pytest.mark.slow
@@ -107,6 +108,12 @@ def test_little_excitation_is_no_evidence():
     assert figures["propellers"]["a"]["known"] is False
     assert figures["propellers"]["c"]["interval_95"] == pytest.approx([0.7804, 0.8196])
     assert figures["delay"]["interval_95_s"] == pytest.approx([-0.0098, 0.0098])
+
+
+def test_motors_that_did_not_start_are_named():
+    health = Health(True, 40, np.full(3, 1e-3), (), ("a", "c"))
+    assert str(health).endswith("did not start: a, c")
+    assert health.to_json()["failed_starts"] == ["a", "c"]
 
 
 @pytest.mark.slow

@@ -20,6 +20,7 @@ from airpuck.twin.settings import (
     Radio,
     Stall,
     TwinSettings,
+    read_twin_settings,
 )
 from airpuck.twin.twin import Twin
 
@@ -199,6 +200,7 @@ STALLS = Motors(stalls=(Stall(motor="motor_a_1", start_s=0.1, stop_s=0.2),))
             {"settings": PLAIN.model_copy(update={"motors": Motors(starting_delay_s=0.1)})},
             "use Twin",
         ),
+        ({"settings": read_twin_settings("paper:starts")}, "use Twin"),
     ],
 )
 def test_a_batch_rejects_what_it_cannot_represent(arguments, problem):

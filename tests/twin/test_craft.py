@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
 from airpuck.twin.craft import MotorUnit
-from airpuck.twin.settings import Motors, Stall, Weakness
+from airpuck.twin.settings import Motors, Stall, Starts, Weakness
 
 from ..apparatus.examples import examples
 
@@ -121,6 +121,51 @@ def test_motors_are_constant_until_the_next_stated_change(unarmed, delay, stall,
             before = np.nextafter(min(change, end), 0)
             np.testing.assert_array_equal(motors.follow(before, command), follows)
             now = min(change, end)
+
+
+def started(starts, rest, seed):
+    """Rest the left motor after it has turned, start it again; return the unit and its command."""
+    motors = MotorUnit(Motors(), NAMES, starts, np.random.default_rng(seed))
+    go, idle = np.array([0.6, 0.0]), np.zeros(2)
+    motors.follow(0.0, go)
+    now = 1e6  # whatever happened at the first start is over
+    np.testing.assert_array_equal(motors.follow(now, go), go)
+    motors.follow(now, idle)
+    return motors, motors.follow(now + rest, go)[0]
+
+
+@pytest.mark.parametrize(("rest", "rate"), [(0.05, 0.0), (0.1, 0.3), (0.19, 0.3), (0.2, 0.05)])
+def test_starts_fail_as_often_as_stated_for_the_rest_before(rest, rate):
+    starts = Starts(rest_s=(0.1, 0.2), failed=(0.3, 0.05), lasting_s=0.1)
+    # Beyond a rounding error of the large times.
+    outcomes = [started(starts, rest + 1e-6, seed) for seed in range(2000)]
+    failed = np.array([command < 0.06 for _, command in outcomes])
+    # Four standard errors of a binomial frequency.
+    assert abs(failed.mean() - rate) <= 4 * math.sqrt(rate * (1 - rate) / 2000)
+    counted = [sum(time > 1e5 for time, *_ in motors.failed_starts) for motors, _ in outcomes]
+    np.testing.assert_array_equal(counted, failed)
+
+
+def test_a_motor_that_failed_to_start_turns_up_after_a_while_of_the_stated_mean():
+    starts, now, go = Starts(rest_s=(0.0,), failed=(1.0,), lasting_s=0.1), 0.0, np.array([0.6, 0.0])
+    waits = []
+    for seed in range(500):
+        motors = MotorUnit(Motors(), NAMES, starts, np.random.default_rng(seed))
+        np.testing.assert_array_equal(motors.follow(now, go), [0.05, 0.0])
+        waits.append(motors.next_change(now) - now)
+        before = np.nextafter(waits[-1], 0)
+        np.testing.assert_array_equal(motors.follow(before, go), [0.05, 0.0])
+        np.testing.assert_array_equal(motors.follow(waits[-1], go), go)
+    assert np.mean(waits) == pytest.approx(0.1, rel=4 / math.sqrt(500))
+
+
+def test_a_motor_that_never_rests_never_fails_to_start():
+    starts = Starts(rest_s=(0.0,), failed=(1.0,))
+    motors = MotorUnit(Motors(), NAMES, starts, np.random.default_rng(0))
+    motors.follow(0.0, BOTH)
+    for now, command in enumerate([BOTH, 0.1 * BOTH + 0.05, 1 - BOTH, BOTH], start=1000):
+        np.testing.assert_array_equal(motors.follow(float(now), command), command)
+    assert len(motors.failed_starts) == 2
 
 
 def test_a_weak_motor_gives_its_share_while_it_is_weak():

@@ -14,6 +14,7 @@ from airpuck.twin.settings import (
     OnBoard,
     Radio,
     Stall,
+    Starts,
     TwinSettings,
     Weakness,
     default_twin_settings,
@@ -77,7 +78,25 @@ EVERYTHING = TwinSettings(
         stalls=(Stall(motor="motor_b_1", start_s=1.0, stop_s=2.0),),
         weak=(Weakness(motor="motor_c_2", start_s=3.0, stop_s=4.0, share=0.6),),
     ),
+    starts=Starts(rest_s=(0.0, 0.2), failed=(0.1, 0.05), lasting_s=0.3),
 )
+
+
+def test_motors_of_the_packaged_twin_start_unless_failing_starts_are_named():
+    usual, failing = default_twin_settings(), read_twin_settings("paper:starts")
+    assert usual.starts.failing(0.1) == 0.0
+    # Most starts fail after short rests: an ESC restarts a rotor that still turns.
+    assert failing.starts.failing(0.1) > failing.starts.failing(0.3) > 0.0
+    assert failing.model_copy(update={"starts": usual.starts}) == usual
+
+
+@pytest.mark.parametrize(
+    "text", ["rest_s = [0.1]", "rest_s = [0.2, 0.1]\nfailed = [0.1, 0.1]", "failed = [2.0]"]
+)
+def test_starts_need_a_fraction_for_each_of_increasing_rests(tmp_path, text):
+    (tmp_path / "twin.toml").write_text(f"[starts]\n{text}")
+    with pytest.raises(InputError, match="starts"):
+        read_twin_settings(tmp_path / "twin.toml")
 
 
 @pytest.mark.parametrize("settings", [EVERYTHING, default_twin_settings()])

@@ -109,7 +109,8 @@ class TrackingController(Pilot):
         self.compensate_delay = compensate_delay
         self._idle = vehicle.idle
         options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
-        self.law = make_law(law or tuning.law.kind, of_means(model), tuning, options)
+        moved = of_means(tuning.turning(model))
+        self.law = make_law(law or tuning.law.kind, moved, tuning, options)
         self.law.stage = stage_of_means(model, self.law.stage)
         self._modulator = modulator_for(model, tuning)
         self.state = self.law.init()

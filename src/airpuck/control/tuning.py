@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import (
+    Fraction,
     NonNegative,
     Positive,
     Section,
@@ -221,6 +223,9 @@ class Tuning(Section):
         Settings of the state estimator.
     modulation : Modulation
         Pulses of on/off thrusters; without effect on propellers.
+    least_command : float, default 0
+        Lowest command of a law, if above the vehicle's. Motors that never rest need not start, and
+        some starts fail.
 
     Examples
     --------
@@ -237,6 +242,34 @@ class Tuning(Section):
     law: LawSettings
     estimation: Estimation
     modulation: Modulation = Modulation()
+    least_command: Fraction = 0.0
+
+    def turning(self, model: Model) -> Model:
+        """Return the model of a craft whose motors take no command below `least_command`.
+
+        Parameters
+        ----------
+        model : Model
+            The craft.
+
+        Returns
+        -------
+        Model
+            The model for a law.
+
+        Raises
+        ------
+        InputError
+            If the craft cannot take the command.
+        """
+        vehicle = model.vehicle
+        if self.least_command <= vehicle.command_min:
+            return model
+        if self.least_command >= vehicle.command_max or vehicle.actuation.kinds != ("propeller",):
+            problem = f"{vehicle.name!r} needs propellers that take more than the least command"
+            raise InputError(problem, field="least_command")
+        turning = vehicle.model_copy(update={"command_min": self.least_command})
+        return replace(model, vehicle=turning)
 
     def with_estimator(self, estimator: str) -> Tuning:
         """Return the tuning with another estimator.

@@ -178,7 +178,7 @@ class ActuationEncoder:
         elapsed = np.cumsum(np.insert(past.duration, 0, 0.0, axis=0), axis=0)
         step, lag = float(np.median(past.duration)), float(dynamics.motor_time_constant)
         noises = zip(self.pose_noise, self.disturbance, _unknown_start(dynamics), strict=True)
-        covariances = (_covariance(length, step, noise, lag) for noise in noises)
+        covariances = (residual_covariance(length, step, noise, lag) for noise in noises)
         linear, angular = (_whitening(found, past.measured) for found in covariances)
         rows = []
         for c, whitening in enumerate((linear, linear, angular)):
@@ -232,7 +232,7 @@ def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
 
 
 @lru_cache(maxsize=32)
-def _covariance(
+def residual_covariance(
     length: int,
     step: float,
     noise: tuple[float, float, float],

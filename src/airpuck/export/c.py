@@ -166,6 +166,9 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     if tuning.estimation.estimator != "kalman":
         problem = f"{tuning.estimation.estimator!r} cannot be exported to c; choose 'kalman'"
         raise InputError(problem, field="estimation.estimator")
+    if tuning.turning(model) is not model:
+        problem = "cannot be exported to c; leave it out, or raise command_min of the vehicle"
+        raise InputError(problem, field="least_command")
     refuse_actuators(model, "c")
     # Raises InputError for a craft that cannot be steered.
     TrackingController(model, SetPoint(0.0, 0.0, 0.0), tuning, compiled=False)

@@ -17,6 +17,7 @@ from airpuck.deviation.model_errors import ModelError, tested_errors
 from airpuck.deviation.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.deviation.significance import IN_FLIGHT
 from airpuck.estimate.kalman import HeldCommands, KalmanFilter
+from airpuck.estimate.starts import FailedStart, StartMonitor
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import acceleration_map, rollout
@@ -81,6 +82,8 @@ class Health:
     error: Float[np.ndarray, " 3"]
     #: Errors of the delay and of each motor; `tested` where the commands determine them.
     errors: tuple[ModelError, ...]
+    #: Names of motors that failed to start, once for each start.
+    failed_starts: tuple[str, ...] = ()
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -108,6 +111,8 @@ class Health:
         notable = [one for one in self.errors if not one.passed and one.share > _NOTABLE]
         largest = [f"{one.name} {100 * one.share:.0f} %" for one in notable]
         said += [f"shares of the error: {', '.join(largest)}"] if largest else []
+        if self.failed_starts:
+            said.append(f"did not start: {', '.join(self.failed_starts)}")
         return "; ".join([text, *said])
 
     def to_json(self) -> dict[str, Any]:
@@ -132,6 +137,7 @@ class Health:
                 k: v for one in delay for k, v in zip(delay_keys, row(one, 0.0), strict=True)
             },
             "findings": list(self.findings),
+            "failed_starts": list(self.failed_starts),
         }
 
 
@@ -151,12 +157,14 @@ class HealthMonitor:
         #: Predictions that have not ended yet: start time and initial state, with motor speeds.
         self._begun: deque[tuple[float, Float[np.ndarray, " z"]]] = deque()
         self._judged: deque[Judged] = deque()
+        self._starts, self._failed = StartMonitor(model), deque[FailedStart]()
 
     def command(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Receive a command."""
         if not np.isfinite(command).all():
             return
         self._filter.command(time, command)
+        self._starts.command(time, command)
         self._commanded = time
         self._commands.send(time, command, self.model)
 
@@ -165,6 +173,7 @@ class HealthMonitor:
         last = self._filter.time
         if not np.isfinite(pose).all() or (last is not None and time <= last):
             return
+        self._failed += self._starts.pose(time, pose)
         blind = last is None or time - last > _SILENT or time - self._commanded > _SILENT
         if blind or (np.abs(pose[:2]) > self._free).any():
             # Restart; earlier findings are kept until they are too old.
@@ -197,7 +206,8 @@ class HealthMonitor:
         value, error, share = (np.roll(one, 1) for one in found)
         errors = ("delay", *names), value, error, math.inf, IN_FLIGHT
         named = tested_errors(*errors, share=share) if self._judged else ()
-        return Health(self._since is not None, len(self._judged), rmse, named)
+        failed = tuple(names[one.motor] for one in self._failed)
+        return Health(self._since is not None, len(self._judged), rmse, named, failed)
 
     def _judge(self, end: float, state: Float[np.ndarray, " 6"]) -> None:
         """Compare the oldest prediction with the state at its end."""
@@ -246,6 +256,8 @@ class HealthMonitor:
         """Drop findings that are too old."""
         while self._judged and self._judged[0].time < time - _OLD * self._memory:
             self._judged.popleft()
+        while self._failed and self._failed[0].noticed < time - _OLD * self._memory:
+            self._failed.popleft()
         self._commands.drop((self._begun[0][0] if self._begun else time) - _BEFORE)
 
 

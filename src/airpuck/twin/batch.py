@@ -297,7 +297,8 @@ def _check_models(models: tuple[Model, ...], size: int, settings: TwinSettings) 
             "on/off thrusters, wheels and reversible propellers cannot fly in a batch; use Twin",
             field="models",
         )
-    if settings.motors.starting_delay_s or settings.motors.stalls or settings.motors.weak:
+    motors = settings.motors
+    if motors.starting_delay_s or motors.stalls or motors.weak or any(settings.starts.failed):
         raise InputError(
             "motors of a batch neither start late nor stall; use Twin", field="settings.motors"
         )

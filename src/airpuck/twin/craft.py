@@ -14,7 +14,7 @@ from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
-from airpuck.twin.settings import Motors, TwinSettings
+from airpuck.twin.settings import Motors, Starts, TwinSettings
 from airpuck.twin.valves import driver_of
 
 #: Longest step while the puck is near the craft [s]: within it, the path of a craft at full thrust
@@ -22,12 +22,20 @@ from airpuck.twin.valves import driver_of
 _SHORT_STEP = 1e-3
 #: Distance that counts as near, in addition to both bodies' travel in a step [m].
 _NEAR = 5e-3
+#: Stream of random numbers for starts of motors; others are the radio's and the sensors'.
+_STARTS = 40
 
 
 class MotorUnit:
     """From the received command to the command that the motors follow."""
 
-    def __init__(self, settings: Motors, names: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        settings: Motors,
+        names: tuple[str, ...],
+        starts: Starts | None = None,
+        random: np.random.Generator | None = None,
+    ) -> None:
         for field, faults in (("stalls", settings.stalls), ("weak", settings.weak)):
             for fault in faults:
                 if fault.motor not in names:
@@ -45,11 +53,17 @@ class MotorUnit:
         )
         #: Time from which each motor follows its command; infinite while it idles.
         self._released = np.full(len(names), np.inf)
+        #: From when on each motor has rested.
+        self._rested = np.full(len(names), -np.inf)
+        self._starts, self._random = starts or Starts(), random or np.random.default_rng(0)
+        self._starts_late = settings.starting_delay_s > 0 or any(self._starts.failed)
+        #: Time, motor and duration of every start that failed [s].
+        self.failed_starts: list[tuple[float, int, float]] = []
         self._full = np.ones(len(names))
 
     def next_change(self, now: float) -> float:
         """Return when a motor next fails or recovers."""
-        released = self._released.tolist() if self._settings.starting_delay_s > 0 else ()
+        released = self._released.tolist() if self._starts_late else ()
         return min((t for t in (*self._edges, *released) if now < t < math.inf), default=math.inf)
 
     def follow(self, now: float, command: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -57,11 +71,14 @@ class MotorUnit:
         s = self._settings
         if now < s.unarmed_s:
             return np.zeros_like(command)
-        if s.starting_delay_s > 0:
+        if self._starts_late:
             idles = np.abs(command) < s.idle_below
             begins = ~idles & np.isinf(self._released)
+            self._rested[idles & np.isfinite(self._released)] = now
             self._released[idles] = np.inf
             self._released[begins] = now + s.starting_delay_s
+            for motor in np.flatnonzero(begins):
+                self._released[motor] += self._failure(now, int(motor))
             follows = idles | (self._released <= now)
             command = np.where(follows, command, np.clip(command, -s.idle_below, s.idle_below))
         for motor, start, stop in self._stalls:
@@ -69,6 +86,14 @@ class MotorUnit:
                 command = command.copy()
                 command[motor] = 0.0
         return command
+
+    def _failure(self, now: float, motor: int) -> float:
+        """Draw whether a start fails; return for how long [s]."""
+        if self._random.random() >= self._starts.failing(now - float(self._rested[motor])):
+            return 0.0
+        lasts = self._random.exponential(self._starts.lasting_s)
+        self.failed_starts.append((now, motor, lasts))
+        return lasts
 
     def share(self, now: float) -> Float[np.ndarray, " n"]:
         """Return the fraction of its thrust that each motor gives now."""
@@ -87,7 +112,7 @@ class Craft:
     model : Model
         The truth.
     settings : TwinSettings
-        Radio, motors, battery.
+        Radio, motors and their starts, battery.
     plant : Plant
         The craft on its table, with the effects of both.
     seed : int
@@ -120,7 +145,8 @@ class Craft:
         self.plant, self.radius = plant, vehicle.radius_m
         random = np.random.default_rng([seed, 0])
         self.radio = RadioLink(settings.radio, random, len(vehicle.columns))
-        self.motors = MotorUnit(settings.motors, vehicle.columns)
+        starts = settings.starts, np.random.default_rng([seed, _STARTS])
+        self.motors = MotorUnit(settings.motors, vehicle.columns, *starts)
         self.driver = driver_of(vehicle.actuation)
         self._column = [channel.column for channel in vehicle.actuation.channels]
         self.contacts: list[tuple[float, float]] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,6 +20,9 @@ from airpuck.boundary.files import (
 )
 from airpuck.craft.table import AirHockey
 from airpuck.model.quantities import EFFECTS, Pair, Triple
+
+#: Name of the packaged settings in which starts of motors fail.
+FAILING_STARTS = "paper:starts"
 
 
 def _forward(interval: tuple[float, float]) -> tuple[float, float]:
@@ -90,7 +94,9 @@ class OnBoard(Section):
 
 
 #: Optional quantities that are effects of their own.
-_EFFECTS = {name: q for name, q in EFFECTS.items() if q.effect is not None}
+_EFFECTS = {
+    name: q for name, q in EFFECTS.items() if q.effect is not None and not callable(q.labels)
+}
 
 
 def _effect_fields() -> dict[str, Any]:
@@ -155,6 +161,31 @@ class Motors(Section):
     weak: tuple[Weakness, ...] = ()
 
 
+class Starts(Section):
+    """Starts that fail: motors that rested and do not turn up when they are commanded to."""
+
+    #: Rests of a motor before a start, increasing, from which on the next fractions apply.
+    rest_s: tuple[NonNegative, ...] = ()
+    #: Fraction of the starts that fail, for each of these; none fails after a shorter rest.
+    failed: tuple[Fraction, ...] = ()
+    #: A motor that failed idles until its next start, or for a time whose distribution is
+    #: exponential with this mean.
+    lasting_s: Positive = 0.2
+
+    @pydantic.model_validator(mode="after")
+    def _fraction_for_each_rest(self) -> Starts:
+        if len(self.rest_s) != len(self.failed):
+            raise ValueError("needs as many fractions in failed as rests in rest_s")
+        if any(later <= rest for rest, later in pairwise(self.rest_s)):
+            raise ValueError("rest_s must increase")
+        return self
+
+    def failing(self, rest: float) -> float:
+        """Return the probability that a start after a rest fails [s]."""
+        reached = sum(rest >= least for least in self.rest_s)
+        return self.failed[reached - 1] if reached else 0.0
+
+
 class TwinSettings(AirHockey):
     """Everything about a twin except the model of the craft.
 
@@ -176,6 +207,8 @@ class TwinSettings(AirHockey):
         Optional physics.
     motors : Motors
         Arming, stalls.
+    starts : Starts
+        Starts of motors that fail, by how long the motor rested.
 
     Examples
     --------
@@ -190,6 +223,7 @@ class TwinSettings(AirHockey):
     on_board: OnBoard = OnBoard()
     effects: Effects = Effects()
     motors: Motors = Motors()
+    starts: Starts = Starts()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the settings as TOML.
@@ -238,7 +272,8 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     Parameters
     ----------
     path : path-like
-        A TOML file; omitted fields keep the packaged values.
+        A TOML file; omitted fields keep the packaged values. ``paper:starts``: as packaged, with
+        starts that fail as often as on the paper's craft.
 
     Returns
     -------
@@ -257,7 +292,10 @@ def read_twin_settings(path: str | os.PathLike[str]) -> TwinSettings:
     >>> airpuck.read_twin_settings("twin.toml").radio.loss
     0.1
     """
-    return read_toml(path, TwinSettings, base=default_twin_settings())
+    usual = default_twin_settings()
+    if str(path) == FAILING_STARTS:
+        return usual.model_copy(update={"starts": read_packaged("starts.toml", Starts)})
+    return read_toml(path, TwinSettings, base=usual)
 
 
 def default_twin_settings() -> TwinSettings:
