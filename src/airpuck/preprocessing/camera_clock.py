@@ -8,6 +8,8 @@ for good. Where arrivals allow several frames, the motion decides: a craft does 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,28 +25,33 @@ _FAR_BELOW, _MANY = 0.3, 0.01
 #: Change of the logarithm of a step from which steps are uneven.
 _UNEVEN = 0.3
 #: Squared error of a pose, in those usual, from which the motion bends; and fraction of the bends
-#: that is left if stamps are times of arrival, and poses are placed where they were exposed.
-_BENDS, _STRAIGHTER = 20.0, 0.55
+#: that is left if stamps are times of arrival and poses are placed where they were exposed, or if
+#: they are placed at the right rate instead of others.
+_BENDS, _STRAIGHTER, _RIGHT_RATE = 20.0, 0.55, 0.8
+#: Difference of the fractions of bends that is due to chance.
+_CHANCE = 0.01
 #: Poses by which this is judged.
 _JUDGED = 2000
-#: Fewest poses from which a clock is estimated.
-_FEWEST = 200
-#: Poses at the end that are too few to show a lost frame.
-_LAST = 5
-#: Time in which some pose arrives early [s], and the time of a point of the line [s].
-_SOON, _BLOCK = 0.25, 0.5
+#: Fewest poses from which a clock is estimated, and the fraction of their stamps that may go back.
+_FEWEST, _DISORDER = 200, 0.05
+#: Time of a point of the line [s].
+_BLOCK = 0.5
 #: Poses in a row that count towards the period, and the quantile of their mean steps: few are lost.
 _COUNTED, _QUANTILE = 100, 0.1
-#: Rates that cameras have [1/s], tried if many frames are lost, and the smallest fraction kept.
+#: Rates that cameras have [1/s], tried if frames are lost, and the smallest fraction kept. A rate
+#: this close to one of them is rather a beat with the client's: relative difference.
 _RATES = (30, 50, 60, 90, 100, 120, 150, 180, 200, 240, 250, 300, 330, 360, 400, 500, 1000)
-_KEPT = 0.7
-#: Step of the earliest arrivals that is a lost frame, and speed at which the reference follows the
-#: clocks' drift, per pose.
-_LOST, _FOLLOWS = 0.6, 0.02
-#: Spread of the earliest arrivals about the line, in periods, above which frames were miscounted,
-#: and above which the motion does not help, either; relative error of a nominal rate.
-_SPREAD, _HOPELESS, _NOMINAL = 0.45, 1.0, 0.1
-#: How often frames are counted, and then chosen by the motion; how far a choice moves a pose, and
+_KEPT, _BEAT = 0.7, 0.01
+#: Largest relative difference of the clocks of a client and of cameras, and of periods alike.
+_CLOCKS, _ALIKE = 3e-4, 2e-3
+#: Poses by which a period is refined at first, and the growth of their number.
+_REFINED, _GROWTH = 256, 4
+#: Share of the earliest arrivals at one phase from which a period is right, and the spread of the
+#: earliest arrivals about a line if no frame is lost [periods].
+_AT_PHASE, _NONE_LOST = 0.4, 1.0
+#: Parts of a period among which the phase is chosen, and those before it without arrivals.
+_PHASES, _EMPTY = 32, 10
+#: How often frames are chosen by the motion; how far a choice moves a pose, and
 #: by how much its latency may then be below 0 or above the usual ones [periods].
 _ROUNDS, _MOVES, _BELOW, _ABOVE = 3, np.arange(-2, 3), 0.3, 0.1
 #: Cost of a move by a frame, which counts if the motion does not tell, and the most that a jump
@@ -64,39 +71,50 @@ def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     """
     stream, warnings = _without_repeats(stream)
     time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
-    steps = np.diff(time)
-    if stream.exact or len(time) < _FEWEST or (steps < 0).any() or not time[-1] > 0:
+    latest = np.maximum.accumulate(time)
+    if stream.exact or len(time) < _FEWEST or not np.mean(time < latest) < _DISORDER:
         return stream, warnings
-    share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
-    uneven = np.mean(np.abs(np.diff(np.log(np.maximum(steps, 1e-9)))) > _UNEVEN) > _MANY
-    if not (share > _MANY or stream.rate_hz or warnings):
-        # Steps of a client that polls about as often as the cameras expose look like lost frames.
-        if not uneven or (stream.stamp_ns != stream.received_ns).any():
-            return stream, warnings
-        begin, values = time[:_JUDGED], stream.values[:_JUDGED]
-        found = _exposures(begin, values, None)
-        if not found or not _straighter(values, found[0], begin):
-            return stream, warnings
-        said = "poses are stamped on arrival (otherwise the craft would jerk)"
-    else:
-        said = "poses are spaced evenly"
-    found = _exposures(time, stream.values, stream.rate_hz)
-    if share > _MANY:
-        said = f"poses are stamped on arrival ({100 * share:.0f} % of the steps are far too short)"
+    said = "poses are spaced evenly" if warnings or stream.rate_hz else _arrivals(stream, time)
+    if not said:
+        return stream, warnings
+    # A stamp that goes back was made on arrival, too, and its pose did not come before the last.
+    found = _exposures(latest, stream.values, stream.rate_hz)
     if found is None:
         if stream.rate_hz:
-            usual = 1 / float(np.median(steps[steps > 0]))
+            usual = (len(time) - 1) / latest[-1]
             said = f"rate_hz = {stream.rate_hz:g} does not fit the stamps ({usual:.1f} per second)"
             warnings += (f"{said}; they are used as they are",)
-        elif share > _MANY:
-            remedy = "state it in the mapping: pose = {rate_hz = 120}, or pose = {stamps = "
-            warnings += (f'{said}, and the cameras\' rate is unclear; {remedy}"exact"}}',)
+        elif not warnings:
+            remedy = 'pose = {rate_hz = 120}, or pose = {stamps = "exact"}'
+            rate = f"and the cameras' rate is unclear; state it in the mapping: {remedy}"
+            warnings = (f"{said}, {rate}",)
         return stream, warnings
     exposed, period = found
     remedy = "" if stream.rate_hz else '; if the stamps are right: pose = {stamps = "exact"}'
     warnings += (f"{said}; they are placed at the cameras' {1 / period:.2f} Hz{remedy}",)
     moved = np.rint((exposed - time) * SECOND_NS).astype(np.int64)
     return replace(stream, stamp_ns=stream.stamp_ns + moved), warnings
+
+
+def _arrivals(stream: Stream, time: Float[np.ndarray, " N"]) -> str:
+    """Return by what stamps are known to be times of arrival; empty if they are not."""
+    ordered = np.concatenate([[True], time[1:] >= np.maximum.accumulate(time)[:-1]])
+    time, values = time[ordered], stream.values[ordered]
+    steps = np.diff(time)
+    share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
+    if share > _MANY:
+        return f"poses are stamped on arrival ({100 * share:.0f} % of the steps are far too short)"
+    uneven = np.mean(np.abs(np.diff(np.log(np.maximum(steps, 1e-9)))) > _UNEVEN)
+    if uneven <= _MANY or (stream.stamp_ns != stream.received_ns).any():
+        return ""
+    # Steps of a client that polls about as often as the cameras expose look like lost frames.
+    begin, seen = time[:_JUDGED], values[:_JUDGED]
+    found = _exposures(begin, seen, None)
+    if found is None:
+        return ""
+    bent, before = _bent(seen, (found[0], begin))
+    straighter = bent < _STRAIGHTER * before
+    return "poses are stamped on arrival (otherwise the craft would jerk)" if straighter else ""
 
 
 def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
@@ -134,28 +152,84 @@ def _exposures(
 ) -> tuple[Float[np.ndarray, " N"], float] | None:
     """Return the times of the exposures and the cameras' period; None if they are unclear."""
     mean = float(time[-1] / (len(time) - 1))
-    if rate is not None:
-        periods = [1 / rate]
+    if rate is None:
+        period = _chosen_period(time, values, mean)
+    elif mean * rate < 1 - _CLOCKS - 2 / len(time):
+        return None  # there are more poses than frames
     else:
-        count = min(_COUNTED, len(time) - 1)
-        counted = np.quantile((time[count:] - time[:-count]) / count, _QUANTILE)
-        nominal = [1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean]
-        periods = sorted([float(counted), *nominal], reverse=True)
-    # The longest period that fits: shorter ones explain any arrivals, with more losses.
-    for period in periods:
-        line, spread, frame = np.array([period, 0.0]), np.inf, np.arange(len(time))
-        for attempt in range(2 * _ROUNDS):
-            if attempt < _ROUNDS:
-                frame = _frames(time, line[0])
-            elif spread < _HOPELESS * line[0]:
-                frame = _smoothest(frame, time - np.polyval(line, frame), values, line[0])
-            line, spread = _earliest(time, frame, line[0])
-            if abs(line[0] - period) > _NOMINAL * period:
-                break
-        else:
-            if spread < _SPREAD * line[0]:
-                return np.polyval(line, frame), float(line[0])
+        period = _refined(time, 1 / rate, _CLOCKS)[0]
+    if period is None:
+        return None
+    exposed, found = _placed(time, values, period)
+    return (exposed, found) if abs(found / period - 1) < _ALIKE else None
+
+
+def _chosen_period(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], mean: float
+) -> float | None:
+    """Return the cameras' period: the longest that fits, since shorter ones need more losses."""
+    line, spread = _earliest(time, np.arange(len(time)), mean)
+    periods, fits = [float(line[0])], [spread < _NONE_LOST * mean]
+    count = min(_COUNTED, len(time) - 1)
+    counted = float(np.quantile((time[count:] - time[:-count]) / count, _QUANTILE))
+    nominal = sorted((1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean))
+    begin, seen = time[:_JUDGED], values[:_JUDGED]
+    for period in (*reversed(nominal), counted):
+        within = _CLOCKS if period in nominal else 1 / count
+        period, at_phase = _refined(begin, period, within)
+        nearest = min((abs(period / one - 1) for one in nominal), default=1.0)
+        if period < mean and not _CLOCKS < nearest < _BEAT:
+            periods.append(period)
+            fits.append(at_phase > _AT_PHASE)
+    bent = _bent(seen, [_placed(begin, seen, period)[0] for period in periods])
+    least = bent.min()
+    for period, fit, bends in zip(periods, fits, bent, strict=True):
+        others = bent[np.abs(np.array(periods) / period - 1) > _ALIKE]
+        others = _RIGHT_RATE * others.min(initial=1.0) - _CHANCE
+        if bends < others or (fit and _RIGHT_RATE * bends - _CHANCE <= least):
+            return period if period == periods[0] else _refined(time, period, _CLOCKS)[0]
     return None
+
+
+def _early(time: Float[np.ndarray, " N"], period: float) -> Float[np.ndarray, " N"]:
+    """Return how much later than its number says a pose is at most, as later ones show [periods]."""
+    ahead = time / period - np.arange(len(time))
+    return np.minimum.accumulate(ahead[::-1])[::-1]
+
+
+def _refined(time: Float[np.ndarray, " N"], period: float, within: float) -> tuple[float, float]:
+    """Return the period with which most of the earliest arrivals have one phase, and their share."""
+    size = min(_REFINED, len(time))
+    while True:
+        part = time[:size] - time[0]
+        step = period / part[-1] / 4  # moves the last pose by a quarter of a period
+        most = math.ceil(within / step)
+        periods = period * (1 + within * np.linspace(-1, 1, 2 * most + 1))
+        phases = (np.exp(2j * np.pi * _early(part, one)).mean() for one in periods)
+        shares = np.abs(np.fromiter(phases, complex))
+        best = int(np.argmax(shares))
+        period, within = float(periods[best]), min(within, 2 * step)
+        if size == len(time):
+            return period, float(shares[best])
+        size = min(_GROWTH * size, len(time))
+
+
+def _placed(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], period: float
+) -> tuple[Float[np.ndarray, " N"], float]:
+    """Return the times of the exposures for a period, and the period with which these fit best.
+
+    Poses are on the latest frames that arrivals allow, and then where the motion is the smoothest.
+    """
+    early = _early(time, period)
+    count = np.bincount((_PHASES * (early % 1)).astype(int) % _PHASES, minlength=_PHASES)
+    before = [np.take(count, np.arange(k - _EMPTY, k), mode="wrap").sum() for k in range(_PHASES)]
+    frame = np.floor(early - np.argmin(before) / _PHASES).astype(int) + np.arange(len(time))
+    for _ in range(_ROUNDS):
+        line, _ = _earliest(time, frame, period)
+        frame = _smoothest(frame, time - np.polyval(line, frame), values, line[0])
+    line, _ = _earliest(time, frame, period)
+    return np.polyval(line, frame), float(line[0])
 
 
 def _motion(
@@ -170,14 +244,13 @@ def _motion(
     return moved, (moved[1:] - ratio * moved[:-1]) / np.sqrt(1 + ratio + ratio**2)
 
 
-def _straighter(
-    values: Float[np.ndarray, "N 3"], time: Float[np.ndarray, " N"], other: Float[np.ndarray, " N"]
-) -> bool:
-    """Return whether the motion bends at far fewer poses with these times than with the others."""
-    errors = [np.abs(_motion(values, np.maximum(np.diff(t), 1e-9))[1]) for t in (time, other)]
+def _bent(
+    values: Float[np.ndarray, "N 3"], times: Sequence[Float[np.ndarray, " N"]]
+) -> Float[np.ndarray, " T"]:
+    """Return the fractions of poses at which the motion bends, if they were exposed then."""
+    errors = [np.abs(_motion(values, np.maximum(np.diff(t), 1e-9))[1]) for t in times]
     usual = np.min([np.median(error, axis=0) for error in errors], axis=0) + 1e-12
-    bent, before = (((error / usual) ** 2).sum(axis=1) > _BENDS for error in errors)
-    return bool(bent.mean() < _STRAIGHTER * before.mean())
+    return np.array([np.mean(((error / usual) ** 2).sum(axis=1) > _BENDS) for error in errors])
 
 
 def _smoothest(
@@ -220,26 +293,6 @@ def _smoothest(
     for k in range(len(frame) - 1, 1, -1):
         chosen.append(best[k][chosen[-1], chosen[-2]])
     return frame + _MOVES[chosen[::-1]]
-
-
-def _frames(time: Float[np.ndarray, " N"], period: float) -> Int[np.ndarray, " N"]:
-    """Return the number of each pose's frame: a lost one delays all later poses by a period."""
-    late = time - period * np.arange(len(time))
-    soon = max(round(_SOON / period), 20)
-    padded = np.append(late, np.full(soon - 1, np.inf))
-    earliest = np.lib.stride_tricks.sliding_window_view(padded, soon).min(axis=1)
-    # The last few poses are too few to tell a lost frame from a late arrival.
-    earliest[-_LAST:] = earliest[-_LAST - 1]
-    lost = np.zeros(len(time), dtype=int)
-    reference, number = float(earliest[0]), 0
-    for k, value in enumerate(earliest.tolist()):
-        off = value - reference - number * period
-        if off > _LOST * period:
-            more = max(round(off / period), 1)
-            number, off = number + more, off - more * period
-        reference += _FOLLOWS * off
-        lost[k] = number
-    return np.arange(len(time)) + lost
 
 
 def _earliest(

@@ -228,9 +228,13 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
     pose, said = at_exposure(pose)
     aligned = align_clocks(pose, command)
     aligned = replace(aligned, warnings=said + aligned.warnings)
-    check_poses(pose, aligned.pose_time, recording.source)
     lowest = np.where(vehicle.actuation.two_way, -1.0, 0.0)[np.argsort(order)]
-    check_commands(command, aligned.command_time, recording.source, lowest)
+    try:
+        check_poses(pose, aligned.pose_time, recording.source)
+        check_commands(command, aligned.command_time, recording.source, lowest)
+    except InputError as error:  # stamps may be the cause
+        problem = "; ".join((error.problem, *aligned.warnings))
+        raise InputError(problem, file=error.file, field=error.field) from error
     poses = drop_disorder(aligned.pose_time, pose.values, "pose")
     commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
     return poses, commands, aligned

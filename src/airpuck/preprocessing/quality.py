@@ -62,11 +62,12 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
             file=source,
             field="pose.position",
         )
-    period = _period(time)
+    period, mean = _period(time), float(np.mean(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
     if period and not _PERIODS[0] <= period <= _PERIODS[1]:
+        bursts = _PERIODS[0] <= mean <= _PERIODS[1]
+        remedy = "; they come in bursts" if bursts else _other_unit(period, "pose")
         raise InputError(
-            f"poses come every {period:.3g} s, which is implausible for motion capture"
-            f"{_other_unit(period, 'pose')}",
+            f"poses come every {period:.3g} s, which is implausible for motion capture{remedy}",
             file=source,
             field="time",
         )
