@@ -86,6 +86,44 @@ def test_a_client_that_polls_about_as_often_as_the_cameras_expose_is_recognised(
     assert np.mean(np.abs(off(found, time)) > 0.1 / 240) < 0.01
 
 
+def in_bursts(time: np.ndarray, rate: float, jitter: float = 5e-4) -> np.ndarray:
+    """Arrivals at a client that looks at this rate, as a game loop does, and not quite evenly."""
+    looks = np.arange(0, time[-1] + 1, 1 / rate)
+    looks += np.random.default_rng(9).uniform(-jitter, jitter, len(looks))
+    arrival = looks[np.searchsorted(looks, time + 2e-3)]
+    return arrival + 3e-5 * (np.arange(len(time)) - np.searchsorted(arrival, arrival))
+
+
+@pytest.mark.parametrize("polls", [59.94, 59.5, 39.7])
+@pytest.mark.parametrize("rate", [120.0, 240.0])
+def test_a_beat_of_the_clients_rate_with_the_cameras_is_no_lost_frame(rate, polls):
+    time = exposures(rate)
+    found, warnings = at_exposure(stamped(in_bursts(time, polls), moving(time)))
+    assert rate_found(warnings[0]) == pytest.approx(rate, rel=2e-4)
+    assert np.abs(off(found, time)).max() < 1e-3
+
+
+@pytest.mark.parametrize("stated", [None, 240.0])
+def test_bursts_of_six_poses_with_lost_frames_are_placed(stated):
+    time = exposures(240.0, 0.03)
+    looks = np.cumsum(np.random.default_rng(9).uniform(0.015, 0.035, 2000))
+    arrival = looks[np.searchsorted(looks, time + 2e-3)]
+    arrival += 3e-5 * (np.arange(len(time)) - np.searchsorted(arrival, arrival))
+    found, _ = at_exposure(stamped(arrival, moving(time), rate_hz=stated))
+    assert np.mean(np.abs(off(found, time)) > 1e-3) < 0.02
+
+
+@pytest.mark.parametrize("back", [1, 50])
+def test_a_few_stamps_that_go_back_do_not_hide_that_stamps_are_arrivals(back):
+    time = exposures(120.0)
+    arrival = polled(time) + 3e-5 * np.arange(len(time)) / len(time)
+    arrival[100 :: len(time) // back] -= 0.03
+    stamp = np.rint(1e9 * arrival).astype(np.int64)
+    found, warnings = at_exposure(Stream(stamp, stamp, moving(time), COLUMNS["pose"]))
+    assert "stamped on arrival" in warnings[0]
+    assert np.abs(off(found, time)).max() < 1e-3
+
+
 def test_frames_of_a_craft_at_rest_are_counted_by_their_arrivals():
     time = exposures(120.0, 0.02)
     found, _ = at_exposure(stamped(held_up(time)))

@@ -190,6 +190,17 @@ def test_bad_input_is_one_clear_line(recording, stream, edit, message):
     assert "\n" not in str(error.value)
 
 
+def test_an_error_that_bad_stamps_may_cause_repeats_what_was_said_of_them(recording):
+    pose = recording["pose"]
+    # A client gets six poses at once, and the mapping states a rate that is too low.
+    late = pose.stamp_ns[0] + 25_000_000 * (1 + np.arange(len(pose)) // 6)
+    late += 1000 * (np.arange(len(pose)) % 6)
+    pose = replace(pose, stamp_ns=late, received_ns=late, rate_hz=50.0)
+    made = replace(recording, streams={**recording.streams, "pose": pose})
+    with pytest.raises(InputError, match="in bursts; rate_hz = 50 does not fit the stamps"):
+        preprocess(made)
+
+
 def test_a_missing_stream_is_named(recording):
     with pytest.raises(InputError, match="no command stream"):
         preprocess(replace(recording, streams={"pose": recording["pose"]}))

@@ -32,8 +32,8 @@ _BENDS, _STRAIGHTER, _RIGHT_RATE = 20.0, 0.55, 0.8
 _CHANCE = 0.01
 #: Poses by which this is judged.
 _JUDGED = 2000
-#: Fewest poses from which a clock is estimated, and the fraction of their stamps that may go back.
-_FEWEST, _DISORDER = 200, 0.05
+#: Fewest poses from which a clock is estimated, and the smallest fraction of them in order.
+_FEWEST, _ORDERED = 200, 0.95
 #: Time of a point of the line [s].
 _BLOCK = 0.5
 #: Poses in a row that count towards the period, and the quantile of their mean steps: few are lost.
@@ -42,6 +42,8 @@ _COUNTED, _QUANTILE = 100, 0.1
 #: this close to one of them is rather a beat with the client's: relative difference.
 _RATES = (30, 50, 60, 90, 100, 120, 150, 180, 200, 240, 250, 300, 330, 360, 400, 500, 1000)
 _KEPT, _BEAT = 0.7, 0.01
+#: Frames for each pose from which a stated rate does not fit.
+_THINNED = 100
 #: Largest relative difference of the clocks of a client and of cameras, and of periods alike.
 _CLOCKS, _ALIKE = 3e-4, 2e-3
 #: Poses by which a period is refined at first, and the growth of their number.
@@ -71,23 +73,25 @@ def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     """
     stream, warnings = _without_repeats(stream)
     time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
-    latest = np.maximum.accumulate(time)
-    if stream.exact or len(time) < _FEWEST or not np.mean(time < latest) < _DISORDER:
+    ordered = time >= np.maximum.accumulate(time)
+    if stream.exact or len(time) < _FEWEST or np.mean(ordered) < _ORDERED or not time.max() > 0:
         return stream, warnings
-    said = "poses are spaced evenly" if warnings or stream.rate_hz else _arrivals(stream, time)
-    if not said:
+    arrivals = _arrivals(stream, time[ordered], stream.values[ordered])
+    if not (arrivals or warnings or stream.rate_hz):
         return stream, warnings
-    # A stamp that goes back was made on arrival, too, and its pose did not come before the last.
-    found = _exposures(latest, stream.values, stream.rate_hz)
+    said = arrivals or "poses are spaced evenly"
+    # A pose whose stamp goes back came before the next one at the latest.
+    known = np.where(ordered, time, time.max())[::-1]
+    found = _exposures(np.minimum.accumulate(known)[::-1], stream.values, stream.rate_hz)
     if found is None:
         if stream.rate_hz:
-            usual = (len(time) - 1) / latest[-1]
+            usual = (len(time) - 1) / known[0]
             said = f"rate_hz = {stream.rate_hz:g} does not fit the stamps ({usual:.1f} per second)"
             warnings += (f"{said}; they are used as they are",)
-        elif not warnings:
+        elif arrivals:
             remedy = 'pose = {rate_hz = 120}, or pose = {stamps = "exact"}'
             rate = f"and the cameras' rate is unclear; state it in the mapping: {remedy}"
-            warnings = (f"{said}, {rate}",)
+            warnings += (f"{said}, {rate}",)
         return stream, warnings
     exposed, period = found
     remedy = "" if stream.rate_hz else '; if the stamps are right: pose = {stamps = "exact"}'
@@ -96,10 +100,10 @@ def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     return replace(stream, stamp_ns=stream.stamp_ns + moved), warnings
 
 
-def _arrivals(stream: Stream, time: Float[np.ndarray, " N"]) -> str:
+def _arrivals(
+    stream: Stream, time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
+) -> str:
     """Return by what stamps are known to be times of arrival; empty if they are not."""
-    ordered = np.concatenate([[True], time[1:] >= np.maximum.accumulate(time)[:-1]])
-    time, values = time[ordered], stream.values[ordered]
     steps = np.diff(time)
     share = float(np.mean(steps < _FAR_BELOW * np.mean(steps)))
     if share > _MANY:
@@ -154,8 +158,8 @@ def _exposures(
     mean = float(time[-1] / (len(time) - 1))
     if rate is None:
         period = _chosen_period(time, values, mean)
-    elif mean * rate < 1 - _CLOCKS - 2 / len(time):
-        return None  # there are more poses than frames
+    elif not 1 - _CLOCKS - 2 / len(time) < mean * rate < _THINNED:
+        return None  # there are more poses than frames, or hardly any
     else:
         period = _refined(time, 1 / rate, _CLOCKS)[0]
     if period is None:
@@ -172,9 +176,9 @@ def _chosen_period(
     periods, fits = [float(line[0])], [spread < _NONE_LOST * mean]
     count = min(_COUNTED, len(time) - 1)
     counted = float(np.quantile((time[count:] - time[:-count]) / count, _QUANTILE))
-    nominal = sorted((1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean))
+    nominal = sorted(1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean)
     begin, seen = time[:_JUDGED], values[:_JUDGED]
-    for period in (*reversed(nominal), counted):
+    for period in (*reversed(nominal), *([counted] if counted > _KEPT * mean else [])):
         within = _CLOCKS if period in nominal else 1 / count
         period, at_phase = _refined(begin, period, within)
         nearest = min((abs(period / one - 1) for one in nominal), default=1.0)
@@ -192,17 +196,17 @@ def _chosen_period(
 
 
 def _early(time: Float[np.ndarray, " N"], period: float) -> Float[np.ndarray, " N"]:
-    """Return how much later than its number says a pose is at most, as later ones show [periods]."""
+    """Return how far a pose is behind its number at most, as later ones show [periods]."""
     ahead = time / period - np.arange(len(time))
     return np.minimum.accumulate(ahead[::-1])[::-1]
 
 
 def _refined(time: Float[np.ndarray, " N"], period: float, within: float) -> tuple[float, float]:
-    """Return the period with which most of the earliest arrivals have one phase, and their share."""
+    """Return the period with which most earliest arrivals have one phase, and their share."""
     size = min(_REFINED, len(time))
     while True:
         part = time[:size] - time[0]
-        step = period / part[-1] / 4  # moves the last pose by a quarter of a period
+        step = period / max(part[-1], period) / 4  # moves the last pose by a quarter of a period
         most = math.ceil(within / step)
         periods = period * (1 + within * np.linspace(-1, 1, 2 * most + 1))
         phases = (np.exp(2j * np.pi * _early(part, one)).mean() for one in periods)

@@ -21,10 +21,15 @@ _IMPOSSIBLE = 0.01
 #: Deviation from a steady drift that latencies explain [s], and as a share of the drift.
 _STEADY, _STEADY_SHARE = 3e-3, 0.15
 #: Change of the latency from one message to the next at which a step is looked for [s]; messages
-#: on either side that show its size, and the quantile of their latencies that does.
-_SUDDEN, _BESIDE, _LEAST, _SHORT = 2.5e-3, 120, 20, 0.1
+#: on either side that show its size, the quantile of their latencies that does, and how many of
+#: them have one shortest latency.
+_SUDDEN, _BESIDE, _SHORT, _LEAST = 2.5e-3, 240, 0.1, 20
+#: Quantiles of shortest latencies between which they spread.
+_SPREAD = (0.1, 0.9)
 #: Share of a step that other latencies may add to the change at its message, or their size [s].
 _BLURRED, _BLUR = 0.5, 3e-3
+#: Time around a pose in which the commands' arrivals show a step of the recorder's clock [s].
+_NEAR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,7 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     the shortest latency. Offsets more than 0.1 s apart mean different clocks, and the commands are
     moved to the poses' clock. A clock that steps or drifts against the recorder's is set right.
     """
-    warnings: list[str] = []
+    pose, command, warnings = _without_recorder_steps(pose, command)
     latency = float(np.quantile(command.received_ns - command.stamp_ns, 0.01)) / SECOND_NS
     pose, said = _steady(pose, "pose", latency)
     warnings += said
@@ -94,7 +99,7 @@ def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]
     if len(stream) < _ENOUGH_FOR_DRIFT or (stream.stamp_ns == stream.received_ns).all():
         return stream, []
     offset, warnings = (stream.received_ns - stream.stamp_ns) / SECOND_NS, []
-    steps = _clock_steps(stream, offset)
+    steps = [(k, size) for k, size, of_sender in _clock_steps(stream, offset) if of_sender]
     late = np.zeros(len(stream))
     for k, size in steps:
         late[k:] += size
@@ -140,29 +145,68 @@ def _moved(stream: Stream, late: Float[np.ndarray, " N"]) -> Stream:
     return replace(stream, stamp_ns=stream.stamp_ns + moved)
 
 
-def _clock_steps(stream: Stream, offset: Float[np.ndarray, " N"]) -> list[tuple[int, float]]:
-    """Return the messages from which on latencies seem longer, and by how much [s].
+def _without_recorder_steps(pose: Stream, command: Stream) -> tuple[Stream, Stream, list[str]]:
+    """Remove steps of the recorder's clock, and of commands' stamps if made by the same clock.
+
+    Arrivals of both streams show them; an arrival that is only late moves one.
+    """
+    warnings = []
+    for k, size, of_sender in _clock_steps(pose, (pose.received_ns - pose.stamp_ns) / SECOND_NS):
+        near = np.abs(command.received_ns - pose.received_ns[k - 1]) < _NEAR * SECOND_NS
+        pause = np.diff(command.received_ns) / SECOND_NS
+        off = np.where(near[:-1] & near[1:], np.abs(pause - np.median(pause) - size), np.inf)
+        if of_sender or not len(off) or off.min() > max(_BLURRED * abs(size), _BLUR):
+            continue
+        later = np.arange(len(command)) > np.argmin(off)
+        beside = slice(max(int(np.argmin(off)) - _BESIDE, 0), int(np.argmin(off)) + _BESIDE)
+        offset = ((command.received_ns - command.stamp_ns) / SECOND_NS)[beside]
+        change = np.subtract(*(_lowest(offset[later[beside] == part]) for part in (True, False)))
+        moved = round(size * SECOND_NS)
+        received = command.received_ns - moved * later
+        stamps = command.stamp_ns - moved * later * (abs(change) < _BLURRED * abs(size))
+        command = replace(command, stamp_ns=stamps, received_ns=received)
+        pose = replace(pose, received_ns=pose.received_ns - moved * (np.arange(len(pose)) >= k))
+        warnings.append(
+            f"the recorder's clock steps by {1e3 * size:.1f} ms after "
+            f"{(pose.received_ns[k] - pose.received_ns[0]) / SECOND_NS:.1f} s; the step was removed"
+        )
+    return pose, command, warnings
+
+
+def _clock_steps(stream: Stream, offset: Float[np.ndarray, " N"]) -> list[tuple[int, float, bool]]:
+    """Return the messages from which on latencies are longer, by how much [s], and for whom.
 
     The sender's clock stepped if its stamps break their rhythm there, and the recorder's do not.
+    A step exceeds the spread of the shortest latencies on both sides.
     """
+    if len(stream) < _ENOUGH_FOR_DRIFT:
+        return []
     sudden = np.diff(offset)
     sent, received = (np.diff(s) / SECOND_NS for s in (stream.stamp_ns, stream.received_ns))
     usual = float(np.median(received))
     broken = np.abs(sent - usual) > np.abs(received - usual)
-    found: list[tuple[int, float]] = []
-    for k in (np.flatnonzero((np.abs(sudden) > _SUDDEN) & broken) + 1).tolist():
-        before, after = offset[max(k - _BESIDE, 0) : k], offset[k : k + _BESIDE]
-        if min(len(before), len(after)) < _LEAST:
+    around = np.pad(offset, _BESIDE, constant_values=np.inf)
+    least = np.lib.stride_tricks.sliding_window_view(around, _BESIDE).min(axis=1)
+    before, after = least[1 : len(offset)], least[_BESIDE + 1 :]
+    moves = np.abs(after[: len(before)] - before) > _SUDDEN  # few do, and the rest takes longer
+    found: list[tuple[int, float, bool]] = []
+    for k in (np.flatnonzero((np.abs(sudden) > _SUDDEN) & moves) + 1).tolist():
+        sides = offset[max(k - _BESIDE, 0) : k], offset[k : k + _BESIDE]
+        if min(map(len, sides)) < _LEAST:
             continue
-        size = float(np.quantile(after, _SHORT) - np.quantile(before, _SHORT))
+        levels = [
+            [part.min() for part in np.array_split(side, len(side) // _LEAST)] for side in sides
+        ]
+        size = float(np.subtract(*(np.quantile(side, _SHORT) for side in reversed(sides))))
+        spread = max(float(np.ptp(np.quantile(level, _SPREAD))) for level in levels)
         blur = max(_BLURRED * abs(size), _BLUR)
-        if abs(size) < _DRIFTS or abs(sudden[k - 1] - size) > blur:
+        if abs(size) < max(_DRIFTS, spread) or abs(sudden[k - 1] - size) > blur:
             continue
         if found and k - found[-1][0] < _BESIDE:
             if abs(size) <= abs(found[-1][1]):
                 continue
             found.pop()
-        found.append((k, size))
+        found.append((k, size, bool(broken[k - 1])))
     return found
 
 
