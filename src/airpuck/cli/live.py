@@ -251,6 +251,43 @@ def fly_plan(
     steered.fly(make, craft, controls, live, json_file)
 
 
+_SCENARIO = Argument(metavar="SCENARIO", help="A scenario (TOML), or the name of a packaged one.")
+
+
+@app.command("fly-fleet", rich_help_panel=_PANEL)
+def fly_fleet(
+    scenario: Annotated[str, _SCENARIO],
+    craft: Annotated[str, Setting("Craft of the scenario to fly.", metavar="NAME", option="--as")],
+    live: LiveSettings,
+    json_file: options.Json = None,
+) -> None:
+    """Fly one craft of a fleet on the graph; the others are other processes. Ctrl-C lands it.
+
+    Its topics are in the namespace of its name. All begin together, once each is at its start.
+    """
+    from airpuck.compute.process import low_latency
+    from airpuck.live.fleet import fly_in_fleet
+
+    low_latency()
+    report_flight(fly_in_fleet(airpuck.read_fleet(scenario), craft, live), json_file, live.quiet)
+
+
+@app.command("twin-fleet", rich_help_panel=_PANEL)
+def twin_fleet(
+    scenario: Annotated[str, _SCENARIO],
+    live: LiveSettings,
+    seed: options.Seed = 0,
+    json_file: options.Json = None,
+) -> None:
+    """Put all craft of a scenario on one simulated table on the graph, in real time."""
+    from airpuck.live.twin import serve_fleet
+
+    figures = serve_fleet(airpuck.read_fleet(scenario), live, seed=seed)
+    contacts = len(figures["contacts"])
+    words = f"{figures['duration_s']:.1f} s: {contacts} contacts between craft"
+    report(figures, json_file, words, quiet=live.quiet)
+
+
 @app.command(
     "fly-excitation", rich_help_panel=_PANEL, rare=("tuning", "domain", "topics", "seed", "vehicle")
 )

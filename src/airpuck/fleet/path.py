@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -49,6 +49,10 @@ class Route:
         """Return the path of a craft that rests at a pose."""
         none = np.zeros((3, 0))
         return cls(time, np.array(pose, dtype=float), np.zeros(3), none, none)
+
+    def later(self, time: float) -> Route:
+        """Return the same motion, later by a time [s]."""
+        return replace(self, begin=self.begin + time)
 
     @cached_property
     def end(self) -> float:

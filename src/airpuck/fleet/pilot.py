@@ -66,6 +66,8 @@ class FleetPilot(Pilot):
         Sends a message to the others.
     seed : int
         Of its search.
+    start : float or None
+        When the flight begins; None: `begin` says so later [s].
     """
 
     def __init__(
@@ -75,10 +77,12 @@ class FleetPilot(Pilot):
         tell: Callable[[Message], None],
         *,
         seed: int = 0,
+        start: float | None = 0.0,
     ) -> None:
         member, table = fleet.member(name), fleet.settings.table
         self.member, self._tell = member, tell
-        self.agreement = fleet.agreement(name)
+        self._fleet, self._start = fleet, start
+        self.agreement = fleet.agreement(name, start)
         self._following = Following(self.agreement.agreed.path)
         self.controller = TrackingController(
             member.model, self._following, member.tuning, table=table
@@ -97,6 +101,12 @@ class FleetPilot(Pilot):
     def reference(self) -> Following:  # type: ignore[override]
         """The agreed path."""
         return self._following
+
+    def begin(self, start: float) -> None:
+        """Let the flight begin at a time [s]; until then all rest."""
+        self._start = start
+        self.agreement = self._fleet.agreement(self.member.name, start)
+        self._following.path = self.agreement.agreed.path
 
     def measured(self, measurement: Measurement) -> None:
         """Receive a measurement of the craft; see `Pilot.measured`."""
@@ -120,7 +130,7 @@ class FleetPilot(Pilot):
         agreement = self.agreement
         if agreement.settle(time, self._ahead):
             self._following.path = agreement.agreed.path
-        if time >= self._next_search:
+        if self._start is not None and time >= max(self._next_search, self._start):
             self._next_search = max(self._next_search + _SEARCHES, time)
             if agreement.proposal is None:
                 self._look(time)
@@ -131,7 +141,7 @@ class FleetPilot(Pilot):
 
     def _look(self, now: float) -> None:
         """Search for a better path, and propose it."""
-        agreement, search, goal = self.agreement, self._search, self.member.goal(now)
+        agreement, search, goal = self.agreement, self._search, self._goal(now)
         path = agreement.agreed.path
         own = search.cost(path, goal, now)
         there = np.abs(path.rest - goal).max() < SAME
@@ -155,6 +165,11 @@ class FleetPilot(Pilot):
         arrives = found is not None and np.abs(found.rest - goal).max() < SAME
         self._wish(now, arrives or (there and not missing), missing > 0 and found is None, begin)
 
+    def _goal(self, now: float) -> Float[np.ndarray, " 3"]:
+        """Return the goal at a time."""
+        assert self._start is not None
+        return self.member.goal(now - self._start)
+
     def _wish(self, now: float, served: bool, cornered: bool, begin: float) -> None:
         """Ask the others to make way, if there has been no path for some time."""
         agreement = self.agreement
@@ -169,7 +184,7 @@ class FleetPilot(Pilot):
         else:
             agreement.wish = None
             return
-        path, goal = agreement.agreed.path, self.member.goal(now)
+        path, goal = agreement.agreed.path, self._goal(now)
         wish = self._search.path(path, begin, goal, self._still, keeps=math.inf)
         agreement.wish = None if wish is None else (rank, wish)
 

@@ -204,21 +204,25 @@ class Fleet:
         self._assign()
         self._check_places()
 
-    def agreement(self, name: str) -> Agreement:
+    def agreement(self, name: str, start: float | None = 0.0) -> Agreement:
         """Return the part of one craft in the agreement.
 
         Parameters
         ----------
         name : str
             The craft.
+        start : float or None, default 0
+            When the opening begins [s]; None: not yet, all rest at their starts.
 
         Returns
         -------
         Agreement
             At its path of the opening, with the others at theirs.
         """
-        pairs = zip(self.members, self.opening, strict=True)
-        parts = {one.name: (one.reach, path) for one, path in pairs}
+        paths = [one.start for one in self.members]
+        if start is not None:
+            paths = [path.later(start) for path in self.opening]
+        parts = {one.name: (one.reach, path) for one, path in zip(self.members, paths, strict=True)}
         own = parts.pop(self.member(name).name)
         return Agreement(name, *own, parts)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import math
 import re
@@ -165,6 +166,12 @@ class Process:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         self.graph.close()
+
+    def with_topics(self, topics: Topics) -> Process:
+        """Return this process with other topics."""
+        other = copy.copy(self)
+        other.topics = topics
+        return other
 
     def refuse_second(self, stream: str, motors: tuple[str, ...], role: str) -> None:
         """Raise InputError if another process already publishes a stream."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import loaded
 from airpuck.boundary.results import Result
 from airpuck.compute.process import prioritize
+from airpuck.fleet.scenario import Fleet
 from airpuck.live.process import Inbox, Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
+from airpuck.recording.mapping import Topics
+from airpuck.twin.play import World
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
@@ -91,9 +95,77 @@ def serve_twin(
         if puck is not None:
             process.refuse_second("puck", (), "motion capture of a puck")
         table = _Table(twin, process, puck, human, seed)
-        while process.goes_on:
-            table.turn()
+        process.start(f": {model.name}")
+        _simulate(process, [table])
         return table.to_json()
+
+
+def serve_fleet(
+    fleet: Fleet, settings: LiveSettings | None = None, *, seed: int = 0
+) -> dict[str, Any]:
+    """Put all craft of a scenario on one simulated table, each with topics in its namespace.
+
+    Parameters
+    ----------
+    fleet : Fleet
+        The scenario.
+    settings : LiveSettings, optional
+        How to join the graph, and for how long.
+    seed : int, default 0
+        Seed of all random numbers.
+
+    Returns
+    -------
+    dict
+        Results for ``--json``.
+
+    Raises
+    ------
+    InputError
+        If the graph cannot be joined, or another process publishes poses.
+    """
+    settings = settings or LiveSettings()
+    topics, world = settings.topics or Topics(), World(fleet.settings, logs=False)
+    twins, names = [], dict[int, str]()
+    for k, one in enumerate(fleet.members):
+        pose = tuple(one.start.pose.tolist())
+        warm = Twin(one.truth, fleet.settings, pose=pose)
+        warm.wait_until(_WARM_UP)
+        options: dict[str, Any] = {"pose": pose, "plant": warm.plant, "logs": False}
+        twins.append(Twin(one.truth, fleet.settings, seed=1000 * seed + k, world=world, **options))
+        names[id(twins[-1].craft)] = one.name
+    prioritize(first=True)
+    with Process(f"{NAME} of a fleet", settings) as process:
+        tables = []
+        for name, twin in zip(fleet.names, twins, strict=True):
+            own = process.with_topics(topics.within(name))
+            own.refuse_second("pose", (), f"motion capture of {name}")
+            tables.append(_Table(twin, own, None, None, seed, name))
+        process.start(f": {', '.join(fleet.names)}")
+
+        def report() -> None:
+            for _, one, other, speed in world.met[len(touched) :]:
+                touched.append((names[id(one)], names[id(other)], speed))
+                text = "{} and {} touch, closing at {:.2f} m/s".format(*touched[-1])
+                process.events.log("error", text)
+
+        touched: list[tuple[str, str, float]] = []
+        _simulate(process, tables, report)
+        own = {name: table.to_json() for name, table in zip(fleet.names, tables, strict=True)}
+        return {"duration_s": process.clock.now, "contacts": touched, "craft": own}
+
+
+def _simulate(
+    process: Process, tables: Sequence[_Table], then: Callable[[], None] = lambda: None
+) -> None:
+    """Simulate craft on one table until the process ends."""
+    while process.goes_on:
+        due = min(process.beat.due, *(table.due for table in tables))
+        process.graph.wait(due - process.clock.now)
+        beats = process.beat.begins(process.clock.now)
+        for table in tables:
+            table.turn(due, beats)
+        then()
 
 
 class _Table(Result):
@@ -105,9 +177,17 @@ class _Table(Result):
     )
 
     def __init__(
-        self, twin: Twin, process: Process, puck: PuckState | None, human: str | None, seed: int
+        self,
+        twin: Twin,
+        process: Process,
+        puck: PuckState | None,
+        human: str | None,
+        seed: int,
+        name: str = "",
     ) -> None:
         self._twin, self._process, self._puck = twin, process, puck
+        #: Name of the craft in events, and in the name of its heartbeat.
+        self._name, self._whose = (f"{NAME} {name}", f" of {name}") if name else (NAME, "")
         self._human: Opponent | None = None
         if human is not None:
             self._human = loaded("airpuck.opponents", human)(twin, process, human, seed)
@@ -118,16 +198,18 @@ class _Table(Result):
         self._commands = Inbox(process, "command", motors, wakes=True)
         self._poses = self._stops = 0
         self._running = False
-        process.events.heartbeat("info", "starting", {})
-        process.start(f": {twin.model.name}")
+        process.events.state("info", "starting", {}, name=self._name)
 
-    def turn(self) -> None:
-        """Wait for a command or the next measurement; simulate up to the present."""
-        process, clock = self._process, self._process.clock
-        due = min(self._twin.next_event, process.beat.due)
-        process.graph.wait(due - clock.now)
+    @property
+    def due(self) -> float:
+        """Time of the next measurement [s]."""
+        return self._twin.next_event
+
+    def turn(self, due: float, beats: bool) -> None:
+        """Simulate up to the present; `due` is when this was to happen, `beats` if to report."""
+        process = self._process
         commands = self._commands.take_commands()
-        now = clock.now
+        now = process.clock.now
         arrived = self._twin.wait_until(now)
         if now - due > _LOST:
             process.events.log("warning", f"paused for {now - due:.3f} s, measurements lost")
@@ -145,15 +227,17 @@ class _Table(Result):
         else:
             self._serve()
         self._report_contact()
-        if process.beat.begins(now):
+        if beats:
             self._commands.report_strangers()
             if self._human is not None and self._human.targets is not None:
                 self._human.targets.report_strangers()
             speeds = " ".join(f"{speed:.3f}" for speed in self._twin.state[6:].tolist())
-            process.events.heartbeat(
+            process.events.flush()
+            process.events.state(
                 "info",
                 "motors run" if self._running else "motors stopped: no commands",
                 {"poses": self._poses, "motor speeds": speeds},
+                name=self._name,
             )
 
     def _serve(self) -> None:
@@ -173,8 +257,9 @@ class _Table(Result):
             return
         self._running = running
         if running:
-            self._process.events.log("info", "commands arrive, motors run")
+            self._process.events.log("info", f"commands arrive, motors{self._whose} run")
         else:
             self._stops += 1
             timeout = 1e3 * self._twin.settings.radio.timeout_s
-            self._process.events.log("warning", f"no command for {timeout:.0f} ms, motors stopped")
+            text = f"no command for {timeout:.0f} ms, motors{self._whose} stopped"
+            self._process.events.log("warning", text)

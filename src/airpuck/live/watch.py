@@ -48,11 +48,11 @@ class Observer:
         self.beats: dict[str, tuple[float, str, Mapping[str, str]]] = {}
         #: Newest events: arrival time [s] and message.
         self.events: deque[tuple[float, Any]] = deque(maxlen=_EVENTS)
-        self._take_events = _messages(process, EVENTS, EVENT_TYPE, LOG)
-        self._take_beats = _messages(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
+        self._take_events = well_formed(process, EVENTS, EVENT_TYPE, LOG)
+        self._take_beats = well_formed(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
         #: Path of the controller's newest plan [m]; its limits are in `beats` under `plan.NAME`.
         self.plan: Float[np.ndarray, "N 2"] | None = None
-        self._take_plans = _messages(process, PLAN, PLAN_TYPE, SENSOR)
+        self._take_plans = well_formed(process, PLAN, PLAN_TYPE, SENSOR)
         self._counts: Counter[str] = Counter()
         self._counted = 0.0
 
@@ -98,7 +98,7 @@ class Observer:
         return self.clock.now - self.heard.get(stream, -math.inf)
 
 
-def _messages(
+def well_formed(
     process: Process, topic: str, msgtype: str, quality: Quality
 ) -> Callable[[], list[Any]]:
     """Subscribe to a topic that is not a stream; the result returns its well-formed messages."""

@@ -105,6 +105,21 @@ class Topics(Section):
         """Stream name -> topic name."""
         return self.model_dump()
 
+    def within(self, namespace: str) -> Topics:
+        """Return the same topics in a namespace.
+
+        Parameters
+        ----------
+        namespace : str
+            For example the name of a craft.
+
+        Returns
+        -------
+        Topics
+            Each begins with the namespace.
+        """
+        return Topics(**{k: f"/{namespace}{name}" for k, name in self.by_stream.items()})
+
     def required(self, stream: str, needs: Sequence[str] = ("pose", "command")) -> bool:
         """Return whether a bag must contain this stream.
 
