@@ -29,6 +29,8 @@ _PATIENT = 0.6
 #: A craft is off its path beyond this multiple of its margin; it is treated as coasting for this
 #: time [s], with this additional distance [m].
 _OFF, _COASTS, _UNSURE = 2.5, 1.5, 0.03
+#: A path may come this much closer to such a craft than this one is before it [m].
+_NEARER = 1e-3
 #: Speed below which a craft that coasts counts as resting [m/s].
 _RESTS = 0.03
 #: Poses this far apart give a velocity [s].
@@ -148,12 +150,12 @@ class FleetPilot(Pilot):
         agreement.arrival = own
         way = self._way_to_make(now)
         missing = 0.0 if way is None else float(in_the_way(way, path.rest[None, :2])[0])
-        loose = self._loose(now)
+        begin = now + self._ahead + _ANSWERS
+        loose = self._loose(now, begin)
         threatened = bool(loose) and not search.is_free(path, list(loose.values()), now)
         if there and not missing and not threatened and path.end < now + _LATE:
             self._stuck_since = agreement.wish = None
             return
-        begin = now + self._ahead + _ANSWERS
         dead = agreement.silent(now) & set(loose)
         taken = [*agreement.taken(without=dead), *self._still, *loose.values()]
         # The longer it has waited, the less a path needs to be worth.
@@ -198,9 +200,10 @@ class FleetPilot(Pilot):
         self._yields = wishes[0][0]
         return Taken(wishes[0][1], 2 * self._search.reach.room)
 
-    def _loose(self, now: float) -> dict[str, Taken]:
+    def _loose(self, now: float, begin: float) -> dict[str, Taken]:
         """Return the predicted paths of craft that do not follow their own."""
         found, silent = {}, self.agreement.silent(now)
+        times, own = np.linspace(now, begin, 9), self.agreement.agreed.path
         for name, reach, path in self.agreement.followed():
             seen = self._seen.get(name)
             if seen is None:
@@ -214,5 +217,8 @@ class FleetPilot(Pilot):
                 distance = self._search.reach.room + reach.room + _UNSURE
                 until = math.inf if rests else seen.time + _COASTS
                 path = Route(seen.time, seen.pose, rate, lasting, none)
+                # Of a craft that is too close already, a path can only lead away.
+                gap = float(np.hypot(*(own.places(times) - path.places(times)).T).min())
+                distance = min(distance, gap - _NEARER)
                 found[name] = Taken(path, distance, until)
         return found
