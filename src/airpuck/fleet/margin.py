@@ -23,7 +23,7 @@ _PUSH, _TURN = 0.4, 0.15
 #: and of the response time [s].
 _UNKNOWN = (0.05, 0.003)
 #: The least margin: what noise, jitter of the radio and motor lag cost with a perfect model; in
-#: studies/fleet.py at most 3.6 mm [m].
+#: studies/fleet.py at most 5.7 mm [m].
 _LEAST = 0.006
 #: Standard errors that count as certain.
 _CERTAIN = 3.0
