@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,14 +68,20 @@ def identify(
     **given: Any,
 ) -> Fit:
     """Fit one model by minimising its error (eq. combined_loss); `given`: fields of `Problem`."""
-    began = time.perf_counter()
+    return judge(solved(trajectories, model, **given))
+
+
+def solved(
+    trajectories: Trajectory | Sequence[Trajectory], model: str | Rung, **given: Any
+) -> Solution:
+    """Find the optimum of a model, without the uncertainty of its parameters."""
     problem = Problem.of(trajectories, model, **given)
     solution = Solution(problem, problem.trajectories)
     try:
         solution = minimize(retime(leave_out_faults(solution)))
         if (given.get("loss") or Loss()).encoder_time is None:
             solution = remember(solution)
-        return judge(solution, began)
+        return solution
     except InputError as error:
         if (early := _early_poses(problem)) is not None:
             raise early from error
@@ -153,6 +159,8 @@ class Solution:
     packets: tuple[PacketDelays, ...] = ()
     #: Loss and result of the last fit; None before the first.
     fitted: tuple[PredictionLoss, Outcome] | None = None
+    #: When the fit began [s].
+    began: float = field(default_factory=time.perf_counter)
 
     @property
     def result(self) -> tuple[PredictionLoss, Outcome, Model]:
@@ -256,7 +264,7 @@ def remember(solution: Solution) -> Solution:
     return remember(minimize(retime(replace(solution, problem=replace(problem, loss=longer)))))
 
 
-def judge(solution: Solution, began: float) -> Fit:
+def judge(solution: Solution) -> Fit:
     """Estimate the parameters' uncertainty, and summarise the fit."""
     problem = solution.problem
     loss, outcome, model = solution.result
@@ -286,7 +294,7 @@ def judge(solution: Solution, began: float) -> Fit:
         converged=outcome.converged,
         message=outcome.message,
         windows=len(loss.windows),
-        wall_s=time.perf_counter() - began,
+        wall_s=time.perf_counter() - solution.began,
         warnings=fit_warnings(model, solution.trajectories, outcome, solution.exclusion),
         identifiability=identifiability_of(
             quadratic.hessian, parameters, problem.free, problem.vehicle.propeller_names

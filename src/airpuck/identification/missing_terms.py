@@ -10,7 +10,7 @@ predicts the term, and the shift of each parameter that its absence causes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,7 +70,7 @@ class MissingTerm(Result):
     shift : dict of str to float
         Predicted change of the main quantities if the term is added, by label, in their units.
     largest : str
-        The quantity that changes most, in standard errors.
+        The quantity that changes most, in standard errors; empty if these are unknown.
     standard_errors : float
         How many.
     """
@@ -101,19 +101,19 @@ class MissingTerm(Result):
         return self.held_out > _NOTICEABLE and not self.term.startswith(CHANGE)
 
 
-def missing_terms(model: Model, loss: PredictionLoss | None) -> tuple[MissingTerm, ...]:
+def missing_terms(model: Model, loss: PredictionLoss | None) -> list[MissingTerm]:
     """Test every term that a model lacks; return the significant ones, the strongest first.
 
     Terms explain much of each other: once the strongest is found, the others are tested beside it.
     """
     if loss is None or loss.clusters is None or not model.free.any():
-        return ()
+        return []
     tests = _Tests.of(model, loss)
     found: list[MissingTerm] = []
     while True:
         tested = [t for t in tests.tested([one.term for one in found]) if t.significant]
         if not tested:
-            return _with_shifts(model, found)
+            return found
         found.append(max(tested, key=lambda one: one.gain))
 
 
@@ -342,8 +342,8 @@ def _extended(
     return np.concatenate([basis, rest @ vector[:, sure] / np.sqrt(value[sure])], axis=1)
 
 
-def _with_shifts(model: Model, found: list[MissingTerm]) -> tuple[MissingTerm, ...]:
-    """Add how the main quantities change with each term, and which changes most."""
+def with_shifts(model: Model, found: Sequence[MissingTerm]) -> tuple[MissingTerm, ...]:
+    """Add how the main quantities change with each term; and which most, if errors are known."""
     if not found:
         return ()
     quantities = [q for q in main_quantities(model) if q.used(model) and q.learned(model)]
@@ -360,6 +360,6 @@ def _with_shifts(model: Model, found: list[MissingTerm]) -> tuple[MissingTerm, .
         relative = np.abs(np.divide(change, errors, where=known, out=np.zeros_like(change)))
         most = int(np.argmax(relative))
         shift = {q.label: float(c) for q, c in zip(quantities, change, strict=True)}
-        largest, size = quantities[most].label, float(relative[most])
+        largest, size = quantities[most].label if known.any() else "", float(relative[most])
         complete.append(replace(one, shift=shift, largest=largest, standard_errors=size))
     return tuple(complete)

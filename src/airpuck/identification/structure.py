@@ -22,7 +22,7 @@ from airpuck.faults.strengths import usual_rung
 from airpuck.identification import fit as fitting
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
-from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms
+from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms, with_shifts
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import retime_packets
 from airpuck.identification.settings import Loss, Preparation
@@ -147,15 +147,18 @@ def structured(
     name = usual_rung(trajectories[0], craft) if usual else "M3" if free else model
     rung = named_rung(name, degree=degree, frame=frame) if isinstance(name, str) else name
     assert rung is not None
-    fit = fitting.identify(trajectories, rung, **options)
-    missing = missing_terms(fit.model, fit.objective)
-    added = tuple(one for one in missing if one.worthwhile) if usual else ()
-    chosen = rung
-    if added:
-        bent = np.shape(fit.model.parameters.thrust)[1]
+    solution, chosen = fitting.solved(trajectories, rung, **options), rung
+    loss, _, simple = solution.result
+    found = missing_terms(simple, loss) if usual else []
+    # Uncertainties take a third of a fit, and the first of two fits needs none.
+    if added := with_shifts(simple, [one for one in found if one.worthwhile]):
+        bent = np.shape(simple.parameters.thrust)[1]
         chosen = _richer(rung, [one.term for one in added], bent)
-        fit = fitting.identify(trajectories, chosen, **options)
-        missing = missing_terms(fit.model, fit.objective)
+        solution = fitting.solved(trajectories, chosen, **options)
+    fit = fitting.judge(solution)
+    if added or not usual:
+        found = missing_terms(fit.model, fit.objective)
+    missing = with_shifts(fit.model, found)
     return _widened(fit, missing), ModelStructure(rung.name, chosen.name, added, missing)
 
 
@@ -167,7 +170,8 @@ def lacking_on(model: Model, trajectory: Trajectory) -> tuple[MissingTerm, ...]:
     loss = loss.remembering(float(np.max(model.dynamics.lag)))
     prepared, _ = retime_packets([trajectory], model)
     options: dict[str, Any] = {"frame": model.frame, "learns_delay": True}
-    return missing_terms(model, prediction_loss(loss, prepared, model.vehicle, **options))
+    tested = prediction_loss(loss, prepared, model.vehicle, **options)
+    return with_shifts(model, missing_terms(model, tested))
 
 
 def _richer(rung: Rung, terms: Sequence[str], degree: int) -> Rung:
