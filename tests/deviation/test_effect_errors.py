@@ -8,11 +8,9 @@ import pytest
 
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.deviation.effect_errors import effect_errors
-from airpuck.model.model_file import nominal_model, published_model
+from airpuck.model.model_file import nominal_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
-from airpuck.twin.experiments import excite
-from airpuck.twin.settings import default_twin_settings
 
 ATMOS = Path(__file__).parents[2] / "examples/free_flyers/atmos.toml"
 OPPOSITE = [1, 0, 3, 2, 5, 4, 7, 6]
@@ -54,16 +52,3 @@ def test_chance_does_not_make_a_craft_stronger():
     errors = effect_errors(model, trajectory)
     assert errors is not None
     assert errors.push.mean() > -0.08  # -0.13 with what chance adds
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rate", [5, 8])
-def test_the_noise_of_a_slow_camera_is_a_number(rate):
-    model = published_model("M3")
-    settings = default_twin_settings()
-    camera = settings.motion_capture.model_copy(update={"rate_hz": float(rate)})
-    settings = settings.model_copy(update={"motion_capture": camera})
-    recording = excite(model, duration=30.0, settings=settings)
-    errors = effect_errors(model, preprocess(recording, model.vehicle))
-    assert errors is not None
-    assert np.isfinite(errors.noise).all()

@@ -9,10 +9,13 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.campaigns.items import Fitting
+from airpuck.identification.missing_terms import MissingTerm
+from airpuck.judgement.study import judged_on
 from airpuck.model.model_file import nominal_model, published_model, read_model
 from airpuck.twin.settings import default_twin_settings
 
 from ..apparatus.commands import airpuck as command
+from ..apparatus.synthetic_flights import fly
 
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 FILE = {
@@ -125,6 +128,38 @@ def test_a_battery_that_loses_thrust_is_a_change_during_the_recording():
     # The twin loses 15 % from the beginning to the end.
     assert change.term == "change of all" and change.value[0] == pytest.approx(-0.15, abs=0.04)
     assert "less thrust at the end" in next(one.cause for one in study.findings)
+
+
+@pytest.mark.parametrize(
+    ("term", "value", "told"),
+    [
+        ("change of delay", 0.004, "commands act 4.0 ms later than at its beginning"),
+        ("change of delay", -0.004, "commands act 4.0 ms earlier than at its beginning"),
+        ("change of all", -0.1, "All propellers give 10 % less thrust"),
+        ("change of motor_a_1", 0.1, "motor_a_1 gives 10 % more thrust"),
+    ],
+)
+def test_what_changed_in_flight_is_told_with_its_sign(term, value, told, monkeypatch):
+    flight = fly(TRUTH, 4.0, seed=1)
+    lacks = MissingTerm(term, 1e-6, 0.1, 0.1, (value,), np.zeros(1))
+    monkeypatch.setattr("airpuck.judgement.study.lacking_on", lambda *_: (lacks,))
+    found = judged_on(TRUTH, flight, airpuck.evaluate(TRUTH, flight))
+    assert any(told in one.cause for one in found.findings), found.findings
+
+
+@pytest.mark.parametrize(("span", "share"), [(None, 1.0), ((0.25, 0.75), 0.5)])
+def test_a_study_learns_from_the_span_that_is_asked_for(span, share, monkeypatch):
+    seen = []
+
+    def structured(training, *_, **__):
+        seen.extend(training)
+        raise InputError("enough")
+
+    monkeypatch.setattr("airpuck.judgement.study.structured", structured)
+    flight = fly(TRUTH, 4.0, seed=1)
+    with pytest.raises(InputError, match="enough"):
+        airpuck.study(flight, span=span)
+    assert seen[0].duration == pytest.approx(share * flight.duration, rel=0.02)
 
 
 @pytest.mark.slow

@@ -227,6 +227,19 @@ def test_a_model_whose_controller_does_not_settle_is_not_trusted(flight, monkeyp
     assert found.to_json()["controller"]["lqr"]["margin"] == 0.5
 
 
+def test_the_remedy_for_a_law_that_was_asked_for_is_told(flight, monkeypatch):
+    """The usual law settles; what another one needs is no reason for distrust."""
+
+    def flown(model, trajectory, effects, law=None):
+        return Rehearsal(0.5, f"{law.upper()} needs calm.") if law else Rehearsal(2.0)
+
+    monkeypatch.setattr("airpuck.judgement.verdict.rehearse", flown)
+    found = verdict(MODEL, flight, laws=("mpc",))
+    assert found.trusted and "MPC needs calm." in found.sentences
+    assert [one.settles for one in found.controller.values()] == [True, False]
+    assert "needs calm" not in " ".join(verdict(MODEL, flight).sentences)
+
+
 def test_a_model_may_fly_although_its_parameters_are_wrong(flight):
     model = known()
     assert model.uncertainty is not None

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import Windows
+from airpuck.deviation.motor_regression import body_accelerations, other_accelerations
 from airpuck.deviation.pose_regression import OTHER_UNIT, PoseRegression, judging_windows
 from airpuck.deviation.time_scale import patience
 from airpuck.deviation.timing_change import TimingChange, timing_change
@@ -57,8 +58,6 @@ class EffectErrors:
     #: Delay of the commands' effect beyond the model's, lag and delay together [s].
     later: float
     later_error: float
-    #: Standard deviation of the white noise in measured poses [m, m, rad].
-    noise: Float[np.ndarray, " 3"]
     #: The clearest change of the delay within the recording.
     timing: TimingChange
 
@@ -108,7 +107,7 @@ def _estimated(design: PoseRegression, block: float) -> EffectErrors:
     late = np.zeros(len(units))
     late[_PER_MOTOR * n : _PER_MOTOR * n + 2] = 0.5
     changed = timing_change(columns, left, late, windows.time[windows.present], block)
-    return replace(found, noise=design.noise(left), timing=changed)
+    return replace(found, timing=changed)
 
 
 def _in_words_of_control(
@@ -160,7 +159,6 @@ def _in_words_of_control(
         pushes(LOW_SPEED * vehicle.command_max)[0],
         float(late @ estimate),
         float(np.sqrt(late @ covariance @ late)),
-        np.zeros(3),
         TimingChange(0.0, 0.0, 0.0),
     )
 
@@ -202,14 +200,15 @@ def _columns(
     motors; for each motor the bend of its curve, which is zero at standstill and at full speed;
     constant accelerations and drag.
     """
-    speed, turn = np.moveaxis(design.speed, 1, 0), design.along()
+    speed, turn = np.moveaxis(design.speed, 1, 0), body_accelerations(design.state)
     each = np.einsum("new,eikw->einkw", thrust(curves, speed), turn)
     matrix, full = np.asarray(design.model.dynamics.configuration), _thrusts(curves, 1.0)
     # Switches tell nothing of the curve between off and on: only their lag passes through it.
     full = full * _graded(design.windows)
     bent = np.einsum("new,eikw,kn,n->einw", speed * (1 - speed), turn, matrix, full)
     free = each.reshape(*turn.shape[:2], -1, turn.shape[3])
-    return design.columns(np.concatenate([free, design.timing(), bent, design.others()], axis=2))
+    others = other_accelerations(design.state)
+    return design.columns(np.concatenate([free, design.timing(), bent, others], axis=2))
 
 
 def _graded(windows: Windows) -> Bool[np.ndarray, " n"]:

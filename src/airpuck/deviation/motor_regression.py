@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.rigid_body import Dynamics, acceleration, motor_accelerations
 
 
 def with_effectiveness(dynamics: Dynamics, effectiveness: Float[np.ndarray, "n B"]) -> Dynamics:
@@ -35,10 +35,37 @@ def accelerations_by_motor(
     return np.moveaxis(by_motor, 2, 0), np.moveaxis(rest, 1, 0)
 
 
-def motion_of(dynamics: Dynamics, state: Float[np.ndarray, "E z B"]) -> Float[np.ndarray, "k E B"]:
+def accelerations_along(
+    dynamics: Dynamics, state: Float[np.ndarray, "E z *B"], speed: Float[np.ndarray, "E n *B"]
+) -> Float[np.ndarray, "E 3 *B"]:
+    """Return the modelled accelerations along measured states."""
+    found = acceleration(np, dynamics, motion_of(dynamics, state), np.moveaxis(speed, 1, 0))
+    return np.stack(np.broadcast_arrays(*found), axis=1)
+
+
+def motion_of(
+    dynamics: Dynamics, state: Float[np.ndarray, "E z *B"]
+) -> Float[np.ndarray, "k E *B"]:
     """Return yaw and rates, and the position if an effect depends on it."""
     everything = np.moveaxis(np.asarray(state), 1, 0)
     return np.concatenate([everything[2:6], everything[: 2 if dynamics.of_place else 0]])
+
+
+def body_accelerations(state: Float[np.ndarray, "E z *B"]) -> Float[np.ndarray, "E 3 3 *B"]:
+    """Return accelerations of 1 m/s² forward and left, and 1 rad/s² of yaw, in the world."""
+    cos, sin = np.cos(state[:, 2]), np.sin(state[:, 2])
+    turn = np.zeros((len(cos), 3, 3, *cos.shape[1:]))
+    turn[:, 0, 0] = turn[:, 1, 1] = cos
+    turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = -sin, sin, 1.0
+    return turn
+
+
+def other_accelerations(state: Float[np.ndarray, "E z *B"]) -> Float[np.ndarray, "E 3 5 *B"]:
+    """Return constant accelerations in the world, and drag of translation and rotation."""
+    added = np.zeros((len(state), 3, 5, *state.shape[2:]))
+    added[:, [0, 1, 2], [0, 1, 2]] = 1.0
+    added[:, :2, 3], added[:, 2, 4] = -state[:, 3:5], -state[:, 5]
+    return added
 
 
 def following(

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from airpuck.data.sampling import mean_hold
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.motor_regression import (
+    accelerations_along,
     accelerations_by_motor,
     normal_equations,
     solved,
@@ -22,7 +23,6 @@ from airpuck.deviation.motor_regression import (
 )
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import lag_decay, motor_speeds
-from airpuck.physics.rigid_body import acceleration
 
 #: Time before the expected arrival, and total time, long enough for the motors' response [s].
 _LEAD, _LENGTH = 8 / 240, 32 / 240
@@ -74,6 +74,11 @@ def delay_for(model: Model, trajectory: Trajectory) -> float:
     if not model.delay_learned:
         return trajectory.delay
     return trajectory.acting_delay(model.transport_delay, model.vehicle.nominal.transport_delay_s)
+
+
+def commands_at(trajectory: Trajectory, delay: float) -> Float[np.ndarray, "N n"]:
+    """Return the mean command over each step, if all act after a delay [s]."""
+    return mean_hold(trajectory.command_time + delay, trajectory.command, trajectory.time)[0]
 
 
 def packet_delays(trajectory: Trajectory, model: Model, *, thorough: bool = False) -> PacketDelays:
@@ -202,12 +207,15 @@ class _Surroundings:
         since = self._since - late[self.packet]
         answer = self._answer(since)
         speed = self._speed + np.einsum("nmb,emb->enb", self._change, answer - self._answered)
-        modelled = self._accelerations(speed)
+        modelled = accelerations_along(self._dynamics, self._state, speed)
         predicted = twice_integrated(modelled, self._duration)
         # A packet that arrives later removes what the motors gain at this moment.
         gain = np.where(since > 0, answer - 1, 0) / self._lag
         steps = _STEP * np.eye(speed.shape[1])[..., None]
-        by_speed = [(self._accelerations(speed + step) - modelled) / _STEP for step in steps]
+        by_speed = [
+            (accelerations_along(self._dynamics, self._state, speed + step) - modelled) / _STEP
+            for step in steps
+        ]
         slope = np.einsum("necb,nmb->ecmb", by_speed, self._change) * gain[:, None]
         by_motor, _ = accelerations_by_motor(self._dynamics, self._state, speed)
         turning = np.zeros_like(by_motor[:, :, :1])
@@ -217,12 +225,6 @@ class _Surroundings:
     def _answer(self, since: Float[np.ndarray, "E m B"]) -> Float[np.ndarray, "E m B"]:
         """Speed of a motor after a unit step of its command."""
         return 1 - lag_decay(np, np.maximum(since, 0.0), self._lag)
-
-    def _accelerations(self, speed: Float[np.ndarray, "E n B"]) -> Float[np.ndarray, "E 3 B"]:
-        """Return the modelled accelerations along the measured motion."""
-        motion = np.moveaxis(self._state[:, 2:], 1, 0)
-        found = acceleration(np, self._dynamics, motion, np.moveaxis(speed, 1, 0))
-        return np.stack(found, axis=1)
 
 
 class _Components:

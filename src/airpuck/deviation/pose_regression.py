@@ -17,14 +17,14 @@ from jaxtyping import Bool, Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.deviation.motor_regression import (
+    accelerations_along,
     block_regression,
     following,
-    motion_of,
     twice_integrated,
 )
 from airpuck.deviation.time_scale import forgetting_time, showing_time
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rigid_body import Dynamics
 
 #: Time before and after the present of a window [s]; the latter is longer for a slow craft. Jitter
 #: of the radio biases accelerations by 3 % for windows of 0.2 s, and by 1 % for windows of 0.4 s.
@@ -37,8 +37,6 @@ _STEP_S = 1e-3
 _STEPS_PER_LAG, _MOST_PARTS = 2, 12
 #: Minimum length [s] and number of the blocks of time behind the standard errors.
 _BLOCK_S, _FEWEST_BLOCKS = 0.8, 5
-#: Order of the differences that remove slow errors; lower if windows have few poses.
-_DIFFERENCES = 3
 #: Unit of accelerations besides the motors' [m/s², rad/s²], and per speed [1/s].
 OTHER_UNIT = 0.1
 #: Information in a channel of one window beyond its initial pose and velocity: about two numbers.
@@ -70,7 +68,7 @@ class PoseRegression:
         trend = np.stack([np.ones_like(elapsed), elapsed], axis=-1) * self.real[..., None]
         self._basis = np.linalg.qr(trend.swapaxes(0, 1))[0]
         #: Accelerations of the model.
-        self.modelled = self._driven(model.dynamics, self.speed)
+        self.modelled = accelerations_along(model.dynamics, self.state, self.speed)
         driven = twice_integrated(self.modelled, np.diff(self.time, axis=0))
         #: Residuals of the poses, window by window, in units of their root mean square.
         left = self._of_poses((self.state[:, :3] - driven)[:, :, None])[..., 0]
@@ -82,40 +80,15 @@ class PoseRegression:
         driven = twice_integrated(accelerations, np.diff(self.time, axis=0))
         return self._of_poses(driven) / self._spread[:, None]
 
-    def noise(self, left: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, " 3"]:
-        """Return the standard deviation of white noise, beside errors that change slowly."""
-        poses = (left * self._spread).reshape(len(self.windows), -1, 3)
-        order = min(_DIFFERENCES, poses.shape[1] - 1)
-        # Differences raise the variance of white noise by this factor.
-        grown = math.comb(2 * order, order)
-        steps = np.diff(poses, n=order, axis=1)
-        whole = np.lib.stride_tricks.sliding_window_view(self.real.T, order + 1, axis=1).all(axis=2)
-        if not whole.any():
-            return np.zeros(3)
-        return np.sqrt(np.mean(steps[whole] ** 2, axis=0) / grown)
-
     def timing(self) -> Float[np.ndarray, "E 3 2 W"]:
         """Return the accelerations that later commands add, and slower motors, per second."""
         dynamics = self.model.dynamics
         slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _STEP_S)
-        later = self._driven(dynamics, self._speeds(dynamics, self._delay + _STEP_S))
-        slower = self._driven(slow, self._speeds(slow, self._delay))
-        return (np.stack([later, slower], axis=2) - self.modelled[:, :, None]) / _STEP_S
-
-    def along(self) -> Float[np.ndarray, "E 3 3 W"]:
-        """Return accelerations of 1 m/s² forward and left, and 1 rad/s² of yaw, in the world."""
-        cos, sin = np.cos(self.state[:, 2]), np.sin(self.state[:, 2])
-        turn = np.zeros((len(cos), 3, 3, cos.shape[1]))
-        turn[:, 0, 0] = turn[:, 1, 1] = cos
-        turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = -sin, sin, 1.0
-        return turn
-
-    def others(self) -> Float[np.ndarray, "E 3 5 W"]:
-        """Return constant accelerations in the world, and drag of translation and rotation."""
-        added = np.zeros((len(self.state), 3, 5, self.state.shape[2]))
-        added[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        added[:, :2, 3], added[:, 2, 4] = -self.state[:, 3:5], -self.state[:, 5]
-        return added
+        both = [
+            accelerations_along(one, self.state, self._speeds(one, delay))
+            for one, delay in ((dynamics, self._delay + _STEP_S), (slow, self._delay))
+        ]
+        return (np.stack(both, axis=2) - self.modelled[:, :, None]) / _STEP_S
 
     def solve(
         self, columns: Float[np.ndarray, "M 3 m"], units: Float[np.ndarray, " m"], block: float
@@ -146,13 +119,6 @@ class PoseRegression:
         commands = np.concatenate([before, commands])
         durations = np.concatenate([past.duration, durations])
         return following(dynamics, past.command[0], commands, durations)[len(before) :]
-
-    def _driven(
-        self, dynamics: Dynamics, speed: Float[np.ndarray, "E n W"]
-    ) -> Float[np.ndarray, "E 3 W"]:
-        """Return the modelled accelerations along the measured motion."""
-        found = acceleration(np, dynamics, motion_of(dynamics, self.state), speed.swapaxes(0, 1))
-        return np.stack(np.broadcast_arrays(*found), axis=1)
 
 
 def judging_windows(trajectory: Trajectory, model: Model) -> tuple[Windows, float] | None:

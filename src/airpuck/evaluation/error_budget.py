@@ -19,7 +19,7 @@ from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.data.windows import Windows
 from airpuck.deviation.motor_regression import with_effectiveness
-from airpuck.deviation.packet_delays import delay_for
+from airpuck.deviation.packet_delays import commands_at, delay_for
 from airpuck.estimate.encoder import Encoder
 from airpuck.evaluation.evaluate import (
     RECOVERY_S,
@@ -30,7 +30,7 @@ from airpuck.evaluation.evaluate import (
     judged_windows,
     with_choices,
 )
-from airpuck.evaluation.hindsight import Hindsight, KnownFault, commands_at, look_back
+from airpuck.evaluation.hindsight import Hindsight, KnownFault, look_back
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics, rollout

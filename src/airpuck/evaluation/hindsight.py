@@ -17,15 +17,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.data.sampling import mean_hold
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.data.windows import Windows
-from airpuck.deviation.motor_regression import accelerations_by_motor, following
-from airpuck.deviation.packet_delays import delay_for, moved, packet_delays
+from airpuck.deviation.motor_regression import (
+    accelerations_along,
+    accelerations_by_motor,
+    body_accelerations,
+    following,
+    other_accelerations,
+)
+from airpuck.deviation.packet_delays import commands_at, delay_for, moved, packet_delays
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.motor import motor_speeds
-from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.thrust import thrust
 
 #: Length of a step [s]: about the motors' lag, and as long as the smoothing of velocities.
@@ -129,11 +134,6 @@ class Increments:
         return np.concatenate([0 * rate[:1], np.cumsum(h / 2 * (rate[1:] + rate[:-1]), axis=0)])
 
 
-def commands_at(trajectory: Trajectory, delay: float) -> Float[np.ndarray, "N n"]:
-    """Return the mean command over each step, if all act after a delay [s]."""
-    return mean_hold(trajectory.command_time + delay, trajectory.command, trajectory.time)[0]
-
-
 def look_back(
     model: Model, trajectory: Trajectory, windows: Windows, spans: Sequence[Span]
 ) -> Hindsight:
@@ -234,7 +234,6 @@ def _best_ends(
     """Search the ends of a fault one after the other; None if it explains too little."""
     time, state = design.trajectory.time[part], design.trajectory.state[part]
     dynamics, held = design.dynamics, design.held[part]
-    motion = np.concatenate([state[:, 2:], state[:, : 2 if dynamics.of_place else 0]], axis=1).T
     knots = np.arange(0, len(time), design.trajectory.steps(_STEP_S))
     steps = np.diff(time)[:, None]
 
@@ -243,8 +242,7 @@ def _best_ends(
         given = np.where(fault.motors[:, None], given, held[:-1, :, None])
         before = np.tile(design.speed[part][0][:, None], (1, moves.shape[1]))
         speed = following(dynamics, before, given, np.broadcast_to(steps, given[:, 0].shape))
-        rates = acceleration(np, dynamics, motion[..., None], np.moveaxis(speed, 1, 0))
-        rates = np.stack(np.broadcast_arrays(*rates), axis=1)
+        rates = accelerations_along(dynamics, state[..., None], speed)
         gained = np.cumsum(steps[:, None] / 2 * (rates[1:] + rates[:-1]), axis=0)
         gained = np.concatenate([0 * gained[:1], gained])[knots]
         left = np.diff(state[knots, 3:], axis=0)[..., None] - np.diff(gained, axis=0)
@@ -358,23 +356,20 @@ class _Lacks:
         drift = ((time - time.mean()) / (np.ptp(time) / 2))[:, None, None]
         each = design.by_motor
         both = each.sum(axis=2, keepdims=True)
-        cos, sin, zero, one = np.cos(state[:, 2]), np.sin(state[:, 2]), 0 * time, 1 + 0 * time
-        turn = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, one]])
+        turn = body_accelerations(state)
         full = thrust(dynamics.thrust, np.ones(n))
         matrix = np.asarray(dynamics.configuration)
         self._other = _others(matrix)
         force = thrust(dynamics.thrust, design.speed.T)
-        aside = np.einsum("ijt,jdk,kt->tidk", turn, self._other, force).reshape(len(time), 3, -1)
+        aside = np.einsum("tij,jdk,kt->tidk", turn, self._other, force).reshape(len(time), 3, -1)
         bend = design.speed * (1 - design.speed) * full
-        bent = np.einsum("ijt,jk,tk->tik", turn, matrix, bend)
+        bent = np.einsum("tij,jk,tk->tik", turn, matrix, bend)
         slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _TIME_STEP)
         later = Increments(dynamics, trajectory, heard(_TIME_STEP)).by_motor.sum(axis=2)
         slower = Increments(slow, trajectory, design.held).by_motor.sum(axis=2)
         timing = (np.stack([later, slower], axis=2) - both) / _TIME_STEP
-        rest = np.zeros((len(time), 3, 5))
-        rest[:, [0, 1, 2], [0, 1, 2]] = 1.0
-        rest[:, :2, 3], rest[:, 2, 4] = -state[:, 3:5], -state[:, 5]
-        parts = [both, both * drift, each, each * drift, aside, bent, timing, rest]
+        parts = [both, both * drift, each, each * drift, aside, bent, timing]
+        parts.append(other_accelerations(state))
         single = [2 + np.array([k, n + k]) for k in range(n)]
         sizes = np.cumsum([2 + 2 * n, 2 * n, n, 2, 3, 2])
         several = [np.arange(a, b) for a, b in pairwise(sizes)]

@@ -40,6 +40,7 @@ from airpuck.evaluation.statistical_tests import (
 )
 from airpuck.evaluation.structure import Structure, cut, find_structure, missing_accelerations
 from airpuck.model.model_file import Model
+from airpuck.physics.angle import to_body
 
 #: Fraction of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10
@@ -379,12 +380,3 @@ def _effects(model: Model) -> Float[np.ndarray, "3 n"]:
     """
     effects = model.propeller_effects
     return np.where(np.abs(effects) > _ROUNDING * np.abs(effects).max(), effects, 0.0)
-
-
-def to_body(
-    values: Float[np.ndarray, "N 3"], yaw: Float[np.ndarray, " N"]
-) -> Float[np.ndarray, "N 3"]:
-    """Rotate x, y, γ into the body frame."""
-    x, y, spin = values.T
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    return np.stack([cos * x + sin * y, cos * y - sin * x, spin], axis=1)

@@ -21,12 +21,12 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory
-from airpuck.deviation.motor_regression import block_regression
+from airpuck.deviation.motor_regression import accelerations_along, block_regression
 from airpuck.deviation.significance import LEVEL, holm
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.model.model_file import Model
-from airpuck.physics.rigid_body import acceleration
+from airpuck.physics.angle import to_body
 
 #: Number of bins, with equally many samples each.
 BINS = 6
@@ -130,10 +130,9 @@ def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
     flight.
     """
     before = np.concatenate([found.mean[:1], found.mean[:-1]])
-    (x, y, yaw), (vx, vy, spin) = before[:, :, 0].T, before[:, :, 1].T
-    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y, yaw = before[:, :, 0].T
     speeds = found.motor_speed.mean(axis=1)
-    values = cos * vx + sin * vy, cos * vy - sin * vx, spin, speeds, trajectory.time, x, y
+    values = *to_body(before[:, :, 1], yaw).T, speeds, trajectory.time, x, y
     bins = []
     for (name, unit, frame), value in zip(REGRESSORS, values, strict=True):
         used = value[found.used]
@@ -223,9 +222,12 @@ def _tested(
 
 def _rms_of_model(model: Model, trajectory: Trajectory, found: Innovations) -> dict[str, float]:
     """Return the root mean square of the modelled accelerations in each channel."""
-    motion = trajectory.state[found.used, 2:].T
-    ax, ay, angular = acceleration(np, model.dynamics, motion, found.motor_speed[found.used].T)
-    cos, sin = np.cos(motion[0]), np.sin(motion[0])
-    along = {"forward": cos * ax + sin * ay, "left": cos * ay - sin * ax}
-    every = {**along, "x": ax, "y": ay, "yaw": angular}
-    return {name: max(float(np.sqrt(np.mean(a**2))), 1e-12) for name, a in every.items()}
+    state, speed = trajectory.state[found.used], found.motor_speed[found.used]
+    world = accelerations_along(model.dynamics, state, speed)
+    frames = {"body": to_body(world, state[:, 2]), "world": world}
+    sizes = {frame: np.sqrt(np.mean(rates**2, axis=0)) for frame, rates in frames.items()}
+    return {
+        name: max(float(size), 1e-12)
+        for frame, names in _CHANNELS.items()
+        for name, size in zip(names, sizes[frame], strict=True)
+    }

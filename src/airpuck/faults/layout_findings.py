@@ -13,6 +13,7 @@ from airpuck.boundary.results import Finding, Kind, Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.window_regression import LEVEL
 from airpuck.faults.propeller_check import HARMLESS, REVERSED, TURNED, TURNS, PropellerCheck
+from airpuck.physics.angle import to_body
 
 #: If the forces are turned by 180 degrees to within this angle, two more flips are assumed.
 _HALF_TURN = 0.5
@@ -70,7 +71,8 @@ def find_axis_signs(
     scores = {}
     for y, yaw in product((1, -1), repeat=2):
         signs = AxisSigns(1, y, yaw)
-        measured = body_acceleration(signs.undone(trajectory)) * trajectory.usable
+        true = signs.undone(trajectory)
+        measured = to_body(true.acceleration, true.state[:, 2]).T * trajectory.usable
         scores[signs] = max(
             _likeness(measured[:, shift:], modelled[:, : modelled.shape[1] - shift])
             for shift in range(trajectory.steps(longest_delay) + 1)
@@ -82,13 +84,6 @@ def find_axis_signs(
     if np.pi - abs(scores[best][1]) < _HALF_TURN:
         return replace(best, x=-best.x, y=-best.y)
     return best
-
-
-def body_acceleration(trajectory: Trajectory) -> Float[np.ndarray, "3 N"]:
-    """Return measured accelerations in the body frame."""
-    ax, ay, spin_rate = trajectory.acceleration.T
-    cos, sin = np.cos(trajectory.state[:, 2]), np.sin(trajectory.state[:, 2])
-    return np.stack([cos * ax + sin * ay, cos * ay - sin * ax, spin_rate])
 
 
 def _likeness(

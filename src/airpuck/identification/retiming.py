@@ -21,14 +21,13 @@ from jaxtyping import Float, Int
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import integration_parts, make_windows, refined
-from airpuck.deviation.motor_regression import integrated
+from airpuck.deviation.motor_regression import accelerations_along, integrated
 from airpuck.deviation.packet_delays import PacketDelays, delay_response, moved, packet_delays
 from airpuck.deviation.time_scale import measured_poses
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
-from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.derivative import shortest_stretch, velocity
 from airpuck.preprocessing.quality import smooth_stretches
 from airpuck.preprocessing.smoothing import in_parts, is_slow, smoothing_times
@@ -108,7 +107,7 @@ def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndar
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
     lag = model.dynamics.lag, model.dynamics.idle_lag
     speed = motor_speeds(trajectory.time, held, *lag)
-    return np.stack(acceleration(np, model.dynamics, trajectory.state[:, 2:].T, speed.T), axis=1)
+    return accelerations_along(model.dynamics, trajectory.state, speed)
 
 
 def delay_jitter(delays: Sequence[PacketDelays]) -> DelayJitter | None:

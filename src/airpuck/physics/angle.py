@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 
 def wrapped(xp: Any, angle: Any) -> Any:
@@ -17,3 +18,12 @@ def pose_difference(xp: Any, pose: Any, other: Any) -> Any:
     difference = pose - other
     turn = wrapped(xp, difference[2:3])
     return xp.concatenate([difference[:2], turn, difference[3:]])
+
+
+def to_body(
+    values: Float[np.ndarray, "N 3"], yaw: Float[np.ndarray, " N"]
+) -> Float[np.ndarray, "N 3"]:
+    """Turn rates of x, y, γ into the body frame."""
+    x, y, spin = values.T
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, spin], axis=1)
