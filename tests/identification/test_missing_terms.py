@@ -1,11 +1,15 @@
 """Score tests of terms that a model lacks."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from airpuck.identification.fit import identify
-from airpuck.identification.missing_terms import missing_terms
+from airpuck.identification.missing_terms import MissingTerm, missing_terms
+from airpuck.identification.objective import Quadratic
 from airpuck.model.model_file import published_model
 
 from ..apparatus.synthetic_flights import fly
@@ -21,3 +25,111 @@ def test_twins_that_blow_at_each_other_are_told_although_both_lose_alike(interac
     assert ("pair" in found) == (interaction is not None)
     if interaction is not None:
         assert found["pair"].value[0] == pytest.approx(interaction, rel=0.5)
+
+
+MODEL = replace(published_model("M3"), frame="body", indexing="start")
+OWN = MODEL.parameters.labels(MODEL.vehicle.propeller_names)
+
+
+class LinearLoss:
+    """Noise that is linear in all parameters, in blocks of time, at the optimum of the model's own.
+
+    `missing` are coefficients of other parameters, by label; `like` makes one column resemble
+    another; `only` is the one block in which anything is missing.
+    """
+
+    clusters = np.zeros(1, dtype=int)
+    windows = SimpleNamespace(trajectories=[None, None])
+
+    def __init__(
+        self,
+        missing: dict[str, float],
+        seed: int = 0,
+        like: tuple[str, str] | None = None,
+        only: int | None = None,
+    ) -> None:
+        self.missing, self.like, self.only = missing, like, only
+        self.rng = np.random.default_rng(seed)
+
+    def quadratic(self, parameters: Any) -> Quadratic:
+        """Draw design and data."""
+        blocks, rows = 40, 30
+        self.labels = parameters.labels(MODEL.vehicle.propeller_names)
+        design = self.rng.normal(size=(blocks, rows, len(self.labels)))
+        at = self.labels.index
+        if self.like is not None:
+            design[..., at(self.like[0])] *= 0.3
+            design[..., at(self.like[0])] += design[..., at(self.like[1])]
+        values = self.rng.normal(size=(blocks, rows))
+        for label, value in self.missing.items():
+            where = slice(None) if self.only is None else self.only
+            values[where] += value * design[where][..., at(label)]
+        self.design, own = design.reshape(-1, len(self.labels)), [at(label) for label in OWN]
+        self.own = [k for k, free in zip(own, MODEL.free, strict=True) if free]
+        self.values = values.ravel() - self.fitted(self.own, values.ravel())[1]
+        left, scale = self.values.reshape(blocks, rows), 2 / self.values.size
+        return Quadratic(
+            np.sum(left**2, axis=1) * scale / 2,
+            -scale * np.einsum("grq,gr->gq", design, left),
+            scale * np.einsum("grq,grp->gqp", design, design),
+        )
+
+    def fitted(self, columns: list[int], values: Any) -> tuple[Any, Any]:
+        """Fit columns by least squares; return coefficients and fitted values."""
+        found = np.linalg.lstsq(self.design[:, columns], values, rcond=None)[0]
+        return found, self.design[:, columns] @ found
+
+    def with_term(self, labels: list[str]) -> tuple[Any, Any, float]:
+        """Fit with more columns: their coefficients, those of the model, and the relative gain."""
+        columns = [*self.own, *map(self.labels.index, labels)]
+        found, fitted = self.fitted(columns, self.values)
+        left = np.sum((self.values - fitted) ** 2) / np.sum(self.values**2)
+        return found[len(self.own) :], found[: len(self.own)], 1 - left
+
+
+def told(loss: LinearLoss) -> dict[str, MissingTerm]:
+    return {one.term: one for one in missing_terms(MODEL, cast(Any, loss))}
+
+
+def test_a_missing_term_is_predicted_as_least_squares_with_it_would_find_it():
+    labels = ["tilt x", "tilt y"]
+    loss = LinearLoss({"tilt x": 0.3, "tilt y": -0.2})
+    (found,) = told(loss).values()
+    value, own, gain = loss.with_term(labels)
+    assert found.term == "tilt" and found.worthwhile
+    np.testing.assert_allclose(found.value, value, rtol=1e-8)
+    np.testing.assert_allclose(found.direction[MODEL.free], own, atol=1e-10)
+    assert found.gain == pytest.approx(gain, rel=1e-8)
+    assert 0.7 * gain < found.held_out < gain
+
+
+@pytest.mark.slow
+def test_chance_is_rarely_taken_for_a_missing_term():
+    """Eleven terms in forty flights: 0.2 false ones are expected."""
+    assert sum(len(told(LinearLoss({}, seed))) for seed in range(40)) <= 2
+
+
+def test_what_happens_in_one_block_of_time_is_no_missing_term():
+    assert "inflow" in told(LinearLoss({"inflow": 0.4}))
+    assert "inflow" not in told(LinearLoss({"inflow": 4.0}, only=7))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_term_that_resembles_the_missing_one_is_not_told(seed):
+    loss = LinearLoss({"inflow": 0.4}, seed, like=("tilt x", "inflow"))
+    assert list(told(loss)) == ["inflow"]
+
+
+def test_a_coefficient_that_would_be_impossible_stays_at_zero():
+    """Friction cannot push."""
+    first, second = labels = [one for one in friction_labels() if "friction" in one]
+    found = told(LinearLoss({first: -0.5, second: 0.4}))["friction"]
+    assert len(labels) == 2 and len(found.value) == 1
+    assert found.value[0] == pytest.approx(0.4, abs=0.1)
+    assert "friction" not in told(LinearLoss({first: -0.5, second: -0.4}))
+
+
+def friction_labels() -> list[str]:
+    loss = LinearLoss({})
+    told(loss)
+    return loss.labels
