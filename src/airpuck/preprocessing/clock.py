@@ -28,6 +28,10 @@ _SUDDEN, _BESIDE, _SHORT, _LEAST = 2.5e-3, 240, 0.1, 20
 _SPREAD = (0.1, 0.9)
 #: Share of a step that other latencies may add to the change at its message, or their size [s].
 _BLURRED, _BLUR = 0.5, 3e-3
+#: Durations after which clocks begin again: half a day, a day, and counters of 32 bits in ns, µs
+#: and ms; and the longest pause in which they may [ns].
+_TURNS = (43_200 * SECOND_NS, 86_400 * SECOND_NS, 2**32, 2**32 * 10**3, 2**32 * 10**6)
+_LONGEST_PAUSE = SECOND_NS
 #: Time around a pose in which the commands' arrivals show a step of the recorder's clock [s].
 _NEAR = 0.3
 
@@ -65,7 +69,9 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     the shortest latency. Offsets more than 0.1 s apart mean different clocks, and the commands are
     moved to the poses' clock. A clock that steps or drifts against the recorder's is set right.
     """
-    pose, command, warnings = _without_recorder_steps(pose, command)
+    (pose, rolled), (command, also) = continued(pose, "pose"), continued(command, "command")
+    pose, command, said = _without_recorder_steps(pose, command)
+    warnings = [*rolled, *also, *said]
     latency = float(np.quantile(command.received_ns - command.stamp_ns, 0.01)) / SECOND_NS
     pose, said = _steady(pose, "pose", latency)
     warnings += said
@@ -89,6 +95,30 @@ def align_clocks(pose: Stream, command: Stream) -> Aligned:
     # The axis is the poses' clock; shifted commands are on the recorder's clock up to latency.
     ahead = base["pose"] if correction or abs(base["pose"]) > _CLOCKS_DIFFER else 0.0
     return Aligned(pose_time - epoch, command_time - epoch, epoch, tuple(warnings), epoch + ahead)
+
+
+def continued(stream: Stream, name: str) -> tuple[Stream, tuple[str, ...]]:
+    """Continue stamps of a clock that begins again, such as a counter of microseconds."""
+    steps, turned, begun = np.diff(stream.stamp_ns), np.zeros(len(stream), np.int64), [0]
+    for k in np.flatnonzero(np.abs(steps) > _LONGEST_PAUSE).tolist():
+        step = int(steps[k])
+        turn = next((one for one in _TURNS if 0 <= step + one <= _LONGEST_PAUSE), 0)
+        if turn:
+            begun.append(turn)
+            turned[k + 1] = turn
+        elif abs(step - begun[-1]) <= _LONGEST_PAUSE:  # a late message from before
+            turned[k + 1] = -begun.pop()
+    if not turned.any():
+        return stream, ()
+    after = (stream.stamp_ns[np.argmax(turned != 0) - 1] - stream.stamp_ns[0]) / SECOND_NS
+    warning = (
+        f"the clock of the {name} stream begins again after {after:.1f} s, as it does every "
+        f"{turned.max() / SECOND_NS:g} s; its stamps were continued"
+    )
+    later = np.cumsum(turned)
+    own = (stream.stamp_ns == stream.received_ns).all()
+    received = stream.received_ns + later if own else stream.received_ns
+    return replace(stream, stamp_ns=stream.stamp_ns + later, received_ns=received), (warning,)
 
 
 def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]:

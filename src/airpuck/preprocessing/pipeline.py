@@ -21,7 +21,7 @@ from airpuck.data.trajectory_file import read_trajectory
 from airpuck.model.parameters import nominal_parameters
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.camera_clock import at_exposure
-from airpuck.preprocessing.clock import Aligned, align_clocks
+from airpuck.preprocessing.clock import Aligned, align_clocks, continued
 from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
 from airpuck.preprocessing.derivative import (
     acceleration,
@@ -44,7 +44,9 @@ from airpuck.preprocessing.quality import (
     find_frozen,
     find_gaps,
     find_jumps,
+    other_parts,
     smooth_stretches,
+    steps_of_motion,
 )
 from airpuck.preprocessing.smoothing import in_parts, smoothing_times
 from airpuck.recording.mapping import RecordingMapping, Topics
@@ -193,10 +195,15 @@ def preprocess(
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
     jumps, frozen = find_jumps(time, values), find_frozen(time, values)
     pauses = find_gaps(time, longest_pause(usual_period(time)))
+    pose = recording["pose"]
+    logged = (pose.stamp_ns != pose.received_ns).any()  # then arrivals show steps of its clock
+    stepped = {} if logged else steps_of_motion(time, values)
     time, values, measured = with_lost_frames(time, values)
+    breaks = (*poses.breaks, *commands.breaks, *stepped)
     state, accelerations, short = _differentiated(time, values, measured, jumps, vehicle)
     longest = COMMAND_GAP_PERIODS * usual_period(commands.time) if len(commands.time) > 1 else 0.0
-    unusable = (*pauses, *frozen, *jumps, *find_gaps(commands.time, longest, _NO_COMMANDS), *short)
+    silent = find_gaps(commands.time, longest, _NO_COMMANDS)
+    unusable = (*pauses, *frozen, *jumps, *silent, *short, *other_parts(time, breaks))
     driven, drive = vehicle.actuation.drive(commands.time, commands.values)
     trajectory = Trajectory(
         time=time,
@@ -211,6 +218,11 @@ def preprocess(
         warnings=recording.warnings
         + aligned.warnings
         + poses.warnings
+        + tuple(
+            f"the cameras' clock steps by {1e3 * step:.0f} ms after {after:.3f} s: the motion shows"
+            " that no frame is lost there; the longest part of the recording is used"
+            for after, step in stepped.items()
+        )
         + lost_frames_words(time, measured)
         + commands.warnings,
         vehicle=vehicle,
@@ -225,18 +237,19 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
     """Return poses and commands on one time axis, checked, sorted, and in the vehicle's order."""
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
+    pose, rolled = continued(pose, "pose")
     pose, said = at_exposure(pose)
     aligned = align_clocks(pose, command)
-    aligned = replace(aligned, warnings=said + aligned.warnings)
+    aligned = replace(aligned, warnings=(*rolled, *said, *aligned.warnings))
     lowest = np.where(vehicle.actuation.two_way, -1.0, 0.0)[np.argsort(order)]
     try:
         check_poses(pose, aligned.pose_time, recording.source)
         check_commands(command, aligned.command_time, recording.source, lowest)
+        poses = drop_disorder(aligned.pose_time, pose.values, "pose")
+        commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
     except InputError as error:  # stamps may be the cause
-        problem = "; ".join((error.problem, *aligned.warnings))
-        raise InputError(problem, file=error.file, field=error.field) from error
-    poses = drop_disorder(aligned.pose_time, pose.values, "pose")
-    commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
+        problem, file = "; ".join((error.problem, *aligned.warnings)), recording.source
+        raise InputError(problem, file=file, field=error.field) from error
     return poses, commands, aligned
 
 
@@ -244,7 +257,7 @@ def _crop_to_commands(
     pose_time: Float[np.ndarray, " N"], commands: Samples, begins_above: float, source: str
 ) -> slice:
     """Find the poses between the first command that moves the craft and the last command."""
-    time, command, _ = commands
+    time, command = commands.time, commands.values
     moving = np.flatnonzero(np.abs(command).max(axis=1) > begins_above)
     if len(moving) == 0:
         raise InputError(

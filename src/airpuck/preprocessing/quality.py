@@ -14,6 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.data.sampling import longest_bridge, runs, usual_period
 from airpuck.data.trajectory import Span
 from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, window_length
+from airpuck.preprocessing.missing import longest_pause
 from airpuck.recording.stream import Stream
 
 #: A pose that repeats exactly for this long [s] and this many times is frozen: real measurements
@@ -32,6 +33,13 @@ _JUMP = "jumping pose"
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
+#: Regular steps on both sides of a clock's step, and how far they are from the usual one.
+_BESIDE, _REGULAR = 3, 0.3
+#: Largest fraction of samples that may be dropped because their stamps go back.
+_DROPPED = 0.2
+#: Smallest step of a clock that the motion shows [s]; poses on either side that give velocities;
+#: error of the motion if the clock did not step, and if it did [standard errors of a pose].
+_STEP, _SLOPES, _STRANGE, _USUAL = 8e-3, 8, 15.0, 5.0
 #: Plausible time steps between motion-capture poses [s].
 _PERIODS = (1e-4, 0.5)
 #: Plausible steps between commands, which may be logged only when they change [s], and the fewest
@@ -48,6 +56,8 @@ class Samples(NamedTuple):
     values: Float[np.ndarray, "N k"]
     #: Descriptions of dropped samples.
     warnings: tuple[str, ...] = ()
+    #: Times after which the sender's clock was set back [s].
+    breaks: tuple[float, ...] = ()
 
 
 def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
@@ -152,13 +162,24 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
 def drop_disorder(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], kind: str
 ) -> Samples:
-    """Drop samples whose stamp repeats an earlier one or precedes it."""
+    """Drop samples whose stamp repeats an earlier one or precedes it.
+
+    A clock was set back where stamps go back between regular steps.
+    """
     if len(time) == 0:
         return Samples(time, values)
     latest = np.maximum.accumulate(time)
     ahead = np.concatenate([[True], time[1:] > latest[:-1]])
-    duplicated = np.concatenate([[False], time[1:] == latest[:-1]])
+    duplicated = ~ahead & np.isin(time, time[ahead])
     backward = ~ahead & ~duplicated
+    if backward.mean() > _DROPPED:
+        first = int(np.argmax(backward))
+        raise InputError(
+            f"{int(backward.sum())} of {len(time)} {kind}s have stamps before earlier ones, from "
+            f"row {first + 1} on, which goes back by {latest[first] - time[first]:.3f} s: its "
+            "clock was set back, or recordings were joined; cut it there",
+            field="time",
+        )
     warnings = []
     for found, what in ((duplicated, "a duplicated stamp"), (backward, "a stamp that goes back")):
         if found.any():
@@ -166,7 +187,56 @@ def drop_disorder(
                 f"dropped {int(found.sum())} of the {kind} samples, with {what}, "
                 f"the first at {time[found][0]:.3f} s"
             )
-    return Samples(time[ahead], values[ahead], tuple(warnings))
+    steps, usual = np.diff(time), _period(time)
+    odd = np.abs(steps - usual) > _REGULAR * usual
+    back = [k for k in np.flatnonzero(steps < 0) if _lone(odd, k) and not ahead[k + 1]]
+    warnings += [
+        f"the clock of the {kind}s is set back by {1e3 * (usual - steps[k]):.0f} ms after "
+        f"{time[k]:.3f} s"
+        for k in back
+    ]
+    return Samples(time[ahead], values[ahead], tuple(warnings), tuple(time[back].tolist()))
+
+
+def _lone(odd: Bool[np.ndarray, " N"], k: int) -> bool:
+    """Return whether a step is odd, and those before and after it are not."""
+    near = odd[max(k - _BESIDE, 0) : k + _BESIDE + 1]
+    return bool(len(near) == 2 * _BESIDE + 1 and odd[k] and near.sum() == 1)
+
+
+def steps_of_motion(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
+) -> dict[float, float]:
+    """Return steps of the cameras' clock [s] by time: pauses in which the craft hardly moves.
+
+    During lost frames, it moves on with the velocity that it has before and after them.
+    """
+    period, found = usual_period(time), {}
+    if len(time) < 2 * _SLOPES:
+        return found
+    noise = np.median(np.abs(np.diff(values, 2, axis=0)), axis=0) / (0.6745 * math.sqrt(6)) + 1e-12
+    steps = np.diff(time)
+    odd = np.abs(steps - period) > _REGULAR * period
+    for k in np.flatnonzero((steps > period + _STEP) & (steps <= longest_pause(period))).tolist():
+        sides = slice(k + 1 - _SLOPES, k + 1), slice(k + 1, k + 1 + _SLOPES)
+        if not _lone(odd, k) or k < _SLOPES or k + _SLOPES >= len(time):
+            continue
+        lines = [
+            np.polyfit(time[side] - time[at], values[side] / noise, 1)
+            for side, at in zip(sides, (k, k + 1), strict=True)
+        ]
+        moved, velocity = lines[1][1] - lines[0][1], (lines[0][0] + lines[1][0]) / 2
+        strange, usual = (np.linalg.norm(moved - velocity * t) for t in (steps[k], period))
+        if strange > _STRANGE and usual < _USUAL:
+            found[float(time[k])] = float(steps[k] - period)
+    return found
+
+
+def other_parts(time: Float[np.ndarray, " N"], breaks: Sequence[float]) -> tuple[Span, ...]:
+    """Return all but the longest part between steps of clocks: one delay does not hold in all."""
+    parts = list(pairwise([float(time[0]), *sorted(breaks), float(time[-1])]))
+    longest = max(parts, key=lambda part: part[1] - part[0])
+    return tuple(Span(*part, "clock step") for part in parts if part != longest)
 
 
 def find_gaps(
