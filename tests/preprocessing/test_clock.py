@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.preprocessing.clock import align_clocks, seconds
+from airpuck.preprocessing.clock import align_clocks, continued, seconds
 from airpuck.recording.stream import Stream
 
 EPOCH = 1_700_000_000_000_000_000
@@ -233,3 +233,39 @@ def test_a_drift_is_removed(drift):
     np.testing.assert_allclose(
         aligned.pose_time - aligned.pose_time[0], np.arange(2400) / 240, atol=3e-4
     )
+
+
+@pytest.mark.parametrize(
+    ("turn", "says"),
+    [(2**32 * 10**3, "4294.97 s"), (86_400 * 10**9, "86400 s"), (2**32, "4.29497 s")],
+)
+@pytest.mark.parametrize("logged", [False, True])
+def test_a_clock_that_begins_again_is_continued(turn, says, logged):
+    made = stream(1000, 100.0)
+    stamps = (made.stamp_ns - made.stamp_ns[0] + turn - 3_000_000_000) % turn
+    stamps[[450, 451]] = stamps[[451, 450]]  # other disorder stays as it is
+    received = made.received_ns if logged else stamps
+    found, warnings = continued(replace(made, stamp_ns=stamps, received_ns=received), "pose")
+    expected = made.stamp_ns - made.stamp_ns[0]
+    expected[[450, 451]] = expected[[451, 450]]
+    unrolled = found.stamp_ns - found.stamp_ns[0]
+    np.testing.assert_array_equal(unrolled, expected)
+    assert (found.received_ns == (received if logged else found.stamp_ns)).all()
+    assert "the clock of the pose stream begins again after 3.0 s" in warnings[0]
+    assert says in warnings[0]
+
+
+def test_a_late_message_from_before_a_clock_began_again_is_placed_there():
+    made = stream(1000, 100.0)
+    stamps = (made.stamp_ns - made.stamp_ns[0] - 3_000_000_000) % (86_400 * 10**9)
+    stamps[[299, 300]] = stamps[[300, 299]]
+    expected = made.stamp_ns - made.stamp_ns[0]
+    expected[[299, 300]] = expected[[300, 299]]
+    found, _ = continued(replace(made, stamp_ns=stamps, received_ns=stamps), "pose")
+    np.testing.assert_array_equal(found.stamp_ns - found.stamp_ns[0], expected)
+
+
+def test_a_pause_is_no_clock_that_begins_again():
+    made = stream(1000, 100.0)
+    paused = replace(made, stamp_ns=made.stamp_ns + 4_294_967_296 * (np.arange(1000) > 500))
+    assert continued(paused, "pose") == (paused, ())

@@ -8,9 +8,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.preprocessing.quality import (
     check_commands,
     check_poses,
+    drop_disorder,
     find_frozen,
     find_gaps,
     find_jumps,
+    other_parts,
+    steps_of_motion,
 )
 from airpuck.recording.stream import COLUMNS, Stream
 
@@ -201,3 +204,53 @@ def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
     # A few commands that were logged only when they changed do not indicate a wrong unit.
     few = Stream(stamp[:9], stamp[:9], stream.values[:9], stream.columns)
     check_commands(few, np.arange(9) * 30.0, "flight")
+
+
+def test_a_clock_that_is_set_back_is_told_from_a_late_message():
+    time, none = np.arange(1000) / 100.0, np.zeros((1000, 1))
+    back = np.where(np.arange(1000) < 400, time, time - 0.03)
+    found = drop_disorder(back, none, "command")
+    assert found.breaks == (3.99,)
+    assert "the clock of the commands is set back by 30 ms after 3.990 s" in found.warnings
+    late = time.copy()
+    late[[400, 401]] = late[[401, 400]]
+    assert drop_disorder(late, none, "command").breaks == ()
+
+
+@pytest.mark.parametrize("first", [100, 500])
+def test_a_clock_that_is_set_far_back_is_an_error(first):
+    time = np.arange(1000) / 100.0
+    time[first:] -= 600.0
+    with pytest.raises(InputError, match=f"{1000 - first} of 1000 commands .* row {first + 1} on"):
+        drop_disorder(time, np.zeros((1000, 1)), "command")
+
+
+def test_rows_that_were_written_twice_are_dropped():
+    time = np.tile(np.arange(1000) / 100.0, 2)
+    found = drop_disorder(time, np.zeros((2000, 1)), "command")
+    assert len(found.time) == 1000
+    assert found.breaks == ()
+
+
+@pytest.mark.parametrize("rate", [100.0, 120.0, RATE])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_motion_tells_a_step_of_the_clock_from_lost_frames(seed, rate):
+    time, poses = moving(seed, rate)
+    lost = np.full(len(time), False)
+    single = np.random.default_rng(seed).random(len(time)) < 0.05
+    for begin in np.arange(0.5, 10.0, 1.0):
+        lost |= (time > begin) & (time < begin + 0.03)
+        single[(time > begin - 0.2) & (time < begin + 0.2)] = False
+    assert steps_of_motion(time[~lost & ~single], poses[~lost & ~single]) == {}
+    stepped = time + 0.03 * (time > 7.2)
+    single[(time > 7.0) & (time < 7.4)] = False
+    ((after, step),) = steps_of_motion(stepped[~single], poses[~single]).items()
+    assert after == pytest.approx(7.2, abs=1.01 / rate)
+    assert step == pytest.approx(0.03, abs=1e-6)
+
+
+def test_all_but_the_longest_part_between_steps_is_left_out():
+    spans = other_parts(np.arange(0.0, 10.0, 0.1), [7.0, 2.0])
+    assert [(span.start, span.stop) for span in spans] == [(0.0, 2.0), (7.0, 9.9)]
+    assert {span.cause for span in spans} == {"clock step"}
+    assert other_parts(np.arange(0.0, 10.0, 0.1), []) == ()

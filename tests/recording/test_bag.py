@@ -307,7 +307,7 @@ def test_a_tilted_craft_has_the_yaw_of_its_heading(tmp_path: Path, topics):
 
 def test_nothing_is_judged_sorted_or_left_out(tmp_path: Path, topics):
     stamps = [5, 3, 3, 9]
-    numbers = [np.nan, np.inf, 1e300, -0.0]
+    numbers = [-np.inf, np.inf, 1e300, -0.0]
     messages = [
         (START_NS + i, stamped(stamp, "", (x, 0, 0, 0, 0, 0, 1)))
         for i, (stamp, x) in enumerate(zip(stamps, numbers, strict=True))

@@ -253,6 +253,12 @@ def test_a_disarmed_pulse_is_named_and_then_means_stopped():
     assert found.tolist() == [[0, 0], [0, 0.5], [0, 1]]
 
 
+def test_several_disarmed_pulses_are_named():
+    pulses = np.vstack([PULSES, [[850.0, 800.0]]])
+    with pytest.raises(InputError, match=r"pulses of 800, 850, 900 .* 2 of 4 .* neutral one"):
+        commands_of(pulses, CommandMapping(neutral=1000.0, span=1000.0))
+
+
 def test_pulses_of_motors_that_reverse_are_not_disarmed():
     for pulses in ([[1400, 1400], [1300, 1600]], [[1000, 1000], [2000, 1500]], [[1400, 1500]]):
         found = commands_of(np.array(pulses, float), CommandMapping(neutral=1500, span=500))

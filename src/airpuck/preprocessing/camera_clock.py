@@ -146,8 +146,9 @@ def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     kept = ~same | new
     dropped = int((~kept).sum())
     return rows_of(stream, kept), (
-        f"{100 * dropped / len(time):.0f} % of the poses repeat the one before, because they were "
-        f"logged faster than they change ({1 / period:.0f} Hz); the first of equal poses is used",
+        f"{100 * dropped / len(time):.0f} % of the poses repeat the one before, as if logged "
+        f"faster than they change ({1 / period:.0f} Hz), or instead of lost frames; the first of "
+        "equal poses is used",
     )
 
 

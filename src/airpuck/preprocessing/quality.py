@@ -189,7 +189,8 @@ def drop_disorder(
             )
     steps, usual = np.diff(time), _period(time)
     odd = np.abs(steps - usual) > _REGULAR * usual
-    back = [k for k in np.flatnonzero(steps < 0) if _lone(odd, k) and not ahead[k + 1]]
+    back = np.flatnonzero((steps < 0) & ~ahead[1:]).tolist()
+    back = [k for k in back if _lone(odd, k) and ahead[k + 1 :].any()]
     warnings += [
         f"the clock of the {kind}s is set back by {1e3 * (usual - steps[k]):.0f} ms after "
         f"{time[k]:.3f} s"

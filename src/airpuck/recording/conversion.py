@@ -27,6 +27,8 @@ NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
 _ROLLS = np.radians(20)
 #: A command below this is no disarmed pulse: PX4's is 900 µs, with motors from 1000 to 2000 µs.
 _REVERSES = -0.5
+#: Most pulses that mean disarmed.
+_DISARMED = 3
 #: Rounding of scale and offset may leave a command this far outside [0, 1].
 _ROUNDING = 1e-9
 
@@ -213,13 +215,16 @@ def _check_disarmed(values: Float[np.ndarray, "N k"], found: Float[np.ndarray, "
     """
     below = found < 0
     pulses = np.unique(values[below])
-    if len(pulses) != 1 or (below.any(axis=1) != below.all(axis=1)).any():
+    together = (below.any(axis=1) == below.all(axis=1)).all()
+    if not together or not 0 < len(pulses) <= _DISARMED:
         return
-    if pulses[0] == 0 or found[below][0] > _REVERSES:
+    if found.min() > _REVERSES or (len(pulses) == 1 and pulses[0] == 0):
+        one = f"say so in a file for --mapping: command = {{disarmed = {pulses[0]:g}}}"
+        many = "replace them by the neutral one"
         raise InputError(
-            f"pulses of {pulses[0]:g} lie below the neutral one, in {int(below.all(axis=1).sum())} "
-            f"of {len(values)} commands and all motors at once: if they are disarmed then, say so "
-            f"in a file for --mapping: command = {{disarmed = {pulses[0]:g}}}",
+            f"pulses of {', '.join(f'{pulse:g}' for pulse in pulses)} lie below the neutral "
+            f"one, in {int(below.all(axis=1).sum())} of {len(values)} commands and all motors at "
+            f"once: if they are disarmed then, {one if len(pulses) == 1 else many}",
             field="command.neutral",
         )
 

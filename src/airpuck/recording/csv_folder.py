@@ -60,6 +60,11 @@ _TO_WRITE = {
 }
 
 
+def is_table(path: Path) -> bool:
+    """Return whether a file is named like a CSV file."""
+    return path.suffix.lower() in TABLES
+
+
 def is_csv_folder(path: Path, mapping: RecordingMapping) -> bool:
     """Return whether a folder contains the CSV files of a recording."""
     return any(_candidates(path, stream, mapping) for stream in (*POSES, "command"))
@@ -87,7 +92,7 @@ def _candidates(folder: Path, stream: str, mapping: RecordingMapping) -> list[Pa
     found = {file for file in folder.glob(pattern) if "state_ref" not in file.name}
     found = {file for file in found if file.name not in others}
     if stream == "pose" and not found:
-        found = {file for file in folder.iterdir() if file.suffix in TABLES and file.is_file()}
+        found = {file for file in folder.iterdir() if is_table(file) and file.is_file()}
         found = {file for file in found if is_export(file)}
     return sorted(file for file in found if file.is_file())
 
@@ -167,7 +172,7 @@ def _file_of(
     usual = named or f"{_file_name(mapping.topics.by_stream[stream])} or the like"
     problem = f"has no {stream} file ({usual})"
     if stream in _TO_WRITE:
-        there = listing(sorted(file.name for file in folder.iterdir() if file.suffix in TABLES))
+        there = listing(sorted(file.name for file in folder.iterdir() if is_table(file)))
         problem += (
             f'; name it in a file for --mapping: {stream} = {{file = "...", {_TO_WRITE[stream]}}} '
             f"out of {there}"
@@ -211,9 +216,10 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
     if isinstance(own, PoseMapping):
         table = of_body(table, own.body, (own.time, own.interval, *names), stream)
     timed = _timed(table, own)
-    table, blank = timed.without_blank(*groups)
+    poses = isinstance(own, PoseMapping)
+    table, blank = timed.without_blank(*groups, most=all if poses else any)
     made = _converted(stream, msgtype, table, own)
-    if groups:
+    if groups and not (poses and (own.rate_hz or own.stamps)):
         check_digits(table, made)
     kind = "commands" if stream in COMMANDS else "poses"
     return made, table.warnings + left_out(kind, blank)

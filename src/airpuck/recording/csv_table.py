@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import itertools
+import math
 import os
 import re
 import warnings
@@ -22,7 +23,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
-from airpuck.recording.conversion import NO_MASK, is_mask
+from airpuck.recording.conversion import NO_MASK, SECOND_NS, is_mask
 from airpuck.recording.files import chosen_body, listing, shortened
 from airpuck.recording.mapping import MASK_BITS
 
@@ -35,11 +36,15 @@ _SWITCH = {"true": 1.0, "false": 0.0}
 #: Placeholders of programs for missing numbers.
 _BLANK = frozenset(("", "null", "none", "nan", "-nan", "na", "n/a", "#n/a"))
 #: Names of columns that name rigid bodies, and the largest number of bodies in one table.
-_BODY = re.compile(r"(?i)(body|object|subject|tracker|marker|child_?frame|\bname|\bid\b|label)")
+_BODY = re.compile(
+    r"(?i)(body|object|subject|segment|tracker|marker|child_?frame|\bname|\bid\b|\brb\b|label)"
+)
 _BODIES = 1000
 #: Fraction of rows with the time of the row before from which digits must be missing: half for two
-#: bodies.
-_REPEATED = 0.4
+#: bodies. A client that stamps several poses of one body at once gets them at least this often [s].
+_REPEATED, _LONGEST_BURST = 0.4, 0.25
+#: Times of which all are multiples of this were rounded [ns].
+_ROUNDED = 10_000_000
 #: Begin of an ISO date.
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 #: Dates and times of day in other notations.
@@ -58,6 +63,8 @@ class Rows:
     lines: list[int]
     #: Whether the last line is complete. A killed recorder leaves an incomplete line.
     ends: bool
+    #: Whether decimals may have a comma, because it does not separate columns.
+    commas: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,6 +76,7 @@ class CsvTable:
     #: Line number of each row.
     lines: list[int]
     warnings: tuple[str, ...]
+    commas: bool = False
 
     def numbers(self, name: str, kind: type[float] | type[int] = float) -> Any:
         """Return a column as float64, or exactly as int64; NaN and infinity may be logged."""
@@ -116,6 +124,8 @@ class CsvTable:
                 field=name,
             )
         texts, numbers = self.columns[name], []
+        if convert is float and self.commas and "," in "".join(texts):
+            texts = [text.replace(",", ".") for text in texts]
         try:
             numbers += map(convert, texts)
             dates = "datetime64[ns]" if convert is _date else np.float64
@@ -129,13 +139,18 @@ class CsvTable:
             problem = "contains a number beyond 64 bits; times are in nanoseconds"
         raise InputError(problem, file=self.path, field=shortened(name))
 
-    def without_blank(self, *groups: Sequence[str]) -> tuple[CsvTable, int]:
-        """Leave out rows in which all columns of a group are blank; return their number, too."""
+    def without_blank(
+        self, *groups: Sequence[str], most: Callable[[Sequence[bool]], bool] = any
+    ) -> tuple[CsvTable, int]:
+        """Leave out rows in which columns of a group are blank; return their number, too.
+
+        All must be blank by default; with `all`, one is enough.
+        """
         kept = [True] * len(self.lines)
         for names in filter(None, groups):
             columns = (map(str.lower, map(str.strip, self.columns[name])) for name in names)
             filled = ([text not in _BLANK for text in texts] for texts in columns)
-            kept = list(map(and_, kept, map(any, zip(*filled, strict=True))))
+            kept = list(map(and_, kept, map(most, zip(*filled, strict=True))))
         table = self.where(kept)
         if kept and not table.lines:
             names = ", ".join(name for group in groups for name in group)
@@ -163,7 +178,8 @@ def _entries(text: str) -> list[str]:
 
 def _date(text: str) -> np.datetime64:
     """Parse an ISO date; without an offset it is UTC."""
-    return np.datetime64(text.strip().removesuffix("Z"), "ns")
+    text = text.strip().replace(",", ".").removesuffix("Z").removesuffix("UTC")
+    return np.datetime64(text.rstrip(), "ns")
 
 
 def _mask(text: str) -> float:
@@ -189,19 +205,22 @@ def collecting_no_garbage() -> Iterator[None]:
 
 def read_rows(path: Path) -> Rows:
     """Split a CSV file into cells of text."""
-    numbered = list(csv_rows(path, _separator(path)))
+    separator = _separator(path)
+    numbered = list(csv_rows(path, separator))
     if not numbered:
         raise InputError("is empty", file=path)
     with path.open("rb") as file:
         file.seek(-2 if path.stat().st_size > 1 else 0, os.SEEK_END)
         ends = file.read().rstrip(b"\0").endswith(b"\n")
-    return Rows(path, [row for _, row in numbered], [line for line, _ in numbered], ends)
+    cells, lines = [row for _, row in numbered], [line for line, _ in numbered]
+    return Rows(path, cells, lines, ends, separator != ",")
 
 
 def _separator(path: Path) -> str:
     """Return the column separator: the most frequent candidate in the first line with any."""
     lines = beginning(path, _START).splitlines()
-    first = next((line for line in lines if any(map(line.count, _SEPARATORS))), "")
+    told = [line for line in lines if not line.startswith("#")] or lines
+    first = next((line for line in told if any(map(line.count, _SEPARATORS))), "")
     return max(_SEPARATORS, key=first.count)
 
 
@@ -217,19 +236,25 @@ def beginning(path: Path, most: int) -> str:
 
 
 def plain_table(rows: Rows) -> CsvTable:
-    """Return the column names in the first row of a file."""
-    header = [name.strip() for name in rows.cells[0]]
+    """Return the column names in the first row of a file that is no comment."""
+    first = 0
+    while len(rows.cells) > first + 1 and rows.cells[first][0].startswith("#"):
+        if _is_number(rows.cells[first + 1][0]):  # NumPy marks the header as a comment
+            rows.cells[first][0] = rows.cells[first][0].removeprefix("#")
+            break
+        first += 1
+    header = [name.strip() for name in rows.cells[first]]
     if all(not name or _is_number(name) for name in header):
         raise InputError("has no header: its first line must name the columns", file=rows.path)
     for place in [place for place, name in enumerate(header) if not name]:
-        if any(row[place].strip() for row in rows.cells[1:] if len(row) > place):
+        if any(row[place].strip() for row in rows.cells[first + 1 :] if len(row) > place):
             header[place] = f"column {place + 1}"  # such as the index of a data frame
     twice = [name for name, count in Counter(filter(None, header)).items() if count > 1]
     if twice:
         problem = "there are two columns of this name"
         raise InputError(problem, file=rows.path, field=shortened(twice[0]))
     places = {name: place for place, name in enumerate(header) if name}
-    return table_below(rows, 0, places, exact=True)
+    return table_below(rows, first, places, exact=True)
 
 
 def _is_number(text: str) -> bool:
@@ -254,14 +279,17 @@ def table_below(
         warnings = (
             f"{rows.path.name} is cut short: its last line ({line}) is incomplete and left out",
         )
-    for line, length in zip(lines, map(len, cells), strict=True):
-        if length < width or (exact and length > width):
+    if exact and rows.cells[header] in cells:  # a logger was started again
+        kept = [row != rows.cells[header] for row in cells]
+        cells, lines = list(compress(cells, kept)), list(compress(lines, kept))
+    for line, row in zip(lines, cells, strict=True):
+        if len(row) < width or (exact and any(map(str.strip, row[width:]))):
             raise InputError(
-                f"line {line} has {length} fields, the header has {width}", file=rows.path
+                f"line {line} has {len(row)} fields, the header has {width}", file=rows.path
             )
     columns = list(zip(*cells, strict=False)) if cells else [()] * width
     found = {name: columns[index] for name, index in places.items()}
-    return CsvTable(rows.path, found, lines, warnings)
+    return CsvTable(rows.path, found, lines, warnings, rows.commas)
 
 
 def of_body(table: CsvTable, body: str, known: Sequence[str], stream: str) -> CsvTable:
@@ -291,11 +319,19 @@ def of_body(table: CsvTable, body: str, known: Sequence[str], stream: str) -> Cs
 def check_digits(table: CsvTable, stream: Any) -> None:
     """Raise InputError for times that were written with too few digits, such as ``1.7e9``."""
     steps = np.diff(stream.stamp_ns)
-    moved = (np.diff(stream.values, axis=0) != 0).any(axis=1)
-    repeats = int(((steps == 0) & moved).sum())
+    moved = np.abs(np.diff(stream.values, axis=0)).sum(axis=1)
+    repeated = (steps == 0) & (moved != 0)
+    repeats = int(repeated.sum())
     if repeats <= _REPEATED * len(steps) or not len(steps):
         return
-    which = int(np.argmax((steps == 0) & moved))
+    # Poses of one body move on; those of several bodies return to where they were.
+    often = (stream.stamp_ns % _ROUNDED).any()
+    often = often and np.median(steps[steps > 0]) < _LONGEST_BURST * SECOND_NS
+    each = math.ceil(len(steps) / max(int((steps > 0).sum()), 1))
+    again = np.abs(stream.values[each:] - stream.values[:-each]).sum(axis=1)
+    if often and each > 1 and np.median(again) >= 0.5 * np.median(moved):
+        return
+    which = int(np.argmax(repeated))
     where = (
         f"lines {table.lines[which]} and {table.lines[which + 1]}, and {repeats - 1} other pairs"
     )

@@ -13,7 +13,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import within_means
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.bag import METADATA, is_bag, read_bag
-from airpuck.recording.csv_folder import TABLES, is_csv_folder, read_csv
+from airpuck.recording.csv_folder import is_csv_folder, is_table, read_csv
 from airpuck.recording.files import several_recordings
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.stream import Recording, Stream, of_cameras, rows_of
@@ -90,7 +90,7 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
         return read_bag(found, mapping, needs)
     if found.suffix == ULOG:
         return read_ulog(found, mapping, needs)
-    if found.suffix in TABLES:
+    if is_table(found):
         return read_csv(found.parent, mapping, needs, found)
     if found.suffix in (".npz", ".pt"):
         raise InputError("is already preprocessed and contains no raw recording", file=path)
@@ -141,6 +141,6 @@ def _resolve(folder: Path, mapping: RecordingMapping) -> Path:
         raise InputError(
             "its storage file is missing: metadata.yaml is there, but no .mcap or .db3", file=folder
         )
-    if any(entry.suffix in TABLES for entry in folder.iterdir()):
+    if any(is_table(entry) for entry in folder.iterdir()):
         return folder
     raise InputError(f"contains no recording; use {_FORMS}", file=folder)

@@ -302,13 +302,13 @@ def joined(parts: Sequence[Stream]) -> Stream:
 def of_cameras(recording: Recording, mapping: RecordingMapping) -> Recording:
     """Leave out poses that the cameras lost, and add what the mapping states of their stamps.
 
-    Lost are poses without a position or, if any has a yaw, without one.
+    Lost are poses without a whole position or, if any has a yaw, without one.
     """
     streams, warnings = dict(recording.streams), recording.warnings
     for name in (name for name in POSES if name in streams):
         poses, own = streams[name], mapping.of_poses(name)
         missing = np.isnan(poses.values)
-        lost = missing[:, :2].all(axis=1) | (missing[:, 2] & ~missing[:, 2].all())
+        lost = missing[:, :2].any(axis=1) | (missing[:, 2] & ~missing[:, 2].all())
         seen = rows_of(poses, ~lost) if lost.any() else poses
         streams[name] = replace(seen, rate_hz=own.rate_hz, exact=own.stamps == "exact")
         warnings += left_out("poses" if name == "pose" else f"{name} poses", int(lost.sum()))
