@@ -170,12 +170,13 @@ def drop_disorder(
         return Samples(time, values)
     latest = np.maximum.accumulate(time)
     ahead = np.concatenate([[True], time[1:] > latest[:-1]])
-    duplicated = ~ahead & np.isin(time, time[ahead])
+    duplicated = np.concatenate([[False], time[1:] == latest[:-1]])
     backward = ~ahead & ~duplicated
-    if backward.mean() > _DROPPED:
-        first = int(np.argmax(backward))
+    lost = backward & ~np.isin(time, time[ahead])
+    if lost.mean() > _DROPPED:
+        first = int(np.argmax(lost))
         raise InputError(
-            f"{int(backward.sum())} of {len(time)} {kind}s have stamps before earlier ones, from "
+            f"{int(lost.sum())} of {len(time)} {kind}s have stamps before earlier ones, from "
             f"row {first + 1} on, which goes back by {latest[first] - time[first]:.3f} s: its "
             "clock was set back, or recordings were joined; cut it there",
             field="time",
