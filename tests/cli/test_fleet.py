@@ -42,7 +42,8 @@ def test_a_flight_is_told_drawn_and_written(tmp_path):
     assert svg.count("<animateTransform") == 4
     assert re.search(r'values="-0\.3000 -0\.1000;', svg)
     with Image.open(gif) as picture:
-        assert picture.n_frames == pytest.approx(30, abs=3)
+        # 20 frames a second, until the craft has rested for 0.3 s.
+        assert picture.n_frames == pytest.approx(20 * (figures["settled_s"] + 0.3), abs=3)
 
 
 def test_a_mistake_in_a_scenario_ends_with_one_line(tmp_path):
