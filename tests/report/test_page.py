@@ -1,5 +1,6 @@
 """The page: one self-contained file, complete or absent."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -46,6 +47,16 @@ def test_page_is_self_contained_and_escaped(tmp_path):
     assert (figures / "picture.png").read_bytes()[:4] == b"\x89PNG"
     assert (figures / "drawing.svg").read_text().startswith("<svg")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["figures", "index.html"]
+
+
+def test_the_answer_stands_before_the_contents_and_only_words_of_the_page_are_explained(tmp_path):
+    answer = PageSection("summary", "In short", (Text(["M3 can be trusted."], bullets=True),))
+    text = write_page(tmp_path, "A page", "about τ", [answer, *sections()]).read_text("utf-8")
+    assert text.index("M3 can be trusted.") < text.index("<nav") < text.index("First &amp; last")
+    assert re.findall("<dt>(.*)</dt>", text) == ["M3", "τ"]
+    without = write_page(tmp_path, "A page", "about it", sections()).read_text("utf-8")
+    assert without.index("<nav") < without.index("First &amp; last")
+    assert "<dt>" not in without
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):

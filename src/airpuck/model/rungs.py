@@ -174,7 +174,7 @@ RUNGS: dict[str, Rung] = {
     rung.name: rung
     for rung in (
         _of_paper("M0", "thrust curves only; no motor lag", lag=False),
-        _of_paper("M1", "and the inertia; no motor lag", lag=False),
+        _of_paper("M1", "thrust curves and inertia; no motor lag", lag=False),
         _of_paper("M2", "thrust curves and motor lag, inertia of a disc"),
         _M3,
         _of_paper("M4", "thrust curves, motor lag and a free configuration matrix", direct=True),

@@ -173,7 +173,7 @@ def _optimiser_section(study: FitStudy) -> PageSection:
 def _parameter_section(study: FitStudy) -> PageSection:
     """Show the parameters, and which of them the data determine."""
     label, groups = study.reference_label, [("", 2)]
-    models, headings = [], ["", "unit"]
+    models, headings = [], ["quantity", "unit"]
     for model in study.models:
         shown = {"fitted": model}
         if model.name in study.reference:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import os
+import re
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -13,6 +15,8 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from airpuck.boundary.outputs import replacing
+from airpuck.model.quantities import QUANTITIES
+from airpuck.model.rungs import RUNGS
 from airpuck.report.style import drawn
 from airpuck.report.tables import PageTable as PageTable
 
@@ -117,12 +121,40 @@ def write_page(
         for suffix, content in files.items():
             with replacing(folder / "figures" / f"{picture.name}.{suffix}") as temporary:
                 temporary.write_bytes(content)
+    # The answer stands before the contents.
+    answers = sum(section.anchor == "summary" for section in sections[:1])
     content = {"title": title, "lead": lead, "sections": sections, "origin": origin}
-    page = render("report.html.jinja", **content, images=images)
+    page = render(
+        "report.html.jinja", **content, images=images, answers=answers, words=_words(lead, sections)
+    )
     path = folder / "index.html"
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
+
+
+def _words(lead: str, sections: Sequence[PageSection]) -> list[tuple[str, str]]:
+    """Return the names on a page that need an explanation, and what they mean."""
+    text = " ".join([lead, *(t for section in sections for b in section.blocks for t in _texts(b))])
+    words = {name: rung.summary for name, rung in RUNGS.items()}
+    words |= {quantity.symbol: quantity.meaning for quantity in QUANTITIES}
+    words |= tomllib.loads(packaged_text("words.toml"))
+    return [
+        (word, meaning[0].upper() + meaning[1:])
+        for word, meaning in words.items()
+        if re.search(rf"(?<!\w){re.escape(word)}(?!\w)", text)
+    ]
+
+
+def _texts(block: Block) -> list[str]:
+    """Return the texts of a block."""
+    if isinstance(block, Details):
+        return [text for inside in block.blocks for text in _texts(inside)]
+    if isinstance(block, Text):
+        return list(block.paragraphs)
+    if isinstance(block, Picture):
+        return [block.caption]
+    return [block.caption, *block.headings, *(row[0] for row in block.rows)]
 
 
 def packaged_text(name: str) -> str:

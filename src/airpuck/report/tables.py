@@ -80,18 +80,26 @@ def error_tables(
         ["model", *CHANNELS, *(f"median {name}" for name in CHANNELS)],
         [[name, *errors_as_text(e.rmse), *errors_as_text(e.median_abs)] for name, e in named],
     )
-    rows, healthy = [], [e.healthy(faults) for _, e in named]
-    for (name, evaluation), sound in zip(named, healthy, strict=True):
-        for what, found in ((name, evaluation.every_start), (f"{name}, healthy", sound)):
+    starts, sound = (len(one.start) for one in (first.every_start, first.healthy(faults)))
+    rows = []
+    for name, evaluation in named:
+        shown = {name: evaluation.every_start}
+        if sound < starts:
+            shown[f"{name}, healthy"] = evaluation.healthy(faults)
+        for what, found in shown.items():
             ends = [errors_as_text(found.rmse), *map(errors_as_text, found.interval)]
             cells = [
                 f"{a} ({b} to {c})" if b != "nan" else a for a, b, c in zip(*ends, strict=True)
             ]
             rows.append([what, *cells])
     caption = (
-        f"RMS errors from every start, {len(first.every_start.start)} windows that overlap (95 % "
-        "interval). The result does not depend on where the first window starts. Healthy: the "
-        f"{len(healthy[0].start)} that touch no fault found by a model that is not under test."
+        f"RMS errors from every start, {starts} windows that overlap (95 % interval). The result "
+        "does not depend on where the first window starts. "
+    )
+    caption += (
+        f"Healthy: the {sound} that touch no fault found by a model that is not under test."
+        if sound < starts
+        else "No start touches a fault."
     )
     return PageTable(caption, ["model", *CHANNELS], rows), usual
 
