@@ -48,3 +48,16 @@ autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 copybutton_selector = "div:not(.output) > div.highlight pre"
+
+
+def setup(app):
+    """Tell screen readers the level of the navigation's headings; let the keyboard scroll code."""
+
+    def mended(_app, _name, _template, context, _doctree):
+        for part, old, new in (
+            ("furo_navigation_tree", 'role="heading"', 'role="heading" aria-level="2"'),
+            ("body", "<pre>", '<pre tabindex="0">'),
+        ):
+            context[part] = context.get(part, "").replace(old, new)
+
+    app.connect("html-page-context", mended, priority=900)

@@ -24,6 +24,7 @@ from matplotlib.patches import Arc, Circle, FancyArrowPatch
 import airpuck
 from airpuck.control.tuning import tuning_for
 from airpuck.report import style
+from airpuck.twin.settings import default_twin_settings
 
 FOLDER = Path(__file__).parent / "images"
 #: Width [in] and resolution [1/in]: text of 9 pt is as large as a phone's own.
@@ -40,6 +41,8 @@ SET_POINTS = airpuck.SetPoints(
 )
 #: Plain names of the rungs that the pictures compare.
 RUNGS = {"M0": "without motor lag (M0)", "M3": "full model (M3)"}
+#: Colours of the owners of an error, in their order.
+OWNER_COLORS = ("#222222", "#56b4e9", "#d55e00", "#e69f00", "#0072b2", "#009e73", "#cc79a7", "#d9d9d9")
 #: Seconds for one fit of M3 to the paper's training flight (benchmarks/README.md).
 FIT_TIMES = (
     ("airpuck, second fit in a process", 0.30),
@@ -268,16 +271,30 @@ def excitation() -> Figure:
     return figure
 
 
-def error() -> Figure:
-    """Show the error of each prediction over the flight."""
+def owners() -> Figure:
+    """Show who owns the squared error of position over a flight with faults."""
+    usual = default_twin_settings().model_dump()
+    usual["radio"] |= {"jitter_s": 0.011, "outages_s": [(9.2, 9.36), (24.1, 24.22)]}
+    usual["motors"]["stalls"] = [{"motor": "motor_b_1", "start_s": 15.0, "stop_s": 16.4}]
+    faulty = airpuck.TwinSettings(**usual)
+    trajectory = airpuck.preprocess(airpuck.excite(truth(), 30.0, seed=2, settings=faulty))
+    model = fit("M3").model
+    budget = airpuck.error_budget(model, trajectory, airpuck.find_faults(trajectory, model))
+    parts = np.concatenate([budget.drops, budget.all_known[None] ** 2])[:, :2].sum(axis=1)
     figure = new(3.0)
     axes = figure.add_subplot()
-    for rung, color in (("M0", style.GREY), ("M3", style.BLUE)):
-        judged = evaluation(rung)
-        axes.plot(judged.start, 1e3 * np.linalg.norm(judged.at_horizon[:2], axis=0), ".-", ms=3,
-                  color=color, label=RUNGS[rung])  # fmt: skip
-    axes.set(xlabel="time of flight [s]", ylabel="error after 0.2 s [mm]", yscale="log",
-             title="How far each prediction was off")  # fmt: skip
+    edges = np.linspace(budget.start[0], budget.start[-1], 61)
+    below = np.zeros(60)
+    named = zip(budget.shares, parts, OWNER_COLORS, strict=True)
+    for owner, values, color in named:
+        height = np.histogram(budget.start, edges, weights=np.maximum(values, 0.0))[0]
+        height *= 100 / np.maximum(parts, 0.0).sum()
+        if height.sum() > 1:
+            axes.bar(edges[:-1], height, np.diff(edges), below, align="edge", color=color,
+                     label=f"{owner} {height.sum():.0f} %")  # fmt: skip
+        below += height
+    axes.set(xlabel="time of flight [s]", ylabel="squared error [%]",
+             title="Who owns the error of the predictions?")  # fmt: skip
     axes.legend()
     return figure
 
@@ -314,7 +331,7 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "horizon": horizon,
     "thrust": thrust,
     "excitation": excitation,
-    "error": error,
+    "owners": owners,
 }
 
 
