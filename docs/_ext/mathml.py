@@ -34,7 +34,7 @@ def _inline(writer: Any, node: nodes.math) -> None:
 
 
 def _display(writer: Any, node: nodes.math_block) -> None:
-    writer.body.append(f'<div class="formula">{_converted(node, "block")}</div>')
+    writer.body.append(f'<div class="formula" tabindex="0">{_converted(node, "block")}</div>')
     raise nodes.SkipNode
 
 
