@@ -75,7 +75,7 @@ test-all: dev  ## all tests but the studies and the browser; those in real time 
 	realtime=$$?; wait $$others && exit $$realtime
 
 test-browser: dev  ## the pages in a real browser (Chromium of the distribution)
-	$(BIN)/python -m pytest -m browser -n 0 tests/web/test_view.py $(HOCKEY)/tests/web/test_page.py
+	$(BIN)/python -m pytest -m browser -n 0 tests/report/test_page.py tests/web/test_view.py $(HOCKEY)/tests/web/test_page.py
 
 docs: dev  ## the site, in docs/_build/html, in a minute or two; notebooks without their outputs
 	AIRPUCK_DOCS_NOTEBOOKS=off $(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html

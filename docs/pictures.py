@@ -42,7 +42,16 @@ SET_POINTS = airpuck.SetPoints(
 #: Plain names of the rungs that the pictures compare.
 RUNGS = {"M0": "without motor lag (M0)", "M3": "full model (M3)"}
 #: Colours of the owners of an error, in their order.
-OWNER_COLORS = ("#222222", "#56b4e9", "#d55e00", "#e69f00", "#0072b2", "#009e73", "#cc79a7", "#d9d9d9")
+OWNER_COLORS = (
+    "#222222",
+    "#56b4e9",
+    "#d55e00",
+    "#e69f00",
+    "#0072b2",
+    "#009e73",
+    "#cc79a7",
+    "#d9d9d9",
+)
 #: Seconds for one fit of M3 to the paper's training flight (benchmarks/README.md).
 FIT_TIMES = (
     ("airpuck, second fit in a process", 0.30),

@@ -39,7 +39,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     loaded = re.findall(r"<(?:script|img|link|iframe)[^>]*(?:src|href)=\"https?://[^>]*", pages)
     assert not loaded  # a page needs no other host when it is viewed
     formulas = (tmp_path / "site" / "method.html").read_text()
-    assert '<div class="formula"><math' in formulas
+    assert '<div class="formula" tabindex="0"><math' in formulas
     assert (tmp_path / "site" / "_static" / "STIXTwoMath-Regular.ttf").exists()
 
 

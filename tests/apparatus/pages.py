@@ -2,6 +2,7 @@
 
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 
@@ -57,3 +58,16 @@ def check_self_contained(text: str) -> Page:
     assert "@import" not in text
     assert "url(" not in text
     return page
+
+
+def barriers(tab: Any) -> list[str]:
+    """Return what axe-core calls a serious or critical barrier for people with disabilities."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(tab).response["violations"]
+    return [
+        f"{one['id']}: {node['target']}"
+        for one in found
+        if one["impact"] in ("serious", "critical")
+        for node in one["nodes"]
+    ]

@@ -16,7 +16,7 @@ from airpuck.report.page import PageSection, PageTable, Picture, Text, write_pag
 from airpuck.report.style import new_figure
 
 from ..apparatus.models import model_of
-from ..apparatus.pages import check_self_contained
+from ..apparatus.pages import barriers, check_self_contained
 
 
 def sections():
@@ -57,6 +57,26 @@ def test_the_answer_stands_before_the_contents_and_only_words_of_the_page_are_ex
     without = write_page(tmp_path, "A page", "about it", sections()).read_text("utf-8")
     assert without.index("<nav") < without.index("First &amp; last")
     assert "<dt>" not in without
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_report_has_no_barrier(tmp_path, chromium, scheme):
+    sync_api = pytest.importorskip("playwright.sync_api")
+    cells = [["a name that is long enough to scroll on a phone"] * 8]
+    wide = PageTable("a wide table", ["name", *"abcdefg"], cells, [("", 1), ("group", 7)])
+    answer = PageSection("summary", "In short", (Text(["M3 can be trusted."]), wide))
+    path = write_page(tmp_path, "A page", "about τ", [answer, *sections()])
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for width in (1400, 390):
+            look = {"viewport": {"width": width, "height": 800}, "color_scheme": scheme}
+            tab = browser.new_context(**look).new_page()
+            tab.goto(path.as_uri())
+            tab.click("summary")
+            assert barriers(tab) == []
+            assert tab.evaluate("document.documentElement.scrollWidth") == width
+        browser.close()
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):

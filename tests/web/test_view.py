@@ -20,6 +20,7 @@ from airpuck.flight.health import Health
 from airpuck.web.messages import Wish
 from airpuck.web.view import Gauge, health_gauges, inside, judged, plan_gauges, timing_gauges
 
+from ..apparatus.pages import barriers
 from ..apparatus.processes import POSES, REFERENCES, Process, Watch
 
 
@@ -274,3 +275,8 @@ def test_a_picture_for_the_documents(page, flight, request):
     if path is not None:
         image = Image.fromarray(picture.astype(np.uint8)).quantize(128, dither=Image.Dither.NONE)
         image.save(path, optimize=True)
+
+
+@pytest.mark.browser
+def test_the_live_page_has_no_barrier(page):
+    assert barriers(page.page) == []

@@ -32,6 +32,7 @@ from airpuck_hockey.web.live_page import live_hello
 from airpuck_hockey.web.page import GAME_PAGE, hello_of, watch_in_browser
 from airpuck_hockey.web.settings import ArenaSettings
 from tests.apparatus.arena import Arena, free_port
+from tests.apparatus.pages import barriers
 
 
 @pytest.mark.slow
@@ -165,6 +166,15 @@ class Page:
         px, py = (round(sharp * value) for value in self.pixel(x, y))
         part = np.array(image)[py - 2 : py + 3, px - 2 : px + 3].reshape(-1, 3)
         return np.median(part, axis=0)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_game_has_no_barrier(browser, arena, width, scheme):
+    page = Page(browser, arena, viewport={"width": width, "height": 800}, color_scheme=scheme)
+    assert barriers(page.tab) == []
+    page.status("play")
+    assert barriers(page.tab) == []
 
 
 @pytest.mark.parametrize(
