@@ -30,7 +30,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from studies.held_out import flights
+from held_out import flights
+from one_line import run
 
 from airpuck import (
     Loss,
@@ -288,4 +289,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

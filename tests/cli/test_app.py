@@ -69,12 +69,14 @@ def test_commands_are_verbs_of_the_package():
     } | {
         "fly",
         "fly_excitation",
+        "fly_fleet",
         "fly_plan",
         "fly_setpoints",
         "fly_topic",
         "preflight_recording",
         "record",
         "twin",
+        "twin_fleet",
         "view",
         "watch",
     }

@@ -5,7 +5,7 @@ import pytest
 
 from airpuck.deviation.effect_errors import effect_errors
 from airpuck.deviation.timing_change import timing_change
-from airpuck.evaluation.suspects import timing_suspect
+from airpuck.evaluation.suspects import clock_suspect, timing_suspect
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 
@@ -50,17 +50,30 @@ def test_the_clearest_of_all_changes_by_chance_is_not_certain():
     assert clearest(0, 0.3).p_value < 1e-6
 
 
-@pytest.mark.parametrize("step", [0.0, -0.03, 0.02, 0.05])
-def test_a_clock_that_steps_without_arrivals_makes_a_recording_suspect(step):
+def stepping(step):
+    """Return a recording whose cameras' clock steps in the middle, without times of arrival."""
+
     def edit(stamp, received, values):
         late = np.arange(len(stamp)) > len(stamp) // 2
         stamp = stamp + np.rint(1e9 * step * late).astype(np.int64)
         return stamp, stamp, values
 
-    trajectory = preprocess(edited(record(duration=14.0, noise=5e-5), "pose", edit))
+    return preprocess(edited(record(duration=14.0, noise=5e-5), "pose", edit))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.02, 0.05])
+def test_a_clock_that_steps_without_arrivals_makes_a_recording_suspect(step):
+    trajectory = stepping(step)
     effects = effect_errors(MODEL, trajectory)
     findings = timing_suspect(MODEL, effects)
     assert bool(findings) == (step != 0.0)
     if step:
         assert effects.timing.change == pytest.approx(step, rel=0.35)
         assert findings[0].suspect
+
+
+def test_a_clock_that_steps_back_without_arrivals_makes_a_recording_suspect():
+    trajectory = stepping(-0.03)
+    assert 6.5 < trajectory.usable.sum() * trajectory.sample_period < 7.5
+    (finding,) = clock_suspect(MODEL, trajectory)
+    assert finding.suspect and "A clock steps" in finding.cause

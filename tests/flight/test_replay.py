@@ -285,7 +285,7 @@ def test_a_missing_or_empty_stream_is_named(recording, missing):
             lambda s, r, v: (s + 10**12, r + 10**12, v),
             "not known at any command .* overlap",
         ),
-        ("pose", lambda s, r, v: (s[::-1], r[::-1], v[::-1]), "not known at any command"),
+        ("pose", lambda s, r, v: (s[::-1], r[::-1], v[::-1]), "have stamps before earlier ones"),
         ("command", lambda s, r, v: (s[:1], r[:1], v[:1]), "not known at any command"),
         ("command", bad_value(7, 1, np.nan), "motor_a_2: 1 of 300 commands are not finite"),
         ("command", bad_value(7, 1, 1.5), r"motor_a_2: command 1.5 at 0.07. s is outside \[0, 1\]"),

@@ -9,7 +9,7 @@ import pytest
 
 from airpuck.identification.fit import identify
 from airpuck.identification.missing_terms import MissingTerm, missing_terms
-from airpuck.identification.objective import Quadratic
+from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.model_file import published_model
 
 from ..apparatus.synthetic_flights import fly
@@ -31,7 +31,7 @@ MODEL = replace(published_model("M3"), frame="body", indexing="start")
 OWN = MODEL.parameters.labels(MODEL.vehicle.propeller_names)
 
 
-class LinearLoss:
+class LinearLoss(PredictionLoss):
     """Noise that is linear in all parameters, in blocks of time, at the optimum of the model's own.
 
     `missing` are coefficients of other parameters, by label; `like` makes one column resemble
@@ -39,7 +39,8 @@ class LinearLoss:
     """
 
     clusters = np.zeros(1, dtype=int)
-    windows = SimpleNamespace(trajectories=[None, None])
+    windows = cast(Any, SimpleNamespace(trajectories=[None, None]))
+    __setattr__ = object.__setattr__
 
     def __init__(
         self,

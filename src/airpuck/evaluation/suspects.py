@@ -10,6 +10,7 @@ from airpuck.deviation.effect_errors import EffectErrors
 from airpuck.deviation.time_scale import patience
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.preprocessing.delay import visible_delay
+from airpuck.preprocessing.quality import CLOCK_STEP
 
 #: Longest transport delay that is plausible without further knowledge, and the largest excess over
 #: the vehicle file's delay [s]: as large as the error of the response time that control
@@ -35,6 +36,17 @@ def clock_suspect(
     A learned delay counts only if the recording is long enough and the model is `determined` by
     its data: with undetermined thrusts, the delay takes on any value.
     """
+    stepped = [span for span in trajectory.excluded if span.cause == CLOCK_STEP]
+    if stepped:
+        return [
+            Finding(
+                "clock",
+                "A clock steps within the recording, and no times of arrival tell before or after "
+                "which step the stamps are right",
+                f"{sum(span.stop - span.start for span in stepped):.1f} s are left out",
+                "Record a bag, which has times of arrival, or name the right part with `--span`.",
+            )
+        ]
     seen = visible_delay(trajectory, model.dynamics)
     if seen is None:
         return []

@@ -17,6 +17,8 @@ from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, w
 from airpuck.preprocessing.missing import longest_pause
 from airpuck.recording.stream import Stream
 
+#: Cause of the spans that are left out beside a step of a clock.
+CLOCK_STEP = "clock step"
 #: A pose that repeats exactly for this long [s] and this many times is frozen: real measurements
 #: have noise.
 _FROZEN_TIME, _FROZEN_LEAST = 5 / 240, 3
@@ -238,7 +240,7 @@ def other_parts(time: Float[np.ndarray, " N"], breaks: Sequence[float]) -> tuple
     """Return all but the longest part between steps of clocks: one delay does not hold in all."""
     parts = list(pairwise([float(time[0]), *sorted(breaks), float(time[-1])]))
     longest = max(parts, key=lambda part: part[1] - part[0])
-    return tuple(Span(*part, "clock step") for part in parts if part != longest)
+    return tuple(Span(*part, CLOCK_STEP) for part in parts if part != longest)
 
 
 def find_gaps(
