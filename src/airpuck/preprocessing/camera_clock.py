@@ -128,9 +128,9 @@ def _without_repeats(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
         return stream, ()
     time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
     first = np.flatnonzero(~same)
-    if len(first) < 2:
-        return stream, ()
     changes = np.diff(time[first])
+    if not len(changes) or np.median(changes) <= 0:
+        return stream, ()
     period = float(np.mean(changes[changes <= 2.5 * np.median(changes)]))
     ends = np.append(first[1:], len(time))
     run = np.repeat(np.arange(len(first)), ends - first)
