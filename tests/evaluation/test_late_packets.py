@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.evaluation.innovations import innovations
+from airpuck.deviation.packet_delays import delay_for
+from airpuck.evaluation.innovations import innovations, motor_speeds_at
 from airpuck.evaluation.late_packets import late_packets
 from airpuck.evaluation.residuals import resid
 
@@ -50,6 +51,16 @@ def test_a_delay_is_told_from_jitter():
     tests = resid(MODEL, late_flight(1, later=0.012))
     assert [error.name for error in tests.errors if not error.passed] == ["delay"]
     assert tests.errors[0].value == pytest.approx(0.012, abs=0.003)
+
+
+def test_the_filter_and_its_directions_share_the_motors_of_a_model_with_idle_lag():
+    """Otherwise a difference of 1 ms would contain the whole effect of the longer lag."""
+    parameters = replace(TRUTH.parameters, idle_lag=2.0)
+    model = replace(TRUTH, parameters=parameters, free=np.zeros(len(parameters.to_vector()), bool))
+    flight = noisy(duration=2.0, seed=4)
+    lag = float(model.parameters.motor_time_constant), model.parameters.idle_lag
+    speeds = motor_speeds_at(flight, delay_for(model, flight), *lag)
+    np.testing.assert_allclose(speeds, innovations(model, flight).motor_speed, atol=1e-9)
 
 
 def test_directions_are_differences_of_filtered_innovations():

@@ -36,7 +36,7 @@ def accelerations_by_motor(
 
 
 def accelerations_along(
-    dynamics: Dynamics, state: Float[np.ndarray, "E z *B"], speed: Float[np.ndarray, "E n *B"]
+    dynamics: Dynamics, state: Float[np.ndarray, "E z *#B"], speed: Float[np.ndarray, "E n *B"]
 ) -> Float[np.ndarray, "E 3 *B"]:
     """Return the modelled accelerations along measured states."""
     found = acceleration(np, dynamics, motion_of(dynamics, state), np.moveaxis(speed, 1, 0))

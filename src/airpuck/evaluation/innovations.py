@@ -321,6 +321,21 @@ def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None
     return Innovations(time, *found, noise, counts)
 
 
+def motor_speeds_at(
+    trajectory: Trajectory, delay: float, lag: Any, idle_lag: float | None
+) -> Float[np.ndarray, "N n"]:
+    """Let motors follow commands that act after a delay; return their speeds at each sample."""
+    acts = trajectory.command_time + delay
+    speed = speed_before(float(trajectory.time[0]), acts, trajectory.command, lag, idle_lag)
+    speeds = np.empty((len(trajectory), len(speed)))
+    durations, commands = cut_at_commands(trajectory.time, acts, trajectory.command)
+    for k in range(len(trajectory)):
+        for duration, held in zip(durations[k], commands[k], strict=True):
+            speed = motor_step(np, speed, held, duration, lag, idle_lag)
+        speeds[k] = speed
+    return speeds
+
+
 def free_run(
     model: Model, trajectory: Trajectory, filtered: Innovations, starts: Int[np.ndarray, " M"]
 ) -> Float[np.ndarray, "N 3"]:

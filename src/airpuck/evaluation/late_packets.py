@@ -17,15 +17,15 @@ from jaxtyping import Float
 
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.motor_regression import accelerations_by_motor
-from airpuck.deviation.packet_delays import commands_at, delay_for
+from airpuck.deviation.packet_delays import delay_for
 from airpuck.evaluation.innovations import (
     Innovations,
+    motor_speeds_at,
     passed,
     pattern_search,
 )
 from airpuck.model.model_file import Model
-from airpuck.physics.motor import motor_speeds
-from airpuck.physics.rigid_body import Dynamics, acceleration_map
+from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
 #: Spread of a packet's effect around its usual time: standard deviation of a typical radio [s].
@@ -68,7 +68,7 @@ def late_packets(
     kicks = _kicks(model, trajectory)
     steps = np.diff(time, prepend=time[0])
     lag = max(float(model.dynamics.motor_time_constant), _LEAST_LAG)
-    pose, directions = trajectory.state[:, :3], _directions(model, trajectory)
+    pose, directions = trajectory.state[:, :3], _directions(model, trajectory, found)
     per_sample = kicks, steps, found.restart, trajectory.measured, found.used.astype(float)
     one = pose, found.added[:, :, None], *per_sample
     known = 1 + directions.shape[2]
@@ -110,13 +110,19 @@ def _kicks(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "N 3"]:
     return gaussian_filter1d(squares, _SCATTER / trajectory.sample_period, axis=0, mode="constant")
 
 
-def _directions(model: Model, trajectory: Trajectory) -> Float[np.ndarray, "N 3 m 2"]:
+def _directions(
+    model: Model, trajectory: Trajectory, found: Innovations
+) -> Float[np.ndarray, "N 3 m 2"]:
     """Return the effects of delay, lag and motors on position and velocity over each step."""
+    now = _accelerations(model, trajectory, found.motor_speed)
     delay, dynamics = delay_for(model, trajectory), model.dynamics
     slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _STEP)
-    given = (dynamics, delay), (dynamics, delay + _STEP), (slow, delay)
-    now, *others = (_accelerations(trajectory, *one) for one in given)
-    by_delay, by_lag = ((one - now).sum(axis=2, keepdims=True) / _STEP for one in others)
+    later = motor_speeds_at(trajectory, delay + _STEP, dynamics.lag, dynamics.idle_lag)
+    slower = motor_speeds_at(trajectory, delay, slow.lag, dynamics.idle_lag)
+    by_delay, by_lag = (
+        (_accelerations(model, trajectory, speed) - now).sum(axis=2, keepdims=True) / _STEP
+        for speed in (later, slower)
+    )
     rates = np.concatenate([by_delay, by_lag - by_delay, now], axis=2)
     return _over_steps(rates, np.diff(trajectory.time, prepend=trajectory.time[0]))
 
@@ -130,13 +136,11 @@ def _over_steps(
 
 
 def _accelerations(
-    trajectory: Trajectory, dynamics: Dynamics, delay: float
+    model: Model, trajectory: Trajectory, speed: Float[np.ndarray, "N n"]
 ) -> Float[np.ndarray, "N 3 n"]:
     """Return each motor's acceleration along the measured motion."""
-    held, lags = commands_at(trajectory, delay), (dynamics.lag, dynamics.idle_lag)
-    speed = motor_speeds(trajectory.time, held, *lags)
-    by_motor, _ = accelerations_by_motor(dynamics, trajectory.state[..., None], speed[..., None])
-    return by_motor[..., 0]
+    given = trajectory.state[..., None], speed[..., None]
+    return accelerations_by_motor(model.dynamics, *given)[0][..., 0]
 
 
 def _most_likely(
