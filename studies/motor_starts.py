@@ -49,8 +49,9 @@ from airpuck import (
     read_twin_settings,
 )
 from airpuck.control.tuning import default_tuning
+from airpuck.deviation.packet_delays import commands_at
 from airpuck.estimate.starts import FailedStart, StartMonitor
-from airpuck.evaluation.hindsight import Increments, commands_at
+from airpuck.evaluation.hindsight import Increments
 from airpuck.flight.track import Track
 from airpuck.model.model_file import published_model
 from airpuck.twin.plant import build_plant

@@ -58,7 +58,7 @@ HOCKEY_MODULES = sorted(HOCKEY_ROOT.rglob("*.py"))
 HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 43_076
+MOST_LINES = 43_073
 MOST_HOCKEY_LINES = 4_926
 #: Names in `airpuck.extend`.
 MOST_EXTEND = 133

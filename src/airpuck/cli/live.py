@@ -55,12 +55,9 @@ class Guarded(Settings):
     def fence(self, craft: Model) -> tuple[float, float]:
         """Return the geofence ±x, ±y [m]; by default the rails."""
         from airpuck.craft.table import Table
+        from airpuck.live.safety import within_rails
 
-        if self.geofence is None:
-            x, y = Table().reach(craft.vehicle.radius_m)
-            # Noise of a craft that leans on a rail is inside.
-            return x + 0.01, y + 0.01
-        return self.geofence
+        return self.geofence or within_rails(Table(), craft.vehicle.radius_m)
 
     def rails(self, craft: Model) -> Table:
         """Return the table that a predictive law stays on: within the geofence, if there is one."""

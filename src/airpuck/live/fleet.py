@@ -20,7 +20,7 @@ from airpuck.flight.loop import Action
 from airpuck.live.fly import fly_live
 from airpuck.live.graph import SENSOR
 from airpuck.live.process import Inbox, Process
-from airpuck.live.safety import SafetyLimits
+from airpuck.live.safety import SafetyLimits, within_rails
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import well_formed
 from airpuck.recording.conversion import SECOND_NS
@@ -33,8 +33,6 @@ TOPIC, TYPE = "fleet/message", "std_msgs/msg/String"
 _NOTICE = 1.0
 #: A craft is ready once it has flown this close to its start [m] for this time without a break [s].
 _AT_START, _STEADY = 0.05, 0.5
-#: Noise of a craft that leans on a rail is inside the geofence [m].
-_OVER_RAIL = 0.01
 
 
 class FleetOnGraph(Result):
@@ -182,12 +180,12 @@ def fly_in_fleet(fleet: Fleet, name: str, settings: LiveSettings | None = None) 
     member, settings = fleet.member(name), settings or LiveSettings()
     topics = settings.topics or Topics()
     link = FleetOnGraph(fleet, name, topics)
-    x, y = fleet.settings.table.reach(member.reach.radius)
+    fence = within_rails(fleet.settings.table, member.reach.radius)
     pause = longest_pause(member.model, member.tuning)
     return fly_live(
         link.pilot,
         member.model.vehicle,
-        SafetyLimits(geofence=(x + _OVER_RAIL, y + _OVER_RAIL), pose_timeout=pause),
+        SafetyLimits(geofence=fence, pose_timeout=pause),
         replace(settings, topics=topics.within(name)),
         period=member.tuning.period_s,
         name=f"airpuck fly {name}",

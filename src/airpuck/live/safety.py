@@ -48,10 +48,15 @@ class SafetyLimits:
 _OVER_RAIL, _OVER_LINE = 0.01, 0.02
 
 
+def within_rails(table: Table, radius: float) -> tuple[float, float]:
+    """Return the geofence ±x, ±y [m] of a craft that may lean on the rails, noise included."""
+    x, y = table.reach(radius)
+    return x + _OVER_RAIL, y + _OVER_RAIL
+
+
 def half_of(table: Table, radius: float, side: int) -> SafetyLimits:
     """Return the limits of a craft that plays on one half of a table, by the sign of its x."""
-    x, y = table.reach(radius)
-    fence = x + _OVER_RAIL, y + _OVER_RAIL
+    fence = within_rails(table, radius)
     return SafetyLimits(geofence=fence, half=side, line=radius - _OVER_LINE)
 
 

@@ -94,9 +94,7 @@ class OnBoard(Section):
 
 
 #: Optional quantities that are effects of their own.
-_EFFECTS = {
-    name: q for name, q in EFFECTS.items() if q.effect is not None and not callable(q.labels)
-}
+_EFFECTS = {name: q for name, q in EFFECTS.items() if q.effect is not None}
 
 
 def _effect_fields() -> dict[str, Any]:
