@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.faults.strengths import actuator_strengths, usual_rung
+from airpuck.faults.strengths import find_strengths, usual_rung
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.simulation import simulate
@@ -104,7 +104,7 @@ def main() -> None:
             full = truth.parameters.thrust.sum(axis=1)
             off = found.thrust.sum(axis=1) - full
             error = known.propagate(lambda v, p=found: p.with_vector(v).thrust.sum(axis=1))
-            named = actuator_strengths(fit.model, trajectory).remarkable
+            named = find_strengths(fit.model, trajectory).remarkable
             faults = fit.exclusion.trajectories[0].excluded if fit.exclusion else ()
             false = sorted({s.cause for s in faults if "stalled" in s.cause or "radio" in s.cause})
             print(

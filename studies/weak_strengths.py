@@ -25,7 +25,7 @@ from one_line import run
 
 from airpuck import excite, identify, preprocess
 from airpuck.evaluation.statistical_tests import wilson_interval
-from airpuck.faults.strengths import actuator_strengths
+from airpuck.faults.strengths import find_strengths
 from airpuck.twin.settings import default_twin_settings
 
 #: Length of a flight [s], rates of the cameras [Hz], and factors of a weak motor [1].
@@ -49,7 +49,7 @@ def flown(seed: int) -> dict[str, Any]:
     cameras = settings.motion_capture.model_copy(update={"rate_hz": rate})
     settings = settings.model_copy(update={"motion_capture": cameras})
     flight = preprocess(excite(model, DURATION, seed=seed, settings=settings), vehicle)
-    strengths = actuator_strengths(identify(flight, "M3", vehicle=vehicle).model, flight)
+    strengths = find_strengths(identify(flight, "M3", vehicle=vehicle).model, flight)
     rows = {}
     for k, one in enumerate(strengths.actuators):
         truth = float(factors[k] / np.median(np.delete(factors, k)))

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import pydoc
 import re
 import subprocess
 import sys
@@ -57,11 +58,12 @@ HOCKEY_ROOT = HOCKEY / "src" / "airpuck_hockey"
 HOCKEY_MODULES = sorted(HOCKEY_ROOT.rglob("*.py"))
 HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
+EXAMPLES = TESTS.parent / "examples"
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 43_073
+MOST_LINES = 43_069
 MOST_HOCKEY_LINES = 4_926
 #: Names in `airpuck.extend`.
-MOST_EXTEND = 133
+MOST_EXTEND = 135
 
 
 @cache
@@ -148,7 +150,7 @@ def test_airpuck_does_without_air_hockey():
 
 
 def test_air_hockey_imports_only_what_airpuck_documents():
-    public = {"airpuck": set(airpuck.__all__), "airpuck.extend": set(extend.__all__)}
+    public = {"airpuck": set(dir(airpuck)), "airpuck.extend": set(extend.__all__)}
     others, used = [], set()
     for path in HOCKEY_MODULES:
         for node in ast.walk(tree(path)):
@@ -159,7 +161,39 @@ def test_air_hockey_imports_only_what_airpuck_documents():
                 others += [f"{node.module}.{n}" for n in names - public.get(node.module, set())]
                 used |= names if node.module == "airpuck.extend" else set()
     assert not others
+    for path in EXAMPLES.rglob("*.py"):
+        used |= {name for module, name in users_imports(path) if module == "airpuck.extend"}
     assert used == public["airpuck.extend"]  # a name that nobody needs stays private
+
+
+def users_imports(path: Path) -> list[tuple[str, str]]:
+    """Modules of the two distributions, and what a user's file or page imports from them."""
+    source = path.read_text(encoding="utf-8")
+    if path.suffix == ".md":
+        cells = re.findall(r"```\{code-cell\}.*?\n(.*?)```", source, re.DOTALL)
+        cells = [cell for cell in cells if ".py" in cell or not cell.startswith("%%writefile")]
+        source = "\n".join(re.sub(r"^[%:!].*", "", cell, flags=re.MULTILINE) for cell in cells)
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            found += [(str(node.module), alias.name) for alias in node.names]
+    return [pair for pair in found if re.match(r"airpuck(_hockey)?(\.|$)", pair[0])]
+
+
+USERS_FILES = [
+    *EXAMPLES.rglob("*.py"),
+    *(TESTS.parent / "docs" / "tutorials").glob("*.md"),
+    *(TESTS.parent / "docs" / "howto").glob("[!c]*.md"),
+]
+
+
+@pytest.mark.parametrize("path", USERS_FILES, ids=lambda path: path.stem)
+def test_examples_and_tutorials_import_public_names_only(path):
+    """Names of airpuck; a page of a report also uses `airpuck.extend`."""
+    public = {"airpuck", "airpuck_hockey", *(["airpuck.extend"] if "report" in str(path) else [])}
+    assert {module for module, _ in users_imports(path)} <= public
 
 
 def test_few_names_are_for_those_who_extend_airpuck():
@@ -274,8 +308,22 @@ def test_importing_stays_light(module, heavy):
     assert not heavy & set(loaded)
 
 
+def test_help_lists_all_public_names_by_group():
+    text = pydoc.plain(pydoc.render_doc(airpuck))
+    assert len(text.splitlines()) <= 150
+    text = airpuck.__doc__.partition("help(")[2]
+    groups = re.findall(r"^[A-Z].*\n((?:    .*\n)+)", text, re.MULTILINE)
+    listed = [name.strip() for group in groups for name in group.split(",")]
+    assert sorted(listed) == sorted([*dir(airpuck), "export"])
+
+
+def test_a_misspelt_public_name_is_corrected():
+    with pytest.raises(AttributeError, match="did you mean 'identify'"):
+        _ = airpuck.identfy
+
+
 def test_every_public_name_can_be_imported():
-    for name in airpuck.__all__:
+    for name in dir(airpuck):
         assert getattr(airpuck, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = airpuck.nonsense
@@ -306,7 +354,7 @@ def test_what_studies_benchmarks_and_examples_import_exists():
 def test_no_room_takes_a_verbs_name():
     # Importing airpuck.x makes the module an attribute of airpuck, over any function of that name.
     rooms = {path.stem if path.is_file() else path.name for path in ROOT.iterdir()}
-    assert not rooms & set(airpuck.__all__)
+    assert not rooms & set(dir(airpuck))
 
 
 def test_functions_are_short_or_say_why_not():

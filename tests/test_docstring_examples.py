@@ -38,7 +38,7 @@ def shared():
     [
         pytest.param(package, name, marks=[pytest.mark.slow] if name in SLOW else [], id=name)
         for package in (airpuck, airpuck_hockey)
-        for name in package.__all__
+        for name in dir(package)
     ],
 )
 def test_the_example_of_a_public_name_runs(package, name, shared, tmp_path, monkeypatch):

@@ -107,10 +107,10 @@ def _relink(app: Any, page: str, source: list[str]) -> None:
 def _groups() -> dict[str, list[str]]:
     """Group the public names by package, with the names of `airpuck_hockey` last."""
     groups: dict[str, list[str]] = {}
-    for name in airpuck.__all__:
+    for name in dir(airpuck):
         home = getattr(getattr(airpuck, name), "__module__", "airpuck.report.plot")
         groups.setdefault(home.split(".")[1], []).append(f"airpuck.{name}")
-    hockey = [f"airpuck_hockey.{name}" for name in airpuck_hockey.__all__]
+    hockey = [f"airpuck_hockey.{name}" for name in dir(airpuck_hockey)]
     return dict(sorted(groups.items())) | {"air_hockey": hockey}
 
 

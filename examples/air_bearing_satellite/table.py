@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 
 import airpuck
-from airpuck.evaluation.evaluate import PROTOCOLS
-from airpuck.model.model_file import nominal_model
 
 GRAVITY = 9.81  # m/s²
 #: The scale needs this long to follow a change of the force [s].
@@ -50,7 +48,7 @@ def main(folder, whole, start):
 
     mapping, vehicle = airpuck.read_mapping(folder / "mapping.toml"), model.vehicle
     rest = airpuck.load_trajectory(folder / FLIGHT, vehicle, mapping=mapping).slice(0.6, 1.0)
-    nominal = nominal_model(vehicle)
+    nominal = airpuck.nominal_model(vehicle)
     still = replace(nominal.parameters, thrust=np.zeros_like(nominal.parameters.thrust))
     candidates = {
         "coasting": replace(nominal, parameters=still),
@@ -60,7 +58,7 @@ def main(folder, whole, start):
     print("\nmodel, horizon s | x mm | y mm | yaw rad (95 % intervals)")
     for horizon in (1.0, 2.0, 3.0):
         for name, candidate in candidates.items():
-            protocol = PROTOCOLS["paper"].after(horizon)
+            protocol = airpuck.Protocol().after(horizon)
             found = airpuck.evaluate(candidate, rest, protocol=protocol).every_start
             ends = found.interval.T * [[1e3], [1e3], [1.0]]
             cells = [

@@ -10,7 +10,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 import airpuck
-from airpuck.model.model_file import nominal_model
 
 HERE = Path(__file__).parent
 POSE, COMMAND = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float32MultiArray"
@@ -23,7 +22,7 @@ def fly(seconds: float, seed: int) -> airpuck.Recording:
     vehicle = airpuck.read_vehicle(HERE / "vehicle.toml")
     known = {"thrust_N": (0.0, 0.6), "inertia_kg_m2": 6.7e-4}
     nominal = vehicle.nominal.model_copy(update=known)
-    truth = nominal_model(vehicle.model_copy(update={"nominal": nominal}))
+    truth = airpuck.nominal_model(vehicle.model_copy(update={"nominal": nominal}))
     settings = airpuck.read_twin_settings(HERE / "twin.toml")
     return airpuck.excite(truth, seconds, seed, amplitude=0.6, settings=settings)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from airpuck.physics.effects import Effect
+from airpuck import Effect
 
 
 @dataclass(frozen=True, eq=False)

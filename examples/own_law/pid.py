@@ -3,9 +3,6 @@
 import numpy as np
 
 import airpuck
-from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import acceleration_map
-from airpuck.physics.thrust import InverseThrust
 
 
 class PID(airpuck.Law):
@@ -13,7 +10,7 @@ class PID(airpuck.Law):
 
     def __init__(self, model, tuning, options):
         self.dynamics, self.period = model.dynamics, tuning.period_s
-        self.speed_for = InverseThrust(model.dynamics.thrust)
+        self.speed_for = airpuck.InverseThrust(model.dynamics.thrust)
 
     def init(self):
         """Begin with an integral of zero."""
@@ -22,9 +19,10 @@ class PID(airpuck.Law):
     def step(self, state, moment):
         """Push towards the target from where the craft will be when the command acts."""
         craft, _ = moment.foresee()
-        error = pose_difference(np, moment.reference.at(moment.now, 0.0).state, craft.state)
+        error = moment.reference.at(moment.now, 0.0).state - craft.state
+        error[2] = np.remainder(error[2] + np.pi, 2 * np.pi) - np.pi
         state = np.clip(state + self.period * error[:3], -0.05, 0.05)
         wanted = [8, 8, 30] * error[:3] + [5, 5, 10] * error[3:] + 4 * state
-        matrix, offset = acceleration_map(np, self.dynamics, craft.state[2], craft.state[5])
+        matrix, offset = airpuck.acceleration_map(np, self.dynamics, craft.state[2], craft.state[5])
         force = np.linalg.pinv(matrix) @ (wanted - offset) + 0.1
         return airpuck.Step(np.clip(self.speed_for(force), 0.03, 1), "exact", wanted, craft), state

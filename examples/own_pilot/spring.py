@@ -3,7 +3,6 @@
 import numpy as np
 
 import airpuck
-from airpuck.physics.thrust import InverseThrust
 
 
 class Spring(airpuck.Pilot):
@@ -11,7 +10,7 @@ class Spring(airpuck.Pilot):
 
     def __init__(self, model, reference):
         self.reference, self.matrix = reference, model.dynamics.configuration
-        self.speed_for = InverseThrust(model.parameters.thrust)
+        self.speed_for = airpuck.InverseThrust(model.parameters.thrust)
         self.before = self.now = (0.0, np.zeros(3))
 
     def pose(self, time, pose):

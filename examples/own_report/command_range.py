@@ -1,14 +1,14 @@
 """A report of your own: a page that shows which part of each motor's range a flight used."""
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from airpuck.report.page import PageSection, PageTable, Picture, write_page
-from airpuck.report.style import new_figure
+from airpuck.extend import PageSection, PageTable, Picture, write_page
 
 
 def command_range(trajectory):
     """Return a section; `write_page` and `fit_report(…, more=[…])` take it."""
-    figure = new_figure(6.0, 3.0)
+    figure = Figure((6.0, 3.0))
     axes = figure.add_subplot(xlabel="motor", ylabel="command")
     axes.boxplot(trajectory.input)
     quartiles = np.quantile(trajectory.input, [0.25, 0.5, 0.75], axis=0).T

@@ -4,7 +4,43 @@ Data flow::
 
     recording --preprocess--> trajectory --identify--> model --> evaluate, control, twin
 
-Public names are imported on first use, so that ``import airpuck`` is fast.
+Names by group, of which `help(airpuck.study)` explains one. Each is imported at its first use, so
+that ``import airpuck`` is fast.
+
+Recordings
+    read_recording, Recording, Stream, Measurement, read_mapping, RecordingMapping,
+    PoseMapping, CommandMapping, write_bag, write_csv, fetch
+Trajectories
+    load_trajectory, preprocess, read_trajectory, Trajectory, Span
+From recordings to a model
+    study, Study, Verdict, identify, Fit, Loss, Preparation, LevenbergMarquardt,
+    bootstrap, identifiability, design, reproduce
+Craft and model
+    read_model, Model, Parameters, nominal_model, named_rung, Effect, read_vehicle,
+    default_vehicle, Vehicle, ActuatorKind, Table, AirHockey, read_table
+Validation
+    evaluate, compare, Evaluation, Protocol, coasting, error_budget, ErrorBudget, prediction_bands,
+    PredictionBands, resid, ResidualTests, present, Presentation, drift, Drift,
+    PaperEncoder, StateEncoder
+Faults
+    find_faults, find_strengths, check_layout, preflight
+Controllers
+    TrackingController, SetPoint, SetPoints, TimedPath, Rendezvous, Tuning,
+    default_tuning, read_tuning, LQR, MPC, Law, Step, Pilot, InverseThrust,
+    acceleration_map, SafetyLimits
+Flights on the twin
+    track, excite, fly, race, replay, Replay, tracking_study, Twin, TwinBatch,
+    TwinSettings, read_twin_settings, PuckState
+Time-optimal plans
+    plan, Plan, read_plan, Goal, Limits
+Several craft
+    fly_together, FleetFlight, read_fleet, Fleet, Scenario
+Many flights and fits
+    campaign
+Pages, pictures and exports
+    plot, animate, export
+Errors
+    InputError
 """
 
 from __future__ import annotations
@@ -29,7 +65,7 @@ def __getattr__(name: str) -> object:
             raise
         from airpuck.boundary.extensions import moved
 
-        return moved(name)
+        return moved(name, __dir__())
 
 
 def _version() -> str:

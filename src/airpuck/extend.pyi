@@ -55,7 +55,6 @@ from airpuck.control.settings import Workers as Workers
 from airpuck.evaluation.statistical_tests import wilson_interval as wilson_interval
 
 # Laws and references.
-from airpuck.control.mpc import MPC as MPC
 from airpuck.control.reference import (
     Preview as Preview,
     Reference as Reference,
@@ -65,7 +64,7 @@ from airpuck.control.reference import (
     sheltered as sheltered,
 )
 from airpuck.control.tracking import check_steerable as check_steerable
-from airpuck.control.tuning import default_tuning as default_tuning, tuning_for as tuning_for
+from airpuck.control.tuning import tuning_for as tuning_for
 from airpuck.physics.thrust import thrust as thrust
 
 # Shortest times of a craft.
@@ -127,6 +126,14 @@ from airpuck.web.page import (
 )
 from airpuck.web.server import PageKind as PageKind
 from airpuck.report.table_canvas import hockey_shape as hockey_shape
+
+# Pages of reports.
+from airpuck.report.page import (
+    PageSection as PageSection,
+    Picture as Picture,
+    write_page as write_page,
+)
+from airpuck.report.tables import PageTable as PageTable
 
 # Exports, and environments for reinforcement learning.
 from airpuck.export.kinds import ExportKind as ExportKind, Subject as Subject

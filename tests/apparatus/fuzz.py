@@ -251,6 +251,13 @@ def _packaged(name: str, folder: Path) -> Path:
     return _written(folder, name, text)
 
 
+def _twin(folder: Path) -> Path:
+    from airpuck.twin.settings import TwinSettings
+
+    TwinSettings().save(folder / "twin.toml")
+    return folder / "twin.toml"
+
+
 def _params(folder: Path) -> Path:
     from airpuck.model.model_file import read_model
 
@@ -411,7 +418,7 @@ def kinds(scratch: Path) -> dict[str, Kind]:
             _reader("airpuck.control.tuning", "read_tuning"),
         ),
         "twin": Kind(
-            functools.partial(_packaged, "twin.toml"),
+            _twin,
             text,
             _reader("airpuck.twin.settings", "read_twin_settings"),
         ),

@@ -16,7 +16,7 @@ from airpuck.boundary.kinds import fits
 M3 = airpuck.read_model("paper:M3")
 FUNCTIONS = {
     name: getattr(airpuck, name)
-    for name in airpuck.__all__
+    for name in dir(airpuck)
     if inspect.isfunction(getattr(airpuck, name))
 }
 #: Values that no argument accepts.

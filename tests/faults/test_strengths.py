@@ -9,7 +9,7 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.faults.find import find_faults
 from airpuck.faults.layout_check import check_layout
-from airpuck.faults.strengths import actuator_strengths, on_table_of, recording_findings, usual_rung
+from airpuck.faults.strengths import find_strengths, on_table_of, recording_findings, usual_rung
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Uncertainty
@@ -164,7 +164,7 @@ def test_sound_actuators_are_not_accused(count, common):
     rng, accused = np.random.default_rng(count), 0
     for _ in range(40):
         model = fitted(truth(craft(count), *[common] * count), 0.06, rng)
-        accused += bool(actuator_strengths(model).remarkable)
+        accused += bool(find_strengths(model).remarkable)
     assert accused <= 2
 
 
@@ -173,7 +173,7 @@ def test_sound_actuators_are_not_accused(count, common):
 def test_a_weak_actuator_is_named(count, scale, verdict):
     # The vehicle file's mass is wrong, too.
     model = fitted(truth(craft(count), *[1.3 * scale, *[1.3] * (count - 1)]), 0.04)
-    strengths = actuator_strengths(model)
+    strengths = find_strengths(model)
     (found,) = strengths.remarkable
     assert (found.name, found.verdict) == (craft(count).propeller_names[0], verdict)
     assert found.of_nominal == pytest.approx(1.3 * scale)
@@ -186,7 +186,7 @@ def test_a_weak_actuator_is_named(count, scale, verdict):
 def test_a_motor_somewhat_below_the_others_is_named_with_its_factor(count):
     # The vehicle file is 16 % optimistic; the motors' curves are known to half a percent.
     model = fitted(truth(craft(count), 0.84 * 0.85, *[0.84] * (count - 1)), 0.84 * 0.005)
-    strengths = actuator_strengths(model)
+    strengths = find_strengths(model)
     (found,) = strengths.remarkable
     assert (found.name, found.of_others) == (craft(count).propeller_names[0], pytest.approx(0.85))
     (sentence,) = strengths.sentences
@@ -202,21 +202,21 @@ def test_less_than_the_usual_spread_is_not_named(share, spread, named):
     model = fitted(truth(craft(6), share), 0.004)
     nominal = model.vehicle.nominal.model_copy(update={"thrust_spread": spread})
     vehicle = model.vehicle.model_copy(update={"nominal": nominal})
-    strengths = actuator_strengths(replace(model, vehicle=vehicle))
+    strengths = find_strengths(replace(model, vehicle=vehicle))
     assert len(strengths.remarkable) == named
     assert strengths.actuators[0].of_others == pytest.approx(share)
 
 
 def test_an_uncertain_motor_is_not_named_weak():
     """Ten percent below the others, at three standard errors."""
-    assert not actuator_strengths(fitted(truth(craft(6), 0.9), 0.03)).remarkable
+    assert not find_strengths(fitted(truth(craft(6), 0.9), 0.03)).remarkable
 
 
 @pytest.mark.parametrize(("flown", "named"), [(1.0, 0), (0.85, 1)])
 def test_fit_and_recording_must_agree_before_a_motor_is_weak(flown, named):
     """A fit that lacks some physics may be certain of a strength that the craft does not have."""
     flight = fly(truth(craft(6), flown), 15.0, seed=3)
-    strengths = actuator_strengths(fitted(truth(craft(6), 0.85), 0.004), flight)
+    strengths = find_strengths(fitted(truth(craft(6), 0.85), 0.004), flight)
     assert len(strengths.remarkable) == named
     # The standard error includes what the recording contradicts.
     apart = 0.85 - flown
@@ -224,13 +224,13 @@ def test_fit_and_recording_must_agree_before_a_motor_is_weak(flown, named):
 
 
 def test_a_common_error_is_one_finding():
-    strengths = actuator_strengths(fitted(truth(craft(6), *[0.7] * 6), 0.02))
+    strengths = find_strengths(fitted(truth(craft(6), *[0.7] * 6), 0.02))
     assert not strengths.remarkable
     assert "about 70 % of their nominal strength" in strengths.sentences[0]
 
 
 def test_what_is_not_known_is_not_judged():
-    strengths = actuator_strengths(truth(craft(6), 0.5))
+    strengths = find_strengths(truth(craft(6), 0.5))
     assert {one.verdict for one in strengths.actuators} == {"unknown"}
     assert not strengths.sentences
 
@@ -257,7 +257,7 @@ def test_reversed_and_swapped_actuators_are_named(count, kind):
     vehicle = craft(count)
     flight = fly(truth(vehicle), 20.0, seed=1)
     model = fitted(nominal_model(wrong(vehicle, kind)), 0.02)
-    found = {one.name: one.verdict for one in actuator_strengths(model, flight).remarkable}
+    found = {one.name: one.verdict for one in find_strengths(model, flight).remarkable}
     first, second = vehicle.propeller_names[:2]
     swapped = {first: f"acts like {second}", second: f"acts like {first}"}
     assert found == (swapped if kind == "swapped" else {first: "reversed"})
@@ -267,7 +267,7 @@ def test_reversed_and_swapped_actuators_are_named(count, kind):
 def test_a_fit_to_a_craft_with_a_dead_propeller_names_it():
     """The fit takes the dead propeller for a healthy one, held at zero by a constraint."""
     flight = preprocess(record(truth(craft(6), 0.0), duration=10.0, noise=5e-5))
-    strengths = actuator_strengths(identify(flight).model, flight)
+    strengths = find_strengths(identify(flight).model, flight)
     (found,) = strengths.remarkable
     assert found.verdict == "dead"
     assert max(abs(one.of_nominal - 1) for one in strengths.actuators[1:]) < 0.1
@@ -302,7 +302,7 @@ def test_a_tilted_table_is_no_actuators_fault(scale):
     assert usual_rung(flight, craft(6)) == "M3+tilt"
     # A fit without the slope explains it by thrusts: one seems weak, whichever is.
     spoilt = fitted(truth(craft(6), 1.0, 0.5), 0.02)
-    found = {one.name: one.verdict for one in actuator_strengths(spoilt, flight).remarkable}
+    found = {one.name: one.verdict for one in find_strengths(spoilt, flight).remarkable}
     assert found == ({} if scale == 1 else {craft(6).propeller_names[0]: "weak"})
 
 
@@ -344,15 +344,15 @@ def test_faults_are_searched_on_the_tilted_table():
 def test_a_wheel_is_not_compared_with_propellers_whose_thrust_was_guessed(tmp_path):
     # Five propellers push 1.5 times as hard as guessed; the wheel's torque is from a data sheet.
     vehicle = triangle(tmp_path)
-    found = actuator_strengths(fitted(truth(vehicle, *[1.5] * 3, 1.0, 1.5, 1.5, 1.0), 0.02))
+    found = find_strengths(fitted(truth(vehicle, *[1.5] * 3, 1.0, 1.5, 1.5, 1.0), 0.02))
     assert [one.name for one in found.remarkable] == []
     assert found.common == pytest.approx(1.5)
-    weak = actuator_strengths(fitted(truth(vehicle, *[1.5] * 3, 0.5, 1.5, 1.5, 0.5), 0.02))
+    weak = find_strengths(fitted(truth(vehicle, *[1.5] * 3, 0.5, 1.5, 1.5, 0.5), 0.02))
     assert [one.name for one in weak.remarkable] == ["wheel", "wheel_reverse"]
 
 
 def test_a_strength_that_could_be_anything_is_not_called_sound():
-    found = actuator_strengths(fitted(truth(craft(4), 0.6), 0.3))
+    found = find_strengths(fitted(truth(craft(4), 0.6), 0.3))
     assert {one.verdict for one in found.actuators} == {"unknown"}
     (said,) = found.sentences
     assert said.startswith("The recording does not determine the strength of p0 (-1 % to 121 %")

@@ -31,7 +31,7 @@ NOISY = default_twin_settings()
 # Frames every 4 ms with 6.5 ms latency: no stamp is rounded, and none arrives with a command.
 CLEAN = NOISY.model_copy(
     update={
-        "radio": Radio(delay_s=M4.transport_delay),
+        "radio": Radio(delay_s=M4.transport_delay, jitter_s=0.0),
         "motion_capture": MotionCapture(
             rate_hz=250,
             position_noise_m=0,

@@ -30,7 +30,7 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
     )
     # Without jitter, which biases the information in the motors' transients.
     settings = default_twin_settings().model_copy(
-        update={"effects": effects, "radio": Radio(delay_s=5 / 240)}
+        update={"effects": effects, "radio": Radio(delay_s=5 / 240, jitter_s=0.0)}
     )
     plant = build_plant(TRUTH, settings)
     flight = preprocess(excite(TRUTH, 14.0, 3, settings=settings, plant=plant))

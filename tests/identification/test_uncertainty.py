@@ -482,7 +482,7 @@ def test_intervals_hold_the_truth():
     flights, delay = 60, 5 / 240
     settings = TwinSettings(
         table=Table(length_m=200.0, width_m=200.0),
-        radio=Radio(delay_s=delay),
+        radio=Radio(delay_s=delay, jitter_s=0.0),
         motion_capture=MotionCapture(position_noise_m=5e-5, yaw_noise_rad=6e-4),
         on_board=OnBoard(rate_hz=0.0),
         effects=Effects(),

@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.deviation.packet_delays import PacketDelays
-from airpuck.faults.strengths import actuator_strengths
+from airpuck.faults.strengths import find_strengths
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.report.evaluation_report import JudgedModels
 from airpuck.report.fit_report import fit_report
@@ -113,11 +113,11 @@ def test_fit_report_of_any_craft(study, judged, tmp_path, on_another, undrawn):
 
 def test_a_dead_motor_is_named_at_the_top(study, tmp_path, undrawn, monkeypatch):
     fit = study.fits[3]
-    sound = actuator_strengths(fit.model, study.training)
+    sound = find_strengths(fit.model, study.training)
     first, *others = sound.actuators
     dead = replace(first, value=0.0, interval_95=(-0.01, 0.01), verdict="dead")
     found = replace(sound, actuators=(dead, *others))
-    monkeypatch.setattr("airpuck.report.fit_report.actuator_strengths", lambda *_: found)
+    monkeypatch.setattr("airpuck.report.fit_report.find_strengths", lambda *_: found)
     text = fit_report(fit, study.training, tmp_path).read_text(encoding="utf-8")
     assert f"Throughout the recording: {first.name} is dead" in text.split("The flight</h2>")[0]
 

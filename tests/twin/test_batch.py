@@ -164,7 +164,7 @@ def test_flights_of_a_batch_give_the_parameters_back():
     # One motor of each pair and its opposite, and back: the craft comes to rest, far from a rail.
     capture = MotionCapture(position_noise_m=5e-5, yaw_noise_rad=6e-4)
     hall = TwinSettings(
-        radio=Radio(delay_s=5 / 240),
+        radio=Radio(delay_s=5 / 240, jitter_s=0.0),
         table=Table(length_m=200.0, width_m=200.0),
         motion_capture=capture,
         on_board=BLIND,

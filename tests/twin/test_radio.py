@@ -17,7 +17,9 @@ PERIOD = 0.01
 
 
 def link(seed=0, **values):
-    return RadioLink(Radio(**{"delay_s": 0.02, **values}), np.random.default_rng(seed), 1)
+    return RadioLink(
+        Radio(**{"delay_s": 0.02, "jitter_s": 0.0, **values}), np.random.default_rng(seed), 1
+    )
 
 
 def packet(number):
@@ -63,7 +65,9 @@ def test_queued_delays_are_those_of_the_link():
     assert mean == pytest.approx(delay.mean(), abs=1e-12)
     assert deviation == pytest.approx(delay.std(), abs=1e-12)
     assert mean > 0.0205
-    assert queued_delay(Radio(delay_s=0.02), PERIOD) == pytest.approx((0.02, 0.0), abs=1e-9)
+    assert queued_delay(Radio(delay_s=0.02, jitter_s=0.0), PERIOD) == pytest.approx(
+        (0.02, 0.0), abs=1e-9
+    )
 
 
 def test_packets_in_flight_arrive_one_after_the_other():
@@ -213,7 +217,7 @@ DELAYS = [0.0, 0.004, 0.021, 0.05]
 @pytest.mark.parametrize(
     "radio",
     [
-        Radio(),
+        Radio(jitter_s=0.0),
         Radio(jitter_s=0.01, loss=0.3),
         Radio(jitter_s=0.02, loss=0.02, timeout_s=0.03, outages_s=[(0.2, 0.5), (0.9, 1.4)]),
         Radio(loss=1.0),

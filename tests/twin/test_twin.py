@@ -26,7 +26,7 @@ MODEL = replace(
     parameters=replace(published_model("M3").parameters, center_of_mass=np.array([2e-3, -1e-3])),
 )
 QUIET = TwinSettings(
-    radio=Radio(delay_s=0.02, timeout_s=0.5),
+    radio=Radio(delay_s=0.02, jitter_s=0.0, timeout_s=0.5),
     motion_capture=MotionCapture(
         position_noise_m=0.0, yaw_noise_rad=0.0, latency_s=0.001, latency_jitter_s=0.0
     ),
@@ -126,7 +126,9 @@ def test_a_command_acts_exactly_after_its_delay(quiet):
 
 def test_a_delay_between_two_frames_is_not_rounded(plant):
     # One motor at full power: its speed shows how long it has been running.
-    settings = QUIET.model_copy(update={"radio": Radio(delay_s=0.0231, timeout_s=5.0)})
+    settings = QUIET.model_copy(
+        update={"radio": Radio(delay_s=0.0231, jitter_s=0.0, timeout_s=5.0)}
+    )
     command = np.array([1.0, 0, 0, 0, 0, 0])
     twin, _ = flown(settings, [command], plant, stop=0.05)
     times, states = twin.truth
@@ -138,7 +140,10 @@ def test_a_delay_between_two_frames_is_not_rounded(plant):
 @pytest.mark.slow
 def test_battery_sag_reduces_the_thrust():
     settings = QUIET.model_copy(
-        update={"effects": Effects(battery_sag_1_s=0.4), "radio": Radio(delay_s=0, timeout_s=9)}
+        update={
+            "effects": Effects(battery_sag_1_s=0.4),
+            "radio": Radio(delay_s=0, jitter_s=0.0, timeout_s=9),
+        }
     )
     # At 0.5 s a fifth is gone, at 2.5 s and later everything.
     twin = Twin(MODEL, settings)
@@ -157,7 +162,7 @@ def test_battery_sag_reduces_the_thrust():
 def test_an_accelerometer_measures_thrust_but_not_the_slope():
     # On a table that slopes along x, one motor runs while the battery empties.
     on_board = QUIET.on_board.model_copy(update={"rate_hz": 100.0})
-    changes = {"on_board": on_board, "radio": Radio(delay_s=0, timeout_s=9)}
+    changes = {"on_board": on_board, "radio": Radio(delay_s=0, jitter_s=0.0, timeout_s=9)}
     effects = Effects(battery_sag_1_s=0.4, tilt_rad=(0.01, 0.0))
     twin = Twin(MODEL, QUIET.model_copy(update={**changes, "effects": effects}))
     twin.wait_until(0.2)

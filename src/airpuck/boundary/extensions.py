@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import nearest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -71,10 +72,10 @@ def loaded(group: Group, name: str, use: Callable[[Any], Any] = lambda found: fo
         raise InputError(f"{problem}; upgrade or uninstall {source}") from error
 
 
-def moved(name: str) -> Any:
+def moved(name: str, known: Sequence[str]) -> Any:
     """Return a name that moved from `airpuck` to airpuck-hockey; see `HOCKEY`."""
     if name not in HOCKEY["airpuck"]:
-        remedy = f"; use {_FORMER[name]}" if name in _FORMER else ""
+        remedy = f"; use {_FORMER[name]}" if name in _FORMER else nearest(name, known)
         raise AttributeError(f"module 'airpuck' has no attribute {name!r}{remedy}")
     try:
         return getattr(import_module("airpuck_hockey"), name)

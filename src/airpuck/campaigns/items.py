@@ -33,7 +33,7 @@ from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
 from airpuck.physics.thrust import thrust
-from airpuck.twin.settings import TwinSettings, default_twin_settings
+from airpuck.twin.settings import TwinSettings
 
 if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
@@ -46,17 +46,6 @@ Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is No
 Row = dict[str, Figure]
 
 
-def _laid_over(packaged: Callable[[], Section]) -> pydantic.BeforeValidator:
-    """Complete a spec's table, which lists only differences from the packaged file."""
-
-    def complete(table: Any) -> Section:
-        if not isinstance(table, Mapping):
-            raise ValueError("must be a table")
-        return checked(laid_over(packaged().model_dump(mode="json"), table), type(packaged()))
-
-    return pydantic.BeforeValidator(complete)
-
-
 def _known_rung(name: str) -> str:
     """Check that a rung exists."""
     try:
@@ -66,7 +55,7 @@ def _known_rung(name: str) -> str:
     return name
 
 
-TwinTable = Annotated[TwinSettings, _laid_over(default_twin_settings)]
+TwinTable = TwinSettings
 
 
 def _tuning(table: dict[str, Any], usual: Tuning) -> Tuning:
@@ -148,7 +137,7 @@ class TwinItem(Item):
     #: inertia and the motor lag.
     truth_spread: Spread = 0.0
     #: Settings of the twin, which override the packaged settings.
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    twin: TwinTable = TwinSettings()
 
     def craft(self) -> Model:
         """Return the model of the twin."""

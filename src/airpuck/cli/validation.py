@@ -137,7 +137,7 @@ def faults(
     """Find when motors, radio or cameras failed, or something hit the craft."""
     from airpuck.data.left_out import left_out_words
     from airpuck.data.trajectory import vehicle_of
-    from airpuck.faults.strengths import actuator_strengths, on_table_of, usual_rung
+    from airpuck.faults.strengths import find_strengths, on_table_of, usual_rung
     from airpuck.report.tables import span_table
 
     healthy = read_given(model, vehicle, airpuck.read_model)
@@ -149,7 +149,7 @@ def faults(
         warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
         healthy = fit.model
     found = airpuck.find_faults(trajectory, on_table_of(healthy, trajectory))
-    strengths = actuator_strengths(healthy, trajectory)
+    strengths = find_strengths(healthy, trajectory)
     written = page(output, "evaluation_report.fault_report", trajectory, found, healthy)
     spans = sorted((*trajectory.excluded, *found), key=lambda s: s.start)
     healthy_part = trajectory.leave_out(found)

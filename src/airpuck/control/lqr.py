@@ -139,6 +139,11 @@ class LQR(Law):
     ------
     InputError
         If a thrust curve falls somewhere.
+
+    Examples
+    --------
+    >>> law = airpuck.LQR(model, airpuck.default_tuning())
+    >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
@@ -159,7 +164,7 @@ class LQR(Law):
         self._command = program(command, *given, compiled=options.compiled)
 
     def step(self, state: Any, moment: Moment) -> tuple[Step, Any]:
-        """Allocate thrusts for the accelerations that lead to the target, and invert them."""
+        """Allocate thrusts for the accelerations that lead to the target; see `Law.step`."""
         # The target applies one period after the command begins to act.
         target = moment.reference.at(moment.now, moment.delay + self._period)
         estimate, results = moment.foresee(target.state, target.acceleration, self.gain)

@@ -68,6 +68,11 @@ class MPC(Law):
     InputError
         If a thrust curve falls somewhere, if the weights give no regulator, or if there are too
         many decision variables to solve in time.
+
+    Examples
+    --------
+    >>> law = airpuck.MPC(model, airpuck.default_tuning().with_law("mpc"))
+    >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
@@ -146,7 +151,7 @@ class MPC(Law):
     def posed(
         self, state: Ongoing, reference: Reference, now: float, delay: float
     ) -> tuple[tuple[np.ndarray, ...], Ongoing]:
-        """Return the stage's inputs (the plan, targets, limits) and the shifted plan."""
+        """Return the stage's inputs and the shifted plan; see `Law.step`."""
         if not 0 <= now - state.since <= self._times[-1]:
             state = self.init()
         elif now > state.since:

@@ -428,7 +428,18 @@ def read_tuning(path: str | os.PathLike[str], model: Model | None = None) -> Tun
 
 
 def default_tuning() -> Tuning:
-    """Return the packaged tuning, which is close to the tuning of the paper's experiment."""
+    """Return the packaged tuning, which is close to the tuning of the paper's experiment.
+
+    Returns
+    -------
+    Tuning
+        Of the LQR; see `Tuning.with_law`.
+
+    Examples
+    --------
+    >>> airpuck.default_tuning().period_s
+    0.01
+    """
     return read_packaged("tuning.toml", Tuning)
 
 

@@ -35,6 +35,11 @@ class Table(Section):
     goal_width_m : float
         Width of the openings in the middle of both short rails, at most the table's width. Only the
         puck fits through.
+
+    Examples
+    --------
+    >>> airpuck.Table(length_m=2.5).reach(radius=0.05)  # of a craft's centre, along x and y [m]
+    (1.2, 0.5)
     """
 
     length_m: Side = 2.2

@@ -35,10 +35,31 @@ class Encoder(Protocol):
 
 @runtime_checkable
 class StateEncoder(Encoder, Protocol):
-    """An encoder that does not change the model, so that a model can be learned with it."""
+    """An encoder that does not change the model, so that a model can be learned with it.
+
+    Examples
+    --------
+    >>> isinstance(airpuck.PaperEncoder(), airpuck.StateEncoder)
+    True
+    """
 
     def encode(self, xp: Any, dynamics: Dynamics, past: Past) -> Any:
-        """Estimate the state."""
+        """Estimate the state.
+
+        Parameters
+        ----------
+        xp : module
+            Array namespace.
+        dynamics : Dynamics
+            Coefficients of the craft.
+        past : Past
+            Measurements and commands up to the start of a prediction.
+
+        Returns
+        -------
+        array, shape (6 + n, ...)
+            x, y, γ, their rates and the motors' speeds.
+        """
         ...
 
 

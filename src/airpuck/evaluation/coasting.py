@@ -14,7 +14,26 @@ from airpuck.evaluation.statistical_tests import redrawn_means
 
 
 def coasting(evaluation: Evaluation, trajectory: Trajectory) -> Evaluation:
-    """Predict the same windows with constant velocity, as a baseline that needs no model."""
+    """Predict the same windows with constant velocity, as a baseline that needs no model.
+
+    Parameters
+    ----------
+    evaluation : Evaluation
+        Of a model on the trajectory.
+    trajectory : Trajectory
+        The same one.
+
+    Returns
+    -------
+    Evaluation
+        With the errors of a craft that coasts.
+
+    Examples
+    --------
+    >>> found = airpuck.evaluate(model, trajectory)
+    >>> bool((found.rmse < airpuck.coasting(found, trajectory).rmse).all())
+    True
+    """
 
     def errors(starts: Float[np.ndarray, " W"], steps: int) -> Float[np.ndarray, "T 3 W"]:
         first = np.searchsorted(trajectory.time, starts - trajectory.sample_period / 2)

@@ -46,7 +46,14 @@ def by_channel(values: Float[np.ndarray, " 3"]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Protocol:
-    """The choice of predictions, and the time at which they are evaluated."""
+    """The choice of predictions, and the time at which they are evaluated.
+
+    Examples
+    --------
+    >>> found = airpuck.evaluate(model, trajectory, protocol=airpuck.Protocol().after(0.4))
+    >>> bool((found.rmse > airpuck.evaluate(model, trajectory).rmse).all())
+    True
+    """
 
     #: Every reported number names its protocol.
     name: str = "paper"
@@ -62,14 +69,22 @@ class Protocol:
     causal: bool = False
 
     def after(self, horizon: float) -> Protocol:
-        """Return the protocol with errors reported at another horizon [s].
+        """Return the protocol with errors reported at another horizon.
 
-        Predictions become longer if necessary.
+        Parameters
+        ----------
+        horizon : float
+            After which time errors count [s]; predictions become longer if necessary.
+
+        Returns
+        -------
+        Protocol
+            A copy.
         """
         return replace(self, horizon=horizon, prediction_time=max(horizon, self.prediction_time))
 
     def suited(self, model: Model, trajectory: Trajectory) -> Protocol:
-        """Return the protocol with times that suit a slow craft; others keep it.
+        """Return the protocol with times that suit a slow craft; see `evaluate`.
 
         Predictions last until thrust stands out from the noise of poses. Slow motors remember more
         commands than the window has.

@@ -1,4 +1,4 @@
 """Detection of motor faults, and checks of the vehicle file's motor layout.
 
-Entry points: `find.find_faults`, `layout_check.check_layout`, `strengths.actuator_strengths`.
+Entry points: `find.find_faults`, `layout_check.check_layout`, `strengths.find_strengths`.
 """

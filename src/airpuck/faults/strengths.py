@@ -140,7 +140,7 @@ class Strengths(Result):
         return tuple(lines)
 
 
-def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> Strengths:
+def find_strengths(model: Model, trajectory: Trajectory | None = None) -> Strengths:
     """Compare identified strengths with the vehicle file, and with each other.
 
     Strengths are the model's. Thrust cannot be negative in a model, so the recording is checked for
@@ -159,6 +159,11 @@ def actuator_strengths(model: Model, trajectory: Trajectory | None = None) -> St
     -------
     Strengths
         Each actuator's strength, interval and verdict, and the median of all.
+
+    Examples
+    --------
+    >>> [one.verdict for one in airpuck.find_strengths(fit.model, trajectory).actuators][:2]
+    ['unknown', 'unknown']
     """
     vehicle, wrong = model.vehicle, {}
     stated = _full_thrust(nominal_model(vehicle))

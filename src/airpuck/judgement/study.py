@@ -15,7 +15,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.faults.layout_findings import AXES
-from airpuck.faults.strengths import Strengths, actuator_strengths, recording_findings
+from airpuck.faults.strengths import Strengths, find_strengths, recording_findings
 from airpuck.identification.bootstrap import bootstrap as resample
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
@@ -202,7 +202,7 @@ def judged(
     """Judge a fit."""
     model = fit.model
     found = None if validation is None else evaluate(model, validation)
-    strengths = actuator_strengths(model, training[0])
+    strengths = find_strengths(model, training[0])
     axes = AXES if mapping is None else mapping.pose.axes
     causes = [
         *recording_findings(training[0], model.vehicle, axes),

@@ -101,6 +101,12 @@ class Verdict(Result):
         Whether the parameters are right within their errors; a wrong model may still fly.
     controller : dict of str to Rehearsal
         How each law that was flown on the twin settles; empty if an earlier cause decided.
+
+    Examples
+    --------
+    >>> study = airpuck.study(trajectory, model="M0")
+    >>> isinstance(study.verdict, airpuck.Verdict), study.verdict.trusted
+    (True, False)
     """
 
     JSON = (

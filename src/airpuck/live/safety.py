@@ -23,7 +23,13 @@ _Log = Callable[[Literal["info", "error"], str], object]
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Limits of a flight."""
+    """Limits of a flight; motors idle beyond them.
+
+    Examples
+    --------
+    >>> airpuck.SafetyLimits(geofence=(0.9, 0.4), pose_timeout=0.1).settle
+    0.3
+    """
 
     #: Largest distance of the craft's centre from the centre of the table along x and y [m].
     geofence: tuple[float, float]

@@ -343,8 +343,8 @@ class Model:
         yaw : float, default 0
             Orientation of the craft [rad].
         command : array, shape (n,), optional
-            Motor commands to linearise about; by default near half speed with no net thrust
-            (`airpuck.model.statespace.trim`).
+            Motor commands to linearise about, which the motors have reached; by default near half
+            speed, with thrusts that cancel.
         period : float, optional
             Sample time of a discrete-time model with commands held over it [s]; by default the
             model is in continuous time.
@@ -451,25 +451,10 @@ def _published() -> dict[str, Any]:
 
 
 def published_model(name: str) -> Model:
-    """Return a model with the parameters published with the paper.
+    """Return a model with the parameters published with the paper; see `read_model`.
 
     It uses the paper's conventions: the offset of the centre of mass is fixed to the world, and the
     encoder takes commands at the end of each interval.
-
-    Parameters
-    ----------
-    name : str
-        ``M0`` … ``M4``.
-
-    Returns
-    -------
-    Model
-        The published model.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown.
     """
     published = _published()
     if name not in published:
@@ -493,6 +478,23 @@ def published_model(name: str) -> Model:
 
 
 def nominal_model(vehicle: Vehicle) -> Model:
-    """Return the model of a craft that has not flown: the nominal values of its vehicle."""
+    """Return the model of a craft that has not flown: the nominal values of its vehicle.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The craft.
+
+    Returns
+    -------
+    Model
+        Without learned parameters.
+
+    Examples
+    --------
+    >>> guess = airpuck.nominal_model(airpuck.default_vehicle())
+    >>> guess.name, int(guess.free.sum())
+    ('nominal', 0)
+    """
     parameters, source = nominal_parameters(vehicle), f"nominal values of {vehicle.name}"
     return Model("nominal", vehicle, parameters, parameters.mask(frozenset()), source=source)

@@ -197,6 +197,26 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
 
     Of the optional effects, g contains the slope of the table. Others are left out; a controller
     rejects them as a disturbance.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace, such as NumPy.
+    dynamics : Dynamics
+        Coefficients, such as ``model.dynamics``.
+    yaw, spin : float
+        γ [rad] and ω [rad/s].
+
+    Returns
+    -------
+    matrix, offset : array, shape (3, n) and (3,)
+        M and g: the accelerations of x, y, γ are M F + g for thrusts F [N].
+
+    Examples
+    --------
+    >>> matrix, offset = airpuck.acceleration_map(np, model.dynamics, yaw=0.0, spin=0.0)
+    >>> matrix.shape, offset.tolist()
+    ((3, 6), [0.0, 0.0, 0.0])
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]

@@ -127,6 +127,12 @@ class InverseThrust:
     ------
     InputError
         If a curve falls somewhere on [0, 1]: it has no inverse.
+
+    Examples
+    --------
+    >>> speed_for = airpuck.InverseThrust(np.array([[0.0, 2.0]]))  # F = 2 φ² [N]
+    >>> speed_for(np.array([0.5])).round(3)
+    array([0.5])
     """
 
     def __init__(self, coefficients: Float[np.ndarray, "n degree"]) -> None:

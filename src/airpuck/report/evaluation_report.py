@@ -19,7 +19,7 @@ from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.faults.strengths import (
     STRENGTH_HEADINGS,
     Strengths,
-    actuator_strengths,
+    find_strengths,
     strength_rows,
 )
 from airpuck.judgement.verdict import Verdict, verdict
@@ -322,7 +322,7 @@ def fault_report(
     )
     sections = [
         fault_section(trajectory, faults, model),
-        strength_section(actuator_strengths(model, trajectory)),
+        strength_section(find_strengths(model, trajectory)),
     ]
     return write_page(out, "Faults of a recording", lead, sections, origin)
 

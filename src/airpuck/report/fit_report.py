@@ -15,7 +15,7 @@ from airpuck.data.trajectory import Trajectory, as_trajectories
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
-from airpuck.faults.strengths import Strengths, actuator_strengths
+from airpuck.faults.strengths import Strengths, find_strengths
 from airpuck.identification.fit_result import Fit, knowledge_words
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
@@ -254,7 +254,7 @@ def fit_report(
     more : sequence of PageSection, optional
         Sections to add at the end.
     strengths : Strengths, optional
-        Of the last fit's actuators; by default from `actuator_strengths`.
+        Of the last fit's actuators; by default from `find_strengths`.
     verdicts : mapping of str to Verdict, optional
         Of the models, by name; missing ones are judged here.
     origin : Origin, optional
@@ -284,7 +284,7 @@ def fit_report(
         reference_label="true" if truth is not None else "reference",
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
-    strengths = strengths or actuator_strengths(last.model, training)
+    strengths = strengths or find_strengths(last.model, training)
     short = _verdicts(fits, judged, training, verdicts or {})
     if strengths.sentences:
         short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))

@@ -349,6 +349,13 @@ def race(
     ------
     InputError
         If the plan starts in motion: the twin's craft is initially at rest.
+
+    Examples
+    --------
+    >>> limits = airpuck.Limits(reserve=0.1, margin=0.02)
+    >>> path = airpuck.plan(model, (0, 0, 0), (0.2, 0, 0), table=airpuck.Table(), limits=limits)
+    >>> airpuck.race(path, model).contacts
+    0
     """
     if np.abs(planned.states[0, 3:6]).max() > _STANDING:
         raise InputError(

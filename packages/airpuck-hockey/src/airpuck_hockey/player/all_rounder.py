@@ -36,6 +36,12 @@ class AllRounder:
     strategies : sequence of Strategy, optional
         By priority: the first strategy with a proposal acts. By default `Shoot`, `Defend`,
         `Catch`, `Free`, `Shoot` whatever the chance, `Wait`.
+
+    Examples
+    --------
+    >>> tactic = airpuck_hockey.AllRounder([airpuck_hockey.Shoot(least=0.3)])
+    >>> isinstance(tactic, airpuck_hockey.Tactic)
+    True
     """
 
     def __init__(self, strategies: Sequence[Strategy] | None = None) -> None:

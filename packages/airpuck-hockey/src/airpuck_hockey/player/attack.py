@@ -70,6 +70,11 @@ class Shoot(Searcher):
         Speeds of the craft that are tried [m/s].
     clears : bool, default False
         Whether its shots only clear the puck.
+
+    Examples
+    --------
+    >>> airpuck_hockey.Shoot(least=0.3).clears
+    False
     """
 
     def __init__(

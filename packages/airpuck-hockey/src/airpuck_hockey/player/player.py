@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import (
+    MPC,
     AirHockey,
     InputError,
     Measurement,
@@ -22,13 +23,12 @@ from airpuck import (
     Step,
     TrackingController,
     Tuning,
+    default_tuning,
 )
 from airpuck.extend import (
-    MPC,
     MinimalTimes,
     check_steerable,
     checked_class,
-    default_tuning,
     minimal_times_of,
     numbers,
     tuning_for,
