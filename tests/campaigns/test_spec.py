@@ -92,7 +92,7 @@ def test_a_setting_given_twice_is_computed_once(spec):
         ('kind = "tracking"\nbase.seed = 1', ("base.seed", "seeds")),
         ('kind = "tracking"\nbase.dwell_s = "2"', ("dwell_s", "valid number")),
         ('kind = "tracking"\nbase.twin.radio.loss = 2', ("twin", "radio.loss")),
-        ('kind = "tracking"\nbase.twin = 2', ("twin", "must be a table")),
+        ('kind = "tracking"\nbase.twin = 2', ("twin", "must be an object")),
         ('kind = "tracking"\nbase.model = "none.toml"', ("none.toml", "no such file")),
         ('kind = "tracking"\ngrid.dwell_s = 2.0', ("grid.dwell_s", "list")),
         ('kind = "tracking"\ngrid.dwell_s = [2.0, 2.0]', ("grid.dwell_s", "twice")),
