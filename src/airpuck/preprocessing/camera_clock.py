@@ -183,7 +183,7 @@ def _chosen_period(
         within = _CLOCKS if period in nominal else 1 / count
         period, at_phase = _refined(begin, period, within)
         nearest = min((abs(period / one - 1) for one in nominal), default=1.0)
-        if period < mean and not _CLOCKS < nearest < _BEAT:
+        if period < mean and not _CLOCKS * 1.001 < nearest < _BEAT:
             periods.append(period)
             fits.append(at_phase > _AT_PHASE)
     bent = _bent(seen, [_placed(begin, seen, period)[0] for period in periods])
@@ -204,12 +204,12 @@ def _early(time: Float[np.ndarray, " N"], period: float) -> Float[np.ndarray, " 
 
 def _refined(time: Float[np.ndarray, " N"], period: float, within: float) -> tuple[float, float]:
     """Return the period with which most earliest arrivals have one phase, and their share."""
-    size = min(_REFINED, len(time))
+    bounds, size = (period * (1 - within), period * (1 + within)), min(_REFINED, len(time))
     while True:
         part = time[:size] - time[0]
         step = period / max(part[-1], period) / 4  # moves the last pose by a quarter of a period
         most = math.ceil(within / step)
-        periods = period * (1 + within * np.linspace(-1, 1, 2 * most + 1))
+        periods = (period * (1 + within * np.linspace(-1, 1, 2 * most + 1))).clip(*bounds)
         phases = (np.exp(2j * np.pi * _early(part, one)).mean() for one in periods)
         shares = np.abs(np.fromiter(phases, complex))
         best = int(np.argmax(shares))
