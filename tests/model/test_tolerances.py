@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import airpuck
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.model.rungs import named_rung
@@ -44,3 +45,29 @@ def test_accelerations_do_not_depend_on_the_geometry_in_the_file(name):
     change = np.abs(np.array(moved) / largest_acceleration(model) - 1)
     assert change.max() < 0.03
     assert nominal_model(wrong).vehicle == wrong
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("three", [False, True])
+def test_a_fit_with_a_wrong_file_moves_by_the_stated_shift(three):
+    vehicle = MODEL.vehicle
+    if three:  # two-way propellers, of which each turns either way half of the time
+        ring = [p.model_copy(update={"reverse": 0.8}) for p in vehicle.propellers[::2]]
+        vehicle = vehicle.model_copy(update={"propellers": tuple(ring), "pairs": ()})
+    truth = nominal_model(vehicle)
+    flight = airpuck.excite(truth, 16.0, seed=4)
+    right = airpuck.identify(airpuck.preprocess(flight, vehicle), "M3").model
+    turned = [p.model_copy() for p in vehicle.propellers]
+    turned[1] = turned[1].model_copy(update={"direction_deg": turned[1].direction_deg + 3.0})
+    wrong = vehicle.model_copy(update={"propellers": tuple(turned)})
+    found = airpuck.identify(airpuck.preprocess(flight, wrong), "M3").model
+    # Positions come first, by x and y, then the direction, for each propeller.
+    shift = -3.0 * geometry_shifts(right.parameters, right.vehicle, right.free)[5]
+    expected = right.parameters.with_vector(right.parameters.to_vector() + shift)
+    before, stated, after = (
+        np.append(np.asarray(p.thrust).sum(axis=1), p.inertia)
+        for p in (right.parameters, expected, found.parameters)
+    )
+    moved, said = after / before - 1, stated / before - 1
+    assert np.abs(moved).max() > 0.01
+    assert np.linalg.norm(said - moved) < 0.5 * np.linalg.norm(moved)

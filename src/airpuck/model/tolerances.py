@@ -1,7 +1,7 @@
 """Errors of parameters that follow from the tolerances of a vehicle file.
 
 A recording shows accelerations, but neither lever arms nor masses. If the file's geometry is wrong,
-a fit finds the parameters whose Π is closest to the true one.
+a fit finds the parameters whose accelerations are closest to the true ones.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ from airpuck.physics.rigid_body import turned
 _YAW = 0.1
 #: Mean and mean square of φ² at random speeds φ: thrusts relative to the full ones.
 _MEAN, _SQUARE = 1 / 3, 1 / 5
+#: Root mean square of the spin in an excitation flight, relative to that of its rate [s].
+_TURNS = 0.1
 #: Relative step of difference quotients.
 _STEP = 1e-6
 
@@ -45,7 +47,7 @@ def geometry_shifts(
     if parameters.configuration_matrix is not None:
         # Only the scale of a learned Π depends on the file, by its mass.
         return vehicle.mass_error * (vector * free * parameters.mask(frozenset({"thrust"})))[None]
-    now = parameters.matrix(np, vehicle)
+    now = _seen(parameters, vehicle)
     # The thrust coefficients come first in the vector.
     rows = np.kron(np.eye(size[0]), np.ones(size[1]))
     steps = np.pad(rows, ((0, 0), (0, len(vector) - rows.shape[1]))) * vector * free
@@ -54,11 +56,15 @@ def geometry_shifts(
         unit = np.eye(len(vector))[entry]
         step = _STEP * max(abs(vector[entry]), _STEP)
         moved = parameters.with_vector(vector + step * unit)
-        slopes.append((moved.matrix(np, vehicle) - now) / step)
+        slopes.append((_seen(moved, vehicle) - now) / step)
         steps = np.vstack([steps, unit])
     errors = [matrix - now for matrix in _wrong(parameters, vehicle)]
     full = np.abs(np.asarray(parameters.thrust).sum(axis=1))
-    moments = np.outer(full, full) * (_MEAN**2 + (_SQUARE - _MEAN**2) * np.eye(size[0]))
+    owner = np.array([channel.column for channel in vehicle.actuation.channels])
+    same = owner[:, None] == owner
+    # Of a propeller's directions only one is in use, each half of the time.
+    on = 1 / same.sum(axis=1)
+    moments = np.outer(full * on, full * on) * _MEAN**2 * ~same + np.diag(full**2 * on * _SQUARE)
     weight = np.array([1.0, 1.0, _YAW])[:, None]
     root = np.linalg.cholesky(moments + 1e-9 * full.max() ** 2 * np.eye(size[0]))
     kept = np.abs(steps).any(axis=1)
@@ -66,18 +72,32 @@ def geometry_shifts(
         (weight * np.array(part) @ root).reshape(len(part), -1).T
         for part in (np.array(slopes)[kept], errors)
     )
-    return np.linalg.lstsq(table, aim, rcond=1e-9)[0].T @ steps[kept]
+    # The centripetal acceleration tells r, too: it is normal with the mean square ω² = 3 ω̄⁴.
+    offset = steps[kept][:, parameters.mask(frozenset({"center_of_mass"}))].T
+    spun = np.sqrt(3.0) * _TURNS**2 * (now[2] @ moments @ now[2]) * offset
+    aim = np.pad(aim, ((0, len(spun)), (0, 0)))
+    return np.linalg.lstsq(np.vstack([table, spun]), aim, rcond=1e-9)[0].T @ steps[kept]
 
 
 def _wrong(parameters: Parameters, vehicle: Vehicle) -> Iterator[Any]:
-    """Yield Π for an error of each position and direction, and of the mass."""
+    """Yield the map for an error of each position and direction, and of the mass."""
     owner = np.array([channel.column for channel in vehicle.actuation.channels])
     for column in range(len(vehicle.propellers)):
         mine = (owner == column)[:, None]
         for axis in np.eye(2):
             positions = vehicle.positions + vehicle.position_error_m * mine * axis
-            yield parameters.matrix(np, vehicle, positions=positions)
+            yield _seen(parameters, vehicle, positions=positions)
         angle = np.radians(vehicle.direction_error_deg)
         directions = np.where(mine, turned(np, vehicle.directions, angle), vehicle.directions)
-        yield parameters.matrix(np, vehicle, directions=directions)
-    yield parameters.matrix(np, vehicle, mass=vehicle.mass_kg * (1 + vehicle.mass_error))
+        yield _seen(parameters, vehicle, directions=directions)
+    yield _seen(parameters, vehicle, mass=vehicle.mass_kg * (1 + vehicle.mass_error))
+
+
+def _seen(parameters: Parameters, vehicle: Vehicle, **wrong: Any) -> Any:
+    """Return the map from thrusts to the accelerations of the geometric centre, which poses show.
+
+    A recording tells the offset r of the centre of mass by these, not by the moments alone.
+    """
+    forward, left, angular = parameters.matrix(np, vehicle, **wrong)
+    x, y = parameters.center_of_mass
+    return np.stack([forward + y * angular, left - x * angular, angular])
