@@ -42,6 +42,7 @@ METHODS: dict[str, Method] = {
     "airpuck-m3": models.airpuck("M3"),
     "airpuck-m3-all": models.airpuck("M3", faults="keep"),
     "airpuck-m5+drag+idle-robust": models.airpuck("M5+drag+idle", robust=True),
+    "airpuck-m3+residual": models.airpuck("M3+residual"),
     "scipy-m3": models.scipy(robust=False),
     "scipy-m3-robust": models.scipy(robust=True),
     "network": black_box.accelerations,

@@ -111,6 +111,7 @@ def _rung_names() -> list[str]:
         "yaw_weight",
         "bootstrap",
         "seed",
+        "each",
     ),
 )
 def identify(
@@ -156,6 +157,15 @@ def identify(
         int,
         Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty"),
     ] = 0,
+    each: Annotated[
+        str,
+        Setting(
+            "What each recording has for itself, such as delay,tilt; they share the rest. "
+            "model.toml has the last one's values, model.toml#1 names the first one's.",
+            metavar="NAMES",
+            heading="Structure of the model",
+        ),
+    ] = "",
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
     from airpuck.judgement.study import study
@@ -192,6 +202,7 @@ def identify(
             preparation=preparation,
             bootstrap=bootstrap or 0,
             seed=seed,
+            each=[name for name in each.split(",") if name],
             progress=progress,
             resampled=partial(tell, total=bootstrap),
         )

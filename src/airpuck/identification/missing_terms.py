@@ -265,7 +265,8 @@ def _with_all_terms(model: Model) -> Parameters:
     added: dict[str, Any] = {}
     direct = parameters.configuration_matrix is not None
     for name, quantity in EFFECTS.items():
-        if getattr(parameters, name) is None and not (direct and quantity.in_matrix):
+        cannot = (direct and quantity.in_matrix) or callable(quantity.labels)
+        if getattr(parameters, name) is None and not cannot:
             least = max(quantity.bounds[0], 0.0)
             added[name] = np.full(np.shape(quantity.start), least)[()]
     if degree < numbers.DEGREE.high and _can_bend(model, degree + 1):

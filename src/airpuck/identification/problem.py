@@ -54,7 +54,7 @@ class Problem:
     ) -> Problem:
         """Set up a problem; other fields that are None take their defaults."""
         trajectories = as_trajectories(trajectories)
-        rung = named_rung(model) if isinstance(model, str) else model
+        rung = (named_rung(model) if isinstance(model, str) else model).physics
         given = {name: value for name, value in options.items() if value is not None}
         if "vehicle" not in given:
             given["vehicle"] = vehicle_of(trajectories)

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Result
 from airpuck.craft.vehicle import Vehicle
@@ -23,13 +24,16 @@ from airpuck.identification import fit as fitting
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms, with_shifts
+from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import prediction_loss
+from airpuck.identification.residual import with_residual
 from airpuck.identification.retiming import retime_packets
 from airpuck.identification.settings import Loss, Preparation
+from airpuck.identification.shared import identify_each
 from airpuck.identification.uncertainty import with_held
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.rungs import Rung, named_rung
+from airpuck.model.rungs import NEURAL, Rung, named_rung
 from airpuck.physics.rigid_body import CenterOfMassFrame
 from airpuck.preprocessing.pipeline import Source, load_all
 from airpuck.recording.mapping import RecordingMapping
@@ -82,6 +86,7 @@ def identify(
     method: Method | None = None,
     preparation: Preparation | None = None,
     progress: Callable[[Iteration], None] = lambda _: None,
+    each: Sequence[str] = (),
 ) -> Fit:
     """Identify a model by minimising its multi-step prediction error (eq. combined_loss).
 
@@ -106,6 +111,10 @@ def identify(
         Whether faults are left out, the delay is learned and packets are retimed.
     progress : callable, optional
         Called after every iteration of the optimiser.
+    each : sequence of str, optional
+        What each recording has for itself, such as ``("delay", "tilt")``: ``delay``, ``lag``,
+        ``angle``, ``thrust``, or terms of the model. The model has the last recording's values;
+        see `Model.recordings`. By default the recordings share everything.
 
     Returns
     -------
@@ -126,7 +135,7 @@ def identify(
     """
     options: dict[str, Any] = {"vehicle": vehicle, "initial": initial, "loss": loss}
     options |= {"method": method, "preparation": preparation, "progress": progress}
-    return structured(recordings, model, mapping=mapping, **options)[0]
+    return structured(recordings, model, mapping=mapping, each=each, **options)[0]
 
 
 def structured(
@@ -136,6 +145,7 @@ def structured(
     mapping: RecordingMapping | None = None,
     degree: int | None = None,
     frame: CenterOfMassFrame = "body",
+    each: Sequence[str] = (),
     **options: Any,
 ) -> tuple[Fit, ModelStructure]:
     """Identify a model, and test what it lacks; `options` are those of `identify`."""
@@ -147,19 +157,33 @@ def structured(
     name = usual_rung(trajectories[0], craft) if usual else "M3" if free else model
     rung = named_rung(name, degree=degree, frame=frame) if isinstance(name, str) else name
     assert rung is not None
-    solution, chosen = fitting.solved(trajectories, rung, **options), rung
-    loss, _, simple = solution.result
+    neural = NEURAL in rung.effects
+    if neural and each:
+        raise InputError("cannot be combined with each; leave out one of them", field="model")
+    rung = chosen = rung.physics
+
+    def solved(rung: Rung) -> tuple[Model, PredictionLoss | None, Callable[[], Fit]]:
+        if each and len(trajectories) > 1:
+            joint = identify_each(trajectories, rung, each, **options)
+            return joint.model, joint.objective, lambda: joint
+        solution = fitting.solved(trajectories, rung, **options)
+        loss, _, simple = solution.result
+        return simple, loss, lambda: fitting.judge(solution)
+
+    simple, loss, judge = solved(rung)
     found = missing_terms(simple, loss) if usual else []
     # Uncertainties take a third of a fit, and the first of two fits needs none.
     if added := with_shifts(simple, [one for one in found if one.worthwhile]):
         bent = np.shape(simple.parameters.thrust)[1]
         chosen = _richer(rung, [one.term for one in added], bent)
-        solution = fitting.solved(trajectories, chosen, **options)
-    fit = fitting.judge(solution)
+        simple, loss, judge = solved(chosen)
+    fit = judge()
     if added or not usual:
         found = missing_terms(fit.model, fit.objective)
     missing = with_shifts(fit.model, found)
-    return _widened(fit, missing), ModelStructure(rung.name, chosen.name, added, missing)
+    fit = _widened(fit, missing)
+    fit = with_residual(fit) if neural else fit
+    return fit, ModelStructure(rung.name, fit.model.name, added, missing)
 
 
 def lacking_on(model: Model, trajectory: Trajectory) -> tuple[MissingTerm, ...]:

@@ -126,6 +126,7 @@ def study(
     bootstrap: int = 0,
     seed: int = 0,
     laws: Sequence[str] = (),
+    each: Sequence[str] = (),
     progress: Callable[[Iteration], None] = lambda _: None,
     resampled: Callable[[int], None] = lambda _: None,
 ) -> Study:
@@ -149,8 +150,8 @@ def study(
         Degree of the thrust polynomials.
     frame : {"body", "world"}, default "body"
         The frame in which the offset of the centre of mass is constant.
-    loss, method, preparation, progress
-        As for `airpuck.identify`.
+    loss, method, preparation, each, progress
+        As for `airpuck.identify`. With `each`, the last recording is judged.
     bootstrap : int, default 0
         Number of fits to resampled data, for bootstrap intervals; `seed` is their seed.
     seed : int, default 0
@@ -184,7 +185,12 @@ def study(
         other = load_trajectory(validation, vehicle, mapping=mapping)
     options: dict[str, Any] = {"degree": degree, "frame": frame, "vehicle": vehicle, "loss": loss}
     options |= {"method": method, "preparation": preparation, "progress": progress}
-    fit, structure = structured(training, model, **options)
+    fit, structure = structured(training, model, each=each, **options)
+    if bootstrap and (fit.model.recordings or fit.model.parameters.residual is not None):
+        problem = "resamples neither recordings with their own parameters nor +residual"
+        raise InputError(problem, field="bootstrap")
+    if fit.model.recordings:
+        return judged(fit, structure, training[-1:], other, mapping=mapping, laws=laws)
     if bootstrap:
         fit = resample(fit, bootstrap, seed=seed, progress=resampled)
     return judged(fit, structure, training, other, mapping=mapping, laws=laws)
@@ -209,7 +215,7 @@ def judged(
         *actuator_causes(strengths),
         *map(_lacking, structure.missing),
     ]
-    spans = fit.exclusion.trajectories[0].excluded if fit.exclusion else ()
+    spans = fit.exclusion.trajectories[-len(training)].excluded if fit.exclusion else ()
     shown = validation or training[0].leave_out(spans)
     said = verdict(model, shown, found, causes=causes, laws=laws, axes=axes)
     return Study(fit, structure, said, strengths, tuple(training), validation, found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -27,6 +28,7 @@ from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of
 from airpuck.model.sections import (
     ModelFile,
+    RecordingSection,
     model_content,
     read_free,
     read_own,
@@ -44,6 +46,25 @@ if TYPE_CHECKING:
     import control
 
 _FORMAT = "airpuck model 1"
+
+
+@dataclass(frozen=True, eq=False)
+class OfRecording:
+    """What one of several recordings says about the craft.
+
+    Attributes
+    ----------
+    source : str
+        The recording.
+    parameters : Parameters
+        Parameters with the values of this recording.
+    uncertainty : Uncertainty or None
+        Their uncertainty.
+    """
+
+    source: str
+    parameters: Parameters
+    uncertainty: Uncertainty | None
 
 
 @partial(checked_class, finite=False)
@@ -77,6 +98,9 @@ class Model:
         Spread of the transport delay between packets, if it was learned here.
     cameras : Cameras or None
         Rate, noise and stamp errors of those poses; default tunings follow them.
+    recordings : tuple of OfRecording
+        What each recording says, if some parameters are each recording's own; the model's values
+        are those of the last one.
 
     Raises
     ------
@@ -105,6 +129,7 @@ class Model:
     uncertainty: Uncertainty | None = None
     delay_jitter: DelayJitter | None = None
     cameras: Cameras | None = None
+    recordings: tuple[OfRecording, ...] = ()
 
     def __post_init__(self) -> None:
         self.parameters.check(self.vehicle.n_propellers)
@@ -191,6 +216,35 @@ class Model:
             If the delay is negative or longer than 10 s.
         """
         return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
+
+    def of_recording(self, number: int) -> Model:
+        """Return the model with the values of another recording that it was learned from.
+
+        Parameters
+        ----------
+        number : int
+            Number of the recording, from 1.
+
+        Returns
+        -------
+        Model
+            A copy.
+
+        Raises
+        ------
+        InputError
+            If there is no such recording.
+        """
+        count = len(self.recordings)
+        if not 1 <= number <= count:
+            last = f"must be from 1 to {count}, not {number}"
+            none = "has no effect: all recordings share all parameters; identify with --each"
+            raise InputError(last if count else none, field="recording")
+        if number == count:
+            return self
+        found = self.recordings[number - 1]
+        values = {"parameters": found.parameters, "uncertainty": found.uncertainty}
+        return replace(self, source=found.source, **values)
 
     def derivative(self, state: Any, command: Any) -> Any:
         """Evaluate the equations of motion, z' = f(z, u) of eq. extended_model_dynamics.
@@ -387,7 +441,8 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     name : str or path-like
         A model file, the authors' ``params.json``, the YAML of their ROS 2 controller, or
         ``paper:M0`` … ``paper:M4`` for the published parameters. A file with code of your own:
-        ``model.toml+FILE.py:NAME``.
+        ``model.toml+FILE.py:NAME``. A file with values of several recordings: the last one's, or
+        those of the second with ``model.toml#2``.
     effects : sequence of type, optional
         The classes of such effects, if their modules have not been imported.
 
@@ -410,6 +465,8 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     """
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))
+    if isinstance(name, str) and (cut := re.fullmatch(r"(.+\.toml)#(\d+)((?:\+.*)?)", name)):
+        return read_model(cut[1] + cut[3], effects).of_recording(int(cut[2]))
     name, named = with_code(name, "model")
     try:
         if Path(name).suffix == ".json":
@@ -440,8 +497,16 @@ def _from_file(content: ModelFile, effects: Sequence[type[Effect]]) -> Model:
         frame=content.center_of_mass_frame,
         indexing=content.encoder_indexing,
         uncertainty=known and read_uncertainty(known, parameters, content.vehicle),
+        recordings=tuple(_of_recording(one, content.vehicle, own) for one in content.recordings),
         **{name: getattr(content, name) for name in alike.split()},
     )
+
+
+def _of_recording(section: RecordingSection, vehicle: Vehicle, own: Any) -> OfRecording:
+    """Return the values of one recording in a checked file."""
+    parameters = read_parameters(section.parameters, vehicle, own)
+    known = section.uncertainty and read_uncertainty(section.uncertainty, parameters, vehicle)
+    return OfRecording(section.source, parameters, known)
 
 
 def _published() -> dict[str, Any]:

@@ -20,6 +20,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import NonNegative, Positive
 from airpuck.boundary.kinds import unknown
 from airpuck.physics.effects import (
+    HIDDEN,
     Dish,
     Drag,
     Effect,
@@ -27,6 +28,7 @@ from airpuck.physics.effects import (
     IdleLag,
     Inflow,
     PairInteraction,
+    Residual,
     Tilt,
     VoltageSag,
 )
@@ -91,6 +93,13 @@ def _matrix_entries(propellers: tuple[str, ...], _degree: int) -> tuple[str, ...
     return tuple(f"{row} {name}" for row in ("x", "y", "yaw") for name in propellers)
 
 
+def _weights(propellers: tuple[str, ...], _degree: int) -> tuple[str, ...]:
+    inputs = "forward", "left", "spin", *propellers, "1"
+    units = range(1, HIDDEN + 1)
+    into = (f"{unit} {name}" for unit in units for name in inputs)
+    return (*into, *(f"{row} {unit}" for row in ("x", "y", "yaw") for unit in units))
+
+
 #: All quantities, in the order of the flat vector.
 # fmt: off
 QUANTITIES = (
@@ -142,6 +151,8 @@ QUANTITIES = (
     Quantity("friction", "friction_SI", "m/s², rad/s²", "f, f_ω", "dry friction of the floor", Pair,
              bounds=(0.0, np.inf), labels=("linear", "spin"), default=None, effect=Friction,
              term="friction", start=(0.0, 0.0)),
+    Quantity("residual", "residual", "1", "w", "weights of the neural term", tuple[float, ...],
+             labels=_weights, default=None, effect=Residual, term="residual", start=()),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "relative increase of the lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     # Not part of the equations of motion.

@@ -21,6 +21,9 @@ from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, quantity_of
 from airpuck.physics.effects import BodyMotion, Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame
 
+#: Name of the neural term.
+NEURAL = "residual"
+
 
 @dataclass(frozen=True)
 class Rung:
@@ -66,6 +69,9 @@ class Rung:
             matrix = parameters.dynamics(np, vehicle).configuration
             parameters = replace(parameters, configuration_matrix=matrix)
         starts = {name: EFFECTS[name].start for name in self.effects}
+        if NEURAL in starts:
+            weights = EFFECTS[NEURAL].entries(vehicle.propeller_names, 0)
+            starts[NEURAL] = (0.0,) * len(weights)
         parameters = replace(
             parameters,
             **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
@@ -127,6 +133,12 @@ class Rung:
             raise InputError(f"{self.name!r} has the term {term!r} twice", field="model")
         name, summary = f"{self.name}+{term}", f"{self.summary}, {term}"
         return replace(self, name=name, summary=summary, effects=(*self.effects, TERMS[term]))
+
+    @property
+    def physics(self) -> Rung:
+        """The rung without the neural term, which is trained after a fit."""
+        effects = tuple(name for name in self.effects if name != NEURAL)
+        return replace(self, name=self.name.replace(f"+{NEURAL}", ""), effects=effects)
 
     def mask(
         self, parameters: Parameters, vehicle: Vehicle | None = None

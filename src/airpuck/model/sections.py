@@ -16,7 +16,7 @@ from airpuck.boundary.extensions import added
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, with_own
-from airpuck.model.quantities import QUANTITIES, Quantity, Rows, quantity_of
+from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, Rows, quantity_of
 from airpuck.model.rungs import effect_named
 from airpuck.model.uncertainty import Bootstrap, Cameras, DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
@@ -87,7 +87,18 @@ def model_content(model: Any) -> dict[str, Any]:
     for name in ("delay_jitter", "cameras"):
         if (section := getattr(model, name)) is not None:
             content[name] = section.model_dump()
+    if model.recordings:
+        content["recordings"] = [_recording_content(one, model) for one in model.recordings]
     content["vehicle"] = model.vehicle.model_dump(mode="json")
+    return content
+
+
+def _recording_content(one: Any, model: Any) -> dict[str, Any]:
+    """Return what a model file holds of one of several recordings."""
+    content = {"source": one.source, "parameters": parameters_content(one.parameters)}
+    if one.uncertainty is not None:
+        known = uncertainty_content(one.uncertainty, one.parameters, model.vehicle)
+        content["uncertainty"] = known
     return content
 
 
@@ -133,6 +144,11 @@ def read_parameters(section: Any, vehicle: Vehicle, own: Sequence[Quantity] = ()
             f"must have 3 rows of {n} numbers, one for each propeller",
             field="parameters.configuration_matrix_SI",
         )
+    weights = values["residual"]
+    if weights is not None:
+        needed = len(EFFECTS["residual"].entries(vehicle.propeller_names, 0))
+        if weights.shape != (needed,):
+            raise InputError(f"must be {needed} numbers", field="parameters.residual")
     for quantity in own:
         if len(section.effects.get(quantity.name, ())) != len(quantity.entries((), 0)):
             names = ", ".join(quantity.entries((), 0))
@@ -234,6 +250,17 @@ class UncertaintySection(NanSection):
     bootstrap: BootstrapSection | None = None
 
 
+class RecordingSection(NanSection):
+    """One of ``[[recordings]]``: a recording with parameters of its own."""
+
+    #: The recording.
+    source: str
+    #: All parameters, with its own values.
+    parameters: ParametersSection
+    #: Their standard errors and covariance.
+    uncertainty: UncertaintySection | None = None
+
+
 class ModelFile(Section):
     """A craft with known parameters; every number is read back bit for bit."""
 
@@ -264,6 +291,8 @@ class ModelFile(Section):
     delay_jitter: DelayJitter | None = None
     #: The poses that it was learned from; controllers are tuned to them.
     cameras: Cameras | None = None
+    #: Values of each recording, if some parameters are each recording's own.
+    recordings: tuple[RecordingSection, ...] = ()
     #: The vehicle file.
     vehicle: Vehicle
 

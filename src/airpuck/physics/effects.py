@@ -37,6 +37,8 @@ class BodyMotion:
     #: Position on the table [m]; None: unknown.
     x: Any = None
     y: Any = None
+    #: Thrusts that act [N]; None: unknown. Only for effects `of_thrust`.
+    thrust: Any = None
 
 
 @dataclass(frozen=True)
@@ -118,8 +120,9 @@ class Effect:
         """Relative increase of the motors' lag at standstill; None: the same lag at any speed."""
         return None
 
-    #: Whether it depends on the position on the table.
+    #: Whether it depends on the position on the table; whether accelerations depend on the thrusts.
     of_place: ClassVar[bool] = False
+    of_thrust: ClassVar[bool] = False
 
     @property
     def gravity(self) -> tuple[Any, Any] | None:
@@ -394,6 +397,43 @@ class IdleLag(Effect):
     def idle_lag(self) -> Any:
         """The coefficient; see `Effect.idle_lag`."""
         return self.coefficient
+
+
+#: Hidden units of `Residual`; velocities and thrusts of size one at its inputs [m/s, rad/s, N]; and
+#: accelerations of a weight of one at its outputs [m/s², rad/s²].
+HIDDEN, _INPUTS, _OUTPUTS = 6, (0.5, 3.0, 0.3), (1.0, 1.0, 10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual(Effect):
+    """What a small neural network adds to the accelerations: A tanh(B (v, ω, F, 1))."""
+
+    #: B, shape (HIDDEN, 4 + n), and A, shape (3, HIDDEN).
+    hidden: Any
+    output: Any
+
+    of_thrust = True
+
+    @classmethod
+    def of(cls, layout: Layout, value: Any) -> Effect:
+        """Take all weights, row after row; see `Effect.of`."""
+        size = HIDDEN * (4 + layout.vehicle.n_propellers)
+        return cls(value[:size].reshape(HIDDEN, -1), value[size:].reshape(3, HIDDEN))
+
+    def acceleration(self, xp: Any, motion: BodyMotion) -> tuple[Any, Any, Any]:
+        """Evaluate the network; see `Effect.acceleration`."""
+        speed, spin, force = _INPUTS
+        felt = motion.forward / speed, motion.left / speed, motion.spin / spin
+        one = 0 * motion.spin + 1
+        inputs = xp.stack(xp.broadcast_arrays(*felt, *(motion.thrust / force), one))
+        outputs = linear_map(self.output, xp.tanh(linear_map(self.hidden, inputs)))
+        forward, left, angular = (scale * row for scale, row in zip(_OUTPUTS, outputs, strict=True))
+        return forward, left, angular
+
+    def acceleration_bound(self, within: Envelope) -> tuple[float, float]:
+        """Return the sums of the output weights, since |tanh| < 1; see `Effect`."""
+        x, y, angular = np.array(_OUTPUTS) * np.abs(self.output).sum(axis=1)
+        return float(np.hypot(x, y)), float(angular)
 
 
 @dataclass(frozen=True, eq=False)

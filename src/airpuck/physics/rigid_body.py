@@ -147,7 +147,8 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
         felt = BodyMotion(cos * vx + sin * vy, cos * vy - sin * vx, spin, cos, sin, *place)
         for effect in dynamics.effects:
             force = effect.thrust(xp, force, felt)
-            added.append(effect.acceleration(xp, felt))
+            known = replace(felt, thrust=force) if effect.of_thrust else felt
+            added.append(effect.acceleration(xp, known))
     forward, left, angular = (
         sum(parts) for parts in zip(linear_map(dynamics.configuration, force), *added, strict=True)
     )

@@ -1,0 +1,220 @@
+"""One craft in several recordings: what they share, and what each has for itself.
+
+Each recording is fitted alone; near its optimum θᵢ its loss is quadratic, with the Hessian Hᵢ. The
+shared parameters s and those of each recording, oᵢ, minimise the sum of these losses, Σᵢ eᵢᵀ Hᵢ eᵢ
+with eᵢ = θᵢ − (s, oᵢ). The result is linear in all θᵢ. So its covariance follows from theirs, and
+so do the errors of the differences that tell whether recordings agree on what they share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import t
+
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.kinds import unknown
+from airpuck.data.trajectory import Trajectory
+from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.objective import Quadratic
+from airpuck.identification.problem import Exclusion
+from airpuck.model.model_file import Model, OfRecording
+from airpuck.model.parameters import Parameters
+from airpuck.model.quantities import EFFECTS
+from airpuck.model.rungs import Rung
+from airpuck.model.uncertainty import Uncertainty
+
+#: Names for `each` that are no terms of a model, and their quantities.
+_EACH = {
+    "delay": "transport_delay",
+    "lag": "motor_time_constant",
+    "thrust": "thrust",
+    "angle": "angle_offset",
+}
+#: Names for `each` that are terms, and their quantities.
+_TERMS = {quantity.term: name for name, quantity in EFFECTS.items()}
+#: Probability, for all shared parameters together, below which recordings disagree on one.
+_DISAGREE = 1e-3
+#: Directions in which a fit knows less than this fraction of the best known one count as unknown.
+_UNKNOWN = 1e-12
+
+
+def with_each(rung: Rung, each: Sequence[str]) -> tuple[Rung, frozenset[str]]:
+    """Add the terms in `each` to a rung; return it, and the quantities of each recording."""
+    for name in each:
+        if name not in {**_EACH, **_TERMS}:
+            raise InputError(unknown(name, {**_EACH, **_TERMS}), field="each")
+        if name in _TERMS and _TERMS[name] not in rung.effects:
+            rung = rung.with_term(name)
+    return rung, frozenset({**_EACH, **_TERMS}[name] for name in each)
+
+
+def identify_each(
+    trajectories: Sequence[Trajectory], rung: Rung, each: Sequence[str], **options: Any
+) -> Fit:
+    """Fit recordings of one craft that share all parameters but those named in `each`.
+
+    The result is the last recording's; `Model.recordings` has all of them.
+    """
+    rung, own = with_each(rung, each)
+    fits = [identify(one, rung, **options) for one in trajectories]
+    last = fits[-1]
+    free, mask = last.model.free, last.model.parameters.mask(own)
+    for name in sorted(own):
+        if not free[last.model.parameters.mask(frozenset({name}))].any():
+            problem = f"{name} is not learned from these recordings, so none has its own"
+            raise InputError(problem, field="each")
+    hessians = [fit.windows * _quadratic(fit, fit.model.parameters).hessian for fit in fits]
+    joint = combined([fit.model for fit in fits], hessians, free & ~mask, free & mask)
+    found = []
+    for fit, vector, covariance in zip(fits, joint.vectors, joint.covariances, strict=True):
+        parameters = fit.model.parameters.with_vector(vector)
+        known = _uncertainty([one.model for one in fits], vector, covariance)
+        found.append(OfRecording(fit.model.source, parameters, known))
+    return _joined(fits, found, joint)
+
+
+@dataclass(frozen=True, eq=False)
+class Combined:
+    """Parameters of several recordings."""
+
+    #: Of each recording, with their covariances.
+    vectors: list[Float[np.ndarray, " P"]]
+    covariances: list[Float[np.ndarray, "P P"]]
+    #: Largest difference of a shared parameter between a recording and all, in standard errors of
+    #: it; and its index.
+    apart: float
+    entry: int
+
+
+def combined(
+    models: Sequence[Model],
+    hessians: Sequence[Float[np.ndarray, "P P"]],
+    shared: Bool[np.ndarray, " P"],
+    own: Bool[np.ndarray, " P"],
+) -> Combined:
+    """Combine fits; `hessians` are those of their sums of squares."""
+    learned, s, k = shared | own, int(shared.sum()), int(own.sum())
+    size = s + len(models) * k
+    normal, right, start = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    places, weighted = [], []
+    for number, (model, hessian) in enumerate(zip(models, hessians, strict=True)):
+        place = np.zeros(len(shared), dtype=int)
+        place[shared], place[own] = np.arange(s), s + number * k + np.arange(k)
+        at, vector = place[learned], model.parameters.to_vector()[learned]
+        own_hessian = hessian[np.ix_(learned, learned)]
+        normal[np.ix_(at, at)] += own_hessian
+        right[at] += own_hessian @ vector
+        # Entries that nothing determines keep the last recording's values.
+        start[at] = vector
+        rows = np.zeros((size, len(at)))
+        rows[at] = own_hessian
+        places.append(at)
+        weighted.append(rows)
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0] = 1.0
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=_UNKNOWN, hermitian=True)
+    inverse /= np.outer(scale, scale)
+    solution = start + inverse @ (right - normal @ start)
+    # How the result moves with each estimate, whose covariances are known.
+    moves, spreads = [inverse @ rows for rows in weighted], []
+    for model in models:
+        assert model.uncertainty is not None
+        spreads.append(model.uncertainty.covariance[np.ix_(learned, learned)])
+    total = np.sum([m @ c @ m.T for m, c in zip(moves, spreads, strict=True)], axis=0)
+    vectors, covariances, apart = [], [], np.zeros((len(models), s))
+    for number, (model, at) in enumerate(zip(models, places, strict=True)):
+        vector, covariance = model.parameters.to_vector(), np.zeros((len(shared),) * 2)
+        pick = np.eye(size)[at[at < s]] @ np.eye(size)[:, at]
+        alone = vector[shared]
+        vector[learned] = solution[at]
+        covariance[np.ix_(learned, learned)] = total[np.ix_(at, at)]
+        variance = np.zeros(s)
+        for other, (move, spread) in enumerate(zip(moves, spreads, strict=True)):
+            difference = (pick if other == number else 0.0) - move[:s]
+            variance += np.sum(difference @ spread * difference, axis=1)
+        sure = variance > _UNKNOWN * np.diag(total)[:s]
+        difference = np.abs(alone - solution[:s])
+        apart[number, sure] = difference[sure] / np.sqrt(variance[sure])
+        vectors.append(vector)
+        covariances.append(covariance)
+    worst = int(apart.max(axis=0).argmax())
+    return Combined(vectors, covariances, float(apart.max()), int(np.flatnonzero(shared)[worst]))
+
+
+def _uncertainty(
+    models: Sequence[Model],
+    vector: Float[np.ndarray, " P"],
+    covariance: Float[np.ndarray, "P P"],
+) -> Uncertainty:
+    """Return what all recordings together know about the parameters of one."""
+    every = [model.uncertainty for model in models if model.uncertainty is not None]
+    spread = np.sqrt(np.diag(covariance))
+    clusters = sum(known.clusters for known in every)
+    notes = tuple(dict.fromkeys(note for known in every for note in known.notes))
+    quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
+    errors = np.where(spread > 0, spread, np.nan)
+    nothing = np.zeros((0, len(vector)))
+    return Uncertainty(vector, covariance, errors, nothing, clusters, quantile, notes)
+
+
+def _joined(fits: Sequence[Fit], found: Sequence[OfRecording], joint: Combined) -> Fit:
+    """Return one fit for all recordings."""
+    last, here = fits[-1], found[-1]
+    names = ", ".join(Path(one.source).name for one in found)
+    warnings = list(dict.fromkeys(warning for fit in fits for warning in fit.warnings))
+    entries = len(fits) * np.sum(last.model.free)
+    fewest = min(one.model.uncertainty.clusters for one in fits if one.model.uncertainty)
+    if joint.apart > t.isf(_DISAGREE / 2 / entries, max(fewest - 1, 1)):
+        label = last.model.parameters.labels(last.model.vehicle.propeller_names)[joint.entry]
+        warnings.append(
+            f"{names} do not agree on {label}: {joint.apart:.1f} standard errors apart; let each "
+            "have more of its own, or leave one out"
+        )
+    data = {key: digest for fit in fits for key, digest in fit.model.data.items()}
+    model = replace(
+        last.model,
+        parameters=here.parameters,
+        uncertainty=here.uncertainty,
+        data=data,
+        recordings=tuple(found),
+    )
+    left = [fit.exclusion for fit in fits if fit.exclusion is not None]
+    exclusion = last.exclusion and Exclusion(
+        tuple(one for part in left for one in part.trajectories),
+        tuple(one for part in left for one in part.faults),
+        sum(part.share for part in left) / len(left),
+    )
+    windows = [fit.windows for fit in fits]
+    return replace(
+        last,
+        model=model,
+        loss=float(
+            np.average(
+                [
+                    _quadratic(fit, one.parameters).loss
+                    for fit, one in zip(fits, found, strict=True)
+                ],
+                weights=windows,
+            )
+        ),
+        history=tuple(step for fit in fits for step in fit.history),
+        converged=all(fit.converged for fit in fits),
+        windows=sum(windows),
+        wall_s=sum(fit.wall_s for fit in fits),
+        warnings=tuple(warnings),
+        exclusion=exclusion,
+        packet_delays=tuple(one for fit in fits for one in fit.packet_delays),
+    )
+
+
+def _quadratic(fit: Fit, parameters: Parameters) -> Quadratic:
+    """Return the loss of a recording at some parameters."""
+    assert fit.objective is not None
+    return fit.objective.quadratic(parameters)
