@@ -23,7 +23,13 @@ from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import TERMS, named_rung
 from airpuck.recording.dataset import dataset_folder
 
-MODELS = ("M3", *(f"M3+{term}" for term in TERMS), "M5", "M5+drag", "M5+drag+sag")
+MODELS = (
+    "M3",
+    *(f"M3+{term}" for term in TERMS if term != "residual"),
+    "M5",
+    "M5+drag",
+    "M5+drag+sag",
+)
 
 
 def pairs(folder: Path) -> Iterator[tuple[str, Trajectory, Trajectory]]:

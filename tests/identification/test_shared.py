@@ -12,8 +12,9 @@ from airpuck.identification import shared as shared_fits
 from airpuck.identification.fit import identify
 from airpuck.identification.shared import combined, with_each
 from airpuck.identification.structure import identify as identify_all
-from airpuck.model.model_file import OfRecording, published_model, read_model
+from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import named_rung
+from airpuck.model.sections import OfRecording
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
@@ -125,8 +126,9 @@ def test_a_model_file_keeps_the_values_of_each_recording(tmp_path):
     assert read_model(f"{name}#1").source == "day1"
     with pytest.raises(InputError, match="from 1 to 2, not 3"):
         read_model(f"{name}#3")
+    published_model("M3").save(tmp_path / "shared.toml")
     with pytest.raises(InputError, match="--each"):
-        published_model("M3").of_recording(1)
+        read_model(f"{tmp_path / 'shared.toml'}#1")
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +137,7 @@ def flights():
     usual = default_twin_settings().without_on_board()
     found = []
     for seed, (delay, tilt) in enumerate(zip(DELAYS, TILTS, strict=True)):
-        settings = usual.model_copy(update={"effects": Effects(tilt_rad=tilt)})
+        settings = usual.model_copy(update={"effects": Effects.model_validate({"tilt_rad": tilt})})
         recording = excite(MODEL.with_delay(delay), 15.0, seed, settings=settings)
         found.append(preprocess(recording, MODEL.vehicle))
     return found
@@ -155,15 +157,17 @@ def test_each_flight_of_the_twin_gets_its_own_delay_and_tilt_and_the_rest_is_kno
     fit = identify_all(flights, "M3", each=("delay", "tilt"))
     assert fit.model.name == "M3+tilt"
     assert not any("do not agree" in warning for warning in fit.warnings)
+    own = fit.model.parameters.mask(frozenset({"transport_delay", "tilt"}))
     for here, delay, tilt in zip(fit.model.recordings, DELAYS, TILTS, strict=True):
-        own = here.parameters.mask(frozenset({"transport_delay", "tilt"}))
+        assert here.uncertainty is not None
         # Of nine intervals of 95 %, all at this seed; entries are tilt x, tilt y, delay.
         low, high = here.uncertainty.intervals[own].T
         assert (low <= [*tilt, delay]).all()
         assert (high >= [*tilt, delay]).all()
     alone = [one.model for one in alone]
     shared = fit.model.free & ~own
-    errors = fit.model.recordings[-1].uncertainty.standard_errors[shared]
+    assert fit.model.known is not None
+    errors = fit.model.known.standard_errors[shared]
     single = np.array([one.uncertainty.standard_errors[shared] for one in alone])
     # In a fit of its own, a thrust curve near its bound has a small standard error, or none.
     usual = np.nanmedian(single, axis=0)

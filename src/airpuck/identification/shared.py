@@ -24,10 +24,11 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Exclusion
-from airpuck.model.model_file import Model, OfRecording
+from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.model.quantities import EFFECTS
 from airpuck.model.rungs import Rung
+from airpuck.model.sections import OfRecording
 from airpuck.model.uncertainty import Uncertainty
 
 #: Names for `each` that are no terms of a model, and their quantities.

@@ -28,12 +28,10 @@ from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of
 from airpuck.model.sections import (
     ModelFile,
-    RecordingSection,
+    OfRecording,
     model_content,
-    read_free,
-    read_own,
-    read_parameters,
-    read_uncertainty,
+    of_recording,
+    read_fields,
     with_nominal_delay,
 )
 from airpuck.model.simulation import derivative, draw, simulate
@@ -46,25 +44,6 @@ if TYPE_CHECKING:
     import control
 
 _FORMAT = "airpuck model 1"
-
-
-@dataclass(frozen=True, eq=False)
-class OfRecording:
-    """What one of several recordings says about the craft.
-
-    Attributes
-    ----------
-    source : str
-        The recording.
-    parameters : Parameters
-        Parameters with the values of this recording.
-    uncertainty : Uncertainty or None
-        Their uncertainty.
-    """
-
-    source: str
-    parameters: Parameters
-    uncertainty: Uncertainty | None
 
 
 @partial(checked_class, finite=False)
@@ -216,35 +195,6 @@ class Model:
             If the delay is negative or longer than 10 s.
         """
         return replace(self, parameters=replace(self.parameters, transport_delay=transport_delay))
-
-    def of_recording(self, number: int) -> Model:
-        """Return the model with the values of another recording that it was learned from.
-
-        Parameters
-        ----------
-        number : int
-            Number of the recording, from 1.
-
-        Returns
-        -------
-        Model
-            A copy.
-
-        Raises
-        ------
-        InputError
-            If there is no such recording.
-        """
-        count = len(self.recordings)
-        if not 1 <= number <= count:
-            last = f"must be from 1 to {count}, not {number}"
-            none = "has no effect: all recordings share all parameters; identify with --each"
-            raise InputError(last if count else none, field="recording")
-        if number == count:
-            return self
-        found = self.recordings[number - 1]
-        values = {"parameters": found.parameters, "uncertainty": found.uncertainty}
-        return replace(self, source=found.source, **values)
 
     def derivative(self, state: Any, command: Any) -> Any:
         """Evaluate the equations of motion, z' = f(z, u) of eq. extended_model_dynamics.
@@ -466,7 +416,7 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))
     if isinstance(name, str) and (cut := re.fullmatch(r"(.+\.toml)#(\d+)((?:\+.*)?)", name)):
-        return read_model(cut[1] + cut[3], effects).of_recording(int(cut[2]))
+        return of_recording(read_model(cut[1] + cut[3], effects), int(cut[2]))
     name, named = with_code(name, "model")
     try:
         if Path(name).suffix == ".json":
@@ -478,35 +428,12 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
             delay = content.pop("transport_delay_s")
             content["parameters"].setdefault("transport_delay_s", delay)
-        return _from_file(checked(content, ModelFile, file=name), (*effects, *named))
+        return Model(**read_fields(checked(content, ModelFile, file=name), (*effects, *named)))
     except InputError as error:
         if str(name) in _published() and not Path(name).exists():
             problem = f"there is no such file; the published parameters are paper:{name}"
             raise InputError(problem, file=name) from None
         raise InputError(error.problem, file=error.file or name, field=error.field) from None
-
-
-def _from_file(content: ModelFile, effects: Sequence[type[Effect]]) -> Model:
-    """Assemble the model that a checked file describes."""
-    own = tuple(read_own(content.effects, effects))
-    parameters = read_parameters(content.parameters, content.vehicle, own)
-    known, alike = content.uncertainty, "name vehicle fit data source delay_jitter cameras"
-    return Model(
-        parameters=parameters,
-        free=read_free(content.free, parameters),
-        frame=content.center_of_mass_frame,
-        indexing=content.encoder_indexing,
-        uncertainty=known and read_uncertainty(known, parameters, content.vehicle),
-        recordings=tuple(_of_recording(one, content.vehicle, own) for one in content.recordings),
-        **{name: getattr(content, name) for name in alike.split()},
-    )
-
-
-def _of_recording(section: RecordingSection, vehicle: Vehicle, own: Any) -> OfRecording:
-    """Return the values of one recording in a checked file."""
-    parameters = read_parameters(section.parameters, vehicle, own)
-    known = section.uncertainty and read_uncertainty(section.uncertainty, parameters, vehicle)
-    return OfRecording(section.source, parameters, known)
 
 
 def _published() -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_origin
 
@@ -396,3 +397,46 @@ def _bootstrap(section: BootstrapSection, at: Any, size: int) -> Bootstrap:
             )
         end[at] = values
     return Bootstrap(section.replicates, section.seed, ends[0], ends[1])
+
+
+@dataclass(frozen=True, eq=False)
+class OfRecording:
+    """What one of several recordings says about the craft: its parameters, and their errors."""
+
+    source: str
+    parameters: Parameters
+    uncertainty: Uncertainty | None
+
+
+def of_recording(model: Any, number: int) -> Any:
+    """Return a model with the values of another recording, counted from 1, that it is from."""
+    count = len(model.recordings)
+    if not 1 <= number <= count:
+        last = f"must be from 1 to {count}, not {number}"
+        none = "has no effect: all recordings share all parameters; identify with --each"
+        raise InputError(last if count else none, field="recording")
+    found = model.recordings[number - 1]
+    values = {"parameters": found.parameters, "uncertainty": found.uncertainty}
+    return model if number == count else replace(model, source=found.source, **values)
+
+
+def read_fields(content: ModelFile, effects: Sequence[type[Effect]]) -> dict[str, Any]:
+    """Return the fields of the model that a checked file describes."""
+    own = tuple(read_own(content.effects, effects))
+
+    def known(section: Any) -> tuple[Parameters, Uncertainty | None]:
+        parameters = read_parameters(section.parameters, content.vehicle, own)
+        found = section.uncertainty
+        return parameters, found and read_uncertainty(found, parameters, content.vehicle)
+
+    parameters, uncertainty = known(content)
+    alike = "name vehicle fit data source delay_jitter cameras"
+    return {
+        "parameters": parameters,
+        "free": read_free(content.free, parameters),
+        "frame": content.center_of_mass_frame,
+        "indexing": content.encoder_indexing,
+        "uncertainty": uncertainty,
+        "recordings": tuple(OfRecording(one.source, *known(one)) for one in content.recordings),
+        **{name: getattr(content, name) for name in alike.split()},
+    }
