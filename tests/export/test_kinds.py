@@ -71,10 +71,13 @@ def test_actuators_that_a_kind_cannot_represent_are_rejected_by_name(kind, actua
         export.write(model, kind, tmp_path)
 
 
+@pytest.mark.parametrize("effect", ["Dish", "Hull"])
 @pytest.mark.parametrize("kind", sorted(set(export.KINDS) - {"casadi", "gym"}))
-def test_the_effect_of_the_place_is_rejected_by_name(kind, tmp_path):
-    with pytest.raises(InputError, match=f"effect Dish, which an export to {kind} cannot"):
-        export.write(DISH, kind, tmp_path)
+def test_effects_that_a_kind_cannot_represent_are_rejected_by_name(kind, effect, tmp_path):
+    parameters = replace(M4.parameters, hull=np.full(7, 0.1))
+    hull = replace(M4, parameters=parameters, free=parameters.mask(frozenset()))
+    with pytest.raises(InputError, match=f"effect {effect}, which an export to {kind} cannot"):
+        export.write(DISH if effect == "Dish" else hull, kind, tmp_path)
 
 
 def test_names_cannot_end_a_line_a_string_or_a_comment(tmp_path):

@@ -11,7 +11,7 @@ from airpuck.model.model_file import published_model, read_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.plant import build_plant
-from airpuck.twin.settings import Effects, Radio, default_twin_settings
+from airpuck.twin.settings import Effects, Radio, TwinSettings, default_twin_settings
 
 pytestmark = pytest.mark.slow
 
@@ -66,3 +66,23 @@ def test_a_flight_of_the_twin_gives_its_effects_back_within_their_errors(tmp_pat
     # The lag of idling motors is distinguished from lag and delay.
     assert abs(found.idle_lag - 2.0) < 0.3
     assert abs(found.transport_delay - 5 / 240) < 0.5e-3
+
+
+def test_a_flight_of_the_twin_gives_a_hull_back_within_its_errors():
+    hull = {
+        "hull_added_mass": 0.6,
+        "hull_linear_along_1_s": 0.2,
+        "hull_linear_across_1_s": 0.5,
+        "hull_linear_spin_1_s": 0.3,
+        "hull_quadratic_along_1_m": 0.3,
+        "hull_quadratic_across_1_m": 1.0,
+        "hull_quadratic_spin_1_rad": 0.05,
+    }
+    settings = TwinSettings(effects=hull, radio=Radio(delay_s=5 / 240, jitter_s=0.0))
+    plant = build_plant(TRUTH, settings)
+    flight = preprocess(excite(TRUTH, 20.0, 3, settings=settings, plant=plant))
+    fit = identify(flight, "M3+hull", preparation=Preparation(faults="keep"))
+    errors = fit.uncertainty.standard_errors[-8:-1]
+    assert (np.abs(fit.model.parameters.hull - [*hull.values()]) < 4 * errors).all()
+    assert (errors[:1] < 0.01).all()
+    assert (errors < 0.06).all()

@@ -69,6 +69,13 @@ EVERYTHING = TwinSettings(
         dish_rad_m=(0.003, -0.004, 0.001),
         friction_SI=(0.04, 0.2),
         idle_lag=0.8,
+        hull_added_mass=0.5,
+        hull_linear_along_1_s=0.11,
+        hull_linear_across_1_s=0.12,
+        hull_linear_spin_1_s=0.13,
+        hull_quadratic_along_1_m=0.14,
+        hull_quadratic_across_1_m=0.15,
+        hull_quadratic_spin_1_rad=0.16,
         battery_sag_1_s=0.001,
     ),
     motors=Motors(

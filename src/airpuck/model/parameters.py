@@ -291,7 +291,8 @@ class Parameters(_Values):
         Layout
             The vehicle's propellers, turned by the angle offset.
         """
-        return Layout(vehicle, self.angle_offset, thrust_scale(xp, self, vehicle), xp)
+        squared = self.inertia / vehicle.mass_kg
+        return Layout(vehicle, self.angle_offset, thrust_scale(xp, self, vehicle), squared, xp)
 
 
 Parameters.__doc__ = f"{Parameters.__doc__}\n    Attributes\n    ----------\n" + "".join(

@@ -32,6 +32,7 @@ from airpuck.physics.effects import (
     Tilt,
     VoltageSag,
 )
+from airpuck.physics.hull import Hull
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
@@ -155,6 +156,15 @@ QUANTITIES = (
              labels=_weights, default=None, effect=Residual, term="residual", start=()),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "relative increase of the lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
+    Quantity("hull", "hull_SI", "1, 1/s, 1/s, 1/s, 1/m, 1/m, 1/rad", "μ, a₁, b₁, e₁, a₂, b₂, e₂",
+             "added mass across a hull, drag along, across and of the spin",
+             tuple[float, float, float, float, float, float, float], bounds=(0.0, 1e3),
+             labels=("added mass", "linear along", "linear across", "linear spin",
+                     "quadratic along", "quadratic across", "quadratic spin"),
+             default=None, effect=Hull, term="hull", start=(0.5, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
+             settings=("hull_added_mass", "hull_linear_along_1_s", "hull_linear_across_1_s",
+                       "hull_linear_spin_1_s", "hull_quadratic_along_1_m",
+                       "hull_quadratic_across_1_m", "hull_quadratic_spin_1_rad")),
     # Not part of the equations of motion.
     Quantity("transport_delay", "transport_delay_s", "s", "d",
              "from a command's stamp to the motors", NonNegative, bounds=(0.0, 0.5),

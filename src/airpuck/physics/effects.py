@@ -1,10 +1,10 @@
 """Optional terms of the equations of motion, beyond the paper's.
 
-An effect changes the thrusts, or adds accelerations; `airpuck.physics.rigid_body.acceleration`
-applies the effects of `Dynamics.effects` in order. All are array operations with the batch as last
-axis. A new effect is a class here, and an entry in `airpuck.model.quantities`; an effect of a user
-needs no entry (`Rung.with_effect`). The class also bounds its contribution; without these bounds a
-plan has no lower bound on its time.
+An effect changes the thrusts, or adds accelerations or mass;
+`airpuck.physics.rigid_body.acceleration` applies the effects of `Dynamics.effects` in order. All
+are array operations with the batch as last axis. A new effect is a class here, and an entry in
+`airpuck.model.quantities`; an effect of a user needs no entry (`Rung.with_effect`). The class also
+bounds its contribution; without these bounds a plan has no lower bound on its time.
 """
 
 from __future__ import annotations
@@ -50,6 +50,8 @@ class Layout:
     angle_offset: Any = 0.0
     #: For each propeller, the factor that converts its thrust to newtons.
     scale: Any = 1.0
+    #: Moment of inertia over mass [m²].
+    squared_gyration: Any = 1.0
     #: Array namespace.
     xp: Any = np
 
@@ -129,6 +131,15 @@ class Effect:
         """A constant acceleration in the world frame, which accelerometers do not sense [m/s²]."""
         return None
 
+    @property
+    def added_mass(self) -> tuple[Any, Any, Any] | None:
+        """Fluid that moves with the craft, with its Coriolis and centripetal terms.
+
+        Relative to the craft's mass: along and across the craft; and the craft's inertia over its
+        mass [m²]. None: no fluid does.
+        """
+        return None
+
     def thrust(self, xp: Any, thrust: Any, motion: BodyMotion) -> Any:
         """Change the thrusts.
 
@@ -203,12 +214,13 @@ class Effect:
     def __init_subclass__(cls, **options: Any) -> None:
         """Drop inherited bounds of what a subclass computes otherwise."""
         super().__init_subclass__(**options)
-        for changed, bound in (("thrust", "thrust_bounds"), ("acceleration", "acceleration_bound")):
+        bounds = {"thrust": "thrust_bounds", "acceleration": "acceleration_bound"}
+        for changed, bound in (bounds | {"added_mass": "acceleration_bound"}).items():
             if changed in vars(cls) and bound not in vars(cls):
                 setattr(cls, bound, _unknown)
 
 
-def _magnitude(xp: Any, value: Any) -> Any:
+def magnitude(xp: Any, value: Any) -> Any:
     """Return |x|, also for complex steps, whose derivative abs() would lose."""
     return xp.where(value.real < 0, -value, value) if np.iscomplexobj(value) else xp.abs(value)
 
@@ -241,7 +253,7 @@ class Drag(Effect):
         # Smooth at rest, where |v| is not differentiable.
         speed = xp.sqrt(motion.forward**2 + motion.left**2 + 1e-12)
         rate = self.linear + self.quadratic * speed
-        spin_rate = self.spin_linear + self.spin_quadratic * _magnitude(xp, motion.spin)
+        spin_rate = self.spin_linear + self.spin_quadratic * magnitude(xp, motion.spin)
         return -rate * motion.forward, -rate * motion.left, -spin_rate * motion.spin
 
     def acceleration_bound(self, within: Envelope) -> tuple[float, float]:

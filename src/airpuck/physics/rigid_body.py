@@ -152,6 +152,13 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     forward, left, angular = (
         sum(parts) for parts in zip(linear_map(dynamics.configuration, force), *added, strict=True)
     )
+    heavier = _added_mass(dynamics)
+    if heavier is not None:
+        center = _center_in_body(dynamics, cos, sin)
+        pushed = forward, left, angular
+        velocity = cos * vx + sin * vy, cos * vy - sin * vx, spin
+        forward, left, angular = _with_added_mass(heavier, center, pushed, velocity)
+        return cos * forward - sin * left, sin * forward + cos * left, angular
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == "body":
         rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
@@ -160,6 +167,51 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
         sin * forward + cos * left - rx * angular + ry * spin**2,
         angular,
     )
+
+
+def _added_mass(dynamics: Dynamics) -> tuple[Any, Any, Any] | None:
+    """Sum up the added mass of all effects, along and across, and return it with I/m."""
+    added = [effect.added_mass for effect in dynamics.effects if effect.added_mass is not None]
+    if not added:
+        return None
+    along, across, (squared_gyration, *_) = zip(*added, strict=True)
+    return sum(along), sum(across), squared_gyration
+
+
+def _center_in_body(dynamics: Dynamics, cos: Any, sin: Any) -> tuple[Any, Any]:
+    """Return the offset of the centre of mass along the body's axes."""
+    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
+    if dynamics.frame == "body":
+        return rx, ry
+    return cos * rx + sin * ry, cos * ry - sin * rx
+
+
+def _with_added_mass(
+    added: tuple[Any, Any, Any], center: tuple[Any, Any], pushed: Any, velocity: Any
+) -> tuple[Any, Any, Any]:
+    """Solve for the accelerations of a craft that moves fluid along (Kirchhoff's equations).
+
+    With the masses m (1 + μₓ) and m (1 + μ_y) about the geometric centre, r the centre of mass and
+    ρ² = I/m, per mass:
+
+        (1 + μₓ) aₓ - r_y ω'           = fₓ + rₓ ω² + (μ_y - μₓ) v ω
+        (1 + μ_y) a_y + rₓ ω'          = f_y + r_y ω² + (μ_y - μₓ) u ω
+        rₓ a_y - r_y aₓ + (ρ² + r²) ω' = ρ² n + rₓ f_y - r_y fₓ - (μ_y - μₓ) u v
+
+    where f and n are the accelerations of the centre of mass without added mass, and a is that of
+    the geometric centre in the world, along the body's axes.
+    """
+    along, across, squared_gyration = added
+    (rx, ry), (u, v, spin), (fx, fy, turn) = center, velocity, pushed
+    difference = across - along
+    bx = fx + rx * spin**2 + difference * v * spin
+    by = fy + ry * spin**2 + difference * u * spin
+    moment = squared_gyration * turn + rx * fy - ry * fx - difference * u * v
+    # Eliminate aₓ and a_y.
+    px, py = ry / (1 + along), rx / (1 + across)
+    inertia = squared_gyration + rx * (rx - py) + ry * (ry - px)
+    angular = (moment + px * bx - py * by) / inertia
+    return (bx + ry * angular) / (1 + along), (by - rx * angular) / (1 + across), angular
 
 
 def motor_accelerations(
@@ -196,8 +248,8 @@ def derivative(xp: Any, dynamics: Dynamics, state: Any, command: Any) -> Any:
 def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[Any, Any]:
     """Return M(γ) and g(ω) of the accelerations M F + g (eq. acc_dyn), for eq. force_qp.
 
-    Of the optional effects, g contains the slope of the table. Others are left out; a controller
-    rejects them as a disturbance.
+    Of the optional effects, they contain added mass and the slope of the table. Others are left
+    out; a controller rejects them as a disturbance.
 
     Parameters
     ----------
@@ -225,6 +277,13 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
         rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
     turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
     offset = xp.array([rx, ry, 0.0]) * spin**2
+    heavier = _added_mass(dynamics)
+    if heavier is not None:  # columns for a unit acceleration each, and the centripetal one
+        center, unit = _center_in_body(dynamics, cos, sin), np.eye(3, 4)
+        rates = 0.0, 0.0, spin * np.eye(4)[3]
+        solved = xp.stack(xp.broadcast_arrays(*_with_added_mass(heavier, center, unit, rates)))
+        turn = xp.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ solved
+        turn, offset = turn[:, :3], turn[:, 3]
     for effect in dynamics.effects:
         if effect.gravity is not None:
             offset = offset + xp.array([*effect.gravity, 0.0])

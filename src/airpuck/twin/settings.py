@@ -102,7 +102,9 @@ class OnBoard(Section):
 
 
 #: Optional quantities that are effects of their own.
-_EFFECTS = {name: q for name, q in EFFECTS.items() if q.effect is not None}
+_EFFECTS = {
+    name: q for name, q in EFFECTS.items() if q.effect is not None and not callable(q.labels)
+}
 
 
 def _effect_fields() -> dict[str, Any]:
