@@ -8,7 +8,9 @@ Crossings draw four to six craft: starts, goals, yaws, and models. A third of th
 propellers, the others are the paper's M3, published or identified anew. Identified craft do not fly
 their model, but one drawn within its stated uncertainty. 30 % of the messages are lost, the others
 take 10 to 30 ms; the radio jitters by 7 ms, as in the packaged twin. In every tenth flight a craft
-dies. `--kind scaling` draws 2 to 10 craft, `--kind named` flies the packaged scenarios.
+dies. `--kind scaling` draws 2 to 10 craft, `--kind named` flies the packaged scenarios, and in
+`--kind starts` motors fail to start as often as the paper's do; in `--kind turning`, too, but no
+motor is ever commanded less than `least_command`.
 
 Models are identified once (two minutes) in the folder of the file. Each flight appends a line of
 JSON; an interrupted study resumes. `central` is not flown: it starts from the lines of ours.
@@ -46,8 +48,10 @@ from airpuck.fleet.scenario import (
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.tolerances import geometry_shifts
 from airpuck.twin.experiments import excite
+from airpuck.twin.settings import read_twin_settings
 
 PILOTS = {"ours": TimedPilot, "published": Published, "voronoi": Voronoi}
+KINDS = ("crossings", "named", "scaling", "starts", "turning")
 NETWORK = Network(loss=0.3, delay_s=(0.01, 0.03))
 #: Length of the flight that a model is identified from [s], and number of drawn true craft.
 EXCITED, TRUTHS = 40.0, 8
@@ -55,6 +59,8 @@ EXCITED, TRUTHS = 40.0, 8
 ROOM = 0.23
 #: Least acceleration on a path of a drawn craft [m/s²].
 LEAST_PUSH = 0.8
+#: Command at which a motor keeps turning.
+LEAST_COMMAND = 0.08
 #: Edges of the histogram of computing times [s].
 EDGES = np.geomspace(2e-5, 0.5, 241)
 #: Number of craft in scaling draws, in turn.
@@ -134,7 +140,16 @@ def fleet_of(kind: str, draw: int, folder: Path, truths: dict[str, list[str]]) -
         fleet = read_fleet(packaged_scenarios()[draw])
         fleet.scenario = fleet.scenario.model_copy(update={"network": NETWORK})
         return fleet
-    return crossing(draw, folder, truths, COUNTS[draw % len(COUNTS)] if kind == "scaling" else None)
+    fleet = crossing(
+        draw, folder, truths, COUNTS[draw % len(COUNTS)] if kind == "scaling" else None
+    )
+    if kind in ("starts", "turning"):
+        starts = read_twin_settings("paper:starts").starts
+        fleet.settings = fleet.settings.model_copy(update={"starts": starts})
+    if kind == "turning":
+        for one in fleet.members:
+            one.tuning = one.tuning.model_copy(update={"least_command": LEAST_COMMAND})
+    return fleet
 
 
 def flown(fleet: Fleet, method: str, seed: int, timed: bool) -> dict[str, Any]:
@@ -202,7 +217,7 @@ def optimum(fleet: Fleet, ours: dict[str, Any], draw: int) -> dict[str, Any]:
 
 def summary(lines: list[dict[str, Any]]) -> None:
     """Print a table for each kind."""
-    for kind in ("crossings", "named", "scaling"):
+    for kind in KINDS:
         for method in (*PILOTS, "central"):
             own = [one for one in lines if (one["kind"], one["method"]) == (kind, method)]
             if own and method == "central":
@@ -295,7 +310,7 @@ def against_central(lines: list[dict[str, Any]], optima: list[dict[str, Any]]) -
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True, help="file of JSON lines")
-    parser.add_argument("--kind", choices=("crossings", "scaling", "named"), default="crossings")
+    parser.add_argument("--kind", choices=KINDS, default="crossings")
     parser.add_argument("--method", choices=(*PILOTS, "central"), default="ours")
     parser.add_argument("--flights", type=int, default=6)
     parser.add_argument("--first", type=int, default=0, help="number of the first draw")

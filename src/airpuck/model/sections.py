@@ -408,13 +408,13 @@ class OfRecording:
     uncertainty: Uncertainty | None
 
 
-def of_recording(model: Any, number: int) -> Any:
+def of_recording(model: Any, number: int, file: str) -> Any:
     """Return a model with the values of another recording, counted from 1, that it is from."""
     count = len(model.recordings)
     if not 1 <= number <= count:
         last = f"must be from 1 to {count}, not {number}"
         none = "has no effect: all recordings share all parameters; identify with --each"
-        raise InputError(last if count else none, field="recording")
+        raise InputError(last if count else none, file=file, field=f"#{number}")
     found = model.recordings[number - 1]
     values = {"parameters": found.parameters, "uncertainty": found.uncertainty}
     return model if number == count else replace(model, source=found.source, **values)
