@@ -66,9 +66,8 @@ def main() -> None:
     clock = time.process_time_ns if options.processor else time.perf_counter_ns
 
     low_latency()
-    tuning = default_tuning().with_estimator(options.estimator).with_law(options.law)
-    allocation = tuning.allocation.model_copy(update={"solver": options.solver})
-    tuning = tuning.model_copy(update={"allocation": allocation})
+    tuning = default_tuning().with_estimator(options.estimator)
+    tuning = tuning.with_law("lqr", solver=options.solver).with_law(options.law)
     model = read_model(options.model)
     poses = [(0.0, 0.0, 0.0), (0.4, 0.2, 1.5), (-0.2, -0.3, -1.0)]
     times = np.arange(0, options.steps / 100 + 2, 2.0)

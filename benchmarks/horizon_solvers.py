@@ -21,6 +21,7 @@ import numpy as np
 from airpuck.compute.process import low_latency
 from airpuck.control.horizon import Blocks, Condensed, stages
 from airpuck.control.mpc import MPC
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
@@ -80,9 +81,11 @@ def main() -> None:
 
     low_latency()
     model, tuning = read_model(options.model), default_tuning().with_law("mpc")
-    settings, vehicle, blocks = tuning.law, model.vehicle, Blocks.of(tuning.law)
-    given = vehicle, blocks, settings, LIMITED
-    condensed, stagewise = Condensed(*given), Multistage(*given)
+    settings, vehicle = tuning.of(PredictiveSettings), model.vehicle
+    blocks = Blocks.of(settings)
+    given = vehicle, blocks, settings
+    condensed = Condensed(*given, (False,) * LIMITED)
+    stagewise = Multistage(*given, LIMITED)
     rows = LIMITED * len(blocks.owner)
     osqp = Osqp(condensed.m, rows, settings.limits.penalty, options.tolerance)
     posed = stages(model, blocks, settings, True)
@@ -104,7 +107,8 @@ def main() -> None:
             controller.pose(frame * FRAME, craft.state[:3] + noise)
             frame += 1
         e = controller.predict(now)
-        inputs, _ = law.posed(controller.state, reference, now, model.transport_delay)
+        moment = controller.state, reference, now, model.transport_delay
+        inputs, _ = law.posed(*moment, law.fence, np.zeros((0, 5)))
         s = posed(np, e.state, e.motor_speed, e.disturbance, e.effectiveness, *inputs)
         formed, staged = condensed.form(np, s), stagewise.form(np, s)
         begun = time.process_time()

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.sparse import csc_matrix
 
 from airpuck.control.horizon import Answer, Blocks, Sizes, Stages
-from airpuck.control.tuning import LawSettings
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.craft.vehicle import Vehicle
 
 #: A bound that nothing reaches [m, m/s, rad/s]: PIQP needs one on either side of every row.
@@ -46,7 +46,9 @@ class Multistage(Sizes):
 
     _ACTIVE = 1e-6
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, settings: LawSettings, count: int) -> None:
+    def __init__(
+        self, vehicle: Vehicle, blocks: Blocks, settings: PredictiveSettings, count: int
+    ) -> None:
         super().__init__(vehicle, blocks, settings)
         self._size = 6 + self.n
         lengths = np.array(blocks.lengths)

@@ -112,8 +112,7 @@ def tunings() -> dict[str, Tuning]:
     predictive = default_tuning().with_law("mpc")
 
     def shorter(**changes: object) -> Tuning:
-        regulator = predictive.law.model_copy(update=changes)
-        return predictive.model_copy(update={"law": regulator})
+        return predictive.with_law("mpc", **changes)
 
     return {
         "LQR": default_tuning(),

@@ -91,7 +91,7 @@ def flown(duration: float, domain: int, regulator: str = "lqr") -> dict[str, Any
         try:
             # The recorder is there long before the controller is compiled.
             processes["fly"] = started(
-                *("fly-setpoints", points, "--model", "paper:M3", "--duration", duration),
+                *("fly", "paper:M3", "--setpoints", points, "--duration", duration),
                 *("--law", regulator, "--json", figures, *common),
                 said=said["fly"],
             )

@@ -22,11 +22,13 @@ from predictive_limits.flights import craft, law
 from predictive_limits.hostile import thrown
 from predictive_limits.rails import passed
 
+from airpuck.control.predictive import PredictiveSettings
+
 
 def cost(options: argparse.Namespace) -> None:
     """Compare costs, flight by flight."""
     tuning = law("mpc").model_copy(update={"period_s": options.period})
-    problem = Problem(craft(), tuning.law, compiled=options.compile)
+    problem = Problem(craft(), tuning.of(PredictiveSettings), compiled=options.compile)
     pairs = []
     for seed in range(options.first, options.first + options.flights):
         pairs.append(compare(seed, tuning, options.duration, problem))

@@ -22,6 +22,7 @@ import numpy as np
 from predictive_limits.converged import Converged, Problem
 
 from airpuck.control.laws import LAWS
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import ESTIMATORS, default_tuning
@@ -66,7 +67,7 @@ def knowing(
     thrust[motor] *= FAULTS[fault]
     faulty = replace(model, parameters=replace(model.parameters, thrust=thrust))
     if law == "converged":
-        return Converged(faulty, reference, _SLOW, Problem(faulty, _SLOW.law))
+        return Converged(faulty, reference, _SLOW, Problem(faulty, _SLOW.of(PredictiveSettings)))
     return TrackingController(faulty, reference, default_tuning().with_law(law))
 
 

@@ -23,7 +23,7 @@ FIRST_USE: tuple[dict[str, str], ...] = (
     {"plan": "airpuck plan --from 0 0 0 --to 0.1 0 0 --intervals 10"},
     {
         "ros2": "airpuck twin --duration 0.2 --domain 231 --quiet",
-        "ros2,pages": "airpuck view --model paper:M3 --port 8391 --duration 0.2 --domain 231",
+        "ros2,pages": "airpuck view paper:M3 --port 8391 --duration 0.2 --domain 231",
     },
     {"px4": "python -c \"import airpuck; airpuck.read_recording('log.ulg')\""},
     {"gym": "python -c 'from airpuck.export.gym import CourseEnv; CourseEnv().reset()'"},

@@ -17,6 +17,8 @@ from airpuck.boundary.files import Section
 from airpuck.boundary.results import plain
 from airpuck.boundary.settings import Settings, declared
 from airpuck.campaigns.campaign import KINDS, Spec
+from airpuck.control.lqr import LQRSettings
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import _SetPointsFile
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning
@@ -38,6 +40,8 @@ class Format(NamedTuple):
     schema: type
     #: Packaged values that a file overrides key by key.
     base: Any = None
+    #: The table that the schema describes; by default the whole file.
+    table: str = ""
 
 
 FORMATS = (
@@ -45,14 +49,21 @@ FORMATS = (
     Format("Vehicle file", "`--vehicle`, `read_vehicle`", Vehicle),
     Format("Model file", "`read_model`", ModelFile),
     Format("Controller tuning", "`--tuning`, `read_tuning`", Tuning, default_tuning()),
+    *(
+        Format(
+            f"Controller tuning: law {one.law}", "`--tuning`", one, default_tuning().of(one),
+            f"law.{one.law}",
+        )
+        for one in (LQRSettings, PredictiveSettings)
+    ),
     Format("Table file", "`--table`, `read_table`", AirHockey, AirHockey()),
     Format(
         "Settings of the twin", "`--twin`, `read_twin_settings`", TwinSettings,
         default_twin_settings(),
     ),
-    Format("Set points", "`--setpoints`, `fly-setpoints`", _SetPointsFile),
+    Format("Set points", "`--setpoints`", _SetPointsFile),
     Format("Plan of an excitation", "`--plan` of `excite`", ExcitationPlan, ExcitationPlan()),
-    Format("Time-optimal plan", "`fly-plan`, `race`, `read_plan`", _PlanFile),
+    Format("Time-optimal plan", "`fly --plan`, `race`, `read_plan`", _PlanFile),
     Format("Campaign", "`campaign`", Spec),
     *(Format(f"Campaign: kind {name}", "`campaign`", kind) for name, kind in KINDS.items()),
     Format("Campaign: kind match", "`campaign`, with airpuck-hockey", Match),
@@ -72,7 +83,7 @@ def page() -> str:
     for one in FORMATS:
         seen[one.schema] = f"the [{one.title.lower()}](#{one.title.lower().replace(' ', '-')})"
         lines += [f"## {one.title}", "", f"{summary(one.schema)} Used by {one.use}.", ""]
-        lines += _tables(one, one.schema, "", one.base, seen)
+        lines += _tables(one, one.schema, one.table, one.base, seen)
     return "\n".join(lines)
 
 

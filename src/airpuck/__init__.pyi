@@ -85,6 +85,7 @@ from airpuck.control.reference import (
     Rendezvous as Rendezvous,
 )
 from airpuck.control.tuning import (
+    LawSettings as LawSettings,
     Tuning as Tuning,
     default_tuning as default_tuning,
     read_tuning as read_tuning,
@@ -92,6 +93,7 @@ from airpuck.control.tuning import (
 from airpuck.control.lqr import LQR as LQR
 from airpuck.control.mpc import MPC as MPC
 from airpuck.control.law import Law as Law, Step as Step
+from airpuck.control.limits import Fence as Fence, HalfPlane as HalfPlane, KeepOut as KeepOut
 from airpuck.control.pilot import Pilot as Pilot
 from airpuck.physics.thrust import InverseThrust as InverseThrust
 from airpuck.physics.rigid_body import acceleration_map as acceleration_map

@@ -64,7 +64,6 @@ from airpuck.control.reference import (
     sheltered as sheltered,
 )
 from airpuck.control.tracking import check_steerable as check_steerable
-from airpuck.control.tuning import tuning_for as tuning_for
 from airpuck.physics.thrust import thrust as thrust
 
 # Shortest times of a craft.

@@ -16,8 +16,8 @@ import numpy as np
 from airpuck.compute.arrays import with_symbols
 from airpuck.control.law import Law, Moment, Step
 from airpuck.control.lqr import cost_to_go, point_mass
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import preview
-from airpuck.control.tuning import LawSettings
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.physics.rigid_body import Dynamics, acceleration, step
@@ -38,7 +38,7 @@ class Problem:
     ----------
     model : Model
         The craft.
-    settings : LawSettings
+    settings : PredictiveSettings
         Cost and horizon.
     dynamics : Dynamics, optional
         Dynamics of the prediction; by default the model's.
@@ -53,7 +53,7 @@ class Problem:
     def __init__(
         self,
         model: Model,
-        settings: LawSettings,
+        settings: PredictiveSettings,
         *,
         dynamics: Dynamics | None = None,
         solver: str = "fatrop",
@@ -120,7 +120,7 @@ class Converged(Law):
         return Step(command, "optimal", np.zeros(3), estimate), plan if solved else state
 
 
-def _posed(model: Model, settings: LawSettings, dynamics: Dynamics) -> dict[str, Any]:
+def _posed(model: Model, settings: PredictiveSettings, dynamics: Dynamics) -> dict[str, Any]:
     """Pose the problem, step by step: states and commands."""
     n, h, w = model.vehicle.n_propellers, settings.step_s, settings.weights
     count, size, least = round(settings.horizon_s / h), 6 + n, model.vehicle.command_min

@@ -11,6 +11,7 @@ import numpy as np
 from airpuck.control.law import Moment, Step
 from airpuck.control.laws import LAWS
 from airpuck.control.mpc import MPC, Ongoing
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
@@ -27,7 +28,7 @@ _AREA = np.array([0.9, 0.4, np.pi])
 
 def flight_cost(flight: Flight, tuning: Tuning) -> float:
     """Integrate the regulator's cost over a flight."""
-    weights, n = tuning.law.weights, flight.command.shape[1]
+    weights, n = tuning.of(PredictiveSettings).weights, flight.command.shape[1]
     felt = accelerations(craft().dynamics, flight.state.T)
     sent = flight.sent.searchsorted(flight.time - craft().transport_delay, side="right") - 1
     held = np.where((sent >= 0)[:, None], flight.command[sent], 0.0)

@@ -39,9 +39,7 @@ def _plant() -> Any:
 @cache
 def law(kind: str, **changes: Any) -> Tuning:
     """Return the packaged tuning with a law, some of its settings changed."""
-    tuning = default_tuning()
-    regulator = tuning.law.model_copy(update={"kind": kind, **changes})
-    return tuning.model_copy(update={"law": regulator})
+    return default_tuning().with_law(kind, **changes)
 
 
 def calm() -> TwinSettings:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.control.predictive import SoftLimits
 from airpuck.control.reference import SetPoint, Target
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import SoftLimits, Tuning
+from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 
@@ -56,8 +57,7 @@ def thrown(tuning: Tuning, count: int, seed: int = 0, *, compiled: bool = True) 
     rng, found = np.random.default_rng(seed), Steps()
     low, high = craft().vehicle.command_min, craft().vehicle.command_max
     for changes, table in LIMITS:
-        regulator = tuning.law.model_copy(update={"limits": SoftLimits(**changes)})
-        given = tuning.model_copy(update={"law": regulator})
+        given = tuning.with_law("mpc", limits=SoftLimits(**changes))
         controller = TrackingController(
             craft(), SetPoint(0.0, 0.0, 0.0), given, table=table, compiled=compiled
         )

@@ -17,6 +17,7 @@ import airpuck
 from airpuck.control.law import Step
 from airpuck.control.mpc import Ongoing
 from airpuck.control.pilot import Pilot
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint, TimedPath, preview
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, default_tuning
@@ -63,9 +64,9 @@ class CompiledController(Pilot):
         self._library.access_size.restype = ctypes.c_size_t
         self._craft = ctypes.create_string_buffer(self._library.access_size())
         self._library.airpuck_init(self._craft)
-        settings, delay = self.tuning.law, model.transport_delay
+        settings, delay = self.tuning.of(PredictiveSettings), model.transport_delay
         ahead = [delay + self.tuning.period_s]
-        if settings.kind == "mpc":
+        if self.tuning.law.kind == "mpc":
             steps = max(round(settings.horizon_s / settings.step_s), 1)
             ahead += [delay + settings.step_s * k for k in range(1, steps + 1)]
         self._ahead, self._n = np.array(ahead), model.vehicle.n_propellers

@@ -10,6 +10,7 @@ import tomli_w
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
+from airpuck.control.lqr import LQRSettings
 from airpuck.control.reference import read_setpoints
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import AirHockey
@@ -52,7 +53,7 @@ READERS = {
     ),
     "tuning": (
         default_tuning().model_dump(mode="json", exclude_none=True),
-        lambda path: list(airpuck.read_tuning(path).weights.errors),
+        lambda path: list(airpuck.read_tuning(path).of(LQRSettings).weights.errors),
     ),
     "set points": (
         {"setpoints": [{"at_s": 0.5, "x_m": 0.2, "y_m": 0.1, "yaw_rad": 0.3}]},

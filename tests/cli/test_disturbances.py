@@ -30,7 +30,7 @@ COMMANDS = {
     "faults": "faults bag -o out --model paper:M3",
     "resid": "resid paper:M3 bag -o out",
     "excite": "excite --duration 1 -o out/bag",
-    "track": "track --model paper:M3 --dwell 0.3 -o out",
+    "track": "track paper:M3 --dwell 0.3 -o out",
     "animate": "animate bag --span 0 0.1 -o out/flight.gif",
     "design": "design --duration 6 -o out/plan.toml --figure out/errors.png",
     "demo": "demo -o out",

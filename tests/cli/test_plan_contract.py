@@ -32,7 +32,7 @@ FROM, TO = ("--from", 0, 0, 0), ("--to", 0.3, 0, 0)
         ((*FROM, *TO, "--via", 0.1, 0.9), "--via: (0.1, 0.9) is outside the rails"),
         ((*FROM, *TO, "--via", 0.1), "--via"),
         ((*FROM, *TO, "--via", 0.1, "nan"), "--via: must be from -100 to 100"),
-        ((*FROM, *TO, "--model", "none.toml"), "none.toml: there is no such file"),
+        (("none.toml", *FROM, *TO), "none.toml: there is no such file"),
         ((*FROM, *TO, "-o", "/proc/none/plan.toml"), "/proc/none/plan.toml"),
     ],
 )
@@ -47,7 +47,7 @@ def test_a_file_of_another_kind_is_named(tmp_path):
     from airpuck.craft.vehicle import default_vehicle
 
     default_vehicle().save(tmp_path / "quad.toml")
-    assert refused(airpuck("plan", *FROM, *TO, "--model", "quad.toml", cwd=tmp_path), "quad.toml")
+    assert refused(airpuck("plan", "quad.toml", *FROM, *TO, cwd=tmp_path), "quad.toml")
 
 
 @pytest.fixture

@@ -77,14 +77,14 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
             ("identify", "{bag}", "-o", "m.toml", "--model", "quadratic", "--degree", "1"),
             ("--deg",),
         ),
-        (("replay", "{bag}", "--model", "paper:M4", "-o", "r"), ("reference",)),
-        (("replay", "{bag}", "--model", "nonsense.toml", "-o", "r"), ("nonsense.toml",)),
+        (("replay", "paper:M4", "{bag}", "-o", "r"), ("reference",)),
+        (("replay", "nonsense.toml", "{bag}", "-o", "r"), ("nonsense.toml",)),
         (("excite", "-o", "{bag}"), ("-o", "exists")),
         (("excite", "-o", "b", "--duration", "-3"), ("duration",)),
         (("excite", "-o", "b", "--duration", "0.001"), ("duration", "from 0.01 to 3600 s")),
         (("excite", "-o", "b", "--duration", "inf"), ("duration",)),
         (("excite", "-o", "b", "--amplitude", "2"), ("amplitude",)),
-        (("track", "--model", "paper:M7"), ("M7",)),
+        (("track", "paper:M7"), ("M7",)),
         (("track", "--dwell", "0"), ("--dwell",)),
         (("track", "--controller", "none"), ("--controller",)),
         (("animate", "{bag}", "-o", "flight.mp4"), (".gif",)),
@@ -112,17 +112,17 @@ def test_a_file_that_the_controller_refuses_is_named(tmp_path):
     thrust[2] = [0.1, -1.0, 0.2]
     falling = replace(published, parameters=replace(published.parameters, thrust=thrust))
     falling.save(tmp_path / "falling.toml")
-    track = ("track", "--dwell", "1", "--model")
+    track = ("track", "--dwell", "1")
     words = ("falling.toml", "thrust_N", "propeller 3 falls")
     assert refused(airpuck(*track, "falling.toml", cwd=tmp_path), *words)
     for line in ("position = 0", "position = 1e300"):
-        (tmp_path / "mine.toml").write_text(f"[weights]\n{line}\n")
+        (tmp_path / "mine.toml").write_text(f"[law.lqr.weights]\n{line}\n")
         process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", cwd=tmp_path)
         assert refused(process, "mine.toml", "weights.position")
     # More commands than can be decided in time; the number depends on file and craft.
-    (tmp_path / "mine.toml").write_text("[law]\nblock = 1\nhorizon_s = 0.8\n")
+    (tmp_path / "mine.toml").write_text("[law.mpc]\nblock = 1\nhorizon_s = 0.8\n")
     process = airpuck(*track, "paper:M4", "--tuning", "mine.toml", "--law", "mpc", cwd=tmp_path)
-    assert refused(process, "mine.toml: law.block", "240 commands; at most 200")
+    assert refused(process, "mine.toml: law.mpc.block", "240 commands; at most 200")
 
 
 @pytest.mark.parametrize(

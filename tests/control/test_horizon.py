@@ -15,7 +15,9 @@ from airpuck.control.authority import control_authority
 # The stages contain the assumed braking acceleration, but mixed with other numbers.
 # The same problem is written down by hand, with the same damping.
 from airpuck.control.horizon import _DAMPING, Blocks, Condensed, Stages, braking, linearised, stages
-from airpuck.control.tuning import SoftLimits, default_tuning
+from airpuck.control.limits import KeepOut
+from airpuck.control.predictive import PredictiveSettings, SoftLimits
+from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import Drag
@@ -85,17 +87,21 @@ def test_the_compiled_program_gives_the_same_result():
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
+SETTINGS = default_tuning().of(PredictiveSettings)
+
+
 def posed(
     plan, wanted, *, state=STATE, model=MODEL, blocks=None, way=0.0, shares=(1,) * 6, **limits
 ):
     """Pose a problem with equal weights, and a fence of ± 1 m and ± 0.4 m."""
-    settings = default_tuning().law.model_copy(update={"limits": SoftLimits(**limits)})
+    settings = SETTINGS.model_copy(update={"limits": SoftLimits(**limits)})
     blocks = blocks or Blocks(0.02, (2, 2, 2))
     count = len(blocks.times)
     ask = np.tile(wanted, (count, 1)), np.zeros((count, 3)), np.ones((count, 6)), np.eye(6)
     fence = np.array([[-1.0, -0.4], [1.0, 0.4]])
     believed = state, SPEED, np.zeros(3), np.array(shares)
-    discs = np.array(settings.limits.keep_out_m).reshape(-1, 3)
+    rows = [KeepOut(*disc).row for disc in settings.limits.keep_out_m]
+    discs = np.array(rows).reshape(-1, 5)
     pose = stages(model, blocks, settings, True)
     return pose(np, *believed, np.array(way), plan, *ask, fence, discs)
 
@@ -180,7 +186,7 @@ def test_limits_are_met_by_changes_that_reach_them():
 def test_the_hessian_includes_the_curvature_of_the_thrust_curves():
     # One short step: only the thrusts are nonlinear, so the Hessian of the cost is known.
     blocks, h = Blocks(0.01, (1,)), 0.01
-    settings = default_tuning().law
+    settings = SETTINGS
     w = settings.weights
     effort = h * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
     wanted = np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0])
@@ -210,7 +216,7 @@ def test_the_hessian_includes_the_curvature_of_the_thrust_curves():
 
 def test_the_curvature_is_weighted_by_the_effect_on_all_later_steps():
     blocks, step = Blocks(0.01, (12,)), 0.01
-    settings = default_tuning().law
+    settings = SETTINGS
     w = settings.weights
     effort = step * np.array([w.acceleration, w.acceleration, w.angular_acceleration])
     plan, wanted, tiny = np.full((1, 6), 0.9), np.array([3.0, 1.0, 0.7, 0.0, 0.0, 0.0]), 1e-3
@@ -258,7 +264,7 @@ def test_a_shifted_plan_has_the_means_of_the_old_plan(elapsed, lengths):
 
 
 def test_a_horizon_is_cut_into_blocks():
-    settings = default_tuning().law
+    settings = SETTINGS
     blocks = Blocks.of(settings.model_copy(update={"horizon_s": 0.22, "block": (4,)}))
     assert blocks.lengths == (4, 4, 3)
     np.testing.assert_array_equal(blocks.owner, [0] * 4 + [1] * 4 + [2] * 3)
@@ -269,9 +275,9 @@ N_MOTORS, SIZE = 4, 10
 
 
 def regulator(**limits):
-    weights = default_tuning().law.weights.model_copy(update={"command": 0.1})
+    weights = SETTINGS.weights.model_copy(update={"command": 0.1})
     given = {"weights": weights, "limits": SoftLimits(**limits), "iterations": 2000}
-    return default_tuning().law.model_copy(update=given)
+    return SETTINGS.model_copy(update=given)
 
 
 def problem(seed: int, blocks: Blocks, *, tight: float = np.inf) -> Stages:
@@ -308,7 +314,7 @@ def craft(least: float, most: float) -> Vehicle:
 
 
 def solver_of(blocks: Blocks, bounds: tuple[float, float], **limits) -> Condensed:
-    return Condensed(craft(*bounds), blocks, regulator(**limits), 2)
+    return Condensed(craft(*bounds), blocks, regulator(**limits), (False, False))
 
 
 def riccati(s: Stages, effort: np.ndarray, used: np.ndarray, least: float) -> np.ndarray:
@@ -425,5 +431,5 @@ def test_non_finite_numbers_give_no_solution():
 def test_a_solution_beyond_the_iteration_limit_is_not_used():
     blocks = Blocks(0.02, (1,) * 8)
     s, short = problem(4, blocks, tight=0.02), regulator().model_copy(update={"iterations": 1})
-    solver = Condensed(craft(0.0, 1.0), blocks, short, 2)
+    solver = Condensed(craft(0.0, 1.0), blocks, short, (False, False))
     assert solver.solve(solver.form(np, s)) is None

@@ -69,6 +69,39 @@ def test_a_law_is_given_by_name_by_class_or_as_an_object():
     assert "a law of its own" in recording.source
 
 
+def test_settings_of_a_law_of_ones_own_stand_under_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        textwrap.dedent("""
+            import airpuck, numpy as np
+
+            class Level(airpuck.LawSettings):
+                law = "Creep"
+                level: float = 0.2
+
+            class Creep(airpuck.Law):
+                Settings = Level
+
+                def __init__(self, model, tuning, options=None):
+                    self.command = np.full(6, tuning.of(Level).level)
+
+                def step(self, state, moment):
+                    return airpuck.Step(self.command), state
+        """)
+    )
+    Path("tuning.toml").write_text('law.kind = "mine.py:Creep"\n[law."mine.py:Creep"]\nlevel = 0.4')
+    tuned = airpuck.read_tuning("tuning.toml")
+    for tuning, level in ((tuned, 0.4), (default_tuning().with_law("mine.py:Creep"), 0.2)):
+        controller = airpuck.TrackingController(M3, airpuck.SetPoint(0, 0, 0), tuning)
+        controller.pose(0.0, np.zeros(3))
+        assert (controller.step(0.0).command == level).all()
+    tuned.save("again.toml")
+    assert airpuck.read_tuning("again.toml") == tuned
+    Path("tuning.toml").write_text('[law."mine.py:Creep"]\nlevle = 0.4')
+    with pytest.raises(InputError, match=r"Creep\.levle: is not a known key; did you mean level"):
+        airpuck.read_tuning("tuning.toml")
+
+
 def test_a_name_of_what_makes_no_law_is_refused(monkeypatch):
     monkeypatch.setitem(LAWS, "mine", lambda *given: object())
     with pytest.raises(InputError, match=r"law: must inherit from airpuck\.Law"):
@@ -94,7 +127,7 @@ def test_it_flies_by_name_from_the_command_line(tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
-        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "3", "--json", "-"),
+        *("track", "paper:M3", "--truth", "paper:M3", "--dwell", "3", "--json", "-"),
         *("--setpoints", points, "--law", PID),
     )
     (flight,) = json.loads(ran.stdout)["flights"]

@@ -14,6 +14,8 @@ from scipy.signal import cont2discrete
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.lqr import (
+    LQRSettings,
+    Weights,
     look_ahead,
     lqr,
     lqr_gain,
@@ -21,14 +23,14 @@ from airpuck.control.lqr import (
     point_mass,
     rotation_error,
 )
-from airpuck.control.tuning import Weights, default_tuning
+from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import published_model
 
 weight = st.floats(0.01, 100)
 
 
 def weights(**changed: float) -> Weights:
-    return default_tuning().weights.model_copy(update=changed)
+    return default_tuning().of(LQRSettings).weights.model_copy(update=changed)
 
 
 @given(st.tuples(weight, weight, weight, weight, weight, weight), st.floats(0.002, 0.1))
@@ -75,7 +77,7 @@ def test_the_gain_is_a_minimum_of_the_cost():
 
 def test_the_packaged_tuning_gives_the_gains_of_the_real_flights():
     tuning = default_tuning()
-    k = lqr_gain(tuning.weights, tuning.period_s)
+    k = lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s)
     position, speed, yaw, spin = 9.04, 5.07, 15.0, 6.28
     expected = np.hstack([np.diag([position, position, yaw]), np.diag([speed, speed, spin])])
     np.testing.assert_allclose(k, expected, rtol=0.01, atol=1e-9)
@@ -97,7 +99,7 @@ def test_the_step_response_of_the_closed_loop_agrees_with_python_control():
     tuning = default_tuning()
     h, target = tuning.period_s, np.array([0.5, -0.3, 1.2, 0.0, 0.0, 0.0])
     a, b = point_mass(h)
-    k = lqr_gain(tuning.weights, h)
+    k = lqr_gain(tuning.of(LQRSettings).weights, h)
     # x⁺ = A x + B (-K (x - target)): ours, step by step.
     steps = 500
     ours = np.zeros((steps, 6))
@@ -106,7 +108,7 @@ def test_the_step_response_of_the_closed_loop_agrees_with_python_control():
     # Theirs: discretisation, gain and simulation.
     double = control.ss(np.eye(6, k=3), np.eye(6, 3, k=-3), np.eye(6), np.zeros((6, 3)))
     plant = control.c2d(double, h, "zoh")
-    w = tuning.weights
+    w = tuning.of(LQRSettings).weights
     theirs, _, _ = control.dlqr(
         plant,
         np.diag([w.position, w.position, w.yaw, w.speed, w.speed, w.spin]),

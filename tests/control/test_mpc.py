@@ -13,13 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
+from airpuck.control.horizon import Condensed
 from airpuck.control.law import FLYING, Step
+from airpuck.control.limits import Fence, HalfPlane, KeepOut
 
 # A weight inside the plan has no visible effect on a flight, so compare it with least squares.
 from airpuck.control.mpc import MPC, _way_left
+from airpuck.control.predictive import PredictiveSettings, SoftLimits
 from airpuck.control.reference import Reference, Rendezvous, SetPoint, TimedPath
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
+from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import published_model
@@ -34,9 +37,7 @@ H = 0.01
 
 
 def tuned(**limits) -> Tuning:
-    base = default_tuning()
-    found = base.law.model_copy(update={"kind": "mpc", "limits": SoftLimits(**limits)})
-    return base.model_copy(update={"law": found})
+    return default_tuning().with_law("mpc", limits=SoftLimits(**limits))
 
 
 def law(table: Table | None = None, **limits) -> TrackingController:
@@ -232,13 +233,13 @@ def test_it_keeps_the_margin_to_the_rails(axis, side):
 def test_an_arrival_between_two_steps_is_weighted_by_how_near_they_are(after):
     """As if the error at the arrival were interpolated: the nearer end of a step counts more."""
     precision = np.array([0.01, 0.02, 0.1, 0.5, 0.4, 1.0])
-    settings, delay, count = law().tuning.law, 0.03, 4
+    settings, delay, count = law().tuning.of(PredictiveSettings), 0.03, 4
     step, efforts = settings.step_s, np.tile(settings.weights.efforts, 2)
     meeting = Rendezvous(delay + (count + after) * step, np.zeros(6), precision=precision)
     controller = law().law
     assert isinstance(controller, MPC)
     (_, _, _, _, weights, terminal, *_), _ = controller.posed(
-        controller.init(), meeting, 0.0, delay
+        controller.init(), meeting, 0.0, delay, controller.fence, np.zeros((0, 5))
     )
     expected = np.zeros_like(weights)
     # Row k belongs to the end of step k, counted from 0.
@@ -272,27 +273,57 @@ def test_a_table_smaller_than_the_craft_still_gives_a_command():
     assert {one.status for one in steps} <= {"softened", "iteration limit"}
 
 
-def test_fence_and_discs_may_be_exchanged_in_flight():
-    ours = law(keep_out_m=((9.0, 9.0, 0.1),))
-    controller, craft = ours.law, Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
-    assert isinstance(controller, MPC)
+def test_a_law_is_given_the_limits_of_the_moment_as_many_as_there_are():
+    ours, craft = law(), Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
     ours.reference = SetPoint(0.3, 0.0, 0.0)
-    assert ours.steer(craft, 0.0).status == "optimal"
-    given = np.array([[0.0, 0.0, 0.1]])
-    controller.keep_out = given
-    given[0, 0] = 9.0  # a caller's array is copied
-    assert ours.steer(craft, 0.01).status == "softened"
-    controller.keep_out = [(9.0, 9.0, 0.1)]
-    controller.fence = (0.1, -0.4, 0.5, 0.4)  # as in the tuning
-    assert ours.steer(craft, 0.02).status == "softened"
-    for wrong in ([], None, [(0, 0, 0.1)] * 2, [(0, 0)], [(0.0, np.nan, 0.1)], "disc"):
-        with pytest.raises(InputError, match=r"keep_out: .*1 disc"):
-            controller.keep_out = wrong
-    for wrong in (None, np.full((2, 2), np.nan), (0.1, 0, -0.1, 9), (0, 0.1, 9, -0.1), (1, 2, 3)):
-        with pytest.raises(InputError, match=r"fence: .*lowest x and y"):
-            controller.fence = wrong
-    np.testing.assert_array_equal(controller.keep_out, [(9.0, 9.0, 0.1)])
-    np.testing.assert_array_equal(controller.fence, [(0.1, -0.4), (0.5, 0.4)])
+    there, away = KeepOut(0.0, 0.0, 0.1), KeepOut(9.0, 9.0, 0.1)
+    for limits, status, active in (
+        ([], "optimal", set()),
+        ([there], "softened", {"disc"}),
+        ([away], "optimal", set()),
+        ([Fence(0.1, -0.4, 0.5, 0.4)], "softened", {"rail"}),
+        # Two fences: both hold.
+        ([Fence(-0.5, -0.4, 0.5, 0.4), Fence(0.1, -0.4, 0.9, 0.4)], "softened", {"rail"}),
+        ([HalfPlane(0.1, 0.0, 0.0)], "softened", {"half plane"}),
+        ([HalfPlane(0.5, 0.0, np.pi)], "optimal", set()),
+        ([away, away, there], "softened", {"disc"}),
+    ):
+        ours.limits = limits
+        ours.state = ours.law.init()
+        step = ours.steer(craft, 0.0)
+        assert (step.status, {*step.prediction.active} - {"motor"}) == (status, active), limits
+
+
+def test_a_hard_limit_is_kept_where_a_soft_one_gives_way():
+    """A craft too fast to stop before a line: softly exceeded, or no plan at all."""
+    moving = Estimate(0.0, np.array([0.0, 0, 0, 1.0, 0, 0]), np.full(6, 0.3), np.zeros(3))
+    for hard, status in ((False, "softened"), (True, "fallback")):
+        ours = law()
+        ours.limits = [HalfPlane(0.02, 0.0, np.pi, hard=hard)]
+        assert ours.steer(moving, 0.0).status == status
+    # What can be kept is kept, by either.
+    for hard in (False, True):
+        ours = law()
+        ours.reference = SetPoint(0.3, 0.0, 0.0)
+        ours.limits = [HalfPlane(0.1, 0.0, np.pi, hard=hard), KeepOut(0.0, 0.3, 0.1, hard=hard)]
+        rest = Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
+        for k in range(5):
+            step = ours.steer(rest, 0.01 * k)
+            assert step.status == "optimal"
+        assert step.prediction.states[:, 0].max() < 0.1 + 1e-3
+
+
+def test_a_limit_that_is_no_limit_is_refused():
+    for wrong in ((0.1, 0, -0.1, 9), (0, 0.1, 9, -0.1), (0.0, np.nan, 1.0, 1.0)):
+        with pytest.raises(InputError, match=r"lowest x and y|low_y: must be from -100 to 100"):
+            Fence(*wrong)
+    with pytest.raises(InputError, match=r"radius: must be from -100 to 100"):
+        KeepOut(0.0, 0.0, np.inf)
+    ours = law()
+    ours.limits = [(0.0, 0.0, 0.1)]
+    craft = Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
+    with pytest.raises(InputError, match="limits: must be Fence, KeepOut and HalfPlane objects"):
+        ours.steer(craft, 0.0)
 
 
 def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeypatch):
@@ -302,7 +333,7 @@ def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeyp
     craft = Estimate(0.0, at_rest(0.1, 0.0, 0.5), np.full(6, 0.3), np.zeros(3))
     first = ours.steer(craft, 0.0)
     assert first.status == "optimal"
-    monkeypatch.setattr(controller._solver, "solve", lambda formed: None)
+    monkeypatch.setattr(Condensed, "solve", lambda self, formed: None)
     later = [ours.steer(craft, 0.01 * k) for k in range(1, 16)]
     assert [one.status for one in later] == ["iteration limit"] * 10 + ["fallback"] * 5
     for one in later:
@@ -313,9 +344,9 @@ def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeyp
     np.testing.assert_array_equal(idle.command, np.full(6, MODEL.vehicle.command_min))
 
 
-def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
+def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit(monkeypatch):
     ours = law()
-    ours.law._solver.solve = lambda formed: None
+    monkeypatch.setattr(Condensed, "solve", lambda self, formed: None)
     most = MODEL.vehicle.command_max
     for k in range(200):
         begun = ours.law.init()
@@ -328,10 +359,10 @@ def test_a_plan_that_is_moved_on_keeps_the_motors_limits_to_the_last_digit():
         assert (step.command <= most).all()
 
 
-def test_the_fallback_lqr_has_the_weights_of_the_tuning():
+def test_the_fallback_lqr_has_the_weights_of_the_tuning(monkeypatch):
     ours, lqr = law(), TrackingController(MODEL, HOME)
     craft = Estimate(0.0, at_rest(0.1, 0.0, 0.5), np.full(6, 0.3), np.zeros(3))
-    ours.law._solver.solve = lambda formed: None
+    monkeypatch.setattr(Condensed, "solve", lambda self, formed: None)
     one, other = ours.steer(craft, 0.0), lqr.steer(craft, 0.0)
     assert one.status == "fallback"
     np.testing.assert_allclose(one.command, other.command, atol=1e-9)

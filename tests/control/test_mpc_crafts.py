@@ -82,7 +82,7 @@ def test_excitation_uses_the_lqr_whatever_law_the_tuning_names():
 
 
 def test_more_commands_than_can_be_decided_in_time_are_refused():
-    tuning = MPC.model_copy(update={"law": MPC.law.model_copy(update={"block": (1,)})})
+    tuning = MPC.with_law("mpc", block=(1,))
     with pytest.raises(InputError, match="240 commands; at most 200") as error:
         TrackingController(craft(8), GOAL, tuning, compiled=False)
-    assert error.value.field == "law.block"
+    assert error.value.field == "law.mpc.block"

@@ -8,6 +8,7 @@ from typing import get_args
 import pytest
 
 from airpuck.control.law import Predicted
+from airpuck.control.predictive import PredictiveSettings
 
 pytestmark = pytest.mark.slow
 
@@ -22,7 +23,7 @@ rails = importlib.import_module("predictive_limits.rails")
 @pytest.fixture(scope="module")
 def pairs():
     tuning = flights.law("mpc").model_copy(update={"period_s": 0.02})
-    problem = converged.Problem(flights.craft(), tuning.law)
+    problem = converged.Problem(flights.craft(), tuning.of(PredictiveSettings))
     return [cost.compare(seed, tuning, 0.6, problem) for seed in range(3)]
 
 

@@ -12,16 +12,14 @@ from hypothesis import strategies as st
 from airpuck.boundary.errors import InputError
 from airpuck.control.excitation import Excitation
 from airpuck.control.laws import LAWS
-from airpuck.control.lqr import lqr_gain, point_mass
+from airpuck.control.lqr import LQRSettings, Weights, lqr_gain, point_mass
+from airpuck.control.predictive import PredictiveSettings, SoftLimits
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import (
-    Allocation,
+    ChosenLaw,
     Estimation,
-    LawSettings,
-    SoftLimits,
     Tuning,
-    Weights,
     default_tuning,
     read_tuning,
     tuning_for,
@@ -35,11 +33,21 @@ positive = st.floats(1e-9, 1e4)
 non_negative = st.just(0.0) | positive
 weight = st.floats(1e-6, 1e6)
 size = st.floats(1e-9, 9.0)
+WEIGHTS = st.builds(
+    Weights,
+    **dict.fromkeys(("speed", "spin"), st.just(0.0) | weight),
+    **dict.fromkeys(("position", "yaw", "acceleration", "angular_acceleration"), weight),
+)
+
+
+def weights_of(tuning: Tuning) -> Weights:
+    return tuning.of(LQRSettings).weights
+
 
 GOOD = """
 period_s = 0.02
 
-[weights]
+[law.lqr.weights]
 position = 1.0
 speed = 2.0
 yaw = 3.0
@@ -61,26 +69,31 @@ angular_disturbance_density = 0.4
     st.builds(
         Tuning,
         period_s=st.floats(1e-3, 0.1),
-        weights=st.builds(
-            Weights,
-            **dict.fromkeys(("speed", "spin"), st.just(0.0) | weight),
-            **dict.fromkeys(("position", "yaw", "acceleration", "angular_acceleration"), weight),
-        ),
-        allocation=st.builds(
-            Allocation, solver=st.sampled_from(["daqp", "piqp"]), slack_weight=positive
-        ),
         law=st.builds(
-            LawSettings,
+            ChosenLaw,
             kind=st.sampled_from(["lqr", "mpc"]),
-            weights=st.just(default_tuning().law.weights),
-            limits=st.builds(
-                SoftLimits,
-                fence_m=st.none() | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
-                speed_m_s=st.none() | size,
-                spin_rad_s=st.none() | size,
-                keep_out_m=st.lists(
-                    st.tuples(st.floats(-9, 9), st.floats(-9, 9), size), max_size=8
-                ).map(tuple),
+            lqr=st.fixed_dictionaries(
+                {
+                    "weights": WEIGHTS.map(Weights.model_dump),
+                    "slack_weight": positive,
+                }
+            ),
+            mpc=st.fixed_dictionaries(
+                {
+                    "weights": st.just(
+                        default_tuning().of(PredictiveSettings).weights.model_dump()
+                    ),
+                    "limits": st.builds(
+                        SoftLimits,
+                        fence_m=st.none()
+                        | st.tuples(*[st.floats(-9, -1)] * 2, *[st.floats(0, 9)] * 2),
+                        speed_m_s=st.none() | size,
+                        spin_rad_s=st.none() | size,
+                        keep_out_m=st.lists(
+                            st.tuples(st.floats(-9, 9), st.floats(-9, 9), size), max_size=8
+                        ).map(tuple),
+                    ).map(SoftLimits.model_dump),
+                }
             ),
         ),
         estimation=st.builds(
@@ -103,14 +116,7 @@ def test_a_saved_tuning_reads_back_equal(tmp_path_factory, tuning):
     assert read_tuning(path) == tuning
 
 
-@given(
-    st.builds(
-        Weights,
-        **dict.fromkeys(("speed", "spin"), st.just(0.0) | weight),
-        **dict.fromkeys(("position", "yaw", "acceleration", "angular_acceleration"), weight),
-    ),
-    st.floats(1e-3, 0.1),
-)
+@given(WEIGHTS, st.floats(1e-3, 0.1))
 def test_weights_of_a_file_give_a_regulator_or_are_refused(weights, period):
     try:
         gain = lqr_gain(weights, period)
@@ -126,7 +132,7 @@ def test_every_number_of_a_file_is_read_into_its_own_field(tmp_path):
     path.write_text(GOOD)
     tuning = read_tuning(path)
     assert tuning.period_s == 0.02
-    assert list(tuning.weights.model_dump().values()) == [1, 2, 3, 4, 5, 6]
+    assert list(weights_of(tuning).model_dump().values()) == [1, 2, 3, 4, 5, 6]
     noise = tuning.estimation
     assert (noise.position_m, noise.yaw_rad) == (1e-4, 1e-3)
     assert (noise.acceleration_density, noise.angular_acceleration_density) == (0.1, 0.2)
@@ -135,80 +141,79 @@ def test_every_number_of_a_file_is_read_into_its_own_field(tmp_path):
 
 def test_missing_keys_have_the_packaged_values(tmp_path):
     path, packaged = tmp_path / "mine.toml", default_tuning()
-    path.write_text("[weights]\nyaw = 7.0\n")
-    weights = packaged.weights.model_copy(update={"yaw": 7.0})
-    assert weights != packaged.weights
-    assert read_tuning(path) == packaged.model_copy(update={"weights": weights})
+    path.write_text("[law.lqr.weights]\nyaw = 7.0\n")
+    weights = weights_of(packaged).model_copy(update={"yaw": 7.0})
+    assert weights != weights_of(packaged)
+    assert read_tuning(path) == packaged.with_law("lqr", weights=weights)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "field", "problem"),
     [
-        ("yaw = 3.0", "yaww = 3.0\nyaw = 3.0", "weights.yaww", "not a known key"),
+        *[
+            (old, new, f"law.lqr.weights.{key}", problem)
+            for old, new, key, problem in [
+                ("yaw = 3.0", "yaww = 3.0\nyaw = 3.0", "yaww", "not a known key"),
+                ("yaw = 3.0", 'yaw = "much"', "yaw", "number"),
+                ("yaw = 3.0", "yaw = 0.0", "yaw", "greater than or equal to 0.000001"),
+                ("position = 1.0", "position = 0", "position", "equal to 0.000001"),
+                ("position = 1.0", "position = 1e300", "position", "less than or equal to 1000000"),
+                ("speed = 2.0", "speed = 1e300", "speed", "less than or equal to 1000000"),
+                ("speed = 2.0", "speed = -1.0", "speed", "greater than or equal to 0"),
+                ("yaw = 3.0", "yaw = nan", "yaw", "finite"),
+                ("\nacceleration = 5.0", "\nacceleration = 0.0", "acceleration", "greater than"),
+            ]
+        ],
         ("period_s = 0.02", "period = 1\nperiod_s = 0.02", "period", "not a known key"),
-        ("yaw = 3.0", 'yaw = "much"', "weights.yaw", "number"),
-        ("yaw = 3.0", "yaw = 0.0", "weights.yaw", "greater than or equal to 0.000001"),
-        ("position = 1.0", "position = 0", "weights.position", "greater than or equal to 0.000001"),
-        ("position = 1.0", "position = 1e300", "weights.position", "less than or equal to 1000000"),
-        ("speed = 2.0", "speed = 1e300", "weights.speed", "less than or equal to 1000000"),
-        ("speed = 2.0", "speed = -1.0", "weights.speed", "greater than or equal to 0"),
-        ("yaw = 3.0", "yaw = nan", "weights.yaw", "finite"),
-        ("\nacceleration = 5.0", "\nacceleration = 0.0", "weights.acceleration", "greater than"),
         ("period_s = 0.02", "period_s = 9e-4", "period_s", "greater than or equal to 0.001"),
         ("period_s = 0.02", "period_s = 0.2", "period_s", "less than or equal to 0.1"),
         (
             "[estimation]",
-            "[allocation]\nslack_weight = 1e14\n[estimation]",
-            "allocation.slack_weight",
+            "[law.lqr]\nslack_weight = 1e14\n[estimation]",
+            "law.lqr.slack_weight",
             "less than or equal to 10000000000",
         ),
         ("position_m = 1e-4", "position_m = 0.0", "estimation.position_m", "greater than"),
-        (
-            "[estimation]",
-            '[allocation]\nsolver = "osqp"\n[estimation]',
-            "allocation.solver",
-            "daqp",
-        ),
         ("[estimation]", "[estimates]", "estimates", "not a known key"),
         *[
             ("[estimation]", f"[{table}]\n{line}\n[estimation]", field, problem)
             for table, line, field, problem in [
                 ("law", 'kind = "pid"', "law.kind", "must be 'lqr', 'mpc', "),
-                ("law", "horizon_s = -0.6", "law.horizon_s", "equal to 0.02"),
-                ("law", "horizon_s = nan", "law.horizon_s", "finite"),
-                ("law", "step_s = 0.0", "law.step_s", "equal to 0.001"),
-                ("law", "block = 0", "law.block.0", "equal to 1"),
-                ("law", "block = 1.5", "law.block.0", "integer"),
-                ("law", "block = []", "law.block", "block: must have at least 1 item"),
-                ("law", "horizon_s = 0.03\nstep_s = 0.05", "law", "longer than hor"),
-                ("law", "horizon_s = 5.0\nstep_s = 0.001", "law", "5000 steps; at m"),
-                ("law", "penalty = 1.0", "law.penalty", "not a known key"),
-                ("law.weights", "yaw = -1.0", "law.weights.yaw", "equal to 0.000001"),
+                ("law.mpc", "horizon_s = -0.6", "law.mpc.horizon_s", "equal to 0.02"),
+                ("law.mpc", "horizon_s = nan", "law.mpc.horizon_s", "finite"),
+                ("law.mpc", "step_s = 0.0", "law.mpc.step_s", "equal to 0.001"),
+                ("law.mpc", "block = 0", "law.mpc.block.0", "equal to 1"),
+                ("law.mpc", "block = 1.5", "law.mpc.block.0", "integer"),
+                ("law.mpc", "block = []", "law.mpc.block", "block: must have at least 1 item"),
+                ("law.mpc", "horizon_s = 0.03\nstep_s = 0.05", "law.mpc", "longer than hor"),
+                ("law.mpc", "horizon_s = 5.0\nstep_s = 0.001", "law.mpc", "5000 steps; at m"),
+                ("law.mpc", "penalty = 1.0", "law.mpc.penalty", "not a known key"),
+                ("law.mpc.weights", "yaw = -1.0", "law.mpc.weights.yaw", "equal to 0.000001"),
                 (
-                    "law.limits",
+                    "law.mpc.limits",
                     "speed_m_s = 0",
-                    "law.limits.speed_m_s",
+                    "law.mpc.limits.speed_m_s",
                     "than or equal to 0",
                 ),
-                ("law.limits", "margin_m = -1", "law.limits.margin_m", "equal to 0"),
-                ("law.limits", "penalty = 1e300", "law.limits.penalty", "100000000"),
+                ("law.mpc.limits", "margin_m = -1", "law.mpc.limits.margin_m", "equal to 0"),
+                ("law.mpc.limits", "penalty = 1e300", "law.mpc.limits.penalty", "100000000"),
                 (
-                    "law.limits",
+                    "law.mpc.limits",
                     "fence_m = [1.0, -0.5, -1.0, 0.5]",
-                    "law.limits.fence_m",
+                    "law.mpc.limits.fence_m",
                     "lowest x and y, then highest",
                 ),
                 (
-                    "law.limits",
+                    "law.mpc.limits",
                     "fence_m = [-1.0, 0.5, 1.0, -0.5]",
-                    "law.limits.fence_m",
+                    "law.mpc.limits.fence_m",
                     "lowest x and y, then highest",
                 ),
-                ("law.limits", "fence_m = [1.0]", "law.limits.fence_m.1", "missing"),
+                ("law.mpc.limits", "fence_m = [1.0]", "law.mpc.limits.fence_m.1", "missing"),
                 (
-                    "law.limits",
+                    "law.mpc.limits",
                     f"keep_out_m = {[[0.0, 0.0, 0.1]] * 9}",
-                    "law.limits.keep_out_m",
+                    "law.mpc.limits.keep_out_m",
                     "at most 8",
                 ),
             ]
@@ -229,7 +234,7 @@ def test_a_mistake_is_named_with_file_and_field(tmp_path, old, new, field, probl
 def test_a_slowed_regulator_does_the_same_more_slowly():
     tuning = default_tuning()
     gain, slow = (
-        lqr_gain(one.weights, period)
+        lqr_gain(weights_of(one), period)
         for one, period in ((tuning, 0.001), (tuning.slowed(4.0), 0.004))
     )
     np.testing.assert_allclose(slow[:, :3], gain[:, :3] / 16, rtol=1e-6, atol=1e-12)
@@ -240,7 +245,7 @@ def test_only_a_much_slower_craft_gets_another_tuning():
     vehicle = default_vehicle()
     assert tuning_for(nominal_model(vehicle)) == default_tuning()
     heavy = nominal_model(vehicle.model_copy(update={"mass_kg": 10 * vehicle.mass_kg}))
-    assert tuning_for(heavy).weights.speed > default_tuning().weights.speed
+    assert weights_of(tuning_for(heavy)).speed > weights_of(default_tuning()).speed
 
 
 def test_the_estimator_expects_the_noise_of_the_models_recordings():
@@ -304,16 +309,25 @@ def test_an_unknown_law_or_estimator_is_refused():
 def test_a_missing_file_and_broken_toml_are_named(tmp_path):
     with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         read_tuning(tmp_path / "nowhere.toml")
-    (tmp_path / "broken.toml").write_text("[weights\n")
+    (tmp_path / "broken.toml").write_text("[law.lqr.weights\n")
     with pytest.raises(InputError, match=r"broken\.toml: is not valid TOML"):
         read_tuning(tmp_path / "broken.toml")
 
 
-def test_a_file_that_calls_the_law_a_regulator_is_read(tmp_path):
-    path = tmp_path / "older.toml"
-    path.write_text(
-        '[regulator]\nkind = "mpc"\nhorizon_s = 0.5\n[regulator.limits]\nspeed_m_s = 0.4\n'
-    )
-    law = read_tuning(path).law
-    assert (law.kind, law.horizon_s, law.limits.speed_m_s) == ("mpc", 0.5, 0.4)
-    assert law.step_s == default_tuning().law.step_s
+@pytest.mark.parametrize(
+    ("old", "field", "now"),
+    [
+        ("[weights]\nyaw = 3.0", "weights", "[law.lqr.weights]"),
+        ("[allocation]\nslack_weight = 1e5", "allocation", "[law.lqr]"),
+        ('[regulator]\nkind = "mpc"', "regulator", "[law]"),
+        ("[law]\nhorizon_s = 0.5", "law.horizon_s", "law.mpc.horizon_s"),
+        ("[law]\niterations = 5", "law.iterations", "law.mpc.iterations"),
+        ("[law.mcp]\niterations = 5", "law.mcp", "'mpc'"),
+        ("[law.plan]\niterations = 5", "law.plan", "no settings"),
+    ],
+)
+def test_a_file_that_writes_a_setting_elsewhere_learns_where_it_belongs(tmp_path, old, field, now):
+    (tmp_path / "older.toml").write_text(old)
+    with pytest.raises(InputError, match=re.escape(now)) as error:
+        read_tuning(tmp_path / "older.toml")
+    assert (error.value.file, error.value.field) == (str(tmp_path / "older.toml"), field)

@@ -12,9 +12,10 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.horizon import Condensed
+from airpuck.control.predictive import SoftLimits
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import SoftLimits, Tuning, default_tuning
+from airpuck.control.tuning import Tuning, default_tuning
 from airpuck.flight.loop import fly
 from airpuck.planning.plan import Plan
 from airpuck.twin.twin import Twin
@@ -36,10 +37,8 @@ PLANNED = ("optimal", "softened")
 
 def predictive() -> Tuning:
     """A short horizon with every kind of limit."""
-    tuning = default_tuning().with_law("mpc")
     limits = SoftLimits(speed_m_s=0.8, spin_rad_s=5.0, keep_out_m=((0.4, 0.2, 0.2),))
-    changed = {"horizon_s": 0.2, "limits": limits}
-    return tuning.model_copy(update={"law": tuning.law.model_copy(update=changed)})
+    return default_tuning().with_law("mpc", horizon_s=0.2, limits=limits)
 
 
 def program(folder: Path, main: str, *options: str, using: str = "gcc") -> Path:

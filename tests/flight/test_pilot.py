@@ -47,7 +47,7 @@ def test_it_flies_by_name_from_the_command_line(file, tmp_path):
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.5, x_m = 0.2, y_m = 0.1, yaw_rad = 0.3}]")
     ran = command_line.airpuck(
-        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "5", "--json", "-"),
+        *("track", "paper:M3", "--truth", "paper:M3", "--dwell", "5", "--json", "-"),
         *("--setpoints", points, "--law", f"{file}:Spring"),
     )
     (flight,) = json.loads(ran.stdout)["flights"]
@@ -64,7 +64,7 @@ def test_a_pilot_whose_commands_are_clipped_is_warned_of_and_named(file, tmp_pat
     points = tmp_path / "points.toml"
     points.write_text("setpoints = [{at_s = 0.2, x_m = 0.8, y_m = 0.3, yaw_rad = 3.0}]")
     ran = command_line.airpuck(
-        *("track", "--model", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
+        *("track", "paper:M3", "--truth", "paper:M3", "--dwell", "0.3"),
         *("--setpoints", points, "--law", f"{file}:Spring", "-o", tmp_path / "page"),
     )
     assert ran.stderr.startswith(f"warning: commands of {file}:Spring from 0.057 to ")

@@ -9,6 +9,7 @@ from scipy.stats import pearsonr
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.law import Status
+from airpuck.control.lqr import LQRSettings
 from airpuck.control.reference import SetPoints
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import Vehicle, default_vehicle
@@ -79,8 +80,9 @@ def without_epoch(recording: Recording) -> Recording:
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [PAPER, OURS])
 def test_a_flight_of_this_controller_comes_back(plant, options):
-    weights = default_tuning().weights.model_copy(update={"position": 20.0, "yaw": 10.0})
-    tuning = default_tuning().model_copy(update={"weights": weights})
+    weights = default_tuning().of(LQRSettings).weights
+    weights = weights.model_copy(update={"position": 20.0, "yaw": 10.0})
+    tuning = default_tuning().with_law("lqr", weights=weights)
     recording, log = track(
         M4, SET_POINTS, 3.0, settings=CLEAN, plant=plant, tuning=tuning, **options
     )
@@ -260,7 +262,7 @@ def test_figures_are_plain_statistics_of_what_is_compared():
 
 def test_a_law_without_gains_has_none_to_fit(recording):
     predictive = default_tuning().with_law("mpc")
-    with pytest.raises(InputError, match="only the LQR has gains; use --law lqr"):
+    with pytest.raises(InputError, match="this law has no gains; use --law lqr"):
         replay(recording, M4, tuning=predictive, fit_gains=True)
 
 

@@ -12,7 +12,7 @@ from airpuck.control.settings import ExcitationPlan
 from airpuck.craft.table import Table
 from airpuck.model.model_file import published_model
 
-MODEL = ("--model", "paper:M3")
+MODEL = "paper:M3"
 
 
 def run(*arguments: str) -> None:
@@ -26,7 +26,8 @@ def run(*arguments: str) -> None:
         (("--setpoint", "-2", "0", "0"), r"setpoint: \(-2, 0\) is outside the geofence"),
         (("--setpoint", "0", "0", "0", "--dwell", "0"), "--dwell: must be from 0.1 to 1000 s"),
         (("--dwell", "2"), "--dwell: has no effect with one set point"),
-        (("--setpoints", "p.toml"), r"--setpoints: no such option; did you mean --setpoint\?"),
+        (("--setpoints", "p.toml", "--follow"), "--follow: cannot be combined with --setpoints"),
+        (("--plan", "p.toml", "--setpoint", "0", "0", "0"), "--plan: cannot be combined with"),
         (("--law", "nowhere.py:Mine"), "nowhere.py: --law: there is no such file"),
         (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
         (("--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
@@ -40,7 +41,7 @@ def run(*arguments: str) -> None:
 )
 def test_fly_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
-        run("fly", *MODEL, *arguments)
+        run("fly", MODEL, *arguments)
 
 
 @pytest.mark.parametrize(
@@ -58,10 +59,27 @@ def test_fly_excitation_refuses_in_one_line(arguments, problem):
         run("fly-excitation", *arguments)
 
 
-@pytest.mark.parametrize("verb", ["fly", "fly-topic", "fly-plan"])
-def test_a_verb_has_only_its_own_options(verb):
+def test_a_verb_has_only_its_own_options():
     with pytest.raises(InputError, match="--amplitude: no such option"):
-        run(verb, *MODEL, "--amplitude", "0.5")
+        run("fly", MODEL, "--amplitude", "0.5")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("fly --model paper:M3 --law mpc", "airpuck fly paper:M3 --law mpc"),
+        ("fly --law mpc --model=paper:M3", "airpuck fly paper:M3 --law mpc"),
+        ("track --model a.toml --model b.toml", "airpuck track a.toml b.toml"),
+        ("replay bag --model a.toml", "airpuck replay a.toml bag"),
+        ("race slalom", "airpuck race paper:M3 slalom"),
+        ("fly-setpoints points.toml", "airpuck fly MODEL --setpoints FILE"),
+        ("fly-topic", "airpuck fly MODEL --follow"),
+        ("fly-plan --plan p.toml", "airpuck fly MODEL --plan FILE"),
+    ],
+)
+def test_an_old_spelling_is_refused_with_the_line_to_write(old, new):
+    with pytest.raises(InputError, match=f"{new}$"):
+        application.commands()(old.split(), prog_name="airpuck", standalone_mode=False)
 
 
 def a_plan(path, **changes):
@@ -84,20 +102,20 @@ def test_plans_of_the_wrong_kind_are_refused(tmp_path):
     optimal, excitation = a_plan(tmp_path / "plan.toml"), tmp_path / "excitation.toml"
     ExcitationPlan().save(excitation)
     with pytest.raises(InputError, match=r"excitation.toml: is a plan of an excitation; another"):
-        run("fly-plan", *MODEL, "--plan", str(excitation))
+        run("fly", MODEL, "--plan", str(excitation))
     with pytest.raises(InputError, match=r"plan.toml: is a time-optimal plan; another"):
         run("fly-excitation", "--plan", str(optimal))
     model = tmp_path / "model.toml"
     published_model("M3").save(model)
     with pytest.raises(InputError, match=r"model.toml: is a model; another"):
-        run("fly-plan", *MODEL, "--plan", str(model))
+        run("fly", MODEL, "--plan", str(model))
 
 
 def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"plan.toml: leaves the geofence, ±0.4 m by ±1 m"):
         run(
-            "fly-plan",
-            *MODEL,
+            "fly",
+            MODEL,
             "--plan",
             str(a_plan(tmp_path / "plan.toml")),
             "--geofence",
@@ -107,15 +125,15 @@ def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tm
     moving = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, *[0.03] * 6]
     path = a_plan(tmp_path / "moving.toml", states=[moving, moving])
     with pytest.raises(InputError, match=r"moving.toml: begins in motion"):
-        run("fly-plan", *MODEL, "--plan", str(path))
+        run("fly", MODEL, "--plan", str(path))
 
 
 def test_the_predictive_law_stays_within_the_geofence_or_the_rails():
     craft = published_model("M3")
     radius = craft.vehicle.radius_m
-    fenced = Guarded(geofence=(0.6, 0.3)).rails(craft)
+    fenced = Guarded(geofence=(0.6, 0.3)).bounds(craft)[1]
     assert fenced.reach(radius) == pytest.approx((0.6, 0.3))
-    assert Guarded().rails(craft) == Table()
+    assert Guarded().bounds(craft)[1] == Table()
 
 
 def test_a_recorder_does_not_write_over_anything(tmp_path):
@@ -127,16 +145,16 @@ def test_a_recorder_does_not_write_over_anything(tmp_path):
 def test_a_model_has_its_vehicle(tmp_path):
     published_model("M3").vehicle.save(tmp_path / "v.toml")
     with pytest.raises(InputError, match="--vehicle: a model includes its vehicle"):
-        run("fly-excitation", *MODEL, "--vehicle", str(tmp_path / "v.toml"))
+        run("fly-excitation", "--model", MODEL, "--vehicle", str(tmp_path / "v.toml"))
 
 
 def test_set_points_of_a_file_stay_within_the_geofence(tmp_path):
     points = tmp_path / "points.toml"
     write_toml(points, {"setpoints": [{"at_s": 0.0, "x_m": 0.9, "y_m": 0.0, "yaw_rad": 0.0}]})
     with pytest.raises(InputError, match=r"\(0.9, 0\)"):
-        run("fly-setpoints", str(points), *MODEL, "--geofence", "0.5", "0.5")
+        run("fly", MODEL, "--setpoints", str(points), "--geofence", "0.5", "0.5")
     with pytest.raises(InputError, match=r"nowhere.toml: there is no such file"):
-        run("fly-setpoints", "nowhere.toml", *MODEL)
+        run("fly", MODEL, "--setpoints", "nowhere.toml")
 
 
 @pytest.mark.slow

@@ -50,10 +50,8 @@ class Table:
         """Return a flight, the running one if it can be used; by default it follows the graph."""
         if self.pilot is None or not self.pilot.alive:
             self.watch.forget()
-            verb = "fly-plan" if "--plan" in arguments else "fly" if arguments else "fly-topic"
-            self.pilot = Process(
-                verb, "--model", "paper:M3", *arguments, domain=self.domain, terminal=True
-            )
+            given = arguments or ("--follow",)
+            self.pilot = Process("fly", "paper:M3", *given, domain=self.domain, terminal=True)
             self.until_flying(60.0)
         return self.pilot
 
@@ -220,7 +218,7 @@ def test_a_key_stops_the_motors_and_another_lets_them_run(table):
 
 def test_a_second_controller_refuses_and_says_whose_the_first_is(table):
     first = table.fly()
-    second = Process("fly", "--model", "paper:M3", domain=table.domain)
+    second = Process("fly", "paper:M3", domain=table.domain)
     status, _, err = second.end()
     assert status == 2
     assert len(err.strip().splitlines()) == 1

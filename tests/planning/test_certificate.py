@@ -12,10 +12,13 @@ from airpuck.craft.table import Table
 from airpuck.physics.effects import Drag, Effect, Tilt
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
+
+# The bound is public, but not the two sides of the inequality that it rests on.
 from airpuck.planning.certificate import (
+    _COARSE,
+    _needed,
     lower_bound,
     lower_bound_through,
-    missing_at,
     unavoidable_rail,
 )
 from airpuck.planning.request import Goal, Request, checked_request
@@ -27,6 +30,13 @@ from ..apparatus.one_axis_craft import ACCELERATION, one_axis
 
 M3 = airpuck.read_model("paper:M3")
 WIDE = Limits(spin=40.0, speed=10.0)
+
+
+def missing_at(request: Request, weight: Weight, duration: float) -> tuple[float, float, float]:
+    """Return the integral that a flight requires, its upper bound, and the scale of both."""
+    program = YawProgram(request, weight, duration, _COARSE, np.zeros(1))
+    needed = _needed(request, program, np.zeros(1))
+    return float(needed[-1, 0]), float(program.most[-1, 0]), program.worth
 
 
 def request(start, state, limits=WIDE):

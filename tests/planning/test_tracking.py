@@ -36,9 +36,7 @@ def planned():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["lqr", "mpc"])
 def test_the_craft_goes_to_the_start_rests_there_and_is_at_the_goal_in_time(planned, kind):
-    tuning = default_tuning()
-    law = tuning.law.model_copy(update={"kind": kind})
-    tuning = tuning.model_copy(update={"law": law})
+    tuning = default_tuning().with_law(kind)
     pilot = Departing(plan_tracker(planned, tuning), planned)
     check_pilot(pilot)
     twin = Twin(M3, default_twin_settings(), seed=3, pose=(0.1, 0.1, 1.0))

@@ -87,8 +87,11 @@ def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    commands = [["twin"], ["fly-topic"], ["view", "--port", port]]
-    processes = [Process(*words, "--model", "paper:M3", domain=domain) for words in commands]
+    commands = [["twin"], ["fly"], ["view"]]
+    options = {"fly": ["--follow"], "view": ["--port", port]}
+    processes = [
+        Process(*words, "paper:M3", *options.get(words[0], ()), domain=domain) for words in commands
+    ]
     try:
         watch.until(lambda: "flying" in watch.events("fly"), timeout=90)
         watch.until(lambda: any("at http" in said for said in watch.events("view")), timeout=90)

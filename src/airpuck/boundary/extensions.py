@@ -28,18 +28,11 @@ Group = Literal[
 ]
 _TYPES = ["Game", "Intention", "Level", "Player", "PuckFilter", "Rules", "Tactic", "View"]
 _TOOLS = ["contestant", "identify_puck", "league", "match", "skills"]
+_PLAYING = ["identify-puck", "league", "match", "play", "play-live", "skills", "watch-match"]
 #: What airpuck-hockey adds, so that a name without it leads there: public names by group, and the
 #: names that `airpuck` itself had.
 HOCKEY: Mapping[str, Sequence[str]] = {
-    "airpuck.commands": [
-        "identify-puck",
-        "league",
-        "match",
-        "play",
-        "play-live",
-        "skills",
-        "watch-match",
-    ],
+    "airpuck.commands": _PLAYING,
     "airpuck.exports": ["gym-hockey"],
     "airpuck.items": ["match"],
     "airpuck.opponents": ["easy", "medium", "hard", "page"],

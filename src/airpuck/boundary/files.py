@@ -236,6 +236,10 @@ def _explained(
     first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
     # Names of validator functions and Python types do not help a user.
     field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):
+        field = ".".join(part for part in (field, cause.field) if part)
+        first["msg"] = cause.problem
     problem = first["msg"].removeprefix("Value error, ").rstrip(".")
     problem = problem.replace("Input should be", "must be")
     problem = problem.replace("a valid array", "a list in brackets, [ ]")

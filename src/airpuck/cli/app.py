@@ -6,6 +6,8 @@ import contextlib
 import errno
 import functools
 import os
+import re
+import shlex
 import signal
 import sys
 import termios
@@ -66,6 +68,7 @@ class Command(_PlainFlags, TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse, and reject file names that must be mistakes."""
         refuse_empty(args)
+        _refuse_model_option(ctx.command_path, self.params, args)
         try:
             rest = super().parse_args(ctx, args)
         except TyperException as error:
@@ -90,6 +93,23 @@ _FORMER = {
     "--adam": "airpuck.identify(method=...), as in studies/adam.py",
     "--regulator": "--law",
 }
+
+
+#: Former commands, and the option of `fly` that replaces each.
+_FLIGHTS = {"fly-setpoints": "--setpoints FILE", "fly-topic": "--follow", "fly-plan": "--plan FILE"}
+
+
+def _refuse_model_option(command: str, parameters: Sequence[Any], args: Sequence[str]) -> None:
+    """Raise InputError if a model, which is the first argument, is given as an option."""
+    first = [one.metavar == "MODEL" and not isinstance(one, TyperOption) for one in parameters]
+    words = [part for word in args for part in re.split("(?<=^--model)=", word)]
+    options = [k for k, word in enumerate(words[:-1]) if word == "--model"]
+    if not any(first) or not options:
+        return
+    models = [words[k + 1] for k in options]
+    others = [word for k, word in enumerate(words) if not {k, k - 1} & {*options}]
+    line = shlex.join([*command.split(), *models, *others])
+    raise InputError(f"the model is the first argument now: {line}", field="--model")
 
 
 def _rejected(error: Any) -> Exception:
@@ -129,6 +149,8 @@ class _Group(_PlainFlags, TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; other distributions may add it."""
         if cmd_name not in self.commands:
+            if cmd_name in _FLIGHTS:
+                raise InputError(f"{cmd_name} is now airpuck fly MODEL {_FLIGHTS[cmd_name]}")
             if cmd_name in (*added("airpuck.commands"), *HOCKEY["airpuck.commands"]):
                 self.commands[cmd_name] = loaded(
                     "airpuck.commands", cmd_name, lambda function: _built(cmd_name, function)

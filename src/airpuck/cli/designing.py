@@ -29,7 +29,7 @@ _SHOWN = 8
 
 @app.command(rich_help_panel="Control and flight", rare=("criterion", "mapping", "tuning", "seed"))
 def design(
-    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = "paper:M3",
+    model: options.ModelName = "paper:M3",
     after: Annotated[
         list[Path] | None,
         Setting("Recording to fit first; repeat for several.", metavar="RECORDING"),

@@ -14,6 +14,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
 from airpuck.cli.app import app
 from airpuck.cli.output import page, report, show, warn
+from airpuck.control.laws import PAPERS
 from airpuck.control.settings import ControllerKind, Dwell
 
 if TYPE_CHECKING:
@@ -26,10 +27,10 @@ PANEL = "Control and flight"
 
 @app.command(rich_help_panel=PANEL)
 def replay(
+    model: options.ModelName,
     flight: Annotated[
         Path, Argument(metavar="FLIGHT", help="A recording with poses, commands and references.")
     ],
-    model: options.ControllersModel,
     fit_gains: Annotated[
         bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
     ] = False,
@@ -100,7 +101,7 @@ def excite(
 def track(
     models: Annotated[
         list[str] | None,
-        Option("--model", metavar="MODEL", help="Model for the controller; repeat for several."),
+        Argument(metavar="MODEL", help="Models for the controller; by default the paper's."),
     ] = None,
     flights: Annotated[
         list[Path] | None,
@@ -152,14 +153,14 @@ def track(
             "sets the set points and times; leave out --setpoints and --dwell", field="flights"
         )
     laws = list(dict.fromkeys(laws or [controls.law.kind]))
-    beyond_paper = set(laws) != {"lqr"}
+    beyond_paper = set(laws) != {PAPERS}
     names = models or ["paper:M0", "paper:M4"][beyond_paper:]
     paths: list[Path | None] = list(flights or ())
     as_flown = controller == "paper" or (controller is None and not beyond_paper)
     if not paths and dwell is None and as_flown and setpoints is None:
         paths = inputs.published_flights(names)
     if len(paths) > len(names):
-        raise InputError("must be given once for each --model, in the same order", field="flights")
+        raise InputError("must be given once for each model, in the same order", field="flights")
     beliefs = [inputs.read_belief(name) for name in names]
     computed = [law for law in laws if pilot_named(law) is None]
     for law in computed:

@@ -97,7 +97,7 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
 
     `kind` overrides the tuning's law; it must suit the models.
     """
-    from airpuck.control.lqr import lqr_gain
+    from airpuck.control.lqr import LQRSettings, lqr_gain
     from airpuck.control.tuning import default_tuning, tuning_for
 
     usual = tuning_for(models[0]) if models else default_tuning()
@@ -108,7 +108,7 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
     tuning = tuning if kind is None else tuning.with_law(kind)
     if path is not None:
         with about(path):
-            lqr_gain(tuning.weights, tuning.period_s)
+            lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s)
     check_law(path, tuning, *models)
     return tuning
 
@@ -118,7 +118,7 @@ def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
     from airpuck.control.law import LawOptions, law_named
 
     make = law_named(tuning.law.kind)
-    if tuning.law.kind == "lqr":
+    if not getattr(make, "looks_ahead", True):
         return
     with contextlib.nullcontext() if path is None else about(path):
         for model in models:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from typer import Argument
+from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary import numbers
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from airpuck.control.pilot import Pilot
-    from airpuck.control.reference import SetPoints
     from airpuck.control.tuning import Tuning
     from airpuck.craft.table import Table
     from airpuck.flight.preflight import Preflight
@@ -52,21 +51,16 @@ class Guarded(Settings):
         ),
     ] = None
 
-    def fence(self, craft: Model) -> tuple[float, float]:
-        """Return the geofence ±x, ±y [m]; by default the rails."""
+    def bounds(self, craft: Model) -> tuple[tuple[float, float], Table]:
+        """Return the geofence ±x, ±y [m], by default the rails, and the law's table within it."""
         from airpuck.craft.table import Table
         from airpuck.live.safety import within_rails
 
-        return self.geofence or within_rails(Table(), craft.vehicle.radius_m)
-
-    def rails(self, craft: Model) -> Table:
-        """Return the table that a predictive law stays on: within the geofence, if there is one."""
-        from airpuck.craft.table import Table
-
+        radius, table = craft.vehicle.radius_m, Table()
         if self.geofence is None:
-            return Table()
-        x, y = (2 * (side + craft.vehicle.radius_m) for side in self.geofence)
-        return Table().model_copy(update={"length_m": x, "width_m": y})
+            return within_rails(table, radius), table
+        x, y = (2 * (side + radius) for side in self.geofence)
+        return self.geofence, table.model_copy(update={"length_m": x, "width_m": y})
 
     def fly(
         self,
@@ -84,47 +78,15 @@ class Guarded(Settings):
 
         low_latency()
         pause = longest_pause(craft, controls)
-        limits = SafetyLimits(geofence=self.fence(craft), pose_timeout=pause)
+        limits = SafetyLimits(geofence=self.bounds(craft)[0], pose_timeout=pause)
         figures = fly_live(make, craft.vehicle, limits, live, period=controls.period_s)
         report_flight(figures, json_file, live.quiet)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Steered(Guarded):
-    """The model, and the law or the pilot, that steer to a reference."""
-
-    model: options.ControllersModel
-    law: options.LawName = None
-
-    def read(self, law: str | None) -> tuple[Model, Tuning]:
-        """Read the model and the tuning, with a law."""
-        craft = inputs.read_belief(self.model)
-        return craft, inputs.read_controls(self.tuning, law, craft)
-
-    def fly_to(
-        self,
-        reference: Callable[[tuple[float, float]], Any],
-        live: LiveSettings,
-        json_file: Path | None,
-    ) -> None:
-        """Fly to a reference, which is made from the fence: our controller, or a user's pilot."""
-        from airpuck.flight.pilot import pilot_named
-
-        own = None if self.law is None else pilot_named(self.law)
-        craft, controls = self.read(self.law if own is None else None)
-        where = reference(self.fence(craft))
-        make = partial(airpuck.TrackingController, craft, where, controls, table=self.rails(craft))
-        if own is not None:
-            make = partial(own, craft, where)
-        self.fly(make, craft, controls, live, json_file)
 
 
 @app.command(rich_help_panel=_PANEL)
 def twin(
     live: LiveSettings,
-    model: Annotated[
-        str, Setting("True model of the simulated craft.", metavar="MODEL")
-    ] = "paper:M3",
+    model: options.ModelName = "paper:M3",
     settings: options.ReadTwin = None,
     pose: Annotated[
         tuple[float, float, float],
@@ -166,8 +128,9 @@ def twin(
     )
 
 
-@app.command(rich_help_panel=_PANEL, rare=("tuning", "domain", "topics"))
+@app.command(rich_help_panel=_PANEL, rare=("dwell", "tuning", "domain", "topics"))
 def fly(
+    model: options.ModelName,
     *,
     setpoints: Annotated[
         list[tuple[float, float, float]] | None,
@@ -182,70 +145,66 @@ def fly(
         float | None,
         Setting("Time at each of several set points; by default 3.", numbers.DWELL, "S"),
     ] = None,
-    steered: Steered,
+    file: Annotated[
+        Path | None,
+        Setting("Set points and their times, as TOML.", metavar="FILE", option="--setpoints"),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        Setting("A time-optimal plan, flown once the craft is at its start.", metavar="FILE"),
+    ] = None,
+    follow: Annotated[
+        bool, Option("--follow", help="Follow the reference that another node publishes.")
+    ] = False,
+    law: options.LawName = None,
+    guarded: Guarded,
     live: LiveSettings,
     json_file: options.Json = None,
 ) -> None:
-    """Fly a craft on the graph, real or a twin, to set points; Ctrl-C lands it."""
-    from airpuck.control.reference import SetPoints
+    """Fly a craft on the graph, real or a twin, to set points or on a path; Ctrl-C lands it."""
+    from airpuck.flight.pilot import pilot_named
+    from airpuck.live.fly import FollowedSetPoint
+    from airpuck.planning.tracking import Departing, plan_tracker
 
-    poses = setpoints or [(0.0, 0.0, 0.0)]
-    if dwell is not None and len(poses) < 2:
+    asked = {"--setpoint": setpoints, "--setpoints": file, "--plan": plan, "--follow": follow}
+    first, *others = [name for name, value in asked.items() if value] or ["--setpoint"]
+    if others:
+        raise InputError(f"cannot be combined with {first}", field=others[0])
+    if dwell is not None and len(setpoints or ()) < 2:
         raise InputError(
             "has no effect with one set point; give several, or leave it out", field="--dwell"
         )
-    wait = _DWELL if dwell is None else dwell
-    points = SetPoints([k * wait for k in range(len(poses))], poses)
-    steered.fly_to(partial(_planned, points), live, json_file)
+    own = None if law is None or plan else pilot_named(law)
+    craft = inputs.read_belief(model)
+    controls = inputs.read_controls(guarded.tuning, None if own else law, craft)
+    fence, rails = guarded.bounds(craft)
+    if plan is not None:
+        optimal = _time_optimal(plan, craft, fence)
+
+        def make() -> Pilot:
+            return Departing(plan_tracker(optimal, controls, rails), optimal)
+    else:
+        where = FollowedSetPoint(fence) if follow else _planned(setpoints, dwell, file, fence)
+        ours = partial(airpuck.TrackingController, craft, where, controls, table=rails)
+        make = partial(own, craft, where) if own else ours
+    guarded.fly(make, craft, controls, live, json_file)
 
 
-@app.command("fly-setpoints", rich_help_panel=_PANEL)
-def fly_setpoints(
-    file: Annotated[Path, Argument(metavar="FILE", help="Set points and their times, as TOML.")],
-    steered: Steered,
-    live: LiveSettings,
-    json_file: options.Json = None,
-) -> None:
-    """Fly a craft on the graph to the set points of a file, at the given times."""
-    from airpuck.control.reference import read_setpoints
-
-    steered.fly_to(partial(_planned, read_setpoints(file)), live, json_file)
-
-
-def _planned(points: SetPoints, fence: tuple[float, float]) -> PlannedSetPoints:
+def _planned(
+    poses: list[tuple[float, float, float]] | None,
+    dwell: float | None,
+    file: Path | None,
+    fence: tuple[float, float],
+) -> PlannedSetPoints:
     """Return set points that begin when the flight does; all are within the fence."""
-    from airpuck.control.reference import check_inside
+    from airpuck.control.reference import SetPoints, check_inside, read_setpoints
     from airpuck.live.fly import PlannedSetPoints
 
+    poses = poses or [(0.0, 0.0, 0.0)]
+    times = [k * (dwell or _DWELL) for k in range(len(poses))]
+    points = SetPoints(times, poses) if file is None else read_setpoints(file)
     check_inside(points, fence)
     return PlannedSetPoints(points)
-
-
-@app.command("fly-topic", rich_help_panel=_PANEL)
-def fly_topic(steered: Steered, live: LiveSettings, json_file: options.Json = None) -> None:
-    """Fly a craft on the graph along the reference that another node publishes."""
-    from airpuck.live.fly import FollowedSetPoint
-
-    steered.fly_to(FollowedSetPoint, live, json_file)
-
-
-@app.command("fly-plan", rich_help_panel=_PANEL)
-def fly_plan(
-    plan: Annotated[Path, Setting("A time-optimal plan by `airpuck plan`.", metavar="FILE")],
-    steered: Steered,
-    live: LiveSettings,
-    json_file: options.Json = None,
-) -> None:
-    """Fly a time-optimal plan on the graph, once the craft is at its start."""
-    from airpuck.planning.tracking import Departing, plan_tracker
-
-    craft, controls = steered.read(steered.law)
-    optimal = _time_optimal(plan, craft, steered.fence(craft))
-
-    def make() -> Pilot:
-        return Departing(plan_tracker(optimal, controls, steered.rails(craft)), optimal)
-
-    steered.fly(make, craft, controls, live, json_file)
 
 
 _SCENARIO = Argument(metavar="SCENARIO", help="A scenario (TOML), or the name of a packaged one.")
@@ -383,7 +342,7 @@ def _report_checks(found: Preflight, json_file: Path | None) -> None:
 
 @app.command(rich_help_panel=_PANEL)
 def watch(
-    model: options.BelievedModel,
+    model: options.ModelName,
     live: LiveSettings,
     json_file: options.Json = None,
 ) -> None:
@@ -398,7 +357,7 @@ def watch(
 
 @app.command(rich_help_panel=_PANEL)
 def view(
-    model: options.BelievedModel,
+    model: options.ModelName,
     live: LiveSettings,
     port: Annotated[int, Setting("Port of the page.", numbers.PORT, "N")] = 8080,
     host: Annotated[
@@ -406,7 +365,7 @@ def view(
     ] = "127.0.0.1",
     json_file: options.Json = None,
 ) -> None:
-    """Show the table in the browser, live; drag the set point of `airpuck fly-topic`."""
+    """Show the table in the browser, live; drag the set point of `airpuck fly --follow`."""
     from airpuck.web.view import view_live
 
     belief = inputs.read_belief(model)

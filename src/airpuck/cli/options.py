@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -99,15 +99,10 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
     return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)
 
 
-def _file(option: str, help: str, read: Callable[[Path], Any]) -> Setting:
-    """Return the setting that a file holds, which is read where the option is given."""
+def _file(option: str, help: str, reader: str) -> Setting:
+    """Return the setting that a file holds, which a function of airpuck reads where it is given."""
+    read = lambda path: getattr(airpuck, reader)(path)  # noqa: E731
     return Setting(help, metavar="FILE", option=option, read=read)
-
-
-def _read_table(path: Path) -> AirHockey:
-    from airpuck.craft.table import read_table
-
-    return read_table(path)
 
 
 Json = Annotated[
@@ -119,30 +114,26 @@ Verbose = Annotated[
 ]
 ReadVehicle = Annotated[
     "Vehicle | None",
-    _file(
-        "--vehicle",
-        "Vehicle file; by default the paper's craft.",
-        lambda path: airpuck.read_vehicle(path),
-    ),
+    _file("--vehicle", "Vehicle file; by default the paper's craft.", "read_vehicle"),
 ]
 ReadMapping = Annotated[
     "RecordingMapping | None",
     _file(
         "--mapping/--topics",
         "TOML file: topics, files, columns, units and axes of a recording.",
-        lambda path: airpuck.read_mapping(path),
+        "read_mapping",
     ),
 ]
 _TWIN = "Settings of the twin: table, sensors, radio, faults; by default the packaged ones."
 ReadTwin = Annotated[
     "TwinSettings | None",
-    _file("--twin", _TWIN, lambda path: airpuck.read_twin_settings(path)),
+    _file("--twin", _TWIN, "read_twin_settings"),
 ]
 TwinFile = Annotated[Path | None, Setting(_TWIN, metavar="FILE", option="--twin")]
 ReadTable = Annotated[
     "AirHockey | None",
     _file(
-        "--table", "Table file: dimensions, goals, puck; by default the usual ones.", _read_table
+        "--table", "Table file: dimensions, goals, puck; by default the usual ones.", "read_table"
     ),
 ]
 Span = Annotated[
@@ -168,7 +159,6 @@ RecordingPath = Annotated[
 ]
 ControllersModel = Annotated[str, Setting("Model for the controller.", metavar="MODEL")]
 BELIEVED = Setting("Model of the craft.", metavar="MODEL")
-BelievedModel = Annotated[str, BELIEVED]
 Truth = Annotated[str, Setting("True model, which the twin flies.", metavar="MODEL")]
 ModelName = Annotated[
     str,

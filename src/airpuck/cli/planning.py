@@ -53,7 +53,7 @@ def plan(
         Setting("Goal pose.", numbers.COORDINATE, "X Y YAW", "--to"),
     ],
     limits: Limits,
-    model: options.BelievedModel = "paper:M3",
+    model: options.ModelName = "paper:M3",
     velocity: Annotated[
         tuple[float, float, float], Setting("Initial velocity.", numbers.COORDINATE, "VX VY W")
     ] = (0.0, 0.0, 0.0),
@@ -114,6 +114,7 @@ def plan(
 
 @app.command(rich_help_panel=_PANEL)
 def race(
+    model: options.ModelName = "paper:M3",
     course: Annotated[
         str,
         Argument(
@@ -121,7 +122,6 @@ def race(
             help="A course to plan (straight, slalom, eight), or a plan by `airpuck plan`.",
         ),
     ] = "straight",
-    model: options.ControllersModel = "paper:M3",
     truth: options.Truth = "paper:M3",
     law: options.LawName = None,
     seeds: Annotated[
@@ -149,6 +149,8 @@ def race(
     from airpuck.twin import experiments as racing
     from airpuck.twin.settings import default_twin_settings
 
+    if model in racing.COURSES:
+        raise InputError(f"the model comes first: airpuck race paper:M3 {model}", field=model)
     settings = twin or default_twin_settings()
     belief = inputs.read_belief(model)
     if course in racing.COURSES:

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
 from airpuck.compute.arrays import scan, slopes
-from airpuck.control.tuning import LawSettings
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
@@ -62,7 +62,7 @@ class Blocks:
     lengths: tuple[int, ...]
 
     @classmethod
-    def of(cls, law: LawSettings) -> Blocks:
+    def of(cls, law: PredictiveSettings) -> Blocks:
         """Divide the horizon according to the settings; the last block may be shorter."""
         count = max(round(law.horizon_s / law.step_s), 1)
         given = law.block
@@ -148,12 +148,12 @@ class Stages(NamedTuple):
 
 
 def stages(
-    model: Model, blocks: Blocks, law: LawSettings, reject_disturbance: bool
+    model: Model, blocks: Blocks, law: PredictiveSettings, reject_disturbance: bool
 ) -> Callable[..., Stages]:
     """Return prediction and linearisation as one function.
 
     (xp, state, motor speeds, disturbance, effectiveness, plan (B, n), the four arrays of `Ahead`,
-    fence (2, 2), discs (D, 3)) → stages.
+    fence (2, 2), rows (K, 5)) → stages; see `airpuck.control.limits.KeepOut.row`.
     """
     dynamics, limits, owner = model.dynamics, law.limits, blocks.owner
     most, effort = model.vehicle.command_max, blocks.step * law.weights.efforts
@@ -171,7 +171,7 @@ def stages(
         weights: Num[Any, "N 6"],
         terminal: Num[Any, "6 6"],
         fence: Num[Any, "2 2"],
-        discs: Num[Any, "D 3"],
+        rows: Num[Any, "K 5"],
     ) -> Stages:
         effectiveness = xp.clip(effectiveness, *_EFFECTIVENESS)
         believed = replace(dynamics, thrust=dynamics.thrust * effectiveness[:, None])
@@ -185,7 +185,7 @@ def stages(
         apart = apart + 2 * np.pi * xp.sign(way) * turned_over
         error = states[:, :6] - wanted - (left - apart) * (np.arange(6) == 2)
         brake = braking(xp, believed, most)
-        limited = _limits(xp, limits, brake, states[:, :6], fence, discs)
+        limited = _limits(xp, limits, brake, states[:, :6], fence, rows)
         asked = error, accelerations - feedforward, weights, terminal
         bend = _bend(xp, believed, effort, blocks.step, along, asked)
         return Stages(*along, *asked, bend, apart, plan, *limited)
@@ -282,7 +282,7 @@ def _limits(
     brake: Num[Any, ""],
     states: Num[Any, "N 6"],
     fence: Num[Any, "2 2"],
-    discs: Num[Any, "D 3"],
+    others: Num[Any, "K 5"],
 ) -> tuple[Num[Any, "N c 6"], Num[Any, "N c"], Num[Any, "N c"]]:
     """Write the limits as bounded linear functions of changes of the states."""
     count, one = len(states), np.eye(6)
@@ -307,10 +307,11 @@ def _limits(
         rows.append(xp.broadcast_to(one[5], (count, 6)))
         low.append(all_of(-limits.spin_rad_s))
         high.append(all_of(limits.spin_rad_s))
-    for disc in discs:
-        away = _direction(xp, states[:, :2] - disc[:2])
+    for other in others:
+        given = xp.abs(other[2]) + xp.abs(other[3]) > 0
+        away = xp.where(given, other[2:4], _direction(xp, states[:, :2] - other[:2]))
         rows.append(xp.concatenate([away, xp.zeros((count, 4))], axis=1))
-        low.append(away @ disc[:2] + disc[2])
+        low.append(away @ other[:2] + other[4])
         high.append(all_of(np.inf))
     limited = xp.stack(rows, axis=1)
     now = xp.sum(limited * states[:, None], axis=-1)
@@ -340,7 +341,7 @@ class Answer:
 class Sizes:
     """Sizes and weights of the program."""
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, law: LawSettings) -> None:
+    def __init__(self, vehicle: Vehicle, blocks: Blocks, law: PredictiveSettings) -> None:
         w, n = law.weights, vehicle.n_propellers
         self.n, self.m = n, n * len(blocks.lengths)
         self.most = law.iterations
@@ -353,21 +354,28 @@ class Sizes:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return everything except the solver's memory: the key of a compiled `form`."""
-        return {k: v for k, v in vars(self).items() if k not in ("_model", "_solver", "_astray")}
+        return {k: v for k, v in vars(self).items() if k not in ("_model", "_senses", "_astray")}
 
 
 class Condensed(Sizes):
     """DAQP on the commands alone, started from the last active set."""
 
-    def __init__(self, vehicle: Vehicle, blocks: Blocks, law: LawSettings, count: int) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        blocks: Blocks,
+        law: PredictiveSettings,
+        hard: Sequence[bool],
+    ) -> None:
         super().__init__(vehicle, blocks, law)
         import daqp
 
-        n, rows = self.n, count * len(blocks.owner)
+        n, rows = self.n, len(hard) * len(blocks.owner)
         #: Whether a command is of the block of a step; whether two commands are of one motor.
         self._chosen = np.repeat(np.eye(len(blocks.lengths))[blocks.owner], n, axis=1)
         self._same = self._by_motor(np, np.tile(np.eye(n), (len(blocks.lengths), 1)))
-        self._senses = np.repeat([_HARD, _SOFT], [self.m, rows]).astype(np.intc)
+        senses = np.tile(np.where(hard, _HARD, _SOFT), len(blocks.owner))
+        self._senses = np.concatenate([np.full(self.m, _HARD), senses]).astype(np.intc)
         # Any feasible numbers will do here: DAQP allocates its memory for their sizes.
         empty = np.eye(self.m), np.zeros(self.m), np.zeros((rows, self.m))
         one = np.ones(self.m + rows)

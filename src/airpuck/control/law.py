@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.user_code import UserCode
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
-from airpuck.control.laws import LAWS, check_law
+from airpuck.control.laws import check_law, law_class
+from airpuck.control.limits import Limit
 from airpuck.control.reference import Reference
-from airpuck.control.tuning import Tuning
+from airpuck.control.tuning import LawSettings, Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
@@ -49,7 +48,7 @@ class Prediction:
         x, y, γ and their rates at these times.
     active : tuple of str
         Limits that are active somewhere in the plan: ``motor``, ``rail``, ``speed``, ``spin``,
-        ``disc``.
+        ``disc``, ``half plane``.
     """
 
     times: Float[np.ndarray, " N"]
@@ -113,6 +112,8 @@ class Moment(NamedTuple):
     #: Takes the inputs of the law's stage. Returns the craft as predicted for when the command
     #: begins to act, and the results of the stage.
     foresee: Callable[..., tuple[Estimate, Sequence[Any]]]
+    #: Limits of the craft's motion at this moment; a law without limits ignores them.
+    limits: Sequence[Limit] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +122,8 @@ class LawOptions:
 
     #: The table whose rails a predictive law avoids.
     table: Table = field(default_factory=Table)
+    #: Limits of the craft's motion at the beginning.
+    limits: Sequence[Limit] = ()
     #: Gain of the LQR; by default computed from the tuning's weights.
     gain: Float[np.ndarray, "3 6"] | None = None
     #: Whether the estimated disturbance is compensated.
@@ -147,6 +150,15 @@ class Law:
 
     Attributes
     ----------
+    Settings : subclass of LawSettings, or None
+        The law's table in a tuning file; the law reads it by ``tuning.of(Settings)``.
+    title : str
+        The law in a sentence.
+    looks_ahead : bool
+        Whether the law considers the reference beyond its next step. If not, it leaves the flight
+        of a plan to `PlanTracker`, and is quick to compute without compilation.
+    gain : array or None
+        Gain of a linear law, which may be fitted to a flight.
     stage : callable or None
         (array namespace, state, motor speeds, disturbance, effectiveness, inputs) to arrays; None
         if the law has no stage.
@@ -169,6 +181,10 @@ class Law:
     'open loop'
     """
 
+    Settings: ClassVar[type[LawSettings] | None] = None
+    title: ClassVar[str] = "a law of its own"
+    looks_ahead: ClassVar[bool] = True
+    gain: Float[np.ndarray, "3 6"] | None = None
     stage: Callable[..., tuple[Any, ...]] | None = None
     inputs: tuple[np.ndarray, ...] = ()
 
@@ -192,7 +208,7 @@ class Law:
         state : object
             State from `init` or the previous step.
         moment : Moment
-            Reference and time, and the prediction of the craft.
+            Reference, time and limits, and the prediction of the craft.
 
         Returns
         -------
@@ -225,12 +241,15 @@ class UserLaw(Law):
         return found
 
 
-def staged(law: Law, model: Model, compiled: bool) -> Callable[..., tuple[Estimate, Sequence[Any]]]:
+def staged(
+    law: Law, model: Model, compiled: bool, inputs: Sequence[Any] | None = None
+) -> Callable[..., tuple[Estimate, Sequence[Any]]]:
     """Return a law's stage for given estimates: (estimate, *inputs) → the result of `foresee`."""
     if law.stage is None:
         return lambda estimate: (estimate, ())
     axes, motors = np.zeros(3), np.zeros(model.vehicle.n_propellers)
-    compute = program(law.stage, np.zeros(6), motors, axes, motors, *law.inputs, compiled=compiled)
+    given = np.zeros(6), motors, axes, motors, *(law.inputs if inputs is None else inputs)
+    compute = program(law.stage, *given, compiled=compiled)
 
     def computed(e: Estimate, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
         return e, compute(e.state, e.motor_speed, e.disturbance, e.effectiveness, *inputs)
@@ -250,15 +269,7 @@ def make_law(law: str | type[Law] | Law, model: Model, tuning: Tuning, options: 
 
 def law_named(name: str) -> Callable[..., Any]:
     """Return a factory that makes the named law from model, tuning and options."""
-    found = LAWS.get(check_law(name))
-    if found is None:
-        if name in added("airpuck.laws"):
-            return loaded("airpuck.laws", name)
-        return _users_law(name)
-    if isinstance(found, str):
-        module, _, attribute = found.rpartition(".")
-        found = getattr(import_module(module), attribute)
-    return found
+    return _users_law(name) if ".py:" in check_law(name) else law_class(name)
 
 
 def _users_law(name: str) -> Callable[..., Any]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.extensions import added
+from airpuck.boundary.extensions import added, loaded
 from airpuck.boundary.kinds import unknown
+from airpuck.boundary.user_code import users_class
 
 #: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.
 #: FILE.py:NAME names a user's law wherever a law is named; entry points (`airpuck.laws`) add more.
@@ -17,12 +19,27 @@ LAWS: dict[str, Callable[..., Any] | str] = {
     "plan": "airpuck.planning.tracking.PlanTracker",
 }
 
+#: The law of the paper's controller.
+PAPERS = "lqr"
+
 
 def check_law(name: str) -> str:
     """Return the name of a law; raise InputError for an unknown name."""
     if name not in LAWS and ".py:" not in name and name not in added("airpuck.laws"):
         raise InputError(unknown(name, [*LAWS, *added("airpuck.laws"), "FILE.py:NAME"]))
     return name
+
+
+def law_class(name: str) -> Any:
+    """Import the class of a law."""
+    found = LAWS.get(check_law(name))
+    if found is None:
+        known = name in added("airpuck.laws")
+        return loaded("airpuck.laws", name) if known else users_class(name, "--law")
+    if isinstance(found, str):
+        module, _, attribute = found.rpartition(".")
+        return getattr(import_module(module), attribute)
+    return found
 
 
 def law_label(name: str) -> str:

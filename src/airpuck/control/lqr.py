@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
+import pydantic
 from jaxtyping import Float, Num
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.files import Section
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import ThrustAllocator, all_finite, problem
 from airpuck.control.law import Law, LawOptions, Moment, Step
-from airpuck.control.tuning import Tuning, Weights
+from airpuck.control.tuning import LawSettings, Tuning, scaled
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import Dynamics, acceleration_map
@@ -28,6 +30,55 @@ from airpuck.physics.thrust import InverseThrust, inverse_thrust, thrust
 #: request, so that the controller notices when it recovers; no estimate may make the controller
 #: timid.
 _EFFECTIVENESS = (0.1, 1.5)
+
+
+# Beyond these bounds the Riccati equation cannot be solved in double precision.
+Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
+PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
+
+
+class Weights(Section):
+    """Weights of the linear-quadratic regulator, on squared errors and inputs.
+
+    From 1e-6 to 1e6; weights of the rates may be zero.
+    """
+
+    #: Weights of x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
+    position: PositiveWeight
+    speed: Weight
+    yaw: PositiveWeight
+    spin: Weight
+    #: Weights of ax and ay [s⁴/m²], ω' [s⁴/rad²].
+    acceleration: PositiveWeight
+    angular_acceleration: PositiveWeight
+
+    @property
+    def errors(self) -> Float[np.ndarray, " 6"]:
+        """Weights of x, y, γ and their rates."""
+        pose, rates = [self.position, self.position, self.yaw], [self.speed, self.speed, self.spin]
+        return np.array(pose + rates)
+
+    @property
+    def efforts(self) -> Float[np.ndarray, " 3"]:
+        """Weights of the accelerations of x, y and γ."""
+        return np.array([self.acceleration, self.acceleration, self.angular_acceleration])
+
+
+class LQRSettings(LawSettings):
+    """Settings of the linear-quadratic regulator, and of its thrust allocation."""
+
+    law = "lqr"
+
+    weights: Weights
+    #: Solver of the thrust allocation.
+    solver: Literal["daqp", "piqp"] = "daqp"
+    #: μ: cost of scaling a request down in the thrust allocation, relative to thrust.
+    slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
+
+    def slowed(self, times: float) -> Self:
+        """Slow down the poles; see `LawSettings.slowed`."""
+        powers = {"speed": 2, "spin": 2, "acceleration": 4, "angular_acceleration": 4}
+        return self.model_copy(update={"weights": scaled(self.weights, powers, times)})
 
 
 def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarray, "6 3"]]:
@@ -131,7 +182,7 @@ class LQR(Law):
     model : Model
         The craft; its thrust curves must rise.
     tuning : Tuning
-        Weights, period and allocation.
+        Period, and `LQRSettings`.
     options : LawOptions, optional
         Options, including the gain K for the state x, y, γ, vx, vy, ω.
 
@@ -146,18 +197,22 @@ class LQR(Law):
     >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
+    Settings = LQRSettings
+    title = "a linear regulator"
+    looks_ahead = False
+
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
         InverseThrust(model.dynamics.thrust)  # Raises InputError for curves that fall.
-        n, period, allocation = model.vehicle.n_propellers, tuning.period_s, tuning.allocation
-        slack_weight = allocation.slack_weight
+        n, period, settings = model.vehicle.n_propellers, tuning.period_s, tuning.of(LQRSettings)
+        slack_weight = settings.slack_weight
         #: May be replaced at any time.
-        self.gain = lqr_gain(tuning.weights, period) if options.gain is None else options.gain
+        self.gain = lqr_gain(settings.weights, period) if options.gain is None else options.gain
         self.stage = plan_stage(model, period, slack_weight, options.reject_disturbance)
         self.inputs = np.zeros(6), np.zeros(3), self.gain
         self._period, self._idle = period, np.full(n, model.vehicle.command_min)
         self._allocator = ThrustAllocator(
-            n, model.radius_of_gyration, slack_weight, allocation.solver
+            n, model.radius_of_gyration, slack_weight, settings.solver
         )
         command, motors, bounds = command_stage(model, period), np.zeros(n), np.zeros(n + 5)
         given = np.zeros(n + 2), bounds, bounds, motors

@@ -8,9 +8,9 @@ Control and Optimization 43, 2005). See docs/control.md, "Predictive control".
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +20,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.allocation import all_finite
 from airpuck.control.horizon import Ahead, Blocks, Condensed, Stages, stages
 from airpuck.control.law import Law, LawOptions, Moment, Prediction, Status, Step, staged
+from airpuck.control.limits import Fence, HalfPlane, KeepOut
 from airpuck.control.lqr import LQR, cost_to_go, point_mass
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import Arrival, Reference, SetPoint, preview
 from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
@@ -34,6 +36,8 @@ FLOWN_ON = 0.1
 _MOST_COMMANDS = 200
 #: Shortest time to an arrival that is used [s].
 _SOON = 0.02
+#: No limit, in place of a disc or a half plane.
+_NO_ROW = (0.0, 0.0, 0.0, 0.0, -math.inf)
 
 
 class Ongoing(NamedTuple):
@@ -59,9 +63,10 @@ class MPC(Law):
     model : Model
         The craft; its thrust curves must rise.
     tuning : Tuning
-        The section `law` applies to this law; the rest to the LQR.
+        `PredictiveSettings`, and those of the LQR.
     options : LawOptions, optional
-        Options, including the table whose rails the law avoids; the gain is for the LQR.
+        Options, including the table whose rails the law avoids, and the limits of the beginning;
+        the gain is for the LQR.
 
     Raises
     ------
@@ -75,11 +80,14 @@ class MPC(Law):
     >>> controller = airpuck.TrackingController(model, airpuck.SetPoint(0.1, 0.0, 0.0), law=law)
     """
 
+    Settings = PredictiveSettings
+    title = "predictive control"
+
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
         #: Steers when there is no plan.
         self.fallback = LQR(model, tuning, options)
-        settings, vehicle = tuning.law, model.vehicle
+        settings, vehicle = tuning.of(PredictiveSettings), model.vehicle
         limits = settings.limits
         self._blocks = blocks = Blocks.of(settings)
         self._times = blocks.times
@@ -89,18 +97,19 @@ class MPC(Law):
                 f"{vehicle.n_propellers} propellers and {len(blocks.lengths)} blocks are {decided} "
                 f"commands; at most {_MOST_COMMANDS} can be decided in time: use a larger block, a "
                 "longer step or a shorter horizon",
-                field="law.block",
+                field="law.mpc.block",
             )
         count = len(self._times)
-        self._fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
-        self._keep_out = np.array(limits.keep_out_m).reshape(-1, 3)
+        #: Area of the craft's centre, if the moment has no fence.
+        self.fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
+        self._keep_out = [KeepOut(*disc) for disc in limits.keep_out_m]
         self._kinds = ["rail", "rail"]
         self._kinds += ["speed"] * (limits.speed_m_s is not None)
         self._kinds += ["spin"] * (limits.spin_rad_s is not None)
-        self._kinds += ["disc"] * len(self._keep_out)
-        self._solver = Condensed(vehicle, blocks, settings, len(self._kinds))
+        self._solver = lru_cache(maxsize=8)(partial(Condensed, vehicle, blocks, settings))
         posed = stages(model, blocks, settings, options.reject_disturbance)
-        self.stage = _stage(posed, self._solver.form)
+        hard = self._limits(options.limits)[2]
+        self.stage = _stage(posed, self._solver(hard).form)
         errors, self._efforts = settings.weights.errors * blocks.step, settings.weights.efforts
         self._weights = np.tile(errors, (count, 1))
         parts = np.diag(errors), np.diag(self._efforts * blocks.step)
@@ -109,47 +118,43 @@ class MPC(Law):
         self._first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST).clip(
             *self._range
         )
-        self.inputs, _ = self.posed(self.init(), SetPoint(0.0, 0.0, 0.0), 0.0, 0.0)
+        self.inputs, _ = self.posed(
+            self.init(), SetPoint(0.0, 0.0, 0.0), 0.0, 0.0, *self._limits(options.limits)[:2]
+        )
         self._fall_back = staged(self.fallback, model, options.compiled)
 
-    @property
-    def fence(self) -> Float[np.ndarray, "2 2"]:
-        """Area in which the craft's centre may be: lowest x and y, highest x and y [m]."""
-        return self._fence.copy()
+    def _limits(
+        self, given: Sequence[Any]
+    ) -> tuple[Float[np.ndarray, "2 2"], Float[np.ndarray, "K 5"], tuple[bool, ...]]:
+        """Return the fence, the rows of other limits, and which limits are hard.
 
-    @fence.setter
-    def fence(self, corners: Any) -> None:
-        found = _numbers(corners, 4)
-        if found is None or not (found[:2] < found[2:]).all():
-            raise InputError("must be lowest x and y, then highest x and y [m]", field="fence")
-        self._fence = found.reshape(2, 2)
-
-    @property
-    def keep_out(self) -> Float[np.ndarray, "D 3"]:
-        """Discs to keep out of: centres, and the smallest distances of the craft's centre [m].
-
-        They may move; the tuning sets their number.
+        The number of rows is a power of two, so that few programs serve any number of limits.
         """
-        return self._keep_out.copy()
-
-    @keep_out.setter
-    def keep_out(self, discs: Any) -> None:
-        count = len(self._keep_out)
-        found = _numbers(discs, 3 * count)
-        if found is None:
-            raise InputError(
-                f"must be x, y and distance [m] of {count} disc{'s' * (count != 1)}, as many as "
-                "the tuning has in law.limits.keep_out_m",
-                field="keep_out",
-            )
-        self._keep_out = found.reshape(count, 3)
+        fences = [limit for limit in given if isinstance(limit, Fence)]
+        others = self._keep_out + [one for one in given if isinstance(one, KeepOut | HalfPlane)]
+        if len(fences) + len(others) < len(given) + len(self._keep_out):
+            raise InputError("must be Fence, KeepOut and HalfPlane objects", field="limits")
+        missing = (1 << (len(others) - 1).bit_length()) - len(others) if others else 0
+        rows = [one.row for one in others] + [_NO_ROW] * missing
+        corners = [(f.low_x, f.low_y, f.high_x, f.high_y) for f in fences]
+        corners = np.array(corners or [self.fence.ravel()])
+        hard = (any(fence.hard for fence in fences),) * 2 + (False,) * (len(self._kinds) - 2)
+        hard += tuple(one.hard for one in others) + (False,) * missing
+        fence = np.array([corners[:, :2].max(0), corners[:, 2:].min(0)])
+        return fence, np.array(rows).reshape(-1, 5), hard
 
     def init(self) -> Ongoing:
         """Begin with commands that are constant from time 0 on; see `Law.init`."""
         return Ongoing(self._first, 0.0, -math.inf, np.zeros(()))
 
     def posed(
-        self, state: Ongoing, reference: Reference, now: float, delay: float
+        self,
+        state: Ongoing,
+        reference: Reference,
+        now: float,
+        delay: float,
+        fence: Float[np.ndarray, "2 2"],
+        rows: Float[np.ndarray, "K 5"],
     ) -> tuple[tuple[np.ndarray, ...], Ongoing]:
         """Return the stage's inputs and the shifted plan; see `Law.step`."""
         if not 0 <= now - state.since <= self._times[-1]:
@@ -158,7 +163,7 @@ class MPC(Law):
             plan = self._blocks.shifted(state.plan, now - state.since).clip(*self._range)
             state = state._replace(plan=plan)
         ahead = self._ahead(reference, now, delay)
-        inputs = state.way, state.plan, *ahead, self._fence, self._keep_out
+        inputs = state.way, state.plan, *ahead, fence, rows
         return inputs, state._replace(since=now)
 
     def _ahead(self, reference: Reference, now: float, delay: float) -> Ahead:
@@ -189,15 +194,16 @@ class MPC(Law):
 
     def step(self, state: Ongoing, moment: Moment) -> tuple[Step, Ongoing]:
         """Solve the program and return the first command of the better plan; see `Law.step`."""
-        inputs, state = self.posed(state, moment.reference, moment.now, moment.delay)
+        fence, rows, hard = self._limits(moment.limits)
+        inputs, state = self.posed(state, *moment[:3], fence, rows)
         estimate, results = moment.foresee(*inputs)
         *formed, states, request, way = results
-        answer = self._solver.solve(formed)
+        answer = self._solver(hard).solve(formed)
         if answer is not None and all_finite(answer.change.ravel()):
             plan = (state.plan + answer.change).clip(*self._range)
             status: Status = "softened" if answer.exceeded else "optimal"
-            expected, active = states[:, :6] + answer.moved, self._active(answer.binding, plan.size)
-            ahead = Prediction(self._times, expected, active)
+            active = self._active(answer.binding, plan.size, rows)
+            ahead = Prediction(self._times, states[:, :6] + answer.moved, active)
             step = Step(plan[0].copy(), status, request, estimate, ahead)
             return step, Ongoing(plan, state.since, state.since, np.asarray(way))
         if state.since - state.answered <= FLOWN_ON:
@@ -206,21 +212,15 @@ class MPC(Law):
         step, _ = self.fallback.step(None, known)
         return replace(step, status="fallback") if step.flies else step, self.init()
 
-    def _active(self, binding: Bool[np.ndarray, " r"], motors: int) -> tuple[str, ...]:
+    def _active(
+        self, binding: Bool[np.ndarray, " r"], motors: int, rows: Float[np.ndarray, "K 5"]
+    ) -> tuple[str, ...]:
         """Name the limits that are active somewhere in the plan; motors come first."""
-        rows = np.any(binding[motors:].reshape(-1, len(self._kinds)), axis=0)
+        names = self._kinds + ["half plane" if row[2:4].any() else "disc" for row in rows]
+        active = np.any(binding[motors:].reshape(-1, len(names)), axis=0)
         kinds = ["motor"] * bool(binding[:motors].any())
-        kinds += [self._kinds[k] for k in np.flatnonzero(rows)]
+        kinds += [names[k] for k in np.flatnonzero(active)]
         return tuple(dict.fromkeys(kinds))
-
-
-def _numbers(given: Any, count: int) -> Float[np.ndarray, " k"] | None:
-    """Copy finite numbers into one array; return None if the count differs or one is not finite."""
-    try:
-        found = np.array(given, dtype=float).ravel()
-    except (TypeError, ValueError):
-        return None
-    return found if len(found) == count and np.isfinite(found).all() else None
 
 
 def _stage(

@@ -17,6 +17,7 @@ from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.authority import control_authority, weakest_effort
 from airpuck.control.law import Law, LawOptions, Moment, Status, Step, make_law, staged
+from airpuck.control.limits import Limit
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
@@ -52,6 +53,8 @@ class TrackingController(Pilot):
         copied.
     table : Table, optional
         The table whose rails a predictive law avoids; by default the paper's.
+    limits : sequence of Fence, KeepOut and HalfPlane, optional
+        Limits that a predictive law keeps, besides the tuning's; may be replaced at any time.
     gain : array, shape (3, 6), optional
         Gain of the law `LQR`.
     reject_disturbance : bool, default True
@@ -92,6 +95,7 @@ class TrackingController(Pilot):
         *,
         law: str | type[Law] | Law | None = None,
         table: Table | None = None,
+        limits: Sequence[Limit] = (),
         gain: Float[np.ndarray, "3 6"] | None = None,
         reject_disturbance: bool = True,
         compensate_delay: bool = True,
@@ -106,20 +110,17 @@ class TrackingController(Pilot):
         if table is not None:
             check_inside(reference, table.reach(0.0), "the table")
         self.model, self.reference, self.tuning = model, reference, tuning
-        self.compensate_delay = compensate_delay
+        self.compensate_delay, self.limits = compensate_delay, limits
         self._idle = vehicle.idle
-        options = LawOptions(table or Table(), gain, reject_disturbance, compiled)
+        options = LawOptions(table or Table(), limits, gain, reject_disturbance, compiled)
         moved = of_means(tuning.turning(model))
         self.law = make_law(law or tuning.law.kind, moved, tuning, options)
         self.law.stage = stage_of_means(model, self.law.stage)
         self._modulator = modulator_for(model, tuning)
         self.state = self.law.init()
         self.filter = _estimator(model, tuning.estimation, compiled)
-        self._staged = staged(self.law, model, compiled)
-        #: Prediction and stage as one program, if compiled.
-        self._predict_and_stage = None
-        if compensate_delay and self.law.stage and (not compiled or large_programs_are_fast()):
-            self._predict_and_stage = self.filter.composed(self.law.stage, *self.law.inputs)
+        self._compiled, self._programs = compiled, {}
+        self._program(self.law.inputs)
         self._gate = PoseGate(longest_pause(model, tuning))
         #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
@@ -229,14 +230,31 @@ class TrackingController(Pilot):
 
     def _foresee(self, time: float, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
         """Predict the craft and evaluate the law's stage there; see `Moment`."""
-        if self._predict_and_stage is None:
-            return self._staged(self.predict(time), *inputs)
+        alone, composed = self._program(inputs)
+        if composed is None:
+            return alone(self.predict(time), *inputs)
         acting = time + self.model.transport_delay
-        return self.filter.predict_with(self._predict_and_stage, acting, *inputs)
+        return self.filter.predict_with(composed, acting, *inputs)
+
+    def _program(self, inputs: Sequence[Any]) -> tuple[Any, Any]:
+        """Return the law's stage alone, and with the prediction, for the shapes of its inputs.
+
+        The latter is None where it would be slower. The first call with other shapes compiles.
+        """
+        shapes = tuple(map(np.shape, inputs))
+        if shapes not in self._programs:
+            stage, composed = self.law.stage, None
+            fast = not self._compiled or large_programs_are_fast()
+            if self.compensate_delay and stage and fast:
+                composed = self.filter.composed(stage, *inputs)
+            alone = staged(self.law, self.model, self._compiled, inputs)
+            self._programs[shapes] = alone, composed
+        return self._programs[shapes]
 
     def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
         """Let the law compute the command, and store its state."""
-        moment = Moment(self.reference, now, self.model.transport_delay, foresee)
+        delay = self.model.transport_delay
+        moment = Moment(self.reference, now, delay, foresee, self.limits)
         step, self.state = self.law.step(self.state, moment)
         return replace(step, command=self._modulator.command(now, step.command))
 
@@ -281,7 +299,7 @@ class TrackingController(Pilot):
         Step
             The command.
         """
-        return self._act(now, partial(self._staged, estimate))
+        return self._act(now, lambda *inputs: self._program(inputs)[0](estimate, *inputs))
 
     def refusal(self, time: float) -> Status | None:
         """Return why the craft cannot be steered now.

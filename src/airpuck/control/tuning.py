@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-import numpy as np
 import pydantic
-from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import (
@@ -24,7 +23,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.kinds import unknown
-from airpuck.control.laws import check_law
+from airpuck.control.laws import LAWS, check_law, law_class
 from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.model_file import Model
@@ -38,126 +37,83 @@ _SLOW = 2.0
 #: Speeds on the way to a set point, at which errors of stamps become errors of poses: half of the
 #: largest ones of the paper's flights [m/s, rad/s].
 _FLOWN_SPEED, _FLOWN_SPIN = 0.4, 2.0
-#: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
-MOST_STEPS, _MOST_DISCS = 80, 8
-
-# Beyond these bounds the Riccati equation cannot be solved in double precision.
-Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
-PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
-
-
-class Weights(Section):
-    """Weights of the linear-quadratic regulator, on squared errors and inputs.
-
-    From 1e-6 to 1e6; weights of the rates may be zero.
-    """
-
-    #: Weights of x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
-    position: PositiveWeight
-    speed: Weight
-    yaw: PositiveWeight
-    spin: Weight
-    #: Weights of ax and ay [s⁴/m²], ω' [s⁴/rad²].
-    acceleration: PositiveWeight
-    angular_acceleration: PositiveWeight
-
-    @property
-    def errors(self) -> Float[np.ndarray, " 6"]:
-        """Weights of x, y, γ and their rates."""
-        pose, rates = [self.position, self.position, self.yaw], [self.speed, self.speed, self.spin]
-        return np.array(pose + rates)
-
-    @property
-    def efforts(self) -> Float[np.ndarray, " 3"]:
-        """Weights of the accelerations of x, y and γ."""
-        return np.array([self.acceleration, self.acceleration, self.angular_acceleration])
-
-
-class Allocation(Section):
-    """Settings of the thrust allocation."""
-
-    #: Quadratic programming solver.
-    solver: Literal["daqp", "piqp"] = "daqp"
-    #: μ: cost of scaling a request down, relative to thrust; at most 1e10.
-    slack_weight: Annotated[float, pydantic.Field(gt=0, le=1e10)] = 1e6
-
-
-class PredictiveWeights(Weights):
-    """Weights of the predictive law: those of the LQR, and one for the commands."""
-
-    #: Weight of commands above idle.
-    command: PositiveWeight = 0.05
-
-
-class SoftLimits(Section):
-    """Limits of the predictive law besides the motors'; exceeded only if unavoidable."""
-
-    #: Area in which the craft's centre may be: lowest x and y, highest x and y. By default the
-    #: table minus the craft's radius and a margin.
-    fence_m: tuple[float, float, float, float] | None = None
-    #: Smallest distance of the craft's edge from the rails.
-    margin_m: NonNegative = 0.004
-    #: A moving craft must also be inside the fence this much later, because commands may get lost.
-    headway_s: Annotated[float, pydantic.Field(ge=0, le=1)] = 0.05
-    #: Limits along the planned trajectory.
-    speed_m_s: Positive | None = None
-    spin_rad_s: Positive | None = None
-    #: Discs to keep out of: x and y of the centre, and the smallest distance of the craft's centre.
-    keep_out_m: Annotated[
-        tuple[tuple[float, float, Positive], ...], pydantic.Field(max_length=_MOST_DISCS)
-    ] = ()
-    #: Cost of exceeding a limit by a metre, metre per second or radian per second.
-    penalty: Annotated[float, pydantic.Field(ge=1, le=1e8)] = 1e4
-
-    @pydantic.field_validator("fence_m")
-    @classmethod
-    def _right_way_up(
-        cls, fence: tuple[float, float, float, float] | None
-    ) -> tuple[float, float, float, float] | None:
-        if fence is not None and not (fence[0] < fence[2] and fence[1] < fence[3]):
-            raise ValueError("must be lowest x and y, then highest x and y: [-1.0, -0.5, 1.0, 0.5]")
-        return fence
-
-
-def _listed(value: Any) -> Any:
-    """Accept a single number as a list of one."""
-    return tuple(value) if isinstance(value, list | tuple) else (value,)
+#: Where the tables of older files stand now.
+_MOVED = {"weights": "law.lqr.weights", "allocation": "law.lqr", "regulator": "law"}
 
 
 class LawSettings(Section):
-    """Choice of the law, and settings of the predictive one."""
+    """Settings of a law: the table ``[law.NAME]`` of a tuning file.
 
-    #: ``lqr``, ``mpc`` or a law of your own; what follows is for ``mpc``.
+    A law names the subclass that it uses as `Law.Settings`.
+
+    Attributes
+    ----------
+    law : str
+        Name of the law; of a law in a file, the name of its class.
+
+    Examples
+    --------
+    >>> class Stiffness(airpuck.LawSettings):
+    ...     law = "Spring"
+    ...     stiffness: float = 8.0
+    ...
+    >>> airpuck.default_tuning().of(Stiffness).stiffness
+    8.0
+    """
+
+    law: ClassVar[str]
+
+    def slowed(self, times: float) -> Self:
+        """Return the settings for a craft that takes `times` as long for the same motion."""
+        return self
+
+    def held(self, period_s: float) -> Self:
+        """Return the settings for a craft that takes a command for each period."""
+        return self
+
+
+Kind = TypeVar("Kind", bound=LawSettings)
+Scaled = TypeVar("Scaled", bound=Section)
+
+
+class ChosenLaw(Section):
+    """Choice of the law, and a table of settings for each that has some."""
+
+    model_config = pydantic.ConfigDict(extra="allow")
+
+    #: ``lqr``, ``mpc`` or a law of your own.
     kind: Annotated[str, pydantic.AfterValidator(check_law)] = "lqr"
-    #: Length of the prediction, in steps of step_s; at most 80 steps.
-    horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6
-    step_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.02
-    #: Number of steps per command, block after block; the last number repeats. A single number
-    #: applies to all blocks.
-    block: Annotated[
-        tuple[Annotated[int, pydantic.Field(ge=1, le=50)], ...],
-        pydantic.Field(min_length=1, max_length=80),
-        pydantic.BeforeValidator(_listed),
-    ] = (1, 1, 2, 2, 3)
-    #: Largest number of solver iterations.
-    iterations: Annotated[int, pydantic.Field(ge=1, le=10_000)] = 400
-    weights: PredictiveWeights
-    limits: SoftLimits = SoftLimits()
 
     @pydantic.model_validator(mode="after")
-    def _in_time(self) -> LawSettings:
-        if self.step_s > self.horizon_s:
-            raise ValueError(
-                f"step_s = {self.step_s:g} is longer than horizon_s = {self.horizon_s:g}; use a "
-                "shorter step or a longer horizon"
-            )
-        steps = round(self.horizon_s / self.step_s)
-        if steps > MOST_STEPS:
-            raise ValueError(
-                f"horizon_s / step_s is {steps} steps; at most {MOST_STEPS} can be predicted in "
-                "time: use a longer step or a shorter horizon"
-            )
+    def _of_known_laws(self) -> Self:
+        for name, table in self.tables.items():
+            try:
+                self.tables[name] = _plain(checked(table, _settings_of(name, table)))
+            except InputError as error:
+                field = f"{name}.{error.field}" if error.field else name
+                raise InputError(error.problem, field=field) from error
         return self
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """The settings by law, as in a file."""
+        return self.__pydantic_extra__ or {}
+
+
+def _settings_of(name: str, table: Any) -> type[LawSettings]:
+    """Return the class of a law's settings; raise InputError if no law has this name."""
+    if not isinstance(table, Mapping):
+        classes = {law: getattr(law_class(law), "Settings", None) for law in LAWS}
+        near = [law for law, found in classes.items() if found and name in found.model_fields]
+        told = f"belongs to the settings of a law: write law.{near[0]}.{name}" if near else ""
+        raise InputError(told or "is not a known key; check its spelling")
+    if found := getattr(law_class(name), "Settings", None):
+        return found
+    raise InputError("this law has no settings; leave the table out")
+
+
+def _plain(settings: LawSettings) -> dict[str, Any]:
+    return settings.model_dump(mode="json", exclude_none=True)
 
 
 class Estimation(Section):
@@ -197,6 +153,12 @@ class Estimation(Section):
         return Noise(*((linear, linear, angular) for linear, angular in pairs))
 
 
+def scaled(section: Scaled, powers: Mapping[str, float], times: float) -> Scaled:
+    """Multiply fields of a section by powers of a number."""
+    changed = {key: value * times ** powers[key] for key, value in section if key in powers}
+    return section.model_copy(update=changed)
+
+
 class Modulation(Section):
     """Conversion of the duty cycles of on/off thrusters to pulses."""
 
@@ -213,12 +175,8 @@ class Tuning(Section):
     ----------
     period_s : float
         Time between commands, from 1e-3 to 0.1.
-    weights : Weights
-        Weights of the linear-quadratic regulator.
-    law : LawSettings
-        The law: linear-quadratic or predictive, with its settings.
-    allocation : Allocation
-        Settings of the thrust allocation.
+    law : ChosenLaw
+        The law, and the settings of each; see `of`.
     estimation : Estimation
         Settings of the state estimator.
     modulation : Modulation
@@ -229,17 +187,14 @@ class Tuning(Section):
 
     Examples
     --------
-    >>> from airpuck.control.tuning import default_tuning
-    >>> tuning = default_tuning()
+    >>> tuning = airpuck.default_tuning()
     >>> isinstance(tuning, airpuck.Tuning), tuning.period_s
     (True, 0.01)
     >>> tuning.save("tuning.toml")
     """
 
     period_s: Annotated[float, pydantic.Field(ge=1e-3, le=0.1)] = 0.01
-    weights: Weights
-    allocation: Allocation = Allocation()
-    law: LawSettings
+    law: ChosenLaw
     estimation: Estimation
     modulation: Modulation = Modulation()
     least_command: Fraction = 0.0
@@ -294,13 +249,33 @@ class Tuning(Section):
         changed = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": changed})
 
-    def with_law(self, kind: str) -> Tuning:
+    def of(self, settings: type[Kind]) -> Kind:
+        """Return the settings of a law.
+
+        Parameters
+        ----------
+        settings : subclass of LawSettings
+            Their class, such as `Law.Settings`.
+
+        Returns
+        -------
+        LawSettings
+            From the law's table; without one, their defaults.
+        """
+        for name, table in self.law.tables.items():
+            if name == settings.law or name.endswith(f":{settings.law}"):
+                return checked(table, settings)
+        return settings()
+
+    def with_law(self, kind: str, **settings: Any) -> Tuning:
         """Return the tuning with another law.
 
         Parameters
         ----------
         kind : str
             One of `airpuck.control.laws.LAWS`, or FILE.py:NAME.
+        **settings : Any
+            Settings of this law to change.
 
         Returns
         -------
@@ -312,11 +287,19 @@ class Tuning(Section):
         InputError
             If the name is unknown.
         """
-        try:
-            check_law(kind)
-        except InputError as error:
-            raise InputError(error.problem, field="law.kind") from error
-        return self.model_copy(update={"law": self.law.model_copy(update={"kind": kind})})
+        law = {**self.law.tables, "kind": kind}
+        if settings:
+            new = {k: v.model_dump() if isinstance(v, Section) else v for k, v in settings.items()}
+            law[kind] = {**law.get(kind, {}), **new}
+        return checked({**self.model_dump(mode="json"), "law": law}, Tuning)
+
+    def _each(self, change: Callable[[LawSettings], LawSettings]) -> ChosenLaw:
+        """Return the choice of the law, with the settings of each law changed."""
+        tables = {
+            name: _plain(change(checked(table, _settings_of(name, table))))
+            for name, table in self.law.tables.items()
+        }
+        return ChosenLaw(kind=self.law.kind, **tables)
 
     def slowed(self, times: float) -> Tuning:
         """Return the tuning for a craft that takes `times` as long for the same motion.
@@ -332,17 +315,14 @@ class Tuning(Section):
         Returns
         -------
         Tuning
-            A copy. The periods and the predictive law's horizon remain.
+            A copy. The periods remain.
         """
-        powers = {"speed": 2, "spin": 2, "acceleration": 4, "angular_acceleration": 4}
-        powers |= {"acceleration_density": -1.5, "angular_acceleration_density": -1.5}
+        powers = {"acceleration_density": -1.5, "angular_acceleration_density": -1.5}
         powers |= {"disturbance_density": -2.5, "angular_disturbance_density": -2.5}
-        changed = {}
-        for name in ("weights", "estimation"):
-            section = getattr(self, name)
-            scaled = {key: v * times ** powers[key] for key, v in section if key in powers}
-            changed[name] = section.model_copy(update=scaled)
-        return self.model_copy(update=changed)
+        estimation = scaled(self.estimation, powers, times)
+        return self.model_copy(
+            update={"law": self._each(lambda law: law.slowed(times)), "estimation": estimation}
+        )
 
     def with_camera(self, rate_hz: float) -> Tuning:
         """Return the tuning for a camera, unless it states its own rate.
@@ -422,8 +402,8 @@ def read_tuning(path: str | os.PathLike[str], model: Model | None = None) -> Tun
     'mpc'
     """
     usual, content = default_tuning() if model is None else tuning_for(model), load_toml(path)
-    if "regulator" in content and "law" not in content:  # of older files
-        content["law"] = content.pop("regulator")
+    for old in _MOVED.keys() & content.keys():
+        raise InputError(f"is now written [{_MOVED[old]}]", file=path, field=old)
     return checked(laid_over(usual.model_dump(mode="json"), content), Tuning, file=path)
 
 
@@ -468,7 +448,5 @@ def tuning_for(model: Model) -> Tuning:
     period = kind.pwm_period_s
     if period is None:
         return tuning
-    law = tuning.law
-    longer = max(period / law.step_s, 1.0)
-    times = {"step_s": longer * law.step_s, "horizon_s": longer * law.horizon_s}
-    return tuning.model_copy(update={"period_s": period, "law": law.model_copy(update=times)})
+    held = tuning._each(lambda law: law.held(period))
+    return tuning.model_copy(update={"period_s": period, "law": held})

@@ -14,15 +14,17 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.errors import InputError
+from airpuck.control import horizon
 from airpuck.control.allocation import TIE_SLACK, TIE_THRUST, UNSCALED
-from airpuck.control.horizon import MOST_ROOM, TURNING, UNDECIDED, Blocks, Sizes, braking
+from airpuck.control.horizon import Blocks, Sizes
 from airpuck.control.law import LawOptions
-from airpuck.control.lqr import cost_to_go, lqr_gain, motor_lag, point_mass
+from airpuck.control.lqr import LQRSettings, cost_to_go, lqr_gain, motor_lag, point_mass
 from airpuck.control.mpc import FLOWN_ON, MPC, Ongoing
 from airpuck.control.pose_gate import JUMP, ROUNDING, longest_pause, remembered
+from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import LawSettings, Tuning
+from airpuck.control.tuning import Tuning
 from airpuck.estimate.axis_filter import INITIAL_DISTURBANCE, INITIAL_VELOCITY
 from airpuck.export.c_source import constant, copy_sources, write_model
 from airpuck.export.kinds import Subject, refuse_actuators
@@ -119,8 +121,8 @@ _FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the controller of a model as C99; return its sizes."""
     model, tuning, plan = subject.model, subject.tuning, subject.plan
-    if plan is not None and tuning.law.kind == "lqr":
-        tuning = tuning.with_law("plan")
+    if plan is not None:
+        tuning = tracking.for_plans(tuning)
     _check(model, tuning, plan)
     held = remembered(longest_pause(model, tuning)) + model.transport_delay
     sizes = {
@@ -131,12 +133,12 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
     facts: dict[str, Any] = {"law": tuning.law.kind, "on-board sensors": "not used"}
     if tuning.law.kind == "mpc":
-        sizes |= _prediction_sizes(tuning.law)
-        horizon = _horizon(model, tuning)
-        numbers.append(constant("airpuck_horizon", "airpuck_predicted", horizon))
+        sizes |= _prediction_sizes(tuning.of(PredictiveSettings))
+        predicted = _horizon(model, tuning)
+        numbers.append(constant("airpuck_horizon", "airpuck_predicted", predicted))
         copy_sources(_PREDICTIVE, folder)
-        low, high = np.round(horizon["fence"], 4).tolist()
-        facts["fence, m"] = f"{low} to {high}; set law.limits.fence_m for another table"
+        low, high = np.round(predicted["fence"], 4).tolist()
+        facts["fence, m"] = f"{low} to {high}; set law.mpc.limits.fence_m for another table"
     if plan is not None:
         flight = _flight(plan)
         sizes |= {
@@ -177,6 +179,7 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
 def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_tuning`."""
     noise, vehicle, period = tuning.estimation.noise, model.vehicle, tuning.period_s
+    settings = tuning.of(LQRSettings)
     pause = longest_pause(model, tuning)
     lag, drive = motor_lag(float(model.dynamics.motor_time_constant), period)
     disturbed = INITIAL_DISTURBANCE * (np.array(noise.disturbance) > 0)
@@ -187,13 +190,13 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "remembered": remembered(pause),
         "jump": np.array(JUMP),
         "period": period,
-        "gain": lqr_gain(tuning.weights, period),
+        "gain": lqr_gain(settings.weights, period),
         "motor_lag": lag,
         "motor_drive": drive,
         "command_min": vehicle.command_min,
         "command_max": vehicle.command_max,
         "arm": model.radius_of_gyration,
-        "slack_root": math.sqrt(tuning.allocation.slack_weight),
+        "slack_root": math.sqrt(settings.slack_weight),
         "unscaled": UNSCALED,
         "tie_thrust": TIE_THRUST,
         "tie_slack": TIE_SLACK,
@@ -229,7 +232,7 @@ def _flight(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _prediction_sizes(law: LawSettings) -> dict[str, int]:
+def _prediction_sizes(law: PredictiveSettings) -> dict[str, int]:
     """Return the macros that set the sizes of a prediction."""
     blocks, limits = Blocks.of(law), law.limits
     speed, spin = limits.speed_m_s is not None, limits.spin_rad_s is not None
@@ -246,7 +249,8 @@ def _prediction_sizes(law: LawSettings) -> dict[str, int]:
 
 def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_horizon`."""
-    chosen, law = tuning.law, MPC(model, tuning, LawOptions(compiled=False))
+    chosen = tuning.of(PredictiveSettings)
+    law = MPC(model, tuning, LawOptions(compiled=False))
     limits, blocks = chosen.limits, Blocks.of(chosen)
     sizes, h = Sizes(model.vehicle, blocks, chosen), blocks.step
     weights = chosen.weights.errors * h
@@ -262,16 +266,16 @@ def _horizon(model: Model, tuning: Tuning) -> dict[str, Any]:
         "used": sizes.used[::n],
         "damping": float(sizes.changed[0] - sizes.used[0]),
         "first": float(law.init().plan[0, 0]),
-        "brake": float(braking(np, model.dynamics, model.vehicle.command_max)),
+        "brake": float(horizon.braking(np, model.dynamics, model.vehicle.command_max)),
         "headway": limits.headway_s,
-        "turning": TURNING,
-        "most_room": MOST_ROOM,
-        "undecided": UNDECIDED,
+        "turning": horizon.TURNING,
+        "most_room": horizon.MOST_ROOM,
+        "undecided": horizon.UNDECIDED,
         "flown_on": FLOWN_ON,
         "speed": limits.speed_m_s or 0.0,
         "spin": limits.spin_rad_s or 0.0,
         "fence": law.fence,
-        "keep_out": np.concatenate([law.keep_out, np.zeros((1, 3))]),
+        "keep_out": np.array([*limits.keep_out_m, (0.0, 0.0, 0.0)]),
         "iterations": sizes.most,
         "penalty": sizes.penalty,
     }

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from airpuck.control.authority import control_authority
-from airpuck.control.lqr import cost_to_go, lqr_gain, point_mass
+from airpuck.control.lqr import LQRSettings, cost_to_go, lqr_gain, point_mass
 from airpuck.control.tuning import Tuning
 from airpuck.estimate.axis_filter import process_noise
 from airpuck.evaluation.presentation import largest_acceleration
@@ -73,7 +73,7 @@ def responses(tuning: Tuning, delay: float) -> tuple[float, float]:
     """
     period, noise = tuning.period_s, tuning.estimation
     states, inputs = point_mass(period)
-    gain = lqr_gain(tuning.weights, period)[0, [0, 3]]
+    gain = lqr_gain(tuning.of(LQRSettings).weights, period)[0, [0, 3]]
     pushed = np.append(inputs[[0, 3], 0], 0.0)
     step = np.eye(3)
     step[:2, :2], step[:2, 2] = states[np.ix_([0, 3], [0, 3])], pushed[:2]

@@ -185,9 +185,6 @@ def replay(
     (6,)
     """
     tuning = tuning or tuning_for(model)
-    if fit_gains and tuning.law.kind != "lqr":
-        problem = "only the LQR has gains; use --law lqr"
-        raise InputError(problem, field="--fit-gains")
     _, commands, aligned = clean_streams(recording, model.vehicle)
     # Aligned times are those of the poses without repetitions.
     pose, _ = at_exposure(recording["pose"])
@@ -204,6 +201,9 @@ def replay(
         compensate_delay=compensate_delay,
         reject_disturbance=reject_disturbance,
     )
+    if fit_gains and controller.law.gain is None:
+        problem = "this law has no gains; use --law lqr"
+        raise InputError(problem, field="--fit-gains")
     estimates = _fly_through(
         controller, aligned.pose_time, aligned.pose_time + latency, pose.values, time, sent
     )
@@ -230,7 +230,7 @@ def replay(
         status=status,
         reference=np.array([target.state[:3] for target in _targets(controller, time)]),
         pose=np.array(poses),
-        gains=Gains.of(controller.law.gain) if isinstance(controller.law, LQR) else None,
+        gains=None if (gain := controller.law.gain) is None else Gains.of(gain),
         fitted=fit_gains,
         motors=model.vehicle.columns,
         compared=compared,

@@ -14,6 +14,7 @@ import numpy as np
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.control.authority import control_authority, weakest_effort
+from airpuck.control.laws import law_class
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -92,9 +93,8 @@ def flown_margin(
 
 def _margin(model: Model, craft: Model, settings: TwinSettings, tuning: Tuning, seed: int) -> float:
     """Fly once; see `Rehearsal.margin`."""
-    # NumPy, since compiling a program for one flight takes longer than it saves; MPC's programs are
-    # so large that it does not.
-    compiled = tuning.law.kind != "lqr"
+    # Compiling a small program for one flight takes longer than it saves.
+    compiled = getattr(law_class(tuning.law.kind), "looks_ahead", True)
     pilot = TrackingController(
         model, SetPoint(*GOAL), tuning, table=settings.table, compiled=compiled
     )

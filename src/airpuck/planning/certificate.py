@@ -76,16 +76,6 @@ def lower_bound(request: Request, weight: Weight, duration: float) -> float | No
     return _refuted(request, weight, duration)
 
 
-def missing_at(request: Request, weight: Weight, duration: float) -> tuple[float, float, float]:
-    """Return the integral that a flight requires, its upper bound, and the scale of both.
-
-    The duration is impossible if the required integral exceeds the bound.
-    """
-    program = YawProgram(request, weight, duration, _COARSE, np.zeros(1))
-    needed = _needed(request, program, np.zeros(1))
-    return float(needed[-1, 0]), float(program.most[-1, 0]), program.worth
-
-
 def _refuted(request: Request, weight: Weight, duration: float) -> float:
     """Refute durations with compressed weights, first on coarse grids, until no gap is left."""
     found = _Durations(request, weight, duration)

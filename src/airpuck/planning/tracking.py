@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.law import Law, LawOptions, Moment, Step, staged
+from airpuck.control.laws import law_class
 from airpuck.control.lqr import LQR, motor_lag, point_mass
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
@@ -61,6 +62,8 @@ class PlanTracker(Law):
     that may not exist, but over the rest of the flight, within what the motors can do. Before and
     after the plan, and for other references, an `LQR` steers.
     """
+
+    title = "the thrusts of a plan"
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()
@@ -233,9 +236,14 @@ def least_correction(
 
 
 def plan_tracker(plan: Plan, tuning: Tuning, table: Table | None = None) -> TrackingController:
-    """Return a controller with the tuning's law, but `PlanTracker` instead of the LQR."""
-    tuning = tuning.with_law("plan") if tuning.law.kind == "lqr" else tuning
-    return TrackingController(plan.model, plan, tuning, table=table)
+    """Return a controller that flies a plan; see `for_plans`."""
+    return TrackingController(plan.model, plan, for_plans(tuning), table=table)
+
+
+def for_plans(tuning: Tuning) -> Tuning:
+    """Return the tuning with `PlanTracker` instead of a law that does not look ahead."""
+    ahead = getattr(law_class(tuning.law.kind), "looks_ahead", True)
+    return tuning if ahead else tuning.with_law("plan")
 
 
 class Departing(Pilot):

@@ -12,6 +12,7 @@ from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from airpuck.control.laws import PAPERS
 from airpuck.control.lqr import rotation_error
 from airpuck.data.sampling import runs
 from airpuck.flight.replay import Replay
@@ -120,7 +121,7 @@ def flight_figure(replay: Replay) -> Figure:
 
 def compares_laws(flights: Sequence[Tracked]) -> bool:
     """Return whether any flight used another law than the paper's."""
-    return any(flight.law not in (None, "lqr") for flight in flights)
+    return any(flight.law not in (None, PAPERS) for flight in flights)
 
 
 def flight_colors(flights: Sequence[Tracked]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -24,14 +25,11 @@ from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.angle import wrapped
 from airpuck.planning.plan import Plan, plan
 from airpuck.planning.settings import Limits
-from airpuck.planning.tracking import plan_tracker
+from airpuck.planning.tracking import for_plans
 from airpuck.recording.stream import Recording
 from airpuck.twin.plant import Plant, build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin
-
-#: Laws as titles of pages and animations name them.
-_LAWS = {"lqr": "a linear regulator", "mpc": "predictive control"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,30 +208,36 @@ def track(
     >>> "reference" in recording.streams
     True
     """
-    tuning = tuning or tuning_for(model)
+    tuning, truth = tuning or tuning_for(model), truth or model
     _check_duration(duration, tuning)
-    truth = truth or model
     _check_same_craft(model, truth)
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
-    if make_pilot is not None:
-        pilot: Pilot = make_pilot(model, reference)
-    else:
-        pilot = TrackingController(
-            model,
-            reference,
-            tuning.with_camera(twin.settings.motion_capture.rate_hz),
-            law=law,
-            table=twin.settings.table,
-            gain=gain,
-            compensate_delay=compensate_delay,
-            reject_disturbance=reject_disturbance,
-        )
-    log = fly(pilot, twin, duration, tuning.period_s, on_board=on_board)
-    kind = law if isinstance(law, str) else "" if law else tuning.law.kind
-    words = "a pilot" if make_pilot else _LAWS.get(kind, "a law of its own")
+    given: Any = {"law": law, "gain": gain}
+    given |= {"compensate_delay": compensate_delay, "reject_disturbance": reject_disturbance}
+    pilot = make_pilot(model, reference) if make_pilot else None
+    log, words = _fly(model, reference, duration, twin, tuning, pilot, on_board, **given)
     goal = "set points" if isinstance(reference, SetPoints) else "its target"
     source = f"flying to {goal} with {words} ({model.name} on a twin of {truth.name}, seed {seed})"
     return replace(twin.recording(), source=source), log
+
+
+def _fly(
+    model: Model,
+    reference: Reference,
+    duration: float,
+    twin: Twin,
+    tuning: Tuning,
+    own: Pilot | None = None,
+    on_board: bool = False,
+    **options: Any,
+) -> tuple[FlightLog, str]:
+    """Fly a reference on the twin, by default with the controller; also say what flies."""
+    chosen = tuning.with_camera(twin.settings.motion_capture.rate_hz)
+    chosen = for_plans(chosen) if isinstance(reference, Plan) else chosen
+    options["table"] = twin.settings.table
+    pilot = own or TrackingController(model, reference, chosen, **options)
+    log = fly(pilot, twin, duration, tuning.period_s, on_board=on_board)
+    return log, pilot.law.title if isinstance(pilot, TrackingController) else "a pilot"
 
 
 def _check_duration(duration: float, tuning: Tuning) -> None:
@@ -366,7 +370,7 @@ def race(
     _check_same_craft(planned.model, truth)
     settings = settings or default_twin_settings()
     tuning = tuning or tuning_for(planned.model)
-    plant = build_plant(truth, settings)
+    plant, (x, y, yaw) = build_plant(truth, settings), planned.states[0, :3].tolist()
     goal = planned.samples[1][-1]
     ends = SetPoints([0.0, _LEAD], [planned.states[0, :3], goal[:3]])
     flights: list[tuple[Reference, float]] = [(planned.starting(_LEAD), _PATIENCE)]
@@ -374,13 +378,12 @@ def race(
         flights.append((ends, _SET_POINT_PATIENCE))
     twins: list[list[Twin]] = []
     for seed in range(seeds):
-        durations = [_LEAD + planned.duration + patience for _, patience in flights]
-        twins.append(
-            [
-                _flown(planned, reference, duration, truth, seed, settings, tuning, plant)
-                for (reference, _), duration in zip(flights, durations, strict=True)
-            ]
-        )
+        twins.append([])
+        for reference, patience in flights:
+            twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
+            duration = _LEAD + planned.duration + patience
+            _fly(planned.model, reference, duration, twin, tuning)
+            twins[-1].append(twin)
         progress(seed + 1, seeds)
     raced, *alone = zip(*twins, strict=True)
     return Race(
@@ -403,27 +406,6 @@ def _check_same_craft(model: Model, truth: Model) -> None:
             "same craft",
             field="truth",
         )
-
-
-def _flown(
-    planned: Plan,
-    reference: Reference,
-    duration: float,
-    truth: Model,
-    seed: int,
-    settings: TwinSettings,
-    tuning: Tuning,
-    plant: Plant,
-) -> Twin:
-    """Fly a reference from the start of a plan; return the twin."""
-    x, y, yaw = (float(v) for v in planned.states[0, :3])
-    twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
-    if isinstance(reference, Plan):
-        pilot = plan_tracker(reference, tuning, settings.table)
-    else:
-        pilot = TrackingController(planned.model, reference, tuning, table=settings.table)
-    fly(pilot, twin, duration, tuning.period_s)
-    return twin
 
 
 def _reached(twin: Twin, planned: Plan) -> float | None:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result, plain
-from airpuck.control.laws import law_label
-from airpuck.control.lqr import lqr_gain
+from airpuck.control.laws import PAPERS, law_label
+from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.reference import SetPoints, check_inside
 from airpuck.control.settings import DWELL, ControllerKind, Dwell
 from airpuck.control.tuning import Tuning, tuning_for
@@ -69,7 +69,7 @@ class Tracked(Result):
     def file_name(self) -> str:
         """The suffix of file names that distinguishes flights."""
         law = self.law
-        return self.model if law in (None, "lqr") else f"{self.model}_{law_label(law)}"
+        return self.model if law in (None, PAPERS) else f"{self.model}_{law_label(law)}"
 
     @property
     def results(self) -> list[SetPointResult]:
@@ -216,7 +216,7 @@ def tracking_study(
         dwell = DWELL * patience(truth.vehicle)
     tunings = [tuning or tuning_for(model) for model in models]
     laws = laws or tuple({one.law.kind: None for one in tunings})
-    beyond_paper = set(laws) != {"lqr"}
+    beyond_paper = set(laws) != {PAPERS}
     fly = partial(
         _flown,
         truth=truth,
@@ -256,8 +256,8 @@ def _flown(
     if make_pilot is not None:
         pilot = getattr(make_pilot, "__name__", type(make_pilot).__name__)
         law, label = None, f"{pilot} ({model.name})"
-    elif law == "lqr":
-        gains = Gains.of(lqr_gain(tuning.weights, tuning.period_s))
+    elif law == PAPERS:
+        gains = Gains.of(lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s))
         if flight is not None:
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
     recording, log = track(

@@ -144,7 +144,7 @@ _SEEN, _COMMANDED, _PLANNED = 0.5, 0.5, 0.5
 _NICE = 5
 #: Instructions for moving the set point, or the reason why this has no effect.
 _FREE = "Drag the yellow ring, turn it by its knob, or enter numbers."
-_FIXED = "The controller follows a plan of its own; airpuck fly-topic follows this one."
+_FIXED = "The controller follows a plan of its own; airpuck fly --follow follows this one."
 #: No puck, no mallet.
 _NOTHING, _NOWHERE = (0.0, 0.0, 0.0), (math.nan, math.nan, 0.0, 0.0)
 

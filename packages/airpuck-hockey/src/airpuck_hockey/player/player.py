@@ -14,7 +14,9 @@ from jaxtyping import Float
 from airpuck import (
     MPC,
     AirHockey,
+    Fence,
     InputError,
+    KeepOut,
     Measurement,
     Model,
     Pilot,
@@ -31,7 +33,6 @@ from airpuck.extend import (
     checked_class,
     minimal_times_of,
     numbers,
-    tuning_for,
 )
 from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.frame import Frame
@@ -52,7 +53,7 @@ _FROZEN, _MOVING = 6, 0.1
 #: Poses further beyond a rail cannot be the puck's [m].
 _BEYOND = 0.1
 #: A disc outside the table, which restricts nothing: x, y, radius [m].
-_NOWHERE = np.array([[50.0, 50.0, 0.1]])
+_NOWHERE = (50.0, 50.0, 0.1)
 #: Clearance between the craft's edge and the centre line [m].
 _MARGIN = 0.01
 #: Distance over which the craft's mean acceleration is computed [m].
@@ -160,13 +161,14 @@ class Player(Pilot):
         self.filter = PuckFilter(equipment, learns=learns)
         self._times = slower(minimal_times_of(model), level.thrust)
         self.pitch = pitch_of(model, equipment, self._times, opponent_radius)
-        controls = _predictive(tuning or tuning_for(model))
+        self._fence = Fence(*self.frame.box(self.pitch.fence).ravel().tolist())
         self._controller = TrackingController(
-            weakened(model, level.thrust), SetPoint(*self.pitch.home, 0.0), controls
+            weakened(model, level.thrust),
+            SetPoint(*self.pitch.home, 0.0),
+            tuning,
+            law="mpc",
+            limits=(self._fence, KeepOut(*_NOWHERE)),
         )
-        assert isinstance(self._controller.law, MPC)
-        self._law = self._controller.law
-        self._law.fence = self.frame.box(self.pitch.fence)
         self.reference = self._controller.reference
         self.intention: Intention | None = None
         self.sight: Sight = "lost"
@@ -314,8 +316,8 @@ class Player(Pilot):
             )
         self.intention = self._in_world(self._with_noise(intention))
         self.reference = self._controller.reference = self.intention.reference
-        avoid = self.intention.avoid
-        self._law.keep_out = _NOWHERE if avoid is None else np.array([avoid])
+        avoid = KeepOut(*(self.intention.avoid or _NOWHERE))
+        self._controller.limits = self._fence, avoid
 
     def _view(self, time: float, stamp: float, craft: Float[np.ndarray, " 6"]) -> View:
         """Return the tactic's view of the game."""
@@ -399,15 +401,6 @@ def pitch_of(
         delay=model.transport_delay,
         acceleration=acceleration,
     )
-
-
-def _predictive(tuning: Tuning) -> Tuning:
-    """Return a tuning with the predictive law, which can keep out of one disc."""
-    law = tuning.law
-    disc = tuple(_NOWHERE.ravel().tolist())
-    limits = law.limits.model_copy(update={"keep_out_m": (disc,)})
-    law = law.model_copy(update={"kind": "mpc", "limits": limits})
-    return tuning.model_copy(update={"law": law})
 
 
 def _queue(

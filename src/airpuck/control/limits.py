@@ -1,0 +1,130 @@
+"""Limits of a craft's motion that may change in flight: a fence, discs, half planes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """A limit of the position of the craft's centre.
+
+    A hard limit is never exceeded by a plan: if it cannot be kept, there is no plan. A soft one is
+    exceeded by as little as possible.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            numbers.COORDINATE.check(getattr(self, field.name), field.name)
+
+
+@dataclass(frozen=True)
+class Fence(_Limit):
+    """A rectangle around the craft's centre; the craft can brake before it.
+
+    Parameters
+    ----------
+    low_x, low_y, high_x, high_y : float
+        Lowest and highest coordinates of the craft's centre [m].
+    hard : bool, default False
+        Whether the limit is never exceeded by a plan, rather than by as little as possible.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range, or the rectangle is empty.
+
+    Examples
+    --------
+    >>> airpuck.Fence(-0.9, -0.4, 0.9, 0.4).high_x
+    0.9
+    """
+
+    low_x: float
+    low_y: float
+    high_x: float
+    high_y: float
+    hard: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (self.low_x < self.high_x and self.low_y < self.high_y):
+            raise InputError("must be lowest x and y, then highest x and y [m]", field="Fence")
+
+
+@dataclass(frozen=True)
+class KeepOut(_Limit):
+    """A disc to keep out of.
+
+    Parameters
+    ----------
+    x, y : float
+        Its centre [m].
+    radius : float
+        Smallest distance of the craft's centre from it [m].
+    hard : bool, default False
+        As of `Fence`.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> airpuck.KeepOut(0.2, 0.0, radius=0.15).hard
+    False
+    """
+
+    x: float
+    y: float
+    radius: float
+    hard: bool = False
+
+    @property
+    def row(self) -> tuple[float, float, float, float, float]:
+        """A point, a direction away from it (zero: from wherever the craft is), and a distance."""
+        return self.x, self.y, 0.0, 0.0, self.radius
+
+
+@dataclass(frozen=True)
+class HalfPlane(_Limit):
+    """The side of a straight line on which the craft's centre must be.
+
+    Parameters
+    ----------
+    x, y : float
+        A point of the line [m].
+    direction : float
+        Direction from the line to the allowed side, from the x axis [rad].
+    hard : bool, default False
+        As of `Fence`.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> airpuck.HalfPlane(0.2, 0.0, direction=np.pi).row[2]
+    -1.0
+    """
+
+    x: float
+    y: float
+    direction: float
+    hard: bool = False
+
+    @property
+    def row(self) -> tuple[float, float, float, float, float]:
+        """As `KeepOut.row`."""
+        return self.x, self.y, math.cos(self.direction), math.sin(self.direction), 0.0
+
+
+#: A limit that a law is given at every moment.
+Limit = Fence | KeepOut | HalfPlane
