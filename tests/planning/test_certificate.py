@@ -5,22 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from studies.bounds import affected, case, sharp
+from studies.bounds import affected, case, missing_at, sharp
 
 import airpuck
 from airpuck.craft.table import Table
 from airpuck.physics.effects import Drag, Effect, Tilt
 from airpuck.planning import plan as planning
 from airpuck.planning.attainable import motor_range
-
-# The bound is public, but not the two sides of the inequality that it rests on.
-from airpuck.planning.certificate import (
-    _COARSE,
-    _needed,
-    lower_bound,
-    lower_bound_through,
-    unavoidable_rail,
-)
+from airpuck.planning.certificate import lower_bound, lower_bound_through, unavoidable_rail
 from airpuck.planning.request import Goal, Request, checked_request
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
@@ -30,13 +22,6 @@ from ..apparatus.one_axis_craft import ACCELERATION, one_axis
 
 M3 = airpuck.read_model("paper:M3")
 WIDE = Limits(spin=40.0, speed=10.0)
-
-
-def missing_at(request: Request, weight: Weight, duration: float) -> tuple[float, float, float]:
-    """Return the integral that a flight requires, its upper bound, and the scale of both."""
-    program = YawProgram(request, weight, duration, _COARSE, np.zeros(1))
-    needed = _needed(request, program, np.zeros(1))
-    return float(needed[-1, 0]), float(program.most[-1, 0]), program.worth
 
 
 def request(start, state, limits=WIDE):
