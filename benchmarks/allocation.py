@@ -14,11 +14,12 @@ import time
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from airpuck.control.allocation import ThrustAllocator, problem
+from airpuck.control.allocation import problem
 from airpuck.control.lqr import motor_lag
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
+from tests.apparatus.allocators import Allocator
 
 #: One infeasible request out of this number is checked with scipy.
 CHECKED = 2000
@@ -33,7 +34,7 @@ def main() -> None:
     dynamics, vehicle, n = model.dynamics, model.vehicle, model.vehicle.n_propellers
     arm = float(np.sqrt(model.parameters.inertia / vehicle.mass_kg))
     lag, drive = motor_lag(float(dynamics.motor_time_constant), 0.01)
-    daqp, piqp = (ThrustAllocator(n, arm, solver=name) for name in ("daqp", "piqp"))
+    daqp, piqp = (Allocator(n, arm, solver=name) for name in ("daqp", "piqp"))
     rng = np.random.default_rng(0)
     apart = outside = distance = 0.0
     outcomes: dict[str, int] = {}

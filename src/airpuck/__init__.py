@@ -26,8 +26,8 @@ Faults
     find_faults, find_strengths, check_layout, preflight
 Controllers
     TrackingController, SetPoint, SetPoints, TimedPath, Rendezvous, Tuning,
-    default_tuning, read_tuning, LQR, MPC, Law, Step, Pilot, InverseThrust,
-    acceleration_map, SafetyLimits
+    default_tuning, read_tuning, LawSettings, LQR, MPC, Law, Step, Fence, KeepOut, HalfPlane,
+    Pilot, InverseThrust, acceleration_map, SafetyLimits
 Flights on the twin
     track, excite, fly, race, replay, Replay, tracking_study, Twin, TwinBatch,
     TwinSettings, read_twin_settings, PuckState

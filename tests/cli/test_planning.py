@@ -80,4 +80,6 @@ def test_wrong_requests_end_in_one_line(words, said):
 
 
 def test_an_unknown_course_is_named():
-    assert refused(airpuck("race", "slalm"), "COURSE: must be", "did you mean 'slalom'?")
+    assert refused(
+        airpuck("race", "paper:M3", "slalm"), "COURSE: must be", "did you mean 'slalom'?"
+    )

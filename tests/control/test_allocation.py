@@ -9,11 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, lsq_linear, nnls
 
-from airpuck.control.allocation import Daqp, Piqp, ThrustAllocator
+from airpuck.control.allocation import Daqp, Piqp
 from airpuck.control.lqr import motor_lag
 from airpuck.model.model_file import read_model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
+
+from ..apparatus.allocators import Allocator
 
 MODEL = read_model("paper:M4")
 ARM = float(np.sqrt(MODEL.parameters.inertia / MODEL.vehicle.mass_kg))
@@ -90,8 +92,8 @@ def sample() -> list[tuple[tuple[np.ndarray, ...], float]]:
     return clear
 
 
-def allocator(solver: Literal["daqp", "piqp"] = "daqp", n: int = 6) -> ThrustAllocator:
-    return ThrustAllocator(n, ARM, SLACK_WEIGHT, solver)
+def allocator(solver: Literal["daqp", "piqp"] = "daqp", n: int = 6) -> Allocator:
+    return Allocator(n, ARM, SLACK_WEIGHT, solver)
 
 
 @pytest.mark.slow
@@ -189,7 +191,7 @@ CROSS = np.array([[1.0, -1, 0, 0], [0, 0, 1, -1], [1, 1, -1, -1]])
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_a_request_twice_too_large_is_halved(solver):
-    ours = ThrustAllocator(4, 1.0, SLACK_WEIGHT, solver)
+    ours = Allocator(4, 1.0, SLACK_WEIGHT, solver)
     nothing, one = np.zeros(4), np.ones(4)
     found = ours.allocate(np.array([2.0, 0, 0]), CROSS, np.zeros(3), nothing, one)
     assert found.outcome == "scaled"
@@ -205,7 +207,7 @@ def test_a_request_twice_too_large_is_halved(solver):
 def test_residual_thrust_gives_the_nearest_acceleration(solver):
     # The right propeller gives at least 1 N, the left one at most 0.5 N. So the craft accelerates
     # to the right by at least 0.5 m/s², the nearest to a request to the left.
-    ours = ThrustAllocator(4, 1.0, SLACK_WEIGHT, solver)
+    ours = Allocator(4, 1.0, SLACK_WEIGHT, solver)
     low, high = np.array([1, 0, 0, 0.0]), np.array([2, 0.5, 1, 1.0])
     found = ours.allocate(np.array([-3.0, 0, 0]), CROSS, np.zeros(3), low, high)
     assert found.outcome == "nearest"

@@ -11,7 +11,7 @@ import pytest
 
 from airpuck import export
 from airpuck.boundary.errors import InputError
-from airpuck.control.lqr import lqr_gain
+from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.tuning import default_tuning, tuning_for
 from airpuck.export import kinds
 from airpuck.export.c_source import initializer
@@ -145,7 +145,7 @@ def test_the_command_exports_the_controller_that_other_commands_fly(tmp_path):
     airpuck("export", tmp_path / "slow.toml", "--to", "c", "-o", tmp_path)
     slowed = tuning_for(nominal_model(heavy))
     assert slowed != default_tuning()
-    gain = initializer(lqr_gain(slowed.weights, slowed.period_s))
+    gain = initializer(lqr_gain(slowed.of(LQRSettings).weights, slowed.period_s))
     assert f".gain = {gain}" in (tmp_path / "airpuck_data.c").read_text()
 
 

@@ -23,15 +23,7 @@ from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing, without_home
-from airpuck.campaigns.items import (
-    Count,
-    Fitting,
-    Item,
-    Natural,
-    Recovery,
-    ShortestTime,
-    Tracking,
-)
+from airpuck.campaigns.items import Count, Fitting, Item, Natural, Recovery, ShortestTime, Tracking
 from airpuck.campaigns.workers import Entry, ItemResult, checked_workers, dispatch
 from airpuck.control.settings import Workers
 

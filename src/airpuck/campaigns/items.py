@@ -226,11 +226,7 @@ class Recovery(TwinItem, Identification):
 class Fitting(Identification):
     """One fit to recordings, or `resamplings` fits to data drawn with replacement."""
 
-    SOURCES: ClassVar = {
-        "recordings": of_recording,
-        "validation": of_recording,
-        "vehicle": of_file,
-    }
+    SOURCES: ClassVar = {"recordings": of_recording, "validation": of_recording, "vehicle": of_file}
 
     #: Recordings to learn from.
     recordings: Annotated[tuple[str, ...], pydantic.Field(min_length=1)]

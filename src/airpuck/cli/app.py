@@ -89,10 +89,7 @@ class Command(_PlainFlags, TyperCommand):
 
 
 #: Former options, with their replacement.
-_FORMER = {
-    "--adam": "airpuck.identify(method=...), as in studies/adam.py",
-    "--regulator": "--law",
-}
+_FORMER = {"--adam": "airpuck.identify(method=...), as in studies/adam.py", "--regulator": "--law"}
 
 
 #: Former commands, and the option of `fly` that replaces each.

@@ -29,8 +29,7 @@ def export(
     tuning: options.TuningFile = None,
     law: options.LawName = None,
     plan: Annotated[
-        Path | None,
-        Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE"),
+        Path | None, Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE")
     ] = None,
     twin: options.TwinFile = None,
     json_file: options.Json = None,

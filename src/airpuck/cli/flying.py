@@ -82,11 +82,7 @@ def excite(
         model = "paper:M3"
     truth = inputs.model_or_nominal(model, vehicle, airpuck.read_model)
     excited = fly_excitation(
-        truth,
-        experiment,
-        seed,
-        settings=twin,
-        tuning=inputs.read_controls(tuning, None, truth),
+        truth, experiment, seed, settings=twin, tuning=inputs.read_controls(tuning, None, truth)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     figures = {
@@ -127,7 +123,7 @@ def track(
         Literal["kalman", "actuation"] | None,
         Setting(
             "kalman, or actuation, which also estimates what each motor does; by default the "
-            "tuning's.",
+            "tuning's."
         ),
     ] = None,
     seed: options.Seed = 0,

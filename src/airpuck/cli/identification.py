@@ -17,15 +17,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.inputs import load
-from airpuck.cli.output import (
-    is_stdout,
-    origin,
-    report,
-    show_progress,
-    show_time_left,
-    table,
-    warn,
-)
+from airpuck.cli.output import is_stdout, origin, report, show_progress, show_time_left, table, warn
 from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
 
 if TYPE_CHECKING:
@@ -58,8 +50,7 @@ def preprocess(
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     delay: Annotated[
-        float | None,
-        Setting("Transport delay; by default it is estimated.", numbers.DELAY, "S"),
+        float | None, Setting("Transport delay; by default it is estimated.", numbers.DELAY, "S")
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -131,8 +122,7 @@ def identify(
         Path | None, options.output("DIR", "Also write a page with figures.", "--report")
     ] = None,
     validation: Annotated[
-        Path | None,
-        Setting("Another recording, for validating the model.", metavar="RECORDING"),
+        Path | None, Setting("Another recording, for validating the model.", metavar="RECORDING")
     ] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
@@ -154,8 +144,7 @@ def identify(
         ),
     ] = None,
     seed: Annotated[
-        int,
-        Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty"),
+        int, Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty")
     ] = 0,
     each: Annotated[
         str,

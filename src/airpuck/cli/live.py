@@ -252,8 +252,7 @@ def fly_excitation(
     guarded: Guarded,
     live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[
-        str | None,
-        Setting("Model of the craft; by default nominal.", metavar="MODEL"),
+        str | None, Setting("Model of the craft; by default nominal.", metavar="MODEL")
     ] = None,
     vehicle: options.ReadVehicle = None,
     seed: options.Seed = 0,
@@ -341,11 +340,7 @@ def _report_checks(found: Preflight, json_file: Path | None) -> None:
 
 
 @app.command(rich_help_panel=_PANEL)
-def watch(
-    model: options.ModelName,
-    live: LiveSettings,
-    json_file: options.Json = None,
-) -> None:
+def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json = None) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 

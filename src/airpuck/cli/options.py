@@ -125,10 +125,7 @@ ReadMapping = Annotated[
     ),
 ]
 _TWIN = "Settings of the twin: table, sensors, radio, faults; by default the packaged ones."
-ReadTwin = Annotated[
-    "TwinSettings | None",
-    _file("--twin", _TWIN, "read_twin_settings"),
-]
+ReadTwin = Annotated["TwinSettings | None", _file("--twin", _TWIN, "read_twin_settings")]
 TwinFile = Annotated[Path | None, Setting(_TWIN, metavar="FILE", option="--twin")]
 ReadTable = Annotated[
     "AirHockey | None",

@@ -49,8 +49,7 @@ def plan(
         Setting("Initial pose of the craft.", numbers.COORDINATE, "X Y YAW", "--from"),
     ],
     goal: Annotated[
-        tuple[float, float, float],
-        Setting("Goal pose.", numbers.COORDINATE, "X Y YAW", "--to"),
+        tuple[float, float, float], Setting("Goal pose.", numbers.COORDINATE, "X Y YAW", "--to")
     ],
     limits: Limits,
     model: options.ModelName = "paper:M3",
@@ -58,8 +57,7 @@ def plan(
         tuple[float, float, float], Setting("Initial velocity.", numbers.COORDINATE, "VX VY W")
     ] = (0.0, 0.0, 0.0),
     end_velocity: Annotated[
-        tuple[float, float, float],
-        Setting("Final velocity.", numbers.COORDINATE, "VX VY W"),
+        tuple[float, float, float], Setting("Final velocity.", numbers.COORDINATE, "VX VY W")
     ] = (0.0, 0.0, 0.0),
     free: Annotated[
         Literal["yaw", "velocity", "both"] | None,
@@ -82,8 +80,7 @@ def plan(
         Setting("Length and width of the table.", numbers.TABLE_SIDE, "L W", "--table"),
     ] = None,
     intervals: Annotated[
-        int,
-        Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N"),
+        int, Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N")
     ] = 40,
     output: Annotated[Path | None, options.output("FILE", "Plan file to write (TOML).")] = None,
     figure: Annotated[

@@ -15,12 +15,7 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import app
 from airpuck.cli.identification import PANEL, value_texts
-from airpuck.cli.inputs import (
-    about,
-    load,
-    load_for,
-    read_given,
-)
+from airpuck.cli.inputs import about, load, load_for, read_given
 from airpuck.cli.output import page, report, table, warn
 
 if TYPE_CHECKING:

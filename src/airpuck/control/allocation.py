@@ -10,7 +10,6 @@ Both return None where that is infeasible or was not solved. A solver is made fo
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -127,19 +126,6 @@ class Daqp:
 SOLVERS = {"daqp": Daqp, "piqp": Piqp}
 
 
-@dataclass(frozen=True)
-class Allocated:
-    """Result of an allocation."""
-
-    #: Thrusts within their bounds [N].
-    thrust: Float[np.ndarray, " n"]
-    #: s1 and s2: fractions of the linear and angular acceleration that are met.
-    linear_scale: float
-    angular_scale: float
-    #: Outcome of the request.
-    outcome: Outcome
-
-
 def problem(
     xp: Any,
     arm: float,
@@ -214,42 +200,6 @@ class ThrustAllocator:
         self._solver = SOLVERS[solver](np.full(len(ties), 2.0), ties)
         # Scale √μ(1 - s) back to 1 - s, whose size suits the distance.
         self._unscale = np.repeat([1.0, self._root], sizes)
-
-    def allocate(
-        self,
-        request: Float[np.ndarray, " 3"],
-        matrix: Float[np.ndarray, "3 n"],
-        offset: Float[np.ndarray, " 3"],
-        lower: Float[np.ndarray, " n"],
-        upper: Float[np.ndarray, " n"],
-    ) -> Allocated:
-        """Find the thrusts for an acceleration.
-
-        Parameters
-        ----------
-        request : array, shape (3,)
-            v, the requested ax, ay [m/s²] and ω' [rad/s²].
-        matrix : array, shape (3, n)
-            M(γ), maps thrusts to accelerations.
-        offset : array, shape (3,)
-            g(ω), acceleration without thrust.
-        lower, upper : array, shape (n,)
-            Finite bounds of the thrusts [N].
-
-        Returns
-        -------
-        Allocated
-            Thrusts within their bounds, whatever the request.
-        """
-        n = self._n
-        x, outcome = self.solve(
-            *problem(np, self.arm, self.slack_weight, request, matrix, offset, lower, upper)
-        )
-        if x is None:
-            return Allocated(np.array(lower), 0.0, 0.0, outcome)
-        linear, angular = (1 - x[n:] / self._root).tolist()
-        # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.
-        return Allocated(np.minimum(np.maximum(x[:n], lower), upper), linear, angular, outcome)
 
     def solve(
         self, a: Rows, lower: Bounds, upper: Bounds, finite: Any

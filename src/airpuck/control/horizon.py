@@ -361,11 +361,7 @@ class Condensed(Sizes):
     """DAQP on the commands alone, started from the last active set."""
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        blocks: Blocks,
-        law: PredictiveSettings,
-        hard: Sequence[bool],
+        self, vehicle: Vehicle, blocks: Blocks, law: PredictiveSettings, hard: Sequence[bool]
     ) -> None:
         super().__init__(vehicle, blocks, law)
         import daqp

@@ -144,7 +144,13 @@ class MPC(Law):
         return fence, np.array(rows).reshape(-1, 5), hard
 
     def init(self) -> Ongoing:
-        """Begin with commands that are constant from time 0 on; see `Law.init`."""
+        """Begin with commands that are constant from time 0 on.
+
+        Returns
+        -------
+        Ongoing
+            The state before the first step.
+        """
         return Ongoing(self._first, 0.0, -math.inf, np.zeros(()))
 
     def posed(
@@ -193,7 +199,22 @@ class MPC(Law):
         return weights, np.diag(weights[-1])
 
     def step(self, state: Ongoing, moment: Moment) -> tuple[Step, Ongoing]:
-        """Solve the program and return the first command of the better plan; see `Law.step`."""
+        """Solve the program and return the first command of the better plan.
+
+        Parameters
+        ----------
+        state : Ongoing
+            State from `init` or the previous step.
+        moment : Moment
+            As in `Law.step`.
+
+        Returns
+        -------
+        step : Step
+            The command.
+        state : Ongoing
+            State for the next step.
+        """
         fence, rows, hard = self._limits(moment.limits)
         inputs, state = self.posed(state, *moment[:3], fence, rows)
         estimate, results = moment.foresee(*inputs)

@@ -64,11 +64,33 @@ class LawSettings(Section):
     law: ClassVar[str]
 
     def slowed(self, times: float) -> Self:
-        """Return the settings for a craft that takes `times` as long for the same motion."""
+        """Return the settings for a slower craft.
+
+        Parameters
+        ----------
+        times : float
+            How many times as long the craft takes for the same motion.
+
+        Returns
+        -------
+        LawSettings
+            By default unchanged.
+        """
         return self
 
     def held(self, period_s: float) -> Self:
-        """Return the settings for a craft that takes a command for each period."""
+        """Return the settings for a craft that takes one command in each of its own periods.
+
+        Parameters
+        ----------
+        period_s : float
+            This period [s].
+
+        Returns
+        -------
+        LawSettings
+            By default unchanged.
+        """
         return self
 
 

@@ -8,14 +8,7 @@ from typing import Annotated
 
 import pydantic
 
-from airpuck.boundary.files import (
-    Fraction,
-    NonNegative,
-    Positive,
-    Section,
-    read_toml,
-    write_toml,
-)
+from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml, write_toml
 
 #: Largest size of a table or hall; a longer one is in millimetres [m].
 Side = Annotated[float, pydantic.Field(gt=0, le=1000)]

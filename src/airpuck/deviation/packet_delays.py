@@ -111,10 +111,7 @@ def packet_delays(trajectory: Trajectory, model: Model, *, thorough: bool = Fals
 
 
 def delay_response(
-    trajectory: Trajectory,
-    model: Model,
-    delays: PacketDelays,
-    modelled: Float[np.ndarray, "P N 3"],
+    trajectory: Trajectory, model: Model, delays: PacketDelays, modelled: Float[np.ndarray, "P N 3"]
 ) -> Float[np.ndarray, "P B"]:
     """Return the derivative of the estimated delays with respect to the modelled accelerations."""
     near = _surroundings(trajectory, model)

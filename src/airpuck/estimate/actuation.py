@@ -233,10 +233,7 @@ def _unknown_start(dynamics: Dynamics) -> tuple[float, float]:
 
 @lru_cache(maxsize=32)
 def residual_covariance(
-    length: int,
-    step: float,
-    noise: tuple[float, float, float],
-    time_constant: float,
+    length: int, step: float, noise: tuple[float, float, float], time_constant: float
 ) -> Float[np.ndarray, "E E"]:
     """Return the covariance of the residuals of an axis.
 

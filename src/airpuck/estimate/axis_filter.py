@@ -138,11 +138,7 @@ def process_noise(
     h = duration
     by_acceleration = xp.array([[h**3 / 3, h**2 / 2, 0.0], [h**2 / 2, h, 0.0], [0.0, 0.0, 0.0]])
     by_disturbance = xp.array(
-        [
-            [h**5 / 20, h**4 / 8, h**3 / 6],
-            [h**4 / 8, h**3 / 3, h**2 / 2],
-            [h**3 / 6, h**2 / 2, h],
-        ]
+        [[h**5 / 20, h**4 / 8, h**3 / 6], [h**4 / 8, h**3 / 3, h**2 / 2], [h**3 / 6, h**2 / 2, h]]
     )
     return (
         acceleration_density[:, None, None] * by_acceleration
@@ -156,7 +152,4 @@ def correct(
     """Use a measurement of one component of each axis; an infinite variance leaves it out."""
     column = covariance[:, :, component]
     gain = column / (column[:, component] + variance)[:, None]
-    return (
-        mean + gain * innovation[:, None],
-        covariance - gain[:, :, None] * column[:, None, :],
-    )
+    return (mean + gain * innovation[:, None], covariance - gain[:, :, None] * column[:, None, :])

@@ -175,12 +175,7 @@ def _compiled() -> Any:
         left = jnp.exp(-h / lag)
         gone = lag * (1 - left)
         step = jnp.array(
-            [
-                [1, h, h * h / 2, lag * (h - gone)],
-                [0, 1, h, gone],
-                [0, 0, 1, 0],
-                [0, 0, 0, left],
-            ]
+            [[1, h, h * h / 2, lag * (h - gone)], [0, 1, h, gone], [0, 0, 1, 0], [0, 0, 0, left]]
         )
         late = lateness * jnp.tile(kicks, count // 3)
         covariance = step @ covariance.at[:, 3, 3].add(late) @ step.T

@@ -18,12 +18,7 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.motor_regression import accelerations_by_motor
 from airpuck.deviation.packet_delays import delay_for
-from airpuck.evaluation.innovations import (
-    Innovations,
-    motor_speeds_at,
-    passed,
-    pattern_search,
-)
+from airpuck.evaluation.innovations import Innovations, motor_speeds_at, passed, pattern_search
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust

@@ -139,9 +139,7 @@ register(HERE.name, **CRAFT)
 
 
 def register(
-    namespace: str = "airpuck",
-    environments: Environments = ENVIRONMENTS,
-    **settings: Any,
+    namespace: str = "airpuck", environments: Environments = ENVIRONMENTS, **settings: Any
 ) -> None:
     """Register environments as NAMESPACE/NAME-v0, with settings such as model and twin."""
     for name, (single, vector, own) in environments.items():

@@ -310,12 +310,7 @@ class Search:
         return free
 
     def _path(
-        self,
-        agreed: Route,
-        leaves: float,
-        laid: _Laid,
-        index: int,
-        goal: Float[np.ndarray, " 3"],
+        self, agreed: Route, leaves: float, laid: _Laid, index: int, goal: Float[np.ndarray, " 3"]
     ) -> Route:
         """Return one candidate, with its yaw, as a continuation of the agreed path."""
         start = agreed.moved(np.array([leaves]))

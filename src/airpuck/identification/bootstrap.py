@@ -31,11 +31,7 @@ _FEWEST = 5
 
 
 def bootstrap(
-    fit: Fit,
-    replicates: int,
-    *,
-    seed: int = 0,
-    progress: Callable[[int], None] = lambda _: None,
+    fit: Fit, replicates: int, *, seed: int = 0, progress: Callable[[int], None] = lambda _: None
 ) -> Fit:
     """Add intervals from fits to resampled data to the intervals from standard errors.
 
@@ -91,11 +87,7 @@ def bootstrap(
 
 
 def resampled_estimates(
-    fit: Fit,
-    replicates: int,
-    *,
-    seed: int = 0,
-    progress: Callable[[int], None] = lambda _: None,
+    fit: Fit, replicates: int, *, seed: int = 0, progress: Callable[[int], None] = lambda _: None
 ) -> Float[np.ndarray, "N P"]:
     """Fit to resampled data on all cores; return the estimates of the fits that converged."""
     loss, free = fit.objective, fit.model.free

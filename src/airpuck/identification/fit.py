@@ -63,9 +63,7 @@ _LAG_STEP = 0.1
 
 
 def identify(
-    trajectories: Trajectory | Sequence[Trajectory],
-    model: str | Rung = "M3",
-    **given: Any,
+    trajectories: Trajectory | Sequence[Trajectory], model: str | Rung = "M3", **given: Any
 ) -> Fit:
     """Fit one model by minimising its error (eq. combined_loss); `given`: fields of `Problem`."""
     return judge(solved(trajectories, model, **given))

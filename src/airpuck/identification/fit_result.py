@@ -167,10 +167,7 @@ def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
 
 
 def fit_warnings(
-    model: Model,
-    trajectories: Sequence[Trajectory],
-    outcome: Outcome,
-    exclusion: Exclusion | None,
+    model: Model, trajectories: Sequence[Trajectory], outcome: Outcome, exclusion: Exclusion | None
 ) -> tuple[str, ...]:
     """Return warnings to read before trusting a model."""
     return (

@@ -115,16 +115,13 @@ class Loss(Settings):
     prediction_time: Annotated[
         float | None,
         Setting(
-            "Length of a prediction; by default 0.208, longer for a slow craft",
-            numbers.WINDOW,
-            "S",
+            "Length of a prediction; by default 0.208, longer for a slow craft", numbers.WINDOW, "S"
         ),
     ] = None
     whole: bool = False
     spacing: float = 7 / 240
     robust: Annotated[
-        bool,
-        Setting("Give poorly predicted windows less weight.", option="--robust"),
+        bool, Setting("Give poorly predicted windows less weight.", option="--robust")
     ] = False
 
     def __post_init__(self) -> None:
@@ -249,7 +246,7 @@ class Preparation(Settings):
         Literal["fit", "fixed"] | None,
         Setting(
             "Fit the transport delay, or use each recording's own. By default it is fitted if the "
-            "method is Levenberg-Marquardt, the model has a motor lag, and the recordings are raw.",
+            "method is Levenberg-Marquardt, the model has a motor lag, and the recordings are raw."
         ),
     ] = None
     retimings: int = 2

@@ -188,10 +188,7 @@ def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:
 
 
 def sandwich(
-    quadratic: Quadratic,
-    parameters: Parameters,
-    space: Subspace,
-    shared: float = 0.0,
+    quadratic: Quadratic, parameters: Parameters, space: Subspace, shared: float = 0.0
 ) -> Uncertainty:
     """Estimate the covariance of fitted parameters from the scores of independent clusters.
 

@@ -73,8 +73,7 @@ class Rung:
             weights = EFFECTS[NEURAL].entries(vehicle.propeller_names, 0)
             starts[NEURAL] = (0.0,) * len(weights)
         parameters = replace(
-            parameters,
-            **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()},
+            parameters, **{k: np.array(v) if isinstance(v, tuple) else v for k, v in starts.items()}
         )
         if self.own:
             parameters = with_own(parameters, {q: q.start for q in self.own})

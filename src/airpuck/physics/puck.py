@@ -264,13 +264,7 @@ def strike(
     slip = vy * nx - vx * ny - first.radius * first.spin - second.radius * second.spin
     k_nn, k_tt, k_nt = mobilities
     impulse_n, impulse_t = contact_impulse(
-        xp,
-        (k_nn, k_tt, k_nt),
-        vx * nx + vy * ny,
-        slip,
-        law.restitution,
-        law.friction,
-        law.grip,
+        xp, (k_nn, k_tt, k_nt), vx * nx + vy * ny, slip, law.restitution, law.friction, law.grip
     )
     push(first, impulse_n, impulse_t, nx, ny, -first.radius)
     push(second, -impulse_n, -impulse_t, nx, ny, second.radius)

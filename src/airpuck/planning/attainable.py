@@ -35,9 +35,7 @@ def motor_range(
 
 
 def thrust_range(
-    model: Model,
-    speeds: tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]],
-    limits: Limits,
+    model: Model, speeds: tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]], limits: Limits
 ) -> tuple[Float[np.ndarray, "n K"], Float[np.ndarray, "n K"]]:
     """Return the lowest and highest thrusts over a range of speeds, effects included."""
     curves = np.asarray(model.dynamics.thrust)

@@ -312,8 +312,7 @@ def _planned(
         except InputError as error:
             if len(drawn) - 1 - number + len(planned) < _FITTED + _FEWEST_CHECKED:
                 raise InputError(
-                    f"this craft's shortest times cannot be planned: {error.problem}",
-                    field="model",
+                    f"this craft's shortest times cannot be planned: {error.problem}", field="model"
                 ) from error
         progress(number + 1, len(drawn))
     return states, np.array(planned)
@@ -332,11 +331,7 @@ def _random_states(count: int, times: MinimalTimes) -> list[_State]:
 
 
 def shortest_time(
-    model: Model,
-    distance: float,
-    velocity: Sequence[float],
-    yaw: float,
-    arrival: Arrival,
+    model: Model, distance: float, velocity: Sequence[float], yaw: float, arrival: Arrival
 ) -> float:
     """Plan the shortest time to a place ahead, along x; without a certificate [s]."""
     if distance == 0 and (arrival == "any" or not np.any(velocity)):

@@ -50,14 +50,9 @@ class Limits(Settings):
         float, Setting("Largest speed along x and along y.", numbers.SPEED_LIMIT, "V")
     ] = 3.0
     margin: Annotated[
-        float,
-        Setting("Distance to keep from rails and discs.", numbers.CLEARANCE, "M"),
+        float, Setting("Distance to keep from rails and discs.", numbers.CLEARANCE, "M")
     ] = 0.0
     smoothing: Annotated[
         float,
-        Setting(
-            "Weight of the commands' squared rates; 2e-4 for flights.",
-            numbers.SMOOTHING,
-            "S",
-        ),
+        Setting("Weight of the commands' squared rates; 2e-4 for flights.", numbers.SMOOTHING, "S"),
     ] = 0.0

@@ -23,12 +23,7 @@ from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import Aligned, align_clocks, continued
 from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
-from airpuck.preprocessing.derivative import (
-    acceleration,
-    shortest_stretch,
-    unwrap_yaw,
-    velocity,
-)
+from airpuck.preprocessing.derivative import acceleration, shortest_stretch, unwrap_yaw, velocity
 from airpuck.preprocessing.missing import (
     interpolated,
     longest_pause,

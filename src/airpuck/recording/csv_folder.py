@@ -141,11 +141,7 @@ def _require_columns(single: Path, mapping: RecordingMapping, needs: Sequence[st
 
 
 def _file_of(
-    stream: str,
-    folder: Path,
-    mapping: RecordingMapping,
-    needs: Sequence[str],
-    single: Path | None,
+    stream: str, folder: Path, mapping: RecordingMapping, needs: Sequence[str], single: Path | None
 ) -> Path | None:
     """Find the file of a stream; None if it does not exist and is not needed."""
     named = _named(stream, mapping)

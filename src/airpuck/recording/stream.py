@@ -14,12 +14,7 @@ from numpy.typing import ArrayLike
 from airpuck.boundary.arguments import checked, checked_class
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import unnamed_columns
-from airpuck.recording.conversion import (
-    commands_of,
-    poses_of,
-    propellers_of,
-    stamps_of,
-)
+from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
 
 #: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a

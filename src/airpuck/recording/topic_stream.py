@@ -13,13 +13,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import nearest
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field, Types, decode, decode_singly, flatten
-from airpuck.recording.conversion import (
-    SECOND_NS,
-    commands_of,
-    poses_of,
-    propellers_of,
-    stamps_of,
-)
+from airpuck.recording.conversion import SECOND_NS, commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.files import chosen_body, listing, shortened
 from airpuck.recording.mapping import (
     AXES,

@@ -175,9 +175,7 @@ def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     outcomes = outcome_table({flight.label: flight.outcomes for flight in flights})
     return [
         PageSection(
-            "errors",
-            "Errors and clearance",
-            [Picture("errors", error_figure(flights), errors)],
+            "errors", "Errors and clearance", [Picture("errors", error_figure(flights), errors)]
         ),
         PageSection(
             "above",

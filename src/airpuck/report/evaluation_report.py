@@ -16,12 +16,7 @@ from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.error_budget import ErrorBudget
 from airpuck.evaluation.evaluate import Evaluation, evaluate
 from airpuck.evaluation.fit_measures import FitMeasures
-from airpuck.faults.strengths import (
-    STRENGTH_HEADINGS,
-    Strengths,
-    find_strengths,
-    strength_rows,
-)
+from airpuck.faults.strengths import STRENGTH_HEADINGS, Strengths, find_strengths, strength_rows
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
 from airpuck.report.budget_figure import budget_section

@@ -30,10 +30,7 @@ _SCALE, _AROUND = 400, 0.04
 
 
 def fleet_report(
-    flight: FleetFlight,
-    fleet: Fleet,
-    out: str | os.PathLike[str],
-    origin: Origin | None = None,
+    flight: FleetFlight, fleet: Fleet, out: str | os.PathLike[str], origin: Origin | None = None
 ) -> Path:
     """Write a page on a flight: an animation, the paths, the distances."""
     moving = Picture("flight", fleet_animation(flight, fleet), "The flight, in real time.")

@@ -21,11 +21,7 @@ from airpuck.identification.settings import Preparation
 from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import published_model
 from airpuck.report.craft import craft_section
-from airpuck.report.evaluation_report import (
-    JudgedModels,
-    judged_sections,
-    sources_section,
-)
+from airpuck.report.evaluation_report import JudgedModels, judged_sections, sources_section
 from airpuck.report.fit_figures import ladder_table
 from airpuck.report.fit_report import FitStudy, study_sections
 from airpuck.report.page import (

@@ -37,8 +37,7 @@ def league(
         str | None, Setting("Play only pairs that include this player.", metavar="PLAYER")
     ] = None,
     output: Annotated[
-        Path | None,
-        options.output("DIR", "Folder for results; games in it are not played again."),
+        Path | None, options.output("DIR", "Folder for results; games in it are not played again.")
     ] = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,

@@ -123,12 +123,7 @@ def play_live(
             hello = live_hello(model, table)
             pages = stack.enter_context(
                 served(
-                    page.host,
-                    port,
-                    hello,
-                    page=GAME_PAGE,
-                    waits=False,
-                    without=", or use --port 0",
+                    page.host, port, hello, page=GAME_PAGE, waits=False, without=", or use --port 0"
                 )
             )
             spectators.append(LivePage(pages, score, craft.level))

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import (
-    MPC,
     AirHockey,
     Fence,
     InputError,
@@ -27,13 +26,7 @@ from airpuck import (
     Tuning,
     default_tuning,
 )
-from airpuck.extend import (
-    MinimalTimes,
-    check_steerable,
-    checked_class,
-    minimal_times_of,
-    numbers,
-)
+from airpuck.extend import MinimalTimes, check_steerable, checked_class, minimal_times_of, numbers
 from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.frame import Frame
 from airpuck_hockey.player.level import LEVELS, Level, slower, weakened

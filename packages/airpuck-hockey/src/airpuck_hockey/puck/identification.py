@@ -12,13 +12,7 @@ from jaxtyping import Float
 
 from airpuck import AirHockey, InputError, Recording, Vehicle, default_vehicle
 from airpuck.extend import SECOND_NS, Contact, Disc, Puck, Result, strike
-from airpuck_hockey.puck.flights import (
-    Flight,
-    Line,
-    find_flights,
-    fit_flights,
-    noise_of,
-)
+from airpuck_hockey.puck.flights import Flight, Line, find_flights, fit_flights, noise_of
 
 #: At a contact, the paths before and after meet this near to a rail or a body [m].
 _NEAR = 0.012

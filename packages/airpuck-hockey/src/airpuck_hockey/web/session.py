@@ -30,13 +30,7 @@ from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.level import LEVELS
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
-from airpuck_hockey.web.page import (
-    GAME_PAGE,
-    hello_of,
-    news_of,
-    state_of,
-    thought_of,
-)
+from airpuck_hockey.web.page import GAME_PAGE, hello_of, news_of, state_of, thought_of
 from airpuck_hockey.web.settings import ArenaSettings
 
 #: Rate limit of new games [1/s], and its burst: starting one stops the physics for 0.2 s. Orders
