@@ -264,7 +264,8 @@ def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
 def test_datasets_are_listed_with_their_licences():
     listed = airpuck("fetch", "--list")
     assert listed.returncode == 0
-    for name, licence in (("holohover", "BSD 2-Clause"), ("air-bearing-satellite", "MIT")):
+    names = {"holohover": "BSD 2-Clause", "air-bearing-satellite": "MIT"}
+    for name, licence in {**names, "cybership-enterprise": "MIT"}.items():
         assert any(name in line and licence in line for line in listed.stdout.splitlines())
 
 

@@ -253,12 +253,12 @@ def test_every_dataset_is_pinned_and_its_own_files_can_be_read(name: str):
         assert ".." not in file
     own = PACKAGED / name
     if (own / "vehicle.toml").exists():
-        names = read_vehicle(own / "vehicle.toml").propeller_names
+        names = read_vehicle(own / "vehicle.toml").columns
         assert set(read_mapping(own / "mapping.toml").command.propellers) == set(names)
 
 
 def test_an_unknown_dataset():
-    with pytest.raises(InputError, match="choose from air-bearing-satellite, holohover"):
+    with pytest.raises(InputError, match="choose from air-bearing-satellite, cybership-enterprise"):
         fetch("satellite")
 
 
