@@ -157,9 +157,7 @@ def identify(
     ] = "",
 ) -> None:
     """Identify a model from recordings and write it as TOML."""
-    from airpuck.judgement.study import study
     from airpuck.model.rungs import named_rung
-    from airpuck.report.tables import error_tables
 
     rung = named_rung("M3" if model in (None, "auto") else model, degree=degree, frame=com_frame)
     if degree is not None and rung.powers is not None:
@@ -175,6 +173,10 @@ def identify(
         raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
     training = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
     other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
+    # These take a second to import, too long before a recording is refused.
+    from airpuck.judgement.study import study
+    from airpuck.report.tables import error_tables
+
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
     if stride is not None:
         loss = replace(loss, spacing=stride * training[0].sample_period)

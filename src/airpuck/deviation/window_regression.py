@@ -15,8 +15,10 @@ flat; and dry friction.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -147,15 +149,15 @@ class WindowRegression:
     evidence: float
     #: Whether thrusts of each motor change independently of the others, and of the motion.
     independent: Bool[np.ndarray, " n"]
-    #: Coefficients of `tilt`, `dish` and `friction` in SI units, and standard errors, infinite if
-    #: thrusts or drag can explain nearly the same.
-    floor: dict[str, tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]]
-    #: Size of the accelerations that each of them causes [m/s²].
-    pulls: dict[str, float]
+    #: Computes `floor`, for the best regression only.
+    judge_floor: Callable[[], dict[str, Any]]
     #: The regression (of forces or of moments) that would show the stated effects more clearly.
     clearer: _FTest
     #: Factor by which the recording must be longer if the motors have the stated effects.
     longer: float = np.inf
+    #: Coefficients of `tilt`, `dish` and `friction` in SI units; standard errors, infinite if
+    #: thrusts or drag can explain nearly the same; and the accelerations that they cause [m/s²].
+    floor: dict[str, Any] = field(default_factory=dict)
 
 
 def regress_windows(
@@ -208,7 +210,8 @@ def regress_windows(
     )
     best = min(tried, key=lambda one: one.evidence)
     longer = _longer(best.clearer, LEVEL / len(tried))
-    return replace(best, p_value=min(1.0, best.p_value * len(tried)), longer=longer)
+    chance = min(1.0, best.p_value * len(tried))
+    return replace(best, p_value=chance, longer=longer, floor=best.judge_floor())
 
 
 def _window_lengths(period: float) -> list[int]:
@@ -250,7 +253,6 @@ def _of_length(
         steady = np.hstack([others["tilt"], others["body"]])
         forward = _FTest.of(linear, both, steady, stated[:2].reshape(-1), count)
         spin = _FTest.of(turning, measured[:, 2], spinning, stated[2], count)
-        floor = _floor(others, linear, both, count)
         apart = np.vstack([forward.independent_error.reshape(2, n), spin.independent_error])
         yield WindowRegression(
             effect=np.vstack([forward.slope.reshape(2, n), spin.slope]),
@@ -261,8 +263,7 @@ def _of_length(
             length=samples * period,
             evidence=forward.log_p + spin.log_p,
             independent=np.isfinite(apart.min(axis=0)),
-            floor=floor,
-            pulls={name: _size(others[name] @ value, count) for name, (value, _) in floor.items()},
+            judge_floor=partial(_floor, others, linear, both, count),
             clearer=max((forward, spin), key=lambda one: one.stated / len(one.slope)),
         )
 
@@ -272,8 +273,8 @@ def _floor(
     thrusts: Float[np.ndarray, "M2 n2"],
     values: Float[np.ndarray, " M2"],
     count: int,
-) -> dict[str, tuple[Float[np.ndarray, " _"], Float[np.ndarray, " _"]]]:
-    """Return the floor's coefficients and their errors."""
+) -> dict[str, Any]:
+    """Return the floor's coefficients, their errors, and the size of their accelerations."""
     body, table = columns["body"], columns["tilt"]
 
     def tested(name: str, *nuisance: Float[np.ndarray, "M2 _"]) -> _FTest:
@@ -285,7 +286,8 @@ def _floor(
     floor = {name: (one.slope, one.independent_error) for name, one in found.items()}
     # Without drag a slope is known better, unless drag explains it as well.
     (tilt, error), steep = floor["tilt"], tested("tilt").slope
-    return floor | {"tilt": (steep, error + np.abs(steep - tilt))}
+    floor |= {"tilt": (steep, error + np.abs(steep - tilt))}
+    return {name: (*one, _size(columns[name] @ one[0], count)) for name, one in floor.items()}
 
 
 def _other_columns(

@@ -158,10 +158,10 @@ def _floor(
     # To the axes of the log.
     flipped = {"tilt": (signs.x, signs.y), "dish": (1, 1, signs.x * signs.y), "friction": (1,)}
     values: dict[str, Any] = {}
-    for name, (value, error) in found.floor.items():
+    for name, (value, error, pull) in found.floor.items():
         share, errors = _FLOOR_REPORTED[name]
         certain = found.p_value < LEVEL and np.linalg.norm(value) >= errors * error.max()
-        if certain and found.pulls[name] >= share * push:
+        if certain and pull >= share * push:
             values[name] = tuple((value * flipped[name]).tolist())
     if "tilt" in values:
         values["tilt_error"] = tuple(found.floor["tilt"][1].tolist())

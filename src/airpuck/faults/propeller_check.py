@@ -73,8 +73,6 @@ def match_effects(
     A propeller that agrees with its expected effect keeps it. The others are assigned to the
     remaining effects so that as many as possible agree, in the same or the opposite direction.
     """
-    from scipy.optimize import linear_sum_assignment
-
     table = cosines(measured, expected)
     itself = table[np.arange(len(motors)), motors]
     agrees = itself >= AGREES
@@ -82,6 +80,10 @@ def match_effects(
         motor: EffectMatch(motor if stays else None, 1, float(cosine))
         for motor, stays, cosine in zip(motors.tolist(), agrees, itself, strict=True)
     }
+    if agrees.all():
+        return found
+    from scipy.optimize import linear_sum_assignment  # takes half a second to import
+
     worth = np.where(table >= AGREES, table, 0.0)
     worth = np.where(table <= -AGREES, -_OPPOSITE * table, worth)
     rows = np.flatnonzero(~agrees)
@@ -229,11 +231,10 @@ def _explained(
         matches = match_effects(effects[:, clear], stated, clear)
         return agrees, effects, cosines(effects, stated), matches
 
-    reverse, plain = read(REVERSED, -measured), read("agrees", measured)
-    stays = [one.acts_as == k and one.sign > 0 for k, one in reverse[3].items()]
-    if len(clear) >= _ALL and all(stays):
+    if len(clear) >= _ALL and (np.diag(cosines(measured, stated))[clear] <= -AGREES).all():
         # Opposed propellers look swapped, too, but one cause is likelier than several.
-        return reverse
+        return read(REVERSED, -measured)
+    plain = read("agrees", measured)
     if abs(angle) <= TURNED:
         return plain
     upright = read(TURNS, turned(measured, -angle))

@@ -213,7 +213,10 @@ def retime(solution: Solution) -> Solution:
         along = tuple(smoothed_along(one, nominal) for one in solution.trajectories)
         solution = replace(solution, retimed=along)
     for _ in range(problem.retimings):
-        solution = hold_lag(solution.prefit())
+        # A search for faults that found none was a fit to the same windows.
+        if solution.retimed or solution.exclusion is None or solution.exclusion.share:
+            solution = solution.prefit()
+        solution = hold_lag(solution)
         _, _, model = solution.result
         retimed, packets = retime_packets(solution.trajectories, model)
         solution = replace(solution, retimed=retimed, packets=packets)

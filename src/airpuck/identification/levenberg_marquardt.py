@@ -19,6 +19,9 @@ from airpuck.physics.thrust import lowest_slope, slope_rows
 
 #: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
+#: If a step promises less than this fraction of the loss and still fails, the loss has a kink:
+#: wherever the delay moves a command across a sample. The delay is then held.
+_SMALL = 2e-5
 #: Distance from a bound that makes no difference, in units in which the Hessian has a unit
 #: diagonal, and at most this fraction of the range: a short lag seems to have no effect.
 _TOUCHES, _TOUCHES_AT_MOST = 1e-7, 1e-3
@@ -68,6 +71,7 @@ class LevenbergMarquardt:
     ) -> Outcome:
         """Minimise a prediction loss; see `Method.minimize`."""
         program = _StepProgram(parameters, free, monotone=self.monotone)
+        delay = parameters.mask(frozenset({"transport_delay"}))
         point = np.array(parameters.to_vector())
         here = loss.quadratic(parameters)
         history = [Iteration(0, here.loss)]
@@ -99,6 +103,8 @@ class LevenbergMarquardt:
             if gain > 0:
                 point, here = point + step, there
                 damping, growth = damping * max(1 / 3, 1 - (2 * float(gain) - 1) ** 3), 2.0
+            elif promised < _SMALL * here.loss and program.free[delay].any():
+                program.free = program.free & ~delay
             else:
                 damping, growth = damping * growth, 2 * growth
             history.append(Iteration(number, here.loss))
@@ -119,7 +125,7 @@ class _StepProgram:
     def __init__(
         self, parameters: Parameters, free: Bool[np.ndarray, " P"], *, monotone: bool
     ) -> None:
-        self._free, self._bounds = free, parameters.bounds()
+        self.free, self._bounds = free, parameters.bounds()
         self._shape, self._n_thrust = np.shape(parameters.thrust), np.size(parameters.thrust)
         self._slopes = SlopeConstraints(free[: self._n_thrust].reshape(self._shape), monotone)
 
@@ -127,7 +133,7 @@ class _StepProgram:
         self, here: Quadratic, point: Float[np.ndarray, " P"], damping: float
     ) -> Float[np.ndarray, " P"]:
         """Solve min g'd + d'(H + λ diag H)d/2."""
-        free, n = self._free, self._n_thrust
+        free, n = self.free, self._n_thrust
         gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
         scale = scaling(here.hessian, free)[free]
         damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))

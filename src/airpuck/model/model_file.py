@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -44,6 +44,13 @@ if TYPE_CHECKING:
     import control
 
 _FORMAT = "airpuck model 1"
+
+
+@lru_cache(maxsize=256)
+def _moved(model: Model, vector: bytes) -> Model:
+    """Return the model with other parameters; every quantity's error needs the same few."""
+    parameters = model.parameters.with_vector(np.frombuffer(vector))
+    return replace(model, parameters=parameters, uncertainty=None)
 
 
 @partial(checked_class, finite=False)
@@ -302,11 +309,7 @@ class Model:
         if self.known is None:
             return np.full(np.shape(quantity(self)), np.nan)
 
-        def of(vector: Float[np.ndarray, " P"]) -> Any:
-            parameters = self.parameters.with_vector(vector)
-            return quantity(replace(self, parameters=parameters, uncertainty=None))
-
-        return self.known.propagate(of)
+        return self.known.propagate(lambda vector: quantity(_moved(self, vector.tobytes())))
 
     def table(self) -> Any:
         """Return every parameter with its standard error and 95 % interval.
