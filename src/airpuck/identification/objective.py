@@ -203,16 +203,9 @@ def normal_equations(
     # Of the local coordinates, only lag and delay affect the encoder's estimate.
     d_begun = jnp.moveaxis(d_encoded[:, :6], 0, 1)
     d_state = jnp.zeros((6, size, batch)).at[:, -(lags + 1) :].set(d_begun)
-    carry = (
-        encoded[:2],
-        encoded[2:6],
-        encoded[6:],
-        d_state[:2],
-        d_state[2],
-        d_state[3:],
-        d_encoded[:, 6 : 6 + n],
-        (jnp.zeros(batch), jnp.zeros((size, batch)), jnp.zeros((size, size))),
-    )
+    states = encoded[:2], encoded[2:6], encoded[6:], d_state[:2], d_state[2], d_state[3:]
+    sums = jnp.zeros(batch), jnp.zeros((size, batch)), jnp.zeros((size, size))
+    carry = *states, d_encoded[:, 6 : 6 + n], sums
     return jax.lax.scan(step, carry, jnp.arange(ahead))[0][-1]
 
 
@@ -384,23 +377,17 @@ class PredictionLoss:
         own_lag = self.vehicle.actuation.own_lag
         dynamics = (parameters.thrust, values, parameters.center_of_mass, lag, own_lag)
         samples = windows.time, windows.state, windows.measured.astype(float), windows.input, slope
+        long = tuple(lengthened(values, _SHORTEST) for values in samples)
         with double_precision():
             # Copy to the device; creating the array with jax.numpy would compile a program for each
             # shape.
             model, data, weights = jax.device_put(
-                (
-                    (dynamics, slopes),
-                    tuple(lengthened(values, _SHORTEST) for values in samples),
-                    np.array(self.weights),
-                )
+                ((dynamics, slopes), long, np.array(self.weights))
             )
 
-        normal_equations = partial(
-            compiled_normal_equations(),
-            encoder=self.encoder,
-            lengths=(windows.encoder_length, windows.prediction_length),
-            frame=self.frame,
-        )
+        lengths = windows.encoder_length, windows.prediction_length
+        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame}
+        normal_equations = partial(compiled_normal_equations(), **static)
         batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
