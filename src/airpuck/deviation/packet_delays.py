@@ -120,10 +120,10 @@ def delay_response(
     late = np.zeros(len(trajectory.command_time))
     late[delays.packet] = delays.deviation
     found = _regressed(near, late)
-    change = np.moveaxis(modelled[:, near.index], (1, 3, 0), (0, 1, 2))
-    of_packet = np.zeros((len(modelled), len(late)))
-    of_packet[:, found.packet] = found.response(near.components.of_accelerations(-change))
-    return of_packet[:, delays.packet]
+    number = np.searchsorted(found.packet, delays.packet)
+    index = near.index[:, found.best[1][number]]
+    change = np.moveaxis(modelled[:, index], (1, 3, 0), (0, 1, 2))
+    return found.response(number, near.components.of_accelerations(-change))
 
 
 def moved(
@@ -275,7 +275,8 @@ class _Regression:
         self._weight, self._m = 1 / np.sqrt(variance), len(packet)
         unknowns, batch = slope.shape[2:]
         weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
-        self._rows = weighted.reshape(batch, -1, unknowns)
+        # Products of strided matrices take ten times as long.
+        self._rows = np.ascontiguousarray(weighted.reshape(batch, -1, unknowns))
         precision = np.repeat([_USUAL**-2, share**-2], [self._m, unknowns - self._m])
         aim = self._aim(residual[:, :, None])[..., 0]
         information, score, _ = normal_equations(self._rows, aim)
@@ -287,29 +288,31 @@ class _Regression:
         misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
         #: Whether packet delays alone explain the poses, (B,).
         self.where_usual = misfit < _MISFIT * np.median(misfit)
-        # Each packet, from the window that determines it best.
         spread = np.diagonal(self._covariance, axis1=1, axis2=2).T[: self._m]
         order = np.argsort(spread, axis=None, kind="stable")
         #: Indices of the D packets, increasing.
         self.packet, first = np.unique(packet.ravel()[order], return_index=True)
-        self._best = row, column = np.unravel_index(order[first], spread.shape)
+        #: For each packet, its number in the window that determines it best, and this window.
+        self.best = row, column = np.unravel_index(order[first], spread.shape)
         #: For each packet: delay [s], its variance [s²], and whether the estimate is reliable.
         self.late, self.variance = (late + step[: self._m])[row, column], spread[row, column]
         self.usual = self.where_usual[column]
         #: Fraction of a delay that is recovered; the prior removes the rest.
         self.gain = 1 - self.variance / _USUAL**2
 
-    def response(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "P D"]:
-        """Return the derivative of the delays, without the prior, with respect to the residuals."""
-        across = np.swapaxes(self._rows, 1, 2)
-        change = self._covariance[:, : self._m] @ (across @ self._aim(residual))
-        row, column = self._best
-        return change[column, row].T / np.maximum(self.gain, 1e-12)
+    def response(
+        self, number: Int[np.ndarray, " D"], residual: Float[np.ndarray, "k 3 P D"]
+    ) -> Float[np.ndarray, "P D"]:
+        """Return the derivative of some delays, without the prior, by their windows' residuals."""
+        row, column = (part[number] for part in self.best)
+        score = np.swapaxes(self._rows[column], 1, 2) @ self._aim(residual)
+        change = (self._covariance[column, row][:, None] @ score)[:, 0]
+        return change.T / np.maximum(self.gain[number], 1e-12)
 
     def _aim(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "B r P"]:
         """Return weighted residuals, row by row."""
         weighted = np.moveaxis(residual * self._weight[..., None, None], -1, 0)
-        return weighted.reshape(len(self._rows), -1, residual.shape[2])
+        return weighted.reshape(len(weighted), -1, residual.shape[2])
 
 
 def _regressed(
