@@ -326,6 +326,12 @@ def test_a_limit_that_is_no_limit_is_refused():
         ours.steer(craft, 0.0)
 
 
+@pytest.mark.parametrize("name", ["fence", "keep_out"])
+def test_limits_set_on_the_law_as_in_former_versions_are_refused(name):
+    with pytest.raises(InputError, match=rf"{name}: is set by controller\.limits now"):
+        setattr(law().law, name, (-0.9, -0.4, 0.9, 0.4))
+
+
 def test_without_a_solution_the_old_plan_then_the_lqr_then_idling_follow(monkeypatch):
     ours = law()
     controller = ours.law

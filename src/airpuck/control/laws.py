@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any
 
 from airpuck.boundary.errors import InputError
@@ -36,10 +36,7 @@ def law_class(name: str) -> Any:
     if found is None:
         known = name in added("airpuck.laws")
         return loaded("airpuck.laws", name) if known else users_class(name, "--law")
-    if isinstance(found, str):
-        module, _, attribute = found.rpartition(".")
-        return getattr(import_module(module), attribute)
-    return found
+    return resolve_name(found) if isinstance(found, str) else found
 
 
 def law_label(name: str) -> str:

@@ -211,9 +211,8 @@ class LQR(Law):
         self.stage = plan_stage(model, period, slack_weight, options.reject_disturbance)
         self.inputs = np.zeros(6), np.zeros(3), self.gain
         self._period, self._idle = period, np.full(n, model.vehicle.command_min)
-        self._allocator = ThrustAllocator(
-            n, model.radius_of_gyration, slack_weight, settings.solver
-        )
+        allocated = n, model.radius_of_gyration, slack_weight, settings.solver
+        self._allocator = ThrustAllocator(*allocated)
         command, motors, bounds = command_stage(model, period), np.zeros(n), np.zeros(n + 5)
         given = np.zeros(n + 2), bounds, bounds, motors
         self._command = program(command, *given, compiled=options.compiled)

@@ -103,25 +103,29 @@ class MPC(Law):
         #: Area of the craft's centre, if the moment has no fence.
         self.fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
         self._keep_out = [KeepOut(*disc) for disc in limits.keep_out_m]
-        self._kinds = ["rail", "rail"]
-        self._kinds += ["speed"] * (limits.speed_m_s is not None)
-        self._kinds += ["spin"] * (limits.spin_rad_s is not None)
+        of_rates = {"speed": limits.speed_m_s, "spin": limits.spin_rad_s}
+        self._kinds = ["rail", "rail", *(name for name, most in of_rates.items() if most)]
         self._solver = lru_cache(maxsize=8)(partial(Condensed, vehicle, blocks, settings))
         posed = stages(model, blocks, settings, options.reject_disturbance)
-        hard = self._limits(options.limits)[2]
+        #: The latest limits, and their arrays.
+        self._laid_out = tuple(options.limits), self._limits(options.limits)
+        fence, rows, hard = self._laid_out[1]
         self.stage = _stage(posed, self._solver(hard).form)
         errors, self._efforts = settings.weights.errors * blocks.step, settings.weights.efforts
         self._weights = np.tile(errors, (count, 1))
         parts = np.diag(errors), np.diag(self._efforts * blocks.step)
         self._terminal = cost_to_go(*point_mass(blocks.step), *parts)
         self._range = vehicle.command_min, vehicle.command_max
-        self._first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST).clip(
-            *self._range
-        )
-        self.inputs, _ = self.posed(
-            self.init(), SetPoint(0.0, 0.0, 0.0), 0.0, 0.0, *self._limits(options.limits)[:2]
-        )
+        first = np.full((len(blocks.lengths), vehicle.n_propellers), _FIRST)
+        self._first = first.clip(*self._range)
+        self.inputs, _ = self.posed(self.init(), SetPoint(0.0, 0.0, 0.0), 0.0, 0.0, fence, rows)
         self._fall_back = staged(self.fallback, model, options.compiled)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name == "keep_out" or (name == "fence" and name in vars(self)):
+            problem = "is set by controller.limits now: [airpuck.Fence(…), airpuck.KeepOut(…), …]"
+            raise InputError(problem, field=name)
+        super().__setattr__(name, value)
 
     def _limits(
         self, given: Sequence[Any]
@@ -215,7 +219,9 @@ class MPC(Law):
         state : Ongoing
             State for the next step.
         """
-        fence, rows, hard = self._limits(moment.limits)
+        if (given := tuple(moment.limits)) != self._laid_out[0]:
+            self._laid_out = given, self._limits(given)
+        fence, rows, hard = self._laid_out[1]
         inputs, state = self.posed(state, *moment[:3], fence, rows)
         estimate, results = moment.foresee(*inputs)
         *formed, states, request, way = results
