@@ -177,7 +177,7 @@ def control() -> Figure:
     axes = figure.add_subplot()
     for law, color in (("lqr", style.GREY), ("mpc", style.VERMILLION)):
         tuning = tuning_for(truth()).with_law(law)
-        recording, _ = airpuck.track(truth(), SET_POINTS, 6.5, seed=1, tuning=tuning)
+        recording = airpuck.track(truth(), SET_POINTS, 6.5, seed=1, tuning=tuning).recording
         pose = recording["pose"]
         time = (pose.stamp_ns - pose.stamp_ns[0]) / 1e9
         wanted = np.array([at(t) for t in time])
@@ -267,7 +267,7 @@ def thrust() -> Figure:
 def excitation() -> Figure:
     """Compare thrust curves after an excitation and after a hover."""
     figure = new(4.6)
-    hover, _ = airpuck.track(truth(), airpuck.SetPoint(0.0, 0.0, 0.0), 20.0)
+    hover = airpuck.track(truth(), airpuck.SetPoint(0.0, 0.0, 0.0), 20.0).recording
     quiet = airpuck.identify(airpuck.preprocess(hover), "M3")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for axes, one, title in zip(
@@ -315,7 +315,8 @@ def animated() -> None:
         [0.0, 0.5, 2.5, 4.5], [(0, 0, 0), (1, 0.3, 1.5), (0.5, -0.3, -1), (0, 0, 0)]
     )
     tuning = tuning_for(model).with_law("mpc")
-    recording, log = airpuck.track(model, goals, 6.2, tuning=tuning)
+    log = airpuck.track(model, goals, 6.2, tuning=tuning)
+    recording = log.recording
     airpuck.animate(recording, FOLDER / "flight.gif", log=log, frames_per_second=20.0)
 
 

@@ -89,7 +89,7 @@ def flown(propellers: int, kind: str, seed: int) -> Recording:
         return excite(model, DURATION, seed, amplitude=0.6, plant=plant)
     points = POINTS if kind == "set points" else POINTS[:1]
     set_points = SetPoints(DWELL * np.arange(len(points)), points)
-    return track(model, set_points, DURATION, seed=seed, plant=plant)[0]
+    return track(model, set_points, DURATION, seed=seed, plant=plant).recording
 
 
 def wrong(model: Model, what: str) -> Model:

@@ -127,10 +127,11 @@ def steered(craft: str, duration: float) -> None:
     """Fly to a set point with both laws, and print time, error and on-time."""
     model, settings, tuning = prepared(craft)
     for law in ("lqr", "mpc"):
-        recording, log = track(
+        log = track(
             model, SetPoint(*GOAL), duration, pose=START, settings=settings,
             tuning=tuning.with_law(law),
         )  # fmt: skip
+        recording = log.recording
         pose = recording["pose"]
         left = np.abs(pose.values[:, :3] - GOAL)
         away = (np.hypot(left[:, 0], left[:, 1]) > REACHED[0]) | (left[:, 2] > REACHED[1])

@@ -54,7 +54,7 @@ def flown(seed: int, seeds: int = 100) -> dict[str, float]:
     model, duration = published_model("M4"), DWELL * len(SET_POINTS)
     jitter = LONGEST_JITTER * seed / max(seeds - 1, 1)
     set_points = SetPoints(DWELL * np.arange(len(SET_POINTS)), SET_POINTS)
-    recording, log = track(
+    log = track(
         model,
         set_points,
         duration,
@@ -62,6 +62,7 @@ def flown(seed: int, seeds: int = 100) -> dict[str, float]:
         settings=bad_radio(jitter, seed, duration),
         plant=_plant(),
     )
+    recording = log.recording
     flight = Track.of(recording, model.vehicle, "")
     # Missing poses give nan, which counts as not reached.
     unknown = (np.nan, np.nan, np.nan)

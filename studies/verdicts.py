@@ -313,14 +313,14 @@ def settles(model: Model, truth: Model, settings: TwinSettings, seed: int) -> bo
     # Slow craft get the time that the verdict's own flights give them.
     arrives = time_there(model)
     try:
-        recording, _ = track(
+        recording = track(
             model,
             SetPoint(*GOAL),
             arrives + STAYS,
             truth=truth,
             seed=1000 + seed,
             settings=settings,
-        )
+        ).recording
     except InputError:  # A model from which no controller can be designed.
         return False
     pose = recording["pose"].values

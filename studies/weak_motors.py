@@ -78,7 +78,7 @@ def flown(fault: str, law: str, estimator: str, seed: int) -> list[float]:
     motor, tuning = seed % len(names), default_tuning()
     if not known:
         tuning = tuning.with_estimator(estimator).with_law(law)
-    recording, _ = track(
+    recording = track(
         model,
         set_points,
         DWELL * len(POINTS),
@@ -87,7 +87,7 @@ def flown(fault: str, law: str, estimator: str, seed: int) -> list[float]:
         tuning=_SLOW if law == "converged" else tuning,
         plant=_plant(),
         make_pilot=partial(knowing, fault, motor, law) if known else None,
-    )
+    ).recording
     flight = Track.of(recording, model.vehicle, "")
     wanted = np.array([set_points.at(float(t), 0.0).state[:3] for t in flight.time])
     error = pose_difference(np, flight.pose.T, wanted.T).T

@@ -10,8 +10,8 @@ import airpuck
 import airpuck_hockey
 
 #: Examples that take over 1.5 s alone.
-SLOW = {"Game", "PredictionBands", "ResidualTests", "Study"}
-SLOW |= {"animate", "plan", "resid", "study"}
+SLOW = {"ControllerComparison", "Game", "PredictionBands", "ResidualTests", "Study"}
+SLOW |= {"animate", "compare_controllers", "plan", "resid", "study"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 
 

@@ -29,8 +29,8 @@ Controllers
     default_tuning, read_tuning, LawSettings, LQR, MPC, Law, Step, Fence, KeepOut, HalfPlane,
     Pilot, InverseThrust, acceleration_map, SafetyLimits
 Flights on the twin
-    track, excite, fly, race, replay, Replay, tracking_study, Twin, TwinBatch,
-    TwinSettings, read_twin_settings, PuckState
+    track, FlightLog, excite, fly, race, replay, Replay, tracking_study, compare_controllers,
+    ControllerComparison, Twin, TwinBatch, TwinSettings, read_twin_settings, PuckState
 Time-optimal plans
     plan, Plan, read_plan, Goal, Limits
 Several craft

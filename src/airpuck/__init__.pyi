@@ -101,9 +101,13 @@ from airpuck.live.safety import SafetyLimits as SafetyLimits
 
 # Flights on the twin.
 from airpuck.twin.experiments import track as track, excite as excite, race as race
-from airpuck.flight.loop import fly as fly
+from airpuck.flight.loop import fly as fly, FlightLog as FlightLog
 from airpuck.flight.replay import replay as replay, Replay as Replay
-from airpuck.twin.tracking_study import tracking_study as tracking_study
+from airpuck.twin.tracking_study import (
+    tracking_study as tracking_study,
+    compare_controllers as compare_controllers,
+    ControllerComparison as ControllerComparison,
+)
 from airpuck.twin.twin import Twin as Twin
 from airpuck.twin.batch import TwinBatch as TwinBatch
 from airpuck.twin.settings import (

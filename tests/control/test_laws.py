@@ -43,7 +43,7 @@ def test_a_law_of_ones_own_reaches_its_set_point_and_keeps_its_state():
 def test_a_law_registered_in_python_is_found_by_name(monkeypatch):
     monkeypatch.setitem(LAWS, "mine", law_named(PID))
     tuning = default_tuning().with_law("mine")
-    _, log = track(M3, airpuck.SetPoint(0.1, 0.0, 0.0), 0.3, tuning=tuning)
+    log = track(M3, airpuck.SetPoint(0.1, 0.0, 0.0), 0.3, tuning=tuning)
     assert log.status[-1] == "exact"
 
 
@@ -64,7 +64,7 @@ def test_a_law_is_given_by_name_by_class_or_as_an_object():
         controller.pose(0.0, np.zeros(3))
         assert type(controller.law) is kind
         assert level is None or (controller.step(0.0).command == level).all()
-    recording, _ = track(M3, goal, 0.2, law=Creep)
+    recording = track(M3, goal, 0.2, law=Creep).recording
     assert (recording["command"].values[5:] == 0.2).all()
     assert "a law of its own" in recording.source
 

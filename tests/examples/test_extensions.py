@@ -97,7 +97,8 @@ def test_a_users_actuators_fly_excitation_and_set_points(valves, tmp_path):
     model = nominal_model(airpuck.read_vehicle(valves[0]))
     settings = airpuck.read_twin_settings(EXAMPLES / "free_flyers/twin.toml")
     assert len(airpuck.excite(model, 2.0, 1, settings=settings)["command"].values) == 20
-    flown, _ = airpuck.track(model, airpuck.SetPoint(0.2, 0.0, 0.0), 15.0, settings=settings)
+    goal = airpuck.SetPoint(0.2, 0.0, 0.0)
+    flown = airpuck.track(model, goal, 15.0, settings=settings).recording
     assert np.hypot(*(flown["pose"].values[-1, :2] - [0.2, 0.0])) < 0.05
     model.save(tmp_path / "model.toml")
     assert airpuck.read_model(tmp_path / "model.toml").vehicle == model.vehicle

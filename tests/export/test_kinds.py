@@ -183,3 +183,11 @@ def test_nothing_is_written_beside_an_existing_folder(tmp_path, monkeypatch):
 def test_what_cannot_be_exported_is_one_line(tmp_path):
     done = airpuck("export", "paper:M3", "--to", "mjcf", "-o", tmp_path)
     assert refused(done, "centre of mass that is fixed to the world")
+
+
+def test_a_model_exports_itself(tmp_path):
+    written = M4.export("casadi", tmp_path / "own")
+    export.write(M4, "casadi", tmp_path / "other")
+    assert written.files and (tmp_path / "own" / written.files[0]).is_file()
+    for name in written.files:
+        assert (tmp_path / "own" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()

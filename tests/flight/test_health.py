@@ -33,7 +33,7 @@ def plant():
 def flown(plant, settings: TwinSettings, duration: float, seed: int = 0) -> Recording:
     """Set points flown on the twin."""
     set_points = SetPoints(DWELL * np.arange(len(POINTS)), POINTS)
-    return track(MODEL, set_points, duration, seed=seed, settings=settings, plant=plant)[0]
+    return track(MODEL, set_points, duration, seed=seed, settings=settings, plant=plant).recording
 
 
 def watched(recording: Recording, *times: float, monitor: HealthMonitor) -> list[Health]:

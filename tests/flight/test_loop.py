@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from airpuck.boundary.errors import InputError
 from airpuck.control.law import FLYING, Prediction, Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Rendezvous, SetPoint, SetPoints
@@ -14,6 +15,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.data.measurement import Measurement
 from airpuck.flight.loop import control, fly
 from airpuck.model.model_file import read_model
+from airpuck.twin.experiments import track
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
@@ -281,3 +283,27 @@ def test_periods_that_a_flight_slept_through_are_left_out():
         if len(due) == 3:
             link.now += 0.043  # the process was suspended
     assert due == pytest.approx([0, 0.01, 0.02, 0.06, 0.07, 0.08, 0.09])
+
+
+def test_a_log_measures_how_each_set_point_was_reached():
+    points = SetPoints([0.0, 0.2, 2.5], [(0, 0, 0), (0.3, 0.1, 0.5), (0.1, 0.1, 0.5)])
+    log = track(read_model("paper:M3"), points, 5.0, seed=1)
+    found = log.metrics()
+    assert [result.pose for result in found] == [(0, 0, 0), (0.3, 0.1, 0.5), (0.1, 0.1, 0.5)]
+    for result in found[1:]:
+        x, y, yaw = log.recording["pose"].values.T
+        time = log.recording["pose"].time - log.recording["command"].time[0]
+        off = np.abs([x - result.pose[0], y - result.pose[1], yaw - result.pose[2]]).T
+        away = (off > [0.021, 0.021, 0.06]).any(axis=1)
+        inside = (time > result.start) & (time < result.stop)
+        last = time[inside & away][-1]
+        assert result.settling_time == pytest.approx(last - result.start, abs=0.1)
+        assert "settled after" in repr(result) and "mrad" in repr(result)
+    assert repr(log).startswith("FlightLog(500 commands in 5.0 s")
+
+
+def test_a_flight_that_nobody_recorded_has_no_metrics():
+    controller = TrackingController(read_model("paper:M3"), SetPoint(0.0, 0.0, 0.0))
+    log = fly(controller, Twin(read_model("paper:M3")), 0.1)
+    with pytest.raises(InputError, match="nobody recorded this flight"):
+        log.metrics()

@@ -54,7 +54,7 @@ def plant():
 
 @pytest.fixture(scope="module")
 def recording(plant) -> Recording:
-    return track(M4, SET_POINTS, 3.0, settings=CLEAN, plant=plant, **PAPER)[0]
+    return track(M4, SET_POINTS, 3.0, settings=CLEAN, plant=plant, **PAPER).recording
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +83,8 @@ def test_a_flight_of_this_controller_comes_back(plant, options):
     weights = default_tuning().of(LQRSettings).weights
     weights = weights.model_copy(update={"position": 20.0, "yaw": 10.0})
     tuning = default_tuning().with_law("lqr", weights=weights)
-    recording, log = track(
-        M4, SET_POINTS, 3.0, settings=CLEAN, plant=plant, tuning=tuning, **options
-    )
+    log = track(M4, SET_POINTS, 3.0, settings=CLEAN, plant=plant, tuning=tuning, **options)
+    recording = log.recording
     found = replay(recording, M4, tuning=tuning, **options)
     np.testing.assert_array_equal(found.sent, log.command)
     np.testing.assert_array_equal(found.reference, log.reference)
@@ -115,9 +114,8 @@ def test_another_model_computes_other_commands(recording):
     ],
 )
 def test_the_gains_that_flew_are_found(plant, settings, tolerance, gains):
-    recording, log = track(
-        M4, SET_POINTS, 3.0, settings=settings, plant=plant, gain=gains.matrix(), **PAPER
-    )
+    log = track(M4, SET_POINTS, 3.0, settings=settings, plant=plant, gain=gains.matrix(), **PAPER)
+    recording = log.recording
     found = replay(recording, M4, fit_gains=True, **PAPER)
     assert found.fitted
     np.testing.assert_allclose(

@@ -153,7 +153,7 @@ def test_a_flight_to_a_set_point_is_that_of_the_offline_twin(table, tmp_path):
     assert recording.warnings == ()
     track_live = Track.of(until_landing(recording), TRUTH.vehicle, "live")
     (live,), points = track_live.moves(), track_live.set_points
-    offline, _ = track(TRUTH, points, 6.0)
+    offline = track(TRUTH, points, 6.0).recording
     (planned,) = Track.of(offline, TRUTH.vehicle, "offline").moves()
     assert live.pose == pytest.approx(goal)
     assert live.settling_time == pytest.approx(planned.settling_time, abs=0.3)

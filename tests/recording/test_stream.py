@@ -90,3 +90,18 @@ def test_arrays_that_do_not_fit(arrays, says: str):
 def test_propellers_that_do_not_fit():
     with pytest.raises(InputError, match="names 2 propellers for 4 values"):
         Recording.from_arrays(TIME, POSES, TIME[::2], COMMANDS, propellers=("a", "b"))
+
+
+def test_a_stream_has_times_rows_and_a_table_and_a_recording_names_its_streams():
+    recording = Recording.from_arrays(TIME, POSES, TIME[::2], COMMANDS)
+    poses = recording["pose"]
+    np.testing.assert_allclose(poses.time, TIME, atol=1e-12)
+    time, x, y, yaw = list(poses)[3]
+    assert (time, [x, y, yaw]) == (pytest.approx(0.03), POSES[3].tolist())
+    table = poses.to_pandas()
+    assert list(table) == ["x_m", "y_m", "yaw_rad"]
+    np.testing.assert_array_equal(table.to_numpy(), POSES)
+    assert table.index[3].value == 30_000_000  # ns
+    assert list(recording) == ["pose", "command"]
+    assert "puck" not in recording and "pose" in recording
+    assert repr(poses) == "Stream(20 of x_m, y_m, yaw_rad in 0.2 s)"

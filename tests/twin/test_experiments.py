@@ -175,7 +175,7 @@ def test_a_poor_model_is_visibly_off_after_two_seconds_and_the_true_one_is_near(
 @pytest.mark.slow
 def test_rejecting_the_disturbance_brings_a_poor_model_to_its_set_points(plant_m4):
     reference = SetPoints([0.0, 0.5, 6.5], SET_POINTS[:3])
-    recording, _ = track(M0, reference, 12.5, truth=M4, plant=plant_m4)
+    recording = track(M0, reference, 12.5, truth=M4, plant=plant_m4).recording
     results = Track.of(recording, M0.vehicle, "").results()[-2:]
     found = np.abs([result.steady_state_error for result in results])
     assert found[:, :2].max() < 5e-3
@@ -189,7 +189,8 @@ def test_set_points_are_reached_over_a_bad_radio(plant_m4):
     )
     settings = SETTINGS.model_copy(update={"radio": radio})
     reference = SetPoints([0.0, 0.5, 5.5], SET_POINTS[:3])
-    recording, log = track(M4, reference, 10.5, settings=settings, plant=plant_m4)
+    log = track(M4, reference, 10.5, settings=settings, plant=plant_m4)
+    recording = log.recording
     found = np.abs(
         [r.steady_state_error for r in Track.of(recording, M4.vehicle, "").results()[-2:]]
     )
@@ -202,7 +203,8 @@ def test_set_points_are_reached_over_a_bad_radio(plant_m4):
 
 @pytest.mark.slow
 def test_a_flight_begins_where_it_is_told_to(plant_m4):
-    recording, log = track(M4, SetPoint(0.3, -0.1, 2.0), 0.5, pose=(0.3, -0.1, 2.0), plant=plant_m4)
+    log = track(M4, SetPoint(0.3, -0.1, 2.0), 0.5, pose=(0.3, -0.1, 2.0), plant=plant_m4)
+    recording = log.recording
     np.testing.assert_allclose(recording["pose"].values[0], [0.3, -0.1, 2.0], atol=3e-3)
     np.testing.assert_allclose(recording["pose"].values[-1], [0.3, -0.1, 2.0], atol=6e-3)
     np.testing.assert_array_equal(log.reference, np.tile([0.3, -0.1, 2.0], (50, 1)))
@@ -277,7 +279,8 @@ def faulty_flight(estimator, motors, plant):
     settings = default_twin_settings().model_copy(update={"motors": motors})
     points = SetPoints([0.0, 1.5, 4.0], [(0, 0, 0), (0.2, 0.1, 0.8), (0.0, -0.1, -0.4)])
     tuning = default_tuning().with_estimator(estimator)
-    recording, log = track(M4, points, 6.5, settings=settings, tuning=tuning, plant=plant)
+    log = track(M4, points, 6.5, settings=settings, tuning=tuning, plant=plant)
+    recording = log.recording
     flight = Track.of(recording, M4.vehicle, "")
     wanted = np.array([points.at(float(t), 0.0).state[:3] for t in flight.time])
     error = (flight.pose - wanted)[flight.time > 2.0]

@@ -13,7 +13,7 @@ from airpuck.report.tables import tracking_tables
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.tracking_study import SET_POINTS, tracking_study
+from airpuck.twin.tracking_study import SET_POINTS, compare_controllers, tracking_study
 
 M4 = published_model("M4")
 #: One more than the paper's: the start, and four moves.
@@ -24,7 +24,9 @@ POSES = [(0.2, -0.1, 1.0), (0.5, 0.1, 1.5), (0.2, -0.2, 0.5), (0.0, 0.0, 0.0), (
 @pytest.fixture(scope="module")
 def imitated():
     start = POSES[0]
-    flight, _ = track(M4, SetPoints(TIMES, POSES), 5.0, seed=3, pose=start, plant=build_plant(M4))
+    flight = track(
+        M4, SetPoints(TIMES, POSES), 5.0, seed=3, pose=start, plant=build_plant(M4)
+    ).recording
     (tracked,) = tracking_study([M4], M4, flights=[flight], seed=4)
     return tracked
 
@@ -101,3 +103,26 @@ def test_json_has_null_for_nan(capsys):
         "a": [None, [None, 1.0]],
         "b": {"c": 2, "d": None},
     }
+
+
+@pytest.mark.slow
+def test_controllers_are_compared_on_the_same_craft_and_noise():
+    points = SetPoints([0.0, 0.2], [(0.0, 0.0, 0.0), (0.3, 0.1, 0.0)])
+    found = compare_controllers(M4, ["lqr", "lqr"], flights=2, dwell=1.5, set_points=points)
+    settled = found.figures["settling_time_s"]
+    np.testing.assert_array_equal(settled[0], settled[1])
+    assert settled[0, 0] != settled[0, 1]  # another craft
+    assert found.differences["effort"] == [(0.0, 0.0, 0.0)]
+    mean, low, high = found.means["settling_time_s"][0]
+    # Student's t of one degree of freedom: 12.706.
+    assert high - mean == pytest.approx(12.706 * settled[0].std(ddof=1) / np.sqrt(2), rel=1e-4)
+    assert (low + high) / 2 == pytest.approx(mean)
+    assert len(repr(found).splitlines()) == 3
+
+
+def test_figures_of_a_comparison_are_those_of_single_flights():
+    points = SetPoints([0.0, 0.2], [(0.0, 0.0, 0.0), (0.3, 0.1, 0.0)])
+    found = compare_controllers(M4, ["lqr"], flights=1, spread=0.0, dwell=1.5, set_points=points)
+    (flown,) = tracking_study([M4], M4, set_points=points, dwell=1.5, controller="full")
+    assert found.figures["settling_time_s"][0, 0] == flown.results[-1].settling_time
+    assert found.figures["effort"][0, 0] == flown.results[-1].effort

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.structure import ModelStructure
-    from airpuck.twin.tracking_study import Tracked
 
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
@@ -141,6 +140,8 @@ class TwinItem(Item):
 
     def craft(self) -> Model:
         """Return the model of the twin."""
+        from airpuck.twin.tracking_study import varied
+
         return varied(read_model(self.truth), self.truth_spread, self.seed)
 
 
@@ -191,7 +192,7 @@ class Tracking(TwinItem):
             settings=self.twin,
             tuning=_tuning(self.tuning, tuning_for(model)),
         )
-        return [{**flight_figures(flown), "clearance_m": float(flown.clearance.min())}]
+        return [{**flown.figures(), "clearance_m": float(flown.clearance.min())}]
 
 
 class Recovery(TwinItem, Identification):
@@ -283,6 +284,7 @@ class Fitting(Identification):
     def _structured(self) -> tuple[Fit, ModelStructure]:
         from airpuck.identification.problem import mean_delay
         from airpuck.identification.structure import structured
+        from airpuck.twin.tracking_study import moved
 
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = self._parts()
@@ -357,46 +359,10 @@ def _fit_to_all(item: Fitting, _key: str) -> Fit:
     return item.fit()
 
 
-def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
-    """Multiply thrusts, inertia and motor lag by random factors exp(spread · N(0, 1))."""
-    rng = np.random.default_rng([seed, 7])
-    inertia, lag, *thrusts = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
-    return replace(
-        parameters,
-        thrust=parameters.thrust * np.array(thrusts)[:, None],
-        inertia=parameters.inertia * inertia,
-        motor_time_constant=parameters.motor_time_constant * lag,
-    )
-
-
-def varied(model: Model, spread: float, seed: int) -> Model:
-    """Return a model with `moved` parameters."""
-    if not spread:
-        return model
-    return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
-
-
 def named(prefix: str, values: Any) -> Row:
     """Return one figure for each of x, y [m] and yaw [rad]."""
     channels = ("x_m", "y_m", "yaw_rad")
     return {f"{prefix}_{name}": float(v) for name, v in zip(channels, values, strict=True)}
-
-
-def flight_figures(flown: Tracked) -> Row:
-    """Summarise a flight through set points."""
-    results = flown.results
-    settled = [r.settling_time for r in results if r.settling_time is not None]
-    steady = np.abs([r.steady_state_error or (np.nan,) * 3 for r in results])
-    met = sum(flown.outcomes.get(status, 0) for status in ("exact", "optimal"))
-    steps = len(flown.log.status)
-    return {
-        "not_settled": float(len(results) - len(settled)),
-        "settling_time_s": float(np.mean(settled)) if settled else np.nan,
-        **named("steady_state_error", steady.max(axis=0)),
-        **named("overshoot", np.max([r.overshoot for r in results], axis=0)),
-        "effort": float(np.mean([r.effort for r in results])),
-        "inexact": (steps - met) / steps,
-    }
 
 
 def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:

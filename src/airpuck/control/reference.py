@@ -101,8 +101,8 @@ class SetPoint:
 
     Examples
     --------
-    >>> recording, log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
-    >>> bool(recording["pose"].values[-1, 0] > 0.02)  # [m], on its way
+    >>> log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
+    >>> bool(log.recording["pose"].values[-1, 0] > 0.02)  # [m], on its way
     True
     """
 
@@ -256,7 +256,7 @@ class Rendezvous:
     Examples
     --------
     >>> meet = airpuck.Rendezvous(1.0, (0.3, 0.1, 0.0, 0.5, 0.0, 0.0))  # after 1 s, at 0.5 m/s
-    >>> recording, log = airpuck.track(model, meet, duration=0.1)
+    >>> log = airpuck.track(model, meet, duration=0.1)
     >>> len(log.status)
     10
     """

@@ -16,8 +16,11 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import asked, check_inside
+from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.measurement import Measurement
 from airpuck.flight.pilot import called, check_pilot, checked_step
+from airpuck.flight.track import SetPointResult, Track
+from airpuck.recording.stream import Recording
 
 #: Number of steps between predictions that are stored or published.
 PREDICTIONS_EVERY = 10
@@ -66,9 +69,19 @@ class Link(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FlightLog:
-    """Commands of a flight and outcomes of the control steps."""
+    """Commands of a flight and outcomes of the control steps.
+
+    Examples
+    --------
+    >>> log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=2.0)
+    >>> isinstance(log, airpuck.FlightLog)
+    True
+    >>> [result] = log.metrics()
+    >>> bool(result.settling_time < 1.0)
+    True
+    """
 
     #: Time at which each command was sent [s].
     time: Float[np.ndarray, " K"]
@@ -84,6 +97,40 @@ class FlightLog:
     predictions: Mapping[int, Prediction]
     #: Problems that did not prevent the flight.
     warnings: tuple[str, ...] = ()
+    #: What a recorder on the network logged, and the craft; None: nobody recorded.
+    recorded: Recording | None = None
+    vehicle: Vehicle | None = None
+
+    def __repr__(self) -> str:
+        worst = 1e3 * float(np.max(self.took, initial=0.0))
+        inexact = sum(status not in ("exact", "optimal") for status in self.status)
+        lasting = float(np.ptp(self.time)) if len(self.time) else 0.0
+        return (
+            f"FlightLog({len(self.time)} commands in {lasting:.1f} s, {inexact} inexact; "
+            f"steps took at most {worst:.1f} ms)"
+        )
+
+    @property
+    def recording(self) -> Recording:
+        """What a recorder on the network logged; InputError if nobody recorded."""
+        if self.recorded is None:
+            raise InputError("nobody recorded this flight; fly with airpuck.track")
+        return self.recorded
+
+    def metrics(self) -> list[SetPointResult]:
+        """Measure how the craft reached each set point.
+
+        Returns
+        -------
+        list of SetPointResult
+            Settling time [s], overshoot and error at the end [m, m, rad], and effort.
+
+        Raises
+        ------
+        InputError
+            If the flight was not recorded.
+        """
+        return Track.of(self.recording, self.vehicle or default_vehicle(), "").results()
 
 
 @dataclass(frozen=True, eq=False)

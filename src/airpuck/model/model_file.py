@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -373,6 +373,11 @@ class Model:
 
         names = self.vehicle.propeller_names
         return statespace(self.dynamics, self.name, names, yaw, command, period)
+
+    def export(self, kind: str, folder: str | os.PathLike[str], **inputs: Any) -> Any:
+        """Write the model, or its controller, for another tool; see `airpuck.export.write`."""
+        # Exports build on this package, so nothing here may need them.
+        return import_module("airpuck.export").write(self, kind, folder, **inputs)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the model as TOML; `read_model` restores every number bit for bit.

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
@@ -64,6 +65,8 @@ class Stream:
     >>> poses = recording["pose"]
     >>> isinstance(poses, airpuck.Stream), poses.columns
     (True, ('x_m', 'y_m', 'yaw_rad'))
+    >>> [x for time, x, y, yaw in poses][:2] == poses.to_pandas()["x_m"][:2].tolist()
+    True
     >>> poses.values.shape == (len(poses.stamp_ns), 3)
     True
     """
@@ -96,8 +99,37 @@ class Stream:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def __iter__(self) -> Iterator[tuple[float, ...]]:
+        return zip(self.time.tolist(), *self.values.T.tolist(), strict=True)
+
     def __repr__(self) -> str:
-        return f"Stream({len(self)} of {', '.join(self.columns)})"
+        lasting = np.ptp(self.time) if len(self) else 0.0
+        return f"Stream({len(self)} of {', '.join(self.columns)} in {lasting:.1f} s)"
+
+    @property
+    def time(self) -> Float[np.ndarray, " N"]:
+        """The stamps, of all streams alike [s since the epoch]."""
+        return self.stamp_ns / 1e9
+
+    def to_pandas(self) -> Any:
+        """Return the stream as a table.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A column for each name, by time.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_pandas needs pandas: pip install pandas") from None
+        index = pandas.to_datetime(self.stamp_ns).rename("time")
+        return pandas.DataFrame(self.values, index, list(self.columns))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Stream):
@@ -138,7 +170,7 @@ class Recording:
     --------
     >>> isinstance(recording, airpuck.Recording)
     True
-    >>> sorted(recording.streams)
+    >>> sorted(recording)
     ['command', 'imu', 'mouse', 'pose', 'reference']
     >>> recording["pose"].values.shape[1]  # x, y, yaw
     3
@@ -236,6 +268,9 @@ class Recording:
             raise InputError(error.problem, file=source, field=error.field) from error
         whole = cls({"pose": seen, "command": commanded}, source, warnings=lost + gone)
         return of_cameras(whole, mapping)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.streams)
 
     def __repr__(self) -> str:
         streams = ", ".join(f"{name}: {len(stream)}" for name, stream in self.streams.items())

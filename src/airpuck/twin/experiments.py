@@ -155,7 +155,7 @@ def track(
     plant: Plant | None = None,
     make_pilot: PilotMaker | None = None,
     law: str | type[Law] | Law | None = None,
-) -> tuple[Recording, FlightLog]:
+) -> FlightLog:
     """Fly the twin along a reference.
 
     Parameters
@@ -192,10 +192,8 @@ def track(
 
     Returns
     -------
-    recording : Recording
-        The recording, as made by a recorder on the network.
-    log : FlightLog
-        The controller's log.
+    FlightLog
+        The controller's log, with the recording that a recorder on the network made.
 
     Raises
     ------
@@ -204,9 +202,9 @@ def track(
 
     Examples
     --------
-    >>> recording, log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
-    >>> "reference" in recording.streams
-    True
+    >>> log = airpuck.track(model, airpuck.SetPoint(0.1, 0.0, 0.0), duration=1.0)
+    >>> log.recording["pose"].columns
+    ('x_m', 'y_m', 'yaw_rad')
     """
     tuning, truth = tuning or tuning_for(model), truth or model
     _check_duration(duration, tuning)
@@ -218,7 +216,8 @@ def track(
     log, words = _fly(model, reference, duration, twin, tuning, pilot, on_board, **given)
     goal = "set points" if isinstance(reference, SetPoints) else "its target"
     source = f"flying to {goal} with {words} ({model.name} on a twin of {truth.name}, seed {seed})"
-    return replace(twin.recording(), source=source), log
+    recording = replace(twin.recording(), source=source)
+    return replace(log, recorded=recording, vehicle=truth.vehicle)
 
 
 def _fly(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -25,6 +25,7 @@ from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
+from airpuck.model.parameters import Parameters
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
@@ -54,8 +55,6 @@ class Tracked(Result):
     real: Track | None
     #: The controller's log on the twin.
     log: FlightLog
-    #: Tracking performance on the twin.
-    recording: Recording
     #: The craft and its table.
     vehicle: Vehicle
     table: Table
@@ -64,6 +63,11 @@ class Tracked(Result):
     #: Class name of a user's pilot, and a warning.
     pilot: str | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def recording(self) -> Recording:
+        """The recording of the flight on the twin."""
+        return self.log.recording
 
     @property
     def file_name(self) -> str:
@@ -117,6 +121,26 @@ class Tracked(Result):
         if self.real is None:
             return None
         return np.sqrt(np.mean(self.real.difference(self.twin) ** 2, axis=0))
+
+    def figures(self) -> dict[str, float]:
+        """Summarise the flight: means over the set points, and the worst of errors."""
+        results = self.results
+        settled = [r.settling_time for r in results if r.settling_time is not None]
+        steady = np.abs([r.steady_state_error or (np.nan,) * 3 for r in results]).max(axis=0)
+        overshoot = np.max([r.overshoot for r in results], axis=0)
+        met = sum(self.outcomes.get(status, 0) for status in ("exact", "optimal"))
+        worst = {
+            f"{name}_{channel}": float(value)
+            for name, values in (("steady_state_error", steady), ("overshoot", overshoot))
+            for channel, value in zip(("x_m", "y_m", "yaw_rad"), values, strict=True)
+        }
+        return {
+            "not_settled": float(len(results) - len(settled)),
+            "settling_time_s": float(np.mean(settled)) if settled else np.nan,
+            **worst,
+            "effort": float(np.mean([r.effort for r in results])),
+            "inexact": 1 - met / len(self.log.status),
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
@@ -260,7 +284,7 @@ def _flown(
         gains = Gains.of(lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s))
         if flight is not None:
             gains = replay(flight, model, tuning=tuning, fit_gains=True).gains or gains
-    recording, log = track(
+    log = track(
         model,
         task.set_points,
         task.duration,
@@ -278,10 +302,9 @@ def _flown(
         model=model.name,
         law=law,
         gains=gains,
-        twin=Track.of(recording, truth.vehicle, f"{model.name}, twin"),
+        twin=Track.of(log.recording, truth.vehicle, f"{model.name}, twin"),
         real=task.real,
         log=log,
-        recording=recording,
         vehicle=truth.vehicle,
         table=settings.table,
         label=label,
@@ -319,3 +342,156 @@ class _Task:
         reach = np.array([*border, np.inf])
         x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
         return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)
+
+
+def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
+    """Multiply thrusts, inertia and motor lag by random factors exp(spread · N(0, 1))."""
+    rng = np.random.default_rng([seed, 7])
+    inertia, lag, *thrusts = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
+    return replace(
+        parameters,
+        thrust=parameters.thrust * np.array(thrusts)[:, None],
+        inertia=parameters.inertia * inertia,
+        motor_time_constant=parameters.motor_time_constant * lag,
+    )
+
+
+def varied(model: Model, spread: float, seed: int) -> Model:
+    """Return a model with `moved` parameters."""
+    if not spread:
+        return model
+    return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControllerComparison(Result):
+    """Flights of several laws, on the same craft with the same noise.
+
+    Attributes
+    ----------
+    laws : tuple of str
+        The laws; others are compared with the first.
+    figures : dict of str to array, shape (L, N)
+        Of each law and flight: ``settling_time_s`` and ``effort`` (means over the set points),
+        ``overshoot_x_m``, ``steady_state_error_x_m`` and so on (the worst), ``not_settled`` (number
+        of set points).
+
+    Examples
+    --------
+    >>> points = airpuck.SetPoints([0.0, 0.2], [(0.0, 0.0, 0.0), (0.3, 0.1, 0.0)])
+    >>> found = airpuck.compare_controllers(model, flights=2, set_points=points)
+    >>> isinstance(found, airpuck.ControllerComparison), found.laws
+    (True, ('lqr', 'mpc'))
+    """
+
+    JSON = "laws figures means differences"
+
+    laws: tuple[str, ...]
+    figures: dict[str, Float[np.ndarray, "L N"]]
+
+    @property
+    def means(self) -> dict[str, list[tuple[float, float, float]]]:
+        """By figure, the mean of each law and the ends of its 95 % interval."""
+        return {k: [_mean(row) for row in rows] for k, rows in self.figures.items()}
+
+    @property
+    def differences(self) -> dict[str, list[tuple[float, float, float]]]:
+        """By figure, each further law minus the first, flight by flight; see `means`."""
+        return {k: [_mean(row - rows[0]) for row in rows[1:]] for k, rows in self.figures.items()}
+
+    def __repr__(self) -> str:
+        count = len(self.figures["effort"][0])
+        lines = [f"ControllerComparison of {count} flights each, with 95 % intervals"]
+        for name, unit in (("settling_time_s", " s"), ("effort", "")):
+            words = [f"{self.laws[0]} {self.means[name][0][0]:.3g}{unit}"]
+            for law, ends in zip(self.laws[1:], self.differences[name], strict=True):
+                mean, low, high = (f"{end:+.3g}" for end in ends)
+                words.append(f"{law} {mean}{unit} ({low} to {high})")
+            lines.append(f"{name.removesuffix('_s').replace('_', ' ')}: {'; '.join(words)}")
+        return "\n".join(lines)
+
+
+def _mean(sample: Float[np.ndarray, " N"]) -> tuple[float, float, float]:
+    """Return the mean of finite values and its 95 % interval, by Student's t."""
+    from scipy.special import stdtrit
+
+    sample = sample[np.isfinite(sample)]
+    if len(sample) < 2:
+        return (float(sample.mean()) if len(sample) else np.nan, np.nan, np.nan)
+    half = stdtrit(len(sample) - 1, 0.975) * sample.std(ddof=1) / np.sqrt(len(sample))
+    return float(sample.mean()), float(sample.mean() - half), float(sample.mean() + half)
+
+
+def compare_controllers(
+    model: Model,
+    laws: Sequence[str] = ("lqr", "mpc"),
+    *,
+    truth: Model | None = None,
+    flights: int = 10,
+    spread: float = 0.1,
+    seed: int = 0,
+    set_points: SetPoints | None = None,
+    dwell: Dwell | None = None,
+    settings: TwinSettings | None = None,
+    tuning: Tuning | None = None,
+) -> ControllerComparison:
+    """Fly laws through the same set points, on the same craft with the same noise.
+
+    Parameters
+    ----------
+    model : Model
+        The controllers' model.
+    laws : sequence of str, default ("lqr", "mpc")
+        Names of laws, or FILE.py:NAME; the first is the one that others are compared with.
+    truth : Model, optional
+        The true craft; by default the model.
+    flights : int, default 10
+        Flights of each law.
+    spread : float, default 0.1
+        Random spread of the true thrusts, inertia and lag from flight to flight, relative.
+    seed : int, default 0
+        Seed of the first flight's craft, noise and radio; later flights count up from it.
+    set_points : SetPoints, optional
+        By default the paper's.
+    dwell : float, optional
+        Time at the last set point [s]; see `tracking_study`.
+    settings : TwinSettings, optional
+        Table, sensors, radio, faults; by default the packaged ones.
+    tuning : Tuning, optional
+        Tuning of the controllers; by default the one for the model.
+
+    Returns
+    -------
+    ControllerComparison
+        Settling times, overshoots, errors and effort, with intervals of their differences.
+
+    Raises
+    ------
+    InputError
+        If a law is unknown, or a set point is beyond the rails.
+
+    Examples
+    --------
+    >>> points = airpuck.SetPoints([0.0, 0.2], [(0.0, 0.0, 0.0), (0.3, 0.1, 0.0)])
+    >>> found = airpuck.compare_controllers(model, flights=2, set_points=points)
+    >>> found.figures["settling_time_s"].shape
+    (2, 2)
+    """
+    flown = [
+        tracking_study(
+            [model],
+            varied(truth or model, spread, seed + number),
+            set_points=set_points,
+            dwell=dwell,
+            seed=seed + number,
+            controller="full",
+            laws=laws,
+            settings=settings,
+            tuning=tuning,
+        )
+        for number in range(flights)
+    ]
+    rows = [[one.figures() for one in flight] for flight in flown]
+    names = rows[0][0]
+    figures = {k: np.array([[one[k] for one in flight] for flight in rows]).T for k in names}
+    return ControllerComparison(tuple(laws), figures)
