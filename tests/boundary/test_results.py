@@ -75,3 +75,15 @@ def test_what_is_not_known_stays_none_and_results_nest():
     written = plain({"outer": [outer]})["outer"][0]
     assert written["loss"] is None
     assert written["rmse"] is None
+
+
+def test_a_result_is_shown_in_short_with_the_units_of_its_names():
+    @dataclass(frozen=True)
+    class Found(Result):
+        JSON = "delay_s=delay errors sentences"
+        delay: float
+        errors: np.ndarray
+        sentences: tuple[str, ...] = ("short",)
+
+    found = Found(0.0208333, np.zeros((400, 3)))
+    assert repr(found) == "Found(delay_s=0.02083, errors: 400 entries, sentences=['short'])"

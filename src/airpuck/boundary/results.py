@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from html import escape
 from operator import attrgetter
+from textwrap import shorten
 from typing import Any, ClassVar, Literal, get_args
 
 
@@ -50,6 +51,12 @@ class Result:
 
     JSON: ClassVar[str] = ""
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Give dataclasses a short repr instead of one with all arrays."""
+        super().__init_subclass__(**options)
+        if cls.__repr__ is object.__repr__:
+            cls.__repr__ = _brief  # dataclasses keep it
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
 
@@ -67,6 +74,16 @@ class Result:
                 value = dict(zip(entries.split(","), value, strict=True))
             figures[key] = value
         return figures
+
+
+def _brief(result: Result) -> str:
+    """Write the figures of a result, whose names end with their units, and sizes of the rest."""
+    words = []
+    for key, value in result.to_json().items():
+        number = f"{value:.4g}" if isinstance(value, float) else shorten(repr(value), 60)
+        size = isinstance(value, list | dict) and len(number) > 50
+        words.append(f"{key}: {len(value)} entries" if size else f"{key}={number}")
+    return shorten(f"{type(result).__name__}({', '.join(words)})", 500, placeholder=" …)")
 
 
 def plain(value: Any) -> Any:
