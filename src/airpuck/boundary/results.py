@@ -55,7 +55,7 @@ class Result:
         """Give dataclasses a short repr instead of one with all arrays."""
         super().__init_subclass__(**options)
         if cls.__repr__ is object.__repr__:
-            cls.__repr__ = _brief  # dataclasses keep it
+            setattr(cls, "__repr__", _brief)  # noqa: B010 - dataclasses keep it
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``.
@@ -81,8 +81,10 @@ def _brief(result: Result) -> str:
     words = []
     for key, value in result.to_json().items():
         number = f"{value:.4g}" if isinstance(value, float) else shorten(repr(value), 60)
-        size = isinstance(value, list | dict) and len(number) > 50
-        words.append(f"{key}: {len(value)} entries" if size else f"{key}={number}")
+        if isinstance(value, list | dict) and len(number) > 50:
+            words.append(f"{key}: {len(value)} entries")
+        else:
+            words.append(f"{key}={number}")
     return shorten(f"{type(result).__name__}({', '.join(words)})", 500, placeholder=" …)")
 
 
