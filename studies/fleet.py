@@ -9,8 +9,8 @@ propellers, the others are the paper's M3, published or identified anew. Identif
 their model, but one drawn within its stated uncertainty. 30 % of the messages are lost, the others
 take 10 to 30 ms; the radio jitters by 7 ms, as in the packaged twin. In every tenth flight a craft
 dies. `--kind scaling` draws 2 to 10 craft, `--kind named` flies the packaged scenarios, and in
-`--kind starts` motors fail to start as often as the paper's do; in `--kind turning`, too, but no
-motor is ever commanded less than `least_command`.
+`--kind starts` motors fail to start as often as the paper's do; in `--kind resting`, too, and the
+controllers, unlike ours, let motors rest.
 
 Models are identified once (two minutes) in the folder of the file. Each flight appends a line of
 JSON; an interrupted study resumes. `central` is not flown: it starts from the lines of ours.
@@ -51,7 +51,7 @@ from airpuck.twin.experiments import excite
 from airpuck.twin.settings import read_twin_settings
 
 PILOTS = {"ours": TimedPilot, "published": Published, "voronoi": Voronoi}
-KINDS = ("crossings", "named", "scaling", "starts", "turning")
+KINDS = ("crossings", "named", "scaling", "starts", "resting")
 NETWORK = Network(loss=0.3, delay_s=(0.01, 0.03))
 #: Length of the flight that a model is identified from [s], and number of drawn true craft.
 EXCITED, TRUTHS = 40.0, 8
@@ -59,8 +59,6 @@ EXCITED, TRUTHS = 40.0, 8
 ROOM = 0.23
 #: Least acceleration on a path of a drawn craft [m/s²].
 LEAST_PUSH = 0.8
-#: Command at which a motor keeps turning.
-LEAST_COMMAND = 0.08
 #: Edges of the histogram of computing times [s].
 EDGES = np.geomspace(2e-5, 0.5, 241)
 #: Number of craft in scaling draws, in turn.
@@ -143,12 +141,12 @@ def fleet_of(kind: str, draw: int, folder: Path, truths: dict[str, list[str]]) -
     fleet = crossing(
         draw, folder, truths, COUNTS[draw % len(COUNTS)] if kind == "scaling" else None
     )
-    if kind in ("starts", "turning"):
+    if kind in ("starts", "resting"):
         starts = read_twin_settings("paper:starts").starts
         fleet.settings = fleet.settings.model_copy(update={"starts": starts})
-    if kind == "turning":
+    if kind == "resting":
         for one in fleet.members:
-            one.tuning = one.tuning.model_copy(update={"least_command": LEAST_COMMAND})
+            one.tuning = one.tuning.model_copy(update={"least_command": 0.0})
     return fleet
 
 

@@ -7,6 +7,7 @@ import pytest
 
 import airpuck
 from airpuck.fleet.scenario import Death, Fleet, FleetCraft, Network, Scenario
+from airpuck.twin.settings import Starts
 
 LOSSY = Network(loss=0.3, delay_s=(0.01, 0.03))
 
@@ -29,6 +30,16 @@ def test_three_craft_cross_and_nobody_touches():
     assert (flight.strayed < flight.margins).all()
     goals = np.array([one.goals[-1] for one in crossing(3).members])
     assert np.abs(flight.poses[-1] - goals).max() < 0.1
+
+
+def test_motors_that_cannot_start_again_do_not_take_a_craft_off_its_path():
+    fleet = crossing(2)
+    starts = Starts(rest_s=(0.0, 1.0), failed=(1.0, 0.0), lasting_s=1.0)
+    fleet.settings = fleet.settings.model_copy(update={"starts": starts})
+    flight = airpuck.fly_together(fleet)
+    assert flight.settled < 6
+    assert (flight.strayed < flight.margins).all()
+    assert not flight.contacts
 
 
 def test_a_flight_repeats_with_its_seed():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.identification.fit import identify
-from airpuck.identification.missing_terms import MissingTerm, missing_terms
+from airpuck.identification.missing_terms import MissingTerm, missing_terms, with_shifts
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.model_file import published_model
 
@@ -134,3 +134,12 @@ def friction_labels() -> list[str]:
     loss = LinearLoss({})
     told(loss)
     return loss.labels
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e9])
+def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
+    direction = size * MODEL.parameters.mask(frozenset({"motor_time_constant"}))
+    term = MissingTerm("drag", 1e-9, 0.1, 0.1, (1.0,), -direction)
+    (found,) = with_shifts(MODEL, [term])
+    assert found.shift["τ"] == pytest.approx(-1e3 * size, rel=1e-6)  # stated in ms
+    assert found.shift["I"] == 0

@@ -28,6 +28,8 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin
 
 #: x, y [m], yaw [rad].
 Pose = tuple[float, float, float]
+#: Command at which the paper's motors keep turning; as in `studies/motor_starts.py`.
+_TURNING = 0.08
 #: Largest number of craft; more would not find room on a table.
 _MOST_CRAFT = 20
 
@@ -121,6 +123,13 @@ class Scenario(Section):
     duration_s: Positive = 20.0
 
 
+def _turning(tuning: Tuning, model: Model) -> Tuning:
+    """Keep motors turning: after a start that fails, a craft leaves its path by centimetres."""
+    actuation, most = model.vehicle.actuation, model.vehicle.command_max
+    one_way = actuation.kinds == ("propeller",) and most > _TURNING
+    return tuning.model_copy(update={"least_command": _TURNING}) if one_way else tuning
+
+
 class Member:
     """A craft of a fleet with all that it needs to fly.
 
@@ -142,7 +151,7 @@ class Member:
 
     def __init__(self, craft: FleetCraft, model: Model, truth: Model, speed: float) -> None:
         self.name, self.model, self.truth = craft.name, model, truth
-        self.tuning: Tuning = tuning_for(model)
+        self.tuning: Tuning = _turning(tuning_for(model), model)
         self.reach: Reach = reach_of(model, self.tuning, speed)
         self.start = Route.at_rest(0.0, craft.start)
         goals = craft.goals or [(0.0, *(craft.goal or craft.start))]

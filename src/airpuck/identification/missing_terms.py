@@ -357,9 +357,12 @@ def with_shifts(model: Model, found: Sequence[MissingTerm]) -> tuple[MissingTerm
     vector, now = model.parameters.to_vector(), values(model)
     errors = np.asarray(model.standard_error(values))
     known, complete = errors > 0, []
+    scale = np.where(vector != 0, np.abs(vector), 1.0)
     for one in found:
-        parameters = model.parameters.with_vector(vector + _STEP * one.direction)
-        change = (values(replace(model, parameters=parameters, uncertainty=None)) - now) / _STEP
+        # Where the data hardly determine a direction, the shift is far beyond what is possible.
+        step = _STEP / max(1.0, float(np.max(np.abs(one.direction) / scale)))
+        parameters = model.parameters.with_vector(vector + step * one.direction)
+        change = (values(replace(model, parameters=parameters, uncertainty=None)) - now) / step
         relative = np.abs(np.divide(change, errors, where=known, out=np.zeros_like(change)))
         most = int(np.argmax(relative))
         shift = {q.label: float(c) for q, c in zip(quantities, change, strict=True)}
