@@ -126,6 +126,17 @@ def test_the_physics_of_a_rung_is_the_rung_without_the_network():
     assert rung.initial(BASE.vehicle).residual is None
 
 
+def test_a_term_of_ones_own_may_be_named_like_the_network(tmp_path):
+    code = tmp_path / "residual_drag.py"
+    code.write_text(
+        "import dataclasses\nimport airpuck\n\n"
+        "@dataclasses.dataclass(frozen=True, eq=False)\n"
+        "class Own(airpuck.Effect):\n    value: float = 0.0\n"
+    )
+    name = f"M3+{code}:Own"
+    assert named_rung(name).physics.name == name
+
+
 def flown(seed: int, effects: Effects | None = None):
     """Return an excitation of the published M3 on the twin, with other effects or not."""
     settings = default_twin_settings().without_on_board()

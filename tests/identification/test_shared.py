@@ -20,6 +20,8 @@ from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import Effects, default_twin_settings
 
+from ..apparatus.synthetic_flights import fly
+
 MODEL = replace(published_model("M3"), frame="body")
 DELAYS, TILTS = (0.015, 0.028, 0.021), ((0.004, -0.002), (-0.003, 0.0), (0.0, 0.005))
 
@@ -108,6 +110,11 @@ def test_terms_that_each_recording_has_for_itself_join_the_model():
     assert own == {"transport_delay", "tilt", "voltage_sag"}
     with pytest.raises(InputError, match="delay"):
         with_each(named_rung("M3"), ("dealy",))
+
+
+def test_one_recording_has_nobody_to_share_with():
+    with pytest.raises(InputError, match="needs several recordings"):
+        identify_all(fly(MODEL, 2.0), "M3", each=("delay",))
 
 
 def test_a_model_file_keeps_the_values_of_each_recording(tmp_path):

@@ -149,8 +149,8 @@ def identify(
     each: Annotated[
         str,
         Setting(
-            "What each recording has for itself, such as delay,tilt; they share the rest. "
-            "model.toml has the last one's values, model.toml#1 names the first one's.",
+            "Parameters that are fitted for each recording separately, such as delay,tilt; all "
+            "others are shared. model.toml has the last one's values, model.toml#1 the first's.",
             metavar="NAMES",
             heading="Structure of the model",
         ),
@@ -193,7 +193,7 @@ def identify(
             preparation=preparation,
             bootstrap=bootstrap or 0,
             seed=seed,
-            each=[name for name in each.split(",") if name],
+            each=[name.strip() for name in each.split(",") if name.strip()],
             progress=progress,
             resampled=partial(tell, total=bootstrap),
         )
@@ -236,17 +236,37 @@ def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
     uncertainty = fit.uncertainty
     if uncertainty is None:
         return
+    own = fit.model.recordings
     headings = ["", "unit", "value", "95 % interval"]
     if uncertainty.bootstrap is not None:
         headings.append(f"95 %, {uncertainty.bootstrap.replicates} resampled")
     yield table(
         headings,
         [row[: len(headings)] for row in _rows(fit.model)],
-        title=f"Learned values ± standard error, from {uncertainty.clusters} blocks of time",
+        title=f"Learned values ± standard error, from {uncertainty.clusters} blocks of time"
+        + (f"; what differs is that of {Path(own[-1].source).name}" if own else ""),
         left=("", "unit"),
     )
+    if own:
+        yield _each_recording(fit.model)
     if verbose:
         yield from knowledge_words(fit)
+
+
+def _each_recording(model: Model) -> Table:
+    """Tabulate what recordings of one craft do not share."""
+    from airpuck.evaluation.main_quantities import main_quantities
+    from airpuck.evaluation.presentation import value_of
+    from airpuck.model.sections import of_recording
+
+    models = [of_recording(model, k + 1, "") for k in range(len(model.recordings))]
+    rows = []
+    for quantity in main_quantities(model, speeds=(0.5, 1.0)):
+        texts = [value_texts(value_of(one, quantity)) for one in models]
+        if quantity.used(model) and len({float(quantity.value(one)) for one in models}) > 1:
+            rows.append([*texts[0][:2], *(text[2] for text in texts)])
+    names = [Path(one.source).name for one in model.recordings]
+    return table(["", "unit", *names], rows, title="Of each recording", left=("", "unit"))
 
 
 def _rows(model: Model) -> list[list[str]]:

@@ -49,7 +49,7 @@ def with_residual(fit: Fit) -> Fit:
     found = objective.quadratic(parameters)
     count = len(found.cluster_losses)
     if count < _FEWEST:
-        problem = f"needs {_FEWEST} blocks of time to learn from, not {count}: a longer recording"
+        problem = f"+{NEURAL} needs {_FEWEST} blocks of time, and there are {count}; fly longer"
         raise InputError(problem, field="model")
     held = np.arange(count) % _HELD_OUT == _HELD_OUT - 1
     before = best = float(found.cluster_losses[held].sum())

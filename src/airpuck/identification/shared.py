@@ -67,8 +67,9 @@ def identify_each(
     fits = [identify(one, rung, **options) for one in trajectories]
     last = fits[-1]
     free, mask = last.model.free, last.model.parameters.mask(own)
-    for name in sorted(own):
-        if not free[last.model.parameters.mask(frozenset({name}))].any():
+    for name in each:
+        entries = last.model.parameters.mask(frozenset({{**_EACH, **_TERMS}[name]}))
+        if not free[entries].any():
             problem = f"{name} is not learned from these recordings, so none has its own"
             raise InputError(problem, field="each")
     hessians = [fit.windows * _quadratic(fit, fit.model.parameters).hessian for fit in fits]

@@ -160,10 +160,12 @@ def structured(
     neural = NEURAL in rung.effects
     if neural and each:
         raise InputError("cannot be combined with each; leave out one of them", field="model")
+    if each and len(trajectories) == 1:
+        raise InputError("needs several recordings, not one", field="each")
     rung = chosen = rung.physics
 
     def solved(rung: Rung) -> tuple[Model, PredictionLoss | None, Callable[[], Fit]]:
-        if each and len(trajectories) > 1:
+        if each:
             joint = identify_each(trajectories, rung, each, **options)
             return joint.model, joint.objective, lambda: joint
         solution = fitting.solved(trajectories, rung, **options)

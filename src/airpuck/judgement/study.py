@@ -25,7 +25,7 @@ from airpuck.identification.structure import ModelStructure, lacking_on, structu
 from airpuck.judgement.findings import actuator_causes
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
-from airpuck.model.rungs import Rung
+from airpuck.model.rungs import NEURAL, Rung
 from airpuck.physics.rigid_body import CenterOfMassFrame
 from airpuck.preprocessing.pipeline import Source, load_all, load_trajectory
 from airpuck.recording.mapping import RecordingMapping
@@ -185,10 +185,11 @@ def study(
         other = load_trajectory(validation, vehicle, mapping=mapping)
     options: dict[str, Any] = {"degree": degree, "frame": frame, "vehicle": vehicle, "loss": loss}
     options |= {"method": method, "preparation": preparation, "progress": progress}
-    fit, structure = structured(training, model, each=each, **options)
-    if bootstrap and (fit.model.recordings or fit.model.parameters.residual is not None):
+    terms = model.effects if isinstance(model, Rung) else (model or "").split("+")
+    if bootstrap and (each or NEURAL in terms):
         problem = "resamples neither recordings with their own parameters nor +residual"
         raise InputError(problem, field="bootstrap")
+    fit, structure = structured(training, model, each=each, **options)
     if fit.model.recordings:
         return judged(fit, structure, training[-1:], other, mapping=mapping, laws=laws)
     if bootstrap:

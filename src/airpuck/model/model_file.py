@@ -423,7 +423,7 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     """
     if isinstance(name, str) and name.startswith("paper:"):
         return published_model(name.removeprefix("paper:"))
-    if isinstance(name, str) and (cut := re.fullmatch(r"(.+\.toml)#(\d+)((?:\+.*)?)", name)):
+    if cut := re.fullmatch(r"(.+\.toml)#(\d+)((?:\+.*)?)", str(name)):
         return of_recording(read_model(cut[1] + cut[3], effects), int(cut[2]), cut[1])
     name, named = with_code(name, "model")
     try:

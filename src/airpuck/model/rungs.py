@@ -137,7 +137,8 @@ class Rung:
     def physics(self) -> Rung:
         """The rung without the neural term, which is trained after a fit."""
         effects = tuple(name for name in self.effects if name != NEURAL)
-        return replace(self, name=self.name.replace(f"+{NEURAL}", ""), effects=effects)
+        name = "+".join(term for term in self.name.split("+") if term != NEURAL)
+        return replace(self, name=name, effects=effects)
 
     def mask(
         self, parameters: Parameters, vehicle: Vehicle | None = None
