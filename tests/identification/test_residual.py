@@ -131,10 +131,10 @@ def test_a_term_of_ones_own_may_be_named_like_the_network(tmp_path):
     code.write_text(
         "import dataclasses\nimport airpuck\n\n"
         "@dataclasses.dataclass(frozen=True, eq=False)\n"
-        "class Own(airpuck.Effect):\n    value: float = 0.0\n"
+        "class CrossDrag(airpuck.Effect):\n    value: float = 0.0\n"
     )
-    name = f"M3+{code}:Own"
-    assert named_rung(name).physics.name == name
+    name = f"M3+{code}:CrossDrag"
+    assert named_rung(f"{name}+residual").physics.name == name
 
 
 def flown(seed: int, effects: Effects | None = None):
