@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import pkgutil
 import pydoc
 import re
 import subprocess
@@ -60,10 +61,10 @@ HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 EXAMPLES = TESTS.parent / "examples"
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 43_600
-MOST_HOCKEY_LINES = 4_897
+MOST_LINES = 43_601
+MOST_HOCKEY_LINES = 4_896
 #: Names in `airpuck.extend`.
-MOST_EXTEND = 133
+MOST_EXTEND = 132
 
 
 @cache
@@ -166,15 +167,20 @@ def test_air_hockey_imports_only_what_airpuck_documents():
     assert used == public["airpuck.extend"]  # a name that nobody needs stays private
 
 
-def users_imports(path: Path) -> list[tuple[str, str]]:
-    """Modules of the two distributions, and what a user's file or page imports from them."""
+def users_code(path: Path) -> ast.Module:
+    """The syntax of a user's file, or of a page's code cells."""
     source = path.read_text(encoding="utf-8")
     if path.suffix == ".md":
         cells = re.findall(r"```\{code-cell\}.*?\n(.*?)```", source, re.DOTALL)
         cells = [cell for cell in cells if ".py" in cell or not cell.startswith("%%writefile")]
         source = "\n".join(re.sub(r"^[%:!].*", "", cell, flags=re.MULTILINE) for cell in cells)
+    return ast.parse(source)
+
+
+def users_imports(path: Path) -> list[tuple[str, str]]:
+    """Modules of the two distributions, and what a user's file or page imports from them."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(users_code(path)):
         if isinstance(node, ast.Import):
             found += [(alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -194,6 +200,10 @@ def test_examples_and_tutorials_import_public_names_only(path):
     """Names of airpuck; a page of a report also uses `airpuck.extend`."""
     public = {"airpuck", "airpuck_hockey", *(["airpuck.extend"] if "report" in str(path) else [])}
     assert {module for module, _ in users_imports(path)} <= public
+    chains = [ast.unparse(n) for n in ast.walk(users_code(path)) if isinstance(n, ast.Attribute)]
+    for chain in chains:
+        if re.fullmatch(r"airpuck(_hockey)?(\.\w+)+", chain):
+            pkgutil.resolve_name(chain)  # AttributeError if there is none
 
 
 def test_few_names_are_for_those_who_extend_airpuck():

@@ -43,7 +43,7 @@ from airpuck.campaigns.fingerprint import (
     of_file as of_file,
     of_recording as of_recording,
 )
-from airpuck.campaigns.items import Item as Item, Row as Row, TwinTable as TwinTable
+from airpuck.campaigns.items import Item as Item, Row as Row
 from airpuck.campaigns.workers import (
     Entry as Entry,
     ItemResult as ItemResult,

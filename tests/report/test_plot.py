@@ -54,3 +54,11 @@ def test_all_draw_where_they_are_told_and_by_default_in_a_new_figure(flown):
 def test_a_wrong_number_of_axes_is_refused(flown):
     with pytest.raises(InputError, match="needs 3 matplotlib axes, not 1"):
         airpuck.plot.horizon(flown[1], Figure().add_subplot())
+
+
+@pytest.mark.slow
+def test_flights_are_drawn_from_above():
+    points = airpuck.SetPoints([0.0], [(0.1, 0.0, 0.0)])
+    flown = airpuck.tracking_study([M3], M3, set_points=points, dwell=0.2)
+    figure = airpuck.plot.path_figure(flown)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == [flown[0].label]

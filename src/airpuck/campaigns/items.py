@@ -54,9 +54,6 @@ def _known_rung(name: str) -> str:
     return name
 
 
-TwinTable = TwinSettings
-
-
 def _tuning(table: dict[str, Any], usual: Tuning) -> Tuning:
     """Complete a table that lists only differences from the model's usual tuning."""
     return checked(laid_over(usual.model_dump(mode="json"), table), Tuning)
@@ -135,8 +132,8 @@ class TwinItem(Item):
     #: Random spread of the truth: e^(spread · N), with N normal, multiplies each thrust curve, the
     #: inertia and the motor lag.
     truth_spread: Spread = 0.0
-    #: Settings of the twin, which override the packaged settings.
-    twin: TwinTable = TwinSettings()
+    #: Settings of the twin, which override the paper's.
+    twin: TwinSettings = TwinSettings()
 
     def craft(self) -> Model:
         """Return the model of the twin."""

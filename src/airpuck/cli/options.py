@@ -124,7 +124,7 @@ ReadMapping = Annotated[
         "read_mapping",
     ),
 ]
-_TWIN = "Settings of the twin: table, sensors, radio, faults; by default the packaged ones."
+_TWIN = "Settings of the twin: table, sensors, radio, faults; by default the paper's."
 ReadTwin = Annotated["TwinSettings | None", _file("--twin", _TWIN, "read_twin_settings")]
 TwinFile = Annotated[Path | None, Setting(_TWIN, metavar="FILE", option="--twin")]
 ReadTable = Annotated[

@@ -156,7 +156,7 @@ def design(
     seed : int, default 0
         Seed of the trial flights.
     settings : TwinSettings, optional
-        Settings of the twin; by default the packaged ones.
+        Settings of the twin; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controller; by default the one for the model.
     processes : int, optional

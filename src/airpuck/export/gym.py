@@ -241,7 +241,7 @@ class CourseEnv(TwinEnv):
     model : Model or path-like, default "paper:M3"
         The craft.
     twin : TwinSettings or path-like, optional
-        Table, sensors, radio, effects; by default the packaged ones.
+        Table, sensors, radio, effects; by default the paper's.
     course : str, optional
         A course of `airpuck race`; by default random starts and goals, without points.
     limit_s : float, default 10

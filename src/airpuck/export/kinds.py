@@ -145,7 +145,7 @@ def write(
     tuning : Tuning, optional
         The controller's tuning, for kinds with a controller; by default the one for the model.
     twin : TwinSettings, optional
-        Table, sensors and radio, for kinds with a simulation; by default the packaged ones.
+        Table, sensors and radio, for kinds with a simulation; by default the paper's.
     plan : Plan, optional
         A flight to track, for kinds with a controller.
     inputs : sequence of path-like, optional

@@ -61,7 +61,7 @@ def serve_twin(
     settings : LiveSettings, optional
         How to join the graph, and for how long.
     twin_settings : TwinSettings, optional
-        Table, sensors, radio and faults; by default the packaged ones.
+        Table, sensors, radio and faults; by default the paper's.
     seed : int, default 0
         Seed of all random numbers.
     pose : tuple of float, default (0, 0, 0)

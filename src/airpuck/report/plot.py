@@ -20,6 +20,9 @@ from matplotlib.axes import Axes
 from airpuck.boundary.errors import InputError
 from airpuck.report import style
 from airpuck.report.fit_figures import draw_thrusts
+from airpuck.report.plan_figures import path_figure as path_figure
+from airpuck.report.plan_figures import plan_figure as plan_figure
+from airpuck.report.plan_figures import race_figure as race_figure
 from airpuck.report.prediction_figures import (
     draw_error_distribution,
     draw_horizon,

@@ -51,7 +51,7 @@ class TwinBatch:
     longest : float
         Longest flight between two resets [s].
     settings : TwinSettings, optional
-        Table, sensors, radio, effects; by default the packaged ones.
+        Table, sensors, radio, effects; by default the paper's.
     period : float, default 0.01
         Time between commands [s].
     rng : numpy.random.Generator, optional

@@ -75,7 +75,7 @@ def excite(
     margin : float, default 0.05
         Distance from the rails at which the craft must be able to stop [m].
     settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
+        Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controller; by default the one for the model.
     plant : Plant, optional
@@ -179,7 +179,7 @@ def track(
     on_board : bool, default False
         Whether the controller also uses the IMU and the optical sensor.
     settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
+        Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controller; by default the one for the model.
     plant : Plant, optional
@@ -337,7 +337,7 @@ def race(
     seeds : int, default 1
         Number of flights, each with its own noise and radio.
     settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
+        Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controller; by default the one for the model.
     progress : callable, optional

@@ -33,7 +33,7 @@ def build_plant(
     model : Model
         The truth.
     settings : TwinSettings, optional
-        Table and effects; by default the packaged ones.
+        Table and effects; by default the paper's.
     compiled : bool, default True
         Whether to compile its steps (a second, once) or to run them in NumPy.
 

@@ -209,7 +209,7 @@ def tracking_study(
         Laws that each model flies with, by name (see `airpuck.Law`), or FILE.py:NAME of a pilot; by
         default the tuning's law.
     settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
+        Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controller; by default the one for the model.
     make_pilot : callable, optional
@@ -456,7 +456,7 @@ def compare_controllers(
     dwell : float, optional
         Time at the last set point [s]; see `tracking_study`.
     settings : TwinSettings, optional
-        Table, sensors, radio, faults; by default the packaged ones.
+        Table, sensors, radio, faults; by default the paper's.
     tuning : Tuning, optional
         Tuning of the controllers; by default the one for the model.
 

@@ -42,7 +42,7 @@ class Twin:
     model : Model
         The truth of this world.
     settings : TwinSettings, optional
-        Table, sensors, radio, effects, faults; by default the packaged ones.
+        Table, sensors, radio, effects, faults; by default the paper's.
     seed : int, default 0
         Seed of all random numbers: the same seed gives the same flight.
     pose : tuple of float, default (0, 0, 0)

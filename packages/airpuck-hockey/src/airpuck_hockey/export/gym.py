@@ -75,7 +75,7 @@ class PuckEnv(TwinEnv):
     model : Model or path-like, default "paper:M3"
         The craft.
     twin : TwinSettings or path-like, optional
-        Table, puck, sensors, radio, effects; by default the packaged ones.
+        Table, puck, sensors, radio, effects; by default the paper's.
     render_mode : str, optional
         ``rgb_array``: `render` returns pictures.
 

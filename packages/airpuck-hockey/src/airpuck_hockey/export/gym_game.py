@@ -70,7 +70,7 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
     model : Model or path-like, default "paper:M3"
         Both craft.
     twin : TwinSettings or path-like, optional
-        Table, puck, sensors, radio, effects; by default the packaged ones.
+        Table, puck, sensors, radio, effects; by default the paper's.
     goals : int, default 1
         Goals needed to win.
     limit_s : float, default 30

@@ -167,7 +167,7 @@ class Game:
     left, right : Contestant
         The two sides; see `contestant`.
     settings : TwinSettings, optional
-        Table, puck, radio, noise; by default the packaged ones.
+        Table, puck, radio, noise; by default the paper's.
     rules : Rules, optional
         By default first to seven.
     model : Model, optional

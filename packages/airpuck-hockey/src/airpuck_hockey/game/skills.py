@@ -104,7 +104,7 @@ def skills(
     model : Model
         The craft, and the truth of the twin.
     settings : TwinSettings, optional
-        Table, puck, radio, noise; by default the packaged ones.
+        Table, puck, radio, noise; by default the paper's.
     episodes : int, default 100
         Number of episodes per skill.
     seed : int, default 0

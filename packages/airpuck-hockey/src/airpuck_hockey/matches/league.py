@@ -119,7 +119,7 @@ def league(
     model : str, default "paper:M3"
         Model of the craft: a model file, or one of the paper's.
     settings : TwinSettings, optional
-        Table, puck, radio, noise; by default the packaged ones.
+        Table, puck, radio, noise; by default the paper's.
     rules : Rules, optional
         By default first to seven.
     output : path-like, optional

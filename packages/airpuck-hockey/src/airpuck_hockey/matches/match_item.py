@@ -10,11 +10,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 import pydantic
 
-from airpuck import read_model, write_bag
+from airpuck import TwinSettings, read_model, write_bag
 from airpuck.extend import (
     Item,
     Row,
-    TwinTable,
     default_twin_settings,
     low_latency,
     of_code,
@@ -43,8 +42,8 @@ class Match(Item):
     model: str = "paper:M3"
     #: Rules of the game.
     rules: Rules = pydantic.Field(default_factory=Rules)
-    #: Settings of the twin, which override the packaged settings.
-    twin: TwinTable = pydantic.Field(default_factory=default_twin_settings)
+    #: Settings of the twin, which override the paper's.
+    twin: TwinSettings = pydantic.Field(default_factory=default_twin_settings)
     #: Whether drag and bounces of the puck are drawn for each game, within their uncertainty. No
     #: player gets the true numbers.
     drawn: bool = False

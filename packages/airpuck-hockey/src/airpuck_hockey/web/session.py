@@ -77,7 +77,7 @@ def play_in_browser(
     tactic : str, optional
         The craft's tactic, FILE.py:NAME; by default the package's own.
     settings : TwinSettings, optional
-        Table, puck, radio, noise; by default the packaged ones.
+        Table, puck, radio, noise; by default the paper's.
     seed : int, default 0
         Seed of all random numbers.
     record : path, optional
