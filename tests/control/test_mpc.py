@@ -317,13 +317,9 @@ def test_a_limit_that_is_no_limit_is_refused():
     for wrong in ((0.1, 0, -0.1, 9), (0, 0.1, 9, -0.1), (0.0, np.nan, 1.0, 1.0)):
         with pytest.raises(InputError, match=r"lowest x and y|low_y: must be from -100 to 100"):
             Fence(*wrong)
-    with pytest.raises(InputError, match=r"radius: must be from -100 to 100"):
-        KeepOut(0.0, 0.0, np.inf)
-    ours = law()
-    ours.limits = [(0.0, 0.0, 0.1)]
-    craft = Estimate(0.0, at_rest(0, 0, 0), np.full(6, 0.3), np.zeros(3))
-    with pytest.raises(InputError, match="limits: must be Fence, KeepOut and HalfPlane objects"):
-        ours.steer(craft, 0.0)
+    for radius in (np.inf, -1.0, 0.0):
+        with pytest.raises(InputError, match=r"radius: must be (above 0|from -100)"):
+            KeepOut(0.0, 0.0, radius)
 
 
 @pytest.mark.parametrize("name", ["fence", "keep_out"])

@@ -8,6 +8,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck.control.allocation import Daqp
 from airpuck.control.law import Step
+from airpuck.control.limits import Fence
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.data.measurement import Measurement
@@ -309,3 +310,16 @@ def test_a_solver_that_fails_idles_the_motors_until_it_works(monkeypatch):
         broken.setattr(Daqp, "nearest", lambda *_: None)
         idles(ours.step(last), "failed")
     np.testing.assert_array_equal(ours.step(last).command, before.command)
+
+
+def test_limits_are_checked_when_they_are_set_and_kept_for_every_step():
+    ours, fence = controller(), Fence(-0.5, -0.4, 0.5, 0.4)
+    for wrong in (fence, None, [(0.0, 0.0, 0.1)]):
+        with pytest.raises(InputError, match="limits: must be a list of Fence, KeepOut and"):
+            ours.limits = wrong  # pyright: ignore[reportAttributeAccessIssue]
+    for apart in (Fence(0.6, -0.4, 0.9, 0.4), Fence(-0.5, 0.5, 0.5, 0.9)):
+        with pytest.raises(InputError, match="limits: must leave a place that is within all"):
+            ours.limits = [apart, fence]
+    assert ours.limits == ()
+    ours.limits = (one for one in [fence, Fence(0.0, 0.0, 0.9, 0.9)])
+    assert ours.limits == (fence, Fence(0.0, 0.0, 0.9, 0.9))

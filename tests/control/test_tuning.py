@@ -19,6 +19,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import (
     ChosenLaw,
     Estimation,
+    LawSettings,
     Tuning,
     default_tuning,
     read_tuning,
@@ -322,6 +323,9 @@ def test_a_missing_file_and_broken_toml_are_named(tmp_path):
         ('[regulator]\nkind = "mpc"', "regulator", "[law]"),
         ("[law]\nhorizon_s = 0.5", "law.horizon_s", "law.mpc.horizon_s"),
         ("[law]\niterations = 5", "law.iterations", "law.mpc.iterations"),
+        ("[law]\nlimits.margin_m = 0.02", "law.limits", "is now written [law.mpc.limits]"),
+        ("[law.weights]\nyaw = 3.0", "law.weights", "is now written [law.mpc.weights]"),
+        ("[law]\nsolver = 'piqp'", "law.solver", "is now written law.lqr.solver"),
         ("[law.mcp]\niterations = 5", "law.mcp", "'mpc'"),
         ("[law.plan]\niterations = 5", "law.plan", "no settings"),
     ],
@@ -331,3 +335,17 @@ def test_a_file_that_writes_a_setting_elsewhere_learns_where_it_belongs(tmp_path
     with pytest.raises(InputError, match=re.escape(now)) as error:
         read_tuning(tmp_path / "older.toml")
     assert (error.value.file, error.value.field) == (str(tmp_path / "older.toml"), field)
+
+
+def test_settings_name_their_law_and_their_missing_fields():
+    class Nameless(LawSettings):
+        stiffness: float = 8.0
+
+    class Spring(LawSettings):
+        law = "Spring"
+        stiffness: float
+
+    with pytest.raises(InputError, match='Nameless: needs law = "NAME"'):
+        default_tuning().of(Nameless)
+    with pytest.raises(InputError, match=r"law\.Spring\.stiffness: is required"):
+        default_tuning().of(Spring)

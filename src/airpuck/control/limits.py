@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 
 from airpuck.boundary import numbers
@@ -85,6 +86,10 @@ class KeepOut(_Limit):
     radius: float
     hard: bool = False
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        numbers.DISTANCE.check(self.radius, "radius")
+
     @property
     def row(self) -> tuple[float, float, float, float, float]:
         """A point, a direction away from it (zero: from wherever the craft is), and a distance."""
@@ -128,3 +133,17 @@ class HalfPlane(_Limit):
 
 #: A limit that a law is given at every moment.
 Limit = Fence | KeepOut | HalfPlane
+
+
+def checked_limits(given: Iterable[Limit]) -> tuple[Limit, ...]:
+    """Return limits as a tuple; raise InputError for anything else, or for fences far apart."""
+    several = isinstance(given, Iterable)
+    limits = tuple(given) if several else ()
+    if not (several and all(isinstance(one, Limit) for one in limits)):
+        raise InputError("must be a list of Fence, KeepOut and HalfPlane objects", field="limits")
+    fences = [one for one in limits if isinstance(one, Fence)]
+    for low, high in (("low_x", "high_x"), ("low_y", "high_y")):
+        ends = [getattr(one, high) for one in fences]
+        if any(getattr(one, low) > min(ends) for one in fences):
+            raise InputError("must leave a place that is within all fences", field="limits")
+    return limits

@@ -100,7 +100,7 @@ class MPC(Law):
                 field="law.mpc.block",
             )
         count = len(self._times)
-        #: Area of the craft's centre, if the moment has no fence.
+        #: Area of the craft's centre; a fence of the moment replaces it.
         self.fence = _fence(limits.fence_m, options.table, vehicle.radius_m + limits.margin_m)
         self._keep_out = [KeepOut(*disc) for disc in limits.keep_out_m]
         of_rates = {"speed": limits.speed_m_s, "spin": limits.spin_rad_s}
@@ -136,8 +136,6 @@ class MPC(Law):
         """
         fences = [limit for limit in given if isinstance(limit, Fence)]
         others = self._keep_out + [one for one in given if isinstance(one, KeepOut | HalfPlane)]
-        if len(fences) + len(others) < len(given) + len(self._keep_out):
-            raise InputError("must be Fence, KeepOut and HalfPlane objects", field="limits")
         missing = (1 << (len(others) - 1).bit_length()) - len(others) if others else 0
         rows = [one.row for one in others] + [_NO_ROW] * missing
         corners = [(f.low_x, f.low_y, f.high_x, f.high_y) for f in fences]

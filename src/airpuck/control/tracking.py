@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -17,7 +17,7 @@ from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.authority import control_authority, weakest_effort
 from airpuck.control.law import Law, LawOptions, Moment, Status, Step, make_law, staged
-from airpuck.control.limits import Limit
+from airpuck.control.limits import Limit, checked_limits
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
 from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
@@ -54,7 +54,9 @@ class TrackingController(Pilot):
     table : Table, optional
         The table whose rails a predictive law avoids; by default the paper's.
     limits : sequence of Fence, KeepOut and HalfPlane, optional
-        Limits that a predictive law keeps, besides the tuning's; may be replaced at any time.
+        Limits that a predictive law keeps; may be replaced at any time. Discs and half planes add
+        to the tuning's limits. A fence replaces the tuning's and the table's rails; of several, all
+        hold.
     gain : array, shape (3, 6), optional
         Gain of the law `LQR`.
     reject_disturbance : bool, default True
@@ -112,7 +114,7 @@ class TrackingController(Pilot):
         self.model, self.reference, self.tuning = model, reference, tuning
         self.compensate_delay, self.limits = compensate_delay, limits
         self._idle = vehicle.idle
-        options = LawOptions(table or Table(), limits, gain, reject_disturbance, compiled)
+        options = LawOptions(table or Table(), self.limits, gain, reject_disturbance, compiled)
         moved = of_means(tuning.turning(model))
         self.law = make_law(law or tuning.law.kind, moved, tuning, options)
         self.law.stage = stage_of_means(model, self.law.stage)
@@ -124,6 +126,15 @@ class TrackingController(Pilot):
         self._gate = PoseGate(longest_pause(model, tuning))
         #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """Limits that a predictive law keeps."""
+        return self._limits
+
+    @limits.setter
+    def limits(self, given: Iterable[Limit]) -> None:
+        self._limits = checked_limits(given)
 
     def pose(self, time: float, pose: Numbers) -> None:
         """Receive a measured pose.

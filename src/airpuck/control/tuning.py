@@ -23,7 +23,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.kinds import unknown
-from airpuck.control.laws import LAWS, check_law, law_class
+from airpuck.control.laws import LAWS, check_law, law_class, law_label
 from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.model_file import Model
@@ -124,12 +124,20 @@ class ChosenLaw(Section):
 
 def _settings_of(name: str, table: Any) -> type[LawSettings]:
     """Return the class of a law's settings; raise InputError if no law has this name."""
-    if not isinstance(table, Mapping):
+    try:
+        if not isinstance(table, Mapping):
+            raise InputError("is not a known key; check its spelling")
+        found = getattr(law_class(name), "Settings", None)
+    except InputError as error:
         classes = {law: getattr(law_class(law), "Settings", None) for law in LAWS}
-        near = [law for law, found in classes.items() if found and name in found.model_fields]
-        told = f"belongs to the settings of a law: write law.{near[0]}.{name}" if near else ""
-        raise InputError(told or "is not a known key; check its spelling")
-    if found := getattr(law_class(name), "Settings", None):
+        near = [law for law, kind in classes.items() if kind and name in kind.model_fields]
+        if not near:
+            raise
+        # Older files had the settings of the predictive law here.
+        key = f"law.{'mpc' if 'mpc' in near else near[0]}.{name}"
+        told = f"is now written [{key}]" if isinstance(table, Mapping) else f"is now written {key}"
+        raise InputError(told) from error
+    if found:
         return found
     raise InputError("this law has no settings; leave the table out")
 
@@ -283,11 +291,21 @@ class Tuning(Section):
         -------
         LawSettings
             From the law's table; without one, their defaults.
+
+        Raises
+        ------
+        InputError
+            If the class does not state its law, or a setting without a default is missing.
         """
-        for name, table in self.law.tables.items():
-            if name == settings.law or name.endswith(f":{settings.law}"):
-                return checked(table, settings)
-        return settings()
+        law = getattr(settings, "law", None)
+        if law is None:
+            problem = 'needs law = "NAME", the law whose table it reads'
+            raise InputError(problem, field=settings.__name__)
+        named = (name for name in self.law.tables if law in (name, law_label(name)))
+        try:
+            return checked(self.law.tables.get(next(named, law), {}), settings)
+        except InputError as error:
+            raise InputError(error.problem, field=f"law.{law}.{error.field}") from error
 
     def with_law(self, kind: str, **settings: Any) -> Tuning:
         """Return the tuning with another law.

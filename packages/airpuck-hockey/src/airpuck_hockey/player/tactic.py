@@ -184,8 +184,8 @@ class Intention:
         for name, disc in (("meet", self.meet), ("avoid", self.avoid)):
             if disc is not None and not _is_three(disc):
                 raise InputError("must be 3 finite numbers", field=name)
-        if self.avoid is not None and self.avoid[2] < 0:
-            raise InputError("must have a radius that is not negative", field="avoid")
+        if self.avoid is not None and self.avoid[2] <= 0:
+            raise InputError("must have a radius above 0", field="avoid")
         if self.path is not None:
             numbers_of(self.path, (None, 2), "path")
         if self.chance is not None:
