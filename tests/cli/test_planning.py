@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import airpuck as package
@@ -52,7 +53,9 @@ def test_a_plan_is_said_and_written(planned):
 def test_a_plan_is_raced(planned, tmp_path):
     path, figures, _ = planned
     out, picture = tmp_path / "race.json", tmp_path / "race.png"
-    ended = airpuck("race", path, "--seeds", 1, "--json", out, "--figure", picture, "-q")
+    ended = airpuck(
+        "race", "paper:M3", path, "--seeds", 1, "--json", out, "--figure", picture, "-q"
+    )
     assert ended.returncode == 0
     raced = json.loads(out.read_text())
     assert raced["planned_s"] == figures["time_s"]
@@ -83,3 +86,20 @@ def test_an_unknown_course_is_named():
     assert refused(
         airpuck("race", "paper:M3", "slalm"), "COURSE: must be", "did you mean 'slalom'?"
     )
+
+
+def test_a_plan_in_place_of_the_model_is_told_apart(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    model, times = package.read_model("paper:M3"), np.array([0.0, 0.5])
+    at_rest = package.Plan(model, times, np.zeros((2, 12)), np.zeros((1, 6)), lower_bound=None)
+    at_rest.save("mine.toml")
+    said = "the model comes first: airpuck race paper:M3 mine.toml"
+    assert refused(airpuck("race", "mine.toml"), said)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [("twin", "True model of the simulated craft"), ("race", "Model for the controller")],
+)
+def test_help_tells_which_model_a_command_takes(command, said):
+    assert said in " ".join(airpuck(command, "--help").stdout.replace("│", " ").split())

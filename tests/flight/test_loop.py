@@ -307,3 +307,5 @@ def test_a_flight_that_nobody_recorded_has_no_metrics():
     log = fly(controller, Twin(read_model("paper:M3")), 0.1)
     with pytest.raises(InputError, match="nobody recorded this flight"):
         log.metrics()
+    with pytest.raises(InputError, match=r"one object now: log = airpuck\.track.*log\.recording"):
+        _, log = log  # pyright: ignore[reportGeneralTypeIssues]

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 _PANEL = "Live, on a ROS 2 graph"
 #: Default time at each of several set points [s].
 _DWELL = 3.0
+#: Where the times of other references come from.
+_TIMED = {
+    "--setpoints": "times are in the file",
+    "--plan": "the plan has its own times",
+    "--follow": "the node that publishes the reference sets its times",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +92,7 @@ class Guarded(Settings):
 @app.command(rich_help_panel=_PANEL)
 def twin(
     live: LiveSettings,
-    model: options.ModelName = "paper:M3",
+    model: options.TwinModel = "paper:M3",
     settings: options.ReadTwin = None,
     pose: Annotated[
         tuple[float, float, float],
@@ -171,9 +177,8 @@ def fly(
     if others:
         raise InputError(f"cannot be combined with {first}", field=others[0])
     if dwell is not None and len(setpoints or ()) < 2:
-        raise InputError(
-            "has no effect with one set point; give several, or leave it out", field="--dwell"
-        )
+        times = _TIMED.get(first, "give more than one, or leave it out")
+        raise InputError(f"applies to several --setpoint; {times}", field="--dwell")
     own = None if law is None or plan else pilot_named(law)
     craft = inputs.read_belief(model)
     controls = inputs.read_controls(guarded.tuning, None if own else law, craft)

@@ -157,12 +157,16 @@ RecordingPath = Annotated[
 ControllersModel = Annotated[str, Setting("Model for the controller.", metavar="MODEL")]
 BELIEVED = Setting("Model of the craft.", metavar="MODEL")
 Truth = Annotated[str, Setting("True model, which the twin flies.", metavar="MODEL")]
-ModelName = Annotated[
-    str,
-    Argument(
-        metavar="MODEL", help="A model.toml, the authors' params.json or YAML, or paper:M0 … M4."
-    ),
-]
+
+
+def _model_named(meaning: str) -> Any:
+    forms = "a model.toml, the authors' params.json or YAML, or paper:M0 … M4"
+    return Argument(metavar="MODEL", help=f"{meaning}: {forms}.")
+
+
+ModelName = Annotated[str, _model_named("Model of the craft")]
+RacingModel = Annotated[str, _model_named("Model for the controller and the plan")]
+TwinModel = Annotated[str, _model_named("True model of the simulated craft")]
 Experiment = Annotated[
     ExcitationPlan,
     FromFile(

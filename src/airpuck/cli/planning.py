@@ -111,7 +111,7 @@ def plan(
 
 @app.command(rich_help_panel=_PANEL)
 def race(
-    model: options.ModelName = "paper:M3",
+    model: options.RacingModel = "paper:M3",
     course: Annotated[
         str,
         Argument(
@@ -142,11 +142,11 @@ def race(
     quiet: options.Quiet = False,
 ) -> None:
     """Fly a plan on the twin; without points and discs, also fly to its goal as a set point."""
-    from airpuck.planning.plan import read_plan
+    from airpuck.planning.plan import is_plan, read_plan
     from airpuck.twin import experiments as racing
     from airpuck.twin.settings import default_twin_settings
 
-    if model in racing.COURSES:
+    if model in racing.COURSES or is_plan(model):
         raise InputError(f"the model comes first: airpuck race paper:M3 {model}", field=model)
     settings = twin or default_twin_settings()
     belief = inputs.read_belief(model)

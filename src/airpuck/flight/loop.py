@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import NoReturn, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -110,6 +110,10 @@ class FlightLog:
             f"steps took at most {worst:.1f} ms)"
         )
 
+    def __iter__(self) -> NoReturn:
+        problem = "track returns one object now: log = airpuck.track(…), then log.recording"
+        raise InputError(problem)
+
     @property
     def recording(self) -> Recording:
         """What a recorder on the network logged; InputError if nobody recorded."""
@@ -123,7 +127,8 @@ class FlightLog:
         Returns
         -------
         list of SetPointResult
-            Settling time [s], overshoot and error at the end [m, m, rad], and effort.
+            Settling time [s], overshoot and error at the end [m, m, rad], and effort. Empty for a
+            path, which has no set points to settle at.
 
         Raises
         ------

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Section, read_toml, write_toml
+from airpuck.boundary.files import Section, load_toml, read_toml, write_toml
 from airpuck.boundary.results import Result
 from airpuck.control.reference import Numbers, Target
 from airpuck.craft.table import Table
@@ -304,6 +304,11 @@ class _PlanFile(Section):
     states: tuple[tuple[float, ...], ...]
     #: Commands at the motors between these times, without the transport delay.
     commands: tuple[tuple[float, ...], ...]
+
+
+def is_plan(path: str) -> bool:
+    """Return whether this is a plan file, rather than a model file or a model's name."""
+    return path.endswith(".toml") and load_toml(path).get("format") == _FORMAT
 
 
 def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
