@@ -47,7 +47,7 @@ def test_what_is_no_argument_is_named(name):
             partial(airpuck.tracking_study, [M3], M3, controller="papr"),
             "controller: must be 'paper' or 'full', not 'papr'; did you mean 'paper'?",
         ),
-        (partial(airpuck.compare, [M3, "M3"], None), "models: must be a sequence of Model"),
+        (partial(airpuck.compare, [M3, "M3"], None), "Model, but contains 'M3'"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
         (partial(airpuck.excite, M3, margin=np.nan), "margin: must be "),
         (partial(airpuck.Span, np.nan, 1.0, "gap"), "start: must be a finite number, not nan"),

@@ -87,3 +87,25 @@ def test_a_result_is_shown_in_short_with_the_units_of_its_names():
 
     found = Found(0.0208333, np.zeros((400, 3)))
     assert repr(found) == "Found(delay_s=0.02083, errors: 400 entries, sentences=['short'])"
+
+
+def test_long_lists_are_counted_and_long_texts_end_with_an_ellipsis():
+    @dataclass(frozen=True)
+    class Found(Result):
+        JSON = "files facts words"
+        files: tuple[str, ...] = (
+            "CMakeLists.txt",
+            "LICENSE",
+            "README.md",
+            "airpuck.c",
+            "airpuck.h",
+        )
+        facts: tuple[tuple[str, int], ...] = (
+            ("a rather long name of a fact", 1),
+            ("another one", 2),
+        )
+        words: str = "word " * 20
+
+    shown = repr(Found())
+    assert shown.startswith("Found(files: 5 entries, facts: 2 entries, words='word word")
+    assert shown.endswith("word …)") and len(shown) < 120

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import airpuck
+from airpuck.boundary.errors import InputError
 from airpuck.cli.output import write_json
 from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
@@ -117,7 +119,7 @@ def test_controllers_are_compared_on_the_same_craft_and_noise():
     # Student's t of one degree of freedom: 12.706.
     assert high - mean == pytest.approx(12.706 * settled[0].std(ddof=1) / np.sqrt(2), rel=1e-4)
     assert (low + high) / 2 == pytest.approx(mean)
-    assert len(repr(found).splitlines()) == 3
+    assert len(repr(found).splitlines()) == 4
 
 
 def test_figures_of_a_comparison_are_those_of_single_flights():
@@ -126,3 +128,47 @@ def test_figures_of_a_comparison_are_those_of_single_flights():
     (flown,) = tracking_study([M4], M4, set_points=points, dwell=1.5, controller="full")
     assert found.figures["settling_time_s"][0, 0] == flown.results[-1].settling_time
     assert found.figures["effort"][0, 0] == flown.results[-1].effort
+
+
+@pytest.mark.slow
+def test_a_flight_that_misses_a_set_point_has_no_settling_time():
+    points = SetPoints([0.0, 0.2, 2.2], [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.9, 0.3, 0.0)])
+    options = {"set_points": points, "dwell": 0.2}
+    (flown,) = tracking_study([M4], M4, controller="full", **options)
+    assert [one.settling_time is None for one in flown.results] == [False, True]
+    found = compare_controllers(M4, ["lqr"], flights=1, spread=0.0, **options)
+    assert found.figures["not_settled"][0, 0] == 1
+    assert np.isnan(found.figures["settling_time_s"][0, 0])
+
+
+def test_a_comparison_says_who_did_not_settle():
+    figures = {
+        "settling_time_s": np.array([[1.0, 2.0], [np.nan, np.nan], [np.nan, 2.5]]),
+        "not_settled": np.array([[0.0, 0.0], [1.0, 3.0], [1.0, 0.0]]),
+        "effort": np.array([[1.0, 1.0], [1.5, 1.5], [0.5, 0.5]]),
+    }
+    found = airpuck.ControllerComparison(("lqr", "/home/me/pid.py:PID", "mpc"), figures)
+    assert repr(found).splitlines()[1:] == [
+        "settling time: lqr 1.5 s; PID never settled; mpc +0.5 s",
+        "flights that did not settle: lqr 0; PID 2 of 2; mpc 1 of 2",
+        "effort: lqr 1; PID +0.5 (+0.5 to +0.5); mpc -0.5 (-0.5 to -0.5)",
+    ]
+    turned = {name: rows[[1, 0, 2]] for name, rows in figures.items()}
+    found = airpuck.ControllerComparison(("pid.py:PID", "lqr", "mpc"), turned)
+    assert "PID never settled; lqr 1.5 s; mpc 2.5 s" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"flights": 0}, "flights: must be from 1 to 1000"),
+        ({"flights": -1}, "flights: must be from 1 to 1000"),
+        ({"spread": -1}, "spread: must be from 0 to 1"),
+        ({"laws": []}, "laws: must name at least one law"),
+        ({"laws": "lqr"}, "laws: must be a sequence of texts, not 'lqr'"),
+        ({"laws": ["lqr", airpuck.LQR]}, "sequence of texts, but contains the class LQR"),
+    ],
+)
+def test_a_comparison_without_sense_is_refused(options, words):
+    with pytest.raises(InputError, match=words):
+        airpuck.compare_controllers(M4, **options)

@@ -79,6 +79,11 @@ def misfit(value: Any, hint: Any) -> str:
     names = [name for one in _alternatives(hint) for name in _names(one)]
     if names and isinstance(value, str):
         return unknown(value, names)
+    kinds = [typing.get_args(o)[0] for o in _alternatives(hint) if typing.get_origin(o) is Sequence]
+    entries = value if kinds and isinstance(value, list | tuple) else ()
+    for entry in entries:
+        if not any(fits(entry, kind) for kind in kinds):
+            return f"must be {_words(hint)}, but contains {_shown(entry)}"
     return f"must be {_words(hint)}, not {_shown(value)}"
 
 
@@ -106,7 +111,7 @@ def _words(hint: Any) -> str:
         return "None"
     if origin in (Sequence, tuple) and inner:
         count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} values: "
-        return f"a sequence of {count}{_words(inner[0])}"
+        return f"a sequence of {count}{_words(inner[0])}".replace("of a text", "of texts")
     if origin in _kinds():
         return _kinds()[origin][1]
     return getattr(origin, "__name__", str(origin))
@@ -114,6 +119,8 @@ def _words(hint: Any) -> str:
 
 def _shown(value: object) -> str:
     """Show a short value; for others, the type."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
     simple = value is None or isinstance(value, str | bool | Real)
     return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"
 

@@ -132,7 +132,8 @@ DEGREE = Range(1, 9, "higher powers are indistinguishable")
 WEIGHT = Range(0, 1e6, "with more, no other error counts")
 REPLICATES = Range(10, 100_000, "fewer give no interval, and each takes most of a second")
 EPISODES = Range(1, 100_000, "each takes a few seconds")
-CHECK_FLIGHTS = Range(1, 1000, "each is flown twice, a few seconds each time")
+CHECK_FLIGHTS = Range(1, 1000, "each takes several seconds")
+CRAFT_SPREAD = Range(0, 1, "with more, thrusts differ by more than a factor of e")
 LAGS = Range(5, 1000, "fewer reveal nothing, and no effect lasts longer than a few seconds")
 
 # Ranges for pictures.

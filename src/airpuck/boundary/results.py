@@ -80,11 +80,11 @@ def _brief(result: Result) -> str:
     """Write the figures of a result, whose names end with their units, and sizes of the rest."""
     words = []
     for key, value in result.to_json().items():
-        number = f"{value:.4g}" if isinstance(value, float) else shorten(repr(value), 60)
-        if isinstance(value, list | dict) and len(number) > 50:
+        text = f"{value:.4g}" if isinstance(value, float) else repr(value)
+        if isinstance(value, list | dict) and len(text) > 50:
             words.append(f"{key}: {len(value)} entries")
         else:
-            words.append(f"{key}={number}")
+            words.append(f"{key}={shorten(text, 60, placeholder=' …')}")
     return shorten(f"{type(result).__name__}({', '.join(words)})", 500, placeholder=" …)")
 
 

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.boundary import numbers
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result, plain
 from airpuck.control.laws import PAPERS, law_label
 from airpuck.control.lqr import LQRSettings, lqr_gain
@@ -372,9 +374,10 @@ class ControllerComparison(Result):
     laws : tuple of str
         The laws; others are compared with the first.
     figures : dict of str to array, shape (L, N)
-        Of each law and flight: ``settling_time_s`` and ``effort`` (means over the set points),
-        ``overshoot_x_m``, ``steady_state_error_x_m`` and so on (the worst), ``not_settled`` (number
-        of set points).
+        Of each law and flight: ``settling_time_s`` and ``effort`` (means over the set points; the
+        settling time is NaN unless the craft settled at all of them), ``overshoot_x_m``,
+        ``steady_state_error_x_m`` and so on (the worst), ``not_settled`` (number of set points),
+        ``inexact`` (share of control steps whose command was neither exact nor optimal).
 
     Examples
     --------
@@ -402,13 +405,25 @@ class ControllerComparison(Result):
     def __repr__(self) -> str:
         count = len(self.figures["effort"][0])
         lines = [f"ControllerComparison of {count} flights each, with 95 % intervals"]
-        for name, unit in (("settling_time_s", " s"), ("effort", "")):
-            words = [f"{self.laws[0]} {self.means[name][0][0]:.3g}{unit}"]
-            for law, ends in zip(self.laws[1:], self.differences[name], strict=True):
-                mean, low, high = (f"{end:+.3g}" for end in ends)
-                words.append(f"{law} {mean}{unit} ({low} to {high})")
-            lines.append(f"{name.removesuffix('_s').replace('_', ' ')}: {'; '.join(words)}")
+        failed = [int(number) for number in (self.figures["not_settled"] > 0).sum(axis=1)]
+        for name, words in (
+            ("settling time", self._compared("settling_time_s", " s")),
+            ("flights that did not settle", [f"{n} of {count}" if n else "0" for n in failed]),
+            ("effort", self._compared("effort")),
+        ):
+            pairs = zip(map(law_label, self.laws), words, strict=True)
+            lines.append(f"{name}: {'; '.join(map(' '.join, pairs))}")
         return "\n".join(lines)
+
+    def _compared(self, name: str, unit: str = "") -> list[str]:
+        """Write the mean of the first law, and differences of others if any pair has both."""
+        means = [mean for mean, *_ in self.means[name]]
+        words = ["never settled" if np.isnan(mean) else f"{mean:.3g}{unit}" for mean in means]
+        for number, (mean, low, high) in enumerate(self.differences[name], start=1):
+            if not np.isnan(mean):
+                interval = "" if np.isnan(low) else f" ({low:+.3g} to {high:+.3g})"
+                words[number] = f"{mean:+.3g}{unit}{interval}"
+        return words
 
 
 def _mean(sample: Float[np.ndarray, " N"]) -> tuple[float, float, float]:
@@ -468,7 +483,8 @@ def compare_controllers(
     Raises
     ------
     InputError
-        If a law is unknown, or a set point is beyond the rails.
+        If there is no law, a law is unknown, a number is out of range, or a set point is beyond the
+        rails.
 
     Examples
     --------
@@ -477,6 +493,10 @@ def compare_controllers(
     >>> found.figures["settling_time_s"].shape
     (2, 2)
     """
+    numbers.CHECK_FLIGHTS.check(flights, "flights")
+    numbers.CRAFT_SPREAD.check(spread, "spread")
+    if not laws:
+        raise InputError("must name at least one law", field="laws")
     flown = [
         tracking_study(
             [model],
@@ -492,6 +512,7 @@ def compare_controllers(
         for number in range(flights)
     ]
     rows = [[one.figures() for one in flight] for flight in flown]
-    names = rows[0][0]
-    figures = {k: np.array([[one[k] for one in flight] for flight in rows]).T for k in names}
+    figures = {k: np.array([[one[k] for one in flight] for flight in rows]).T for k in rows[0][0]}
+    # A mean over the points where a law settled would favour a law that settles only at easy ones.
+    figures["settling_time_s"][figures["not_settled"] > 0] = np.nan
     return ControllerComparison(tuple(laws), figures)
