@@ -16,8 +16,8 @@ from airpuck.model.model_file import published_model, read_model
 from airpuck.planning.minimal_time import read_minimal_times
 from airpuck.recording.csv_folder import write_csv
 from airpuck.twin.batch import TwinBatch
+from airpuck.twin.plant import varied
 from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.tracking_study import varied
 
 from ..apparatus.synthetic_flights import record
 

@@ -137,7 +137,7 @@ class TwinItem(Item):
 
     def craft(self) -> Model:
         """Return the model of the twin."""
-        from airpuck.twin.tracking_study import varied
+        from airpuck.twin.plant import varied
 
         return varied(read_model(self.truth), self.truth_spread, self.seed)
 
@@ -281,7 +281,7 @@ class Fitting(Identification):
     def _structured(self) -> tuple[Fit, ModelStructure]:
         from airpuck.identification.problem import mean_delay
         from airpuck.identification.structure import structured
-        from airpuck.twin.tracking_study import moved
+        from airpuck.twin.plant import moved
 
         craft = default_vehicle() if self.vehicle is None else read_vehicle(self.vehicle)
         trajectories = self._parts()

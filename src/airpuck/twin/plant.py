@@ -14,7 +14,7 @@ from airpuck.compute.compiled import program
 from airpuck.craft.actuators import Actuators, Propellers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import make_effects
+from airpuck.model.parameters import Parameters, make_effects
 from airpuck.physics.puck import contact_impulse, mobility
 from airpuck.physics.rigid_body import Dynamics, step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -159,3 +159,22 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     change = [*along, zero, gained_x, gained_y, turned]
     moved = state[:6] + xp.where(meets, xp.stack(change), 0.0)
     return xp.concatenate([moved, state[6:]])
+
+
+def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
+    """Multiply thrusts, inertia and motor lag by random factors exp(spread · N(0, 1))."""
+    rng = np.random.default_rng([seed, 7])
+    inertia, lag, *thrusts = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
+    return replace(
+        parameters,
+        thrust=parameters.thrust * np.array(thrusts)[:, None],
+        inertia=parameters.inertia * inertia,
+        motor_time_constant=parameters.motor_time_constant * lag,
+    )
+
+
+def varied(model: Model, spread: float, seed: int) -> Model:
+    """Return a model with `moved` parameters."""
+    if not spread:
+        return model
+    return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -27,10 +27,9 @@ from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import Parameters
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
-from airpuck.twin.plant import build_plant
+from airpuck.twin.plant import build_plant, varied
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from the centre and back.
@@ -344,25 +343,6 @@ class _Task:
         reach = np.array([*border, np.inf])
         x, y, yaw = np.clip(real.pose[first], -reach, reach).tolist()
         return cls(real.set_points, float(real.command_time[-1]), (x, y, yaw), real)
-
-
-def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:
-    """Multiply thrusts, inertia and motor lag by random factors exp(spread · N(0, 1))."""
-    rng = np.random.default_rng([seed, 7])
-    inertia, lag, *thrusts = np.exp(spread * rng.normal(size=2 + len(parameters.thrust)))
-    return replace(
-        parameters,
-        thrust=parameters.thrust * np.array(thrusts)[:, None],
-        inertia=parameters.inertia * inertia,
-        motor_time_constant=parameters.motor_time_constant * lag,
-    )
-
-
-def varied(model: Model, spread: float, seed: int) -> Model:
-    """Return a model with `moved` parameters."""
-    if not spread:
-        return model
-    return replace(model, parameters=moved(model.parameters, spread, seed), uncertainty=None)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
