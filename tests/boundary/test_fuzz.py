@@ -18,9 +18,9 @@ def assert_good(cases: int, first: int = 0) -> str:
     failures = [f"{name} {text}" for name, tally in tallies.items() for text in tally.failures]
     assert not failures, "\n".join(failures[:5])
     assert all(sum(tally.outcomes.values()) == cases for tally in tallies.values())
-    # If damage were always or never detected, only one path would be tested. Of three kinds hardly
-    # any damaged file can be read.
-    assert sum(tally.outcomes["read"] > 0 for tally in tallies.values()) >= len(KINDS) - 3
+    # If damage were always or never detected, only one path would be tested. Of six kinds
+    # one damaged file in twenty can be read.
+    assert sum(tally.outcomes["read"] > 0 for tally in tallies.values()) >= len(KINDS) - 6
     assert sum(tally.outcomes["refused"] > 0 for tally in tallies.values()) >= len(KINDS) - 1
     return table(tallies)
 

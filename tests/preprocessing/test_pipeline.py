@@ -50,6 +50,7 @@ def test_a_path_a_recording_and_a_trajectory_are_the_same_data(recording, tmp_pa
         np.testing.assert_allclose(found.state, trajectory.state, atol=1e-7)
         np.testing.assert_array_equal(found.command, trajectory.command)
     assert load_all(trajectory) == [trajectory]
+    assert len(load_all(recording)) == 1  # although a recording is an iterable of its streams
     assert len(load_all(tmp_path / "bag")) == 1
 
 

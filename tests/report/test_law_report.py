@@ -40,10 +40,11 @@ def flown(law: str, plans: dict[int, Prediction] | None = None) -> Tracked:
     command = np.full((190, 6), 0.5)
     command[100:119, 0] = 1.0
     took = np.linspace(1e-3, 3e-3, 190)
-    log = FlightLog(time, command, ("optimal",) * 190, np.zeros((190, 3)), took, plans or {})
+    status, accelerations = ("optimal",) * 190, np.zeros((190, 3))
+    log = FlightLog(time, command, status, accelerations, took, plans or {}, (), recording, CRAFT)
     track = Track.of(recording, CRAFT, law)
     table = Table(length_m=1.0, width_m=0.8)
-    return Tracked("M4", law, None, track, None, log, recording, CRAFT, table, f"M4 {law}")
+    return Tracked("M4", law, None, track, None, log, CRAFT, table, f"M4 {law}")
 
 
 @pytest.fixture(scope="module")

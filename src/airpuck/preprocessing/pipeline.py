@@ -130,7 +130,7 @@ def load_all(
     mapping: RecordingMapping | None = None,
 ) -> list[Trajectory]:
     """Return the trajectories of one or several recordings, whatever form each has."""
-    several = isinstance(recordings, Iterable) and not isinstance(recordings, str)
+    several = isinstance(recordings, Iterable) and not fits(recordings, Source)
     given: Any = recordings if several else [recordings]
     listed = list(given)
     if strange := [one for one in listed if not fits(one, Source)]:
