@@ -26,20 +26,18 @@ from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Exclusion
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
-from airpuck.model.quantities import EFFECTS
-from airpuck.model.rungs import Rung
+from airpuck.model.rungs import TERMS, Rung
 from airpuck.model.sections import OfRecording
 from airpuck.model.uncertainty import Uncertainty
 
-#: Names for `each` that are no terms of a model, and their quantities.
+#: Names for `each`, of which most are terms of a model, and their quantities.
 _EACH = {
     "delay": "transport_delay",
     "lag": "motor_time_constant",
     "thrust": "thrust",
     "angle": "angle_offset",
+    **TERMS,
 }
-#: Names for `each` that are terms, and their quantities.
-_TERMS = {quantity.term: name for name, quantity in EFFECTS.items()}
 #: Probability, for all shared parameters together, below which recordings disagree on one.
 _DISAGREE = 1e-3
 #: Directions in which a fit knows less than this fraction of the best known one count as unknown.
@@ -49,11 +47,11 @@ _UNKNOWN = 1e-12
 def with_each(rung: Rung, each: Sequence[str]) -> tuple[Rung, frozenset[str]]:
     """Add the terms in `each` to a rung; return it, and the quantities of each recording."""
     for name in each:
-        if name not in {**_EACH, **_TERMS}:
-            raise InputError(unknown(name, {**_EACH, **_TERMS}), field="each")
-        if name in _TERMS and _TERMS[name] not in rung.effects:
+        if name not in _EACH:
+            raise InputError(unknown(name, _EACH), field="each")
+        if name in TERMS and TERMS[name] not in rung.effects:
             rung = rung.with_term(name)
-    return rung, frozenset({**_EACH, **_TERMS}[name] for name in each)
+    return rung, frozenset(_EACH[name] for name in each)
 
 
 def identify_each(
@@ -68,7 +66,7 @@ def identify_each(
     last = fits[-1]
     free, mask = last.model.free, last.model.parameters.mask(own)
     for name in each:
-        entries = last.model.parameters.mask(frozenset({{**_EACH, **_TERMS}[name]}))
+        entries = last.model.parameters.mask(frozenset({_EACH[name]}))
         if not free[entries].any():
             problem = f"{name} is not learned from these recordings, so none has its own"
             raise InputError(problem, field="each")
