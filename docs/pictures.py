@@ -3,7 +3,7 @@
     python docs/pictures.py              # all of them, in a minute
     python docs/pictures.py control      # one
 
-They are as wide as a phone shows, on a white ground, so that they are legible in dark mode, too.
+They are as wide as a phone's screen, on a white ground, which the site inverts in dark mode.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def arrow(axes: Axes, start: Any, end: Any, color: str, width: float) -> None:
 
 def usage() -> Figure:
     """Show what goes into `identify`, and what comes out."""
-    figure = new(4.6)
+    figure = new(3.7)
     above, below = figure.subplots(2, 1, height_ratios=(1, 1.6))
     one = flight(1)
     part = (one.time > 12.0) & (one.time < 15.0)
@@ -281,7 +281,7 @@ def excitation() -> Figure:
 
 
 def owners() -> Figure:
-    """Show who owns the squared error of position over a flight with faults."""
+    """Show what causes the squared error of position over a flight with faults."""
     usual = default_twin_settings().model_dump()
     usual["radio"] |= {"jitter_s": 0.011, "outages_s": [(9.2, 9.36), (24.1, 24.22)]}
     usual["motors"]["stalls"] = [{"motor": "motor_b_1", "start_s": 15.0, "stop_s": 16.4}]
@@ -303,7 +303,7 @@ def owners() -> Figure:
                      label=f"{owner} {height.sum():.0f} %")  # fmt: skip
         below += height
     axes.set(xlabel="time of flight [s]", ylabel="squared error [%]",
-             title="Who owns the error of the predictions?")  # fmt: skip
+             title="Where prediction errors come from")  # fmt: skip
     axes.legend()
     return figure
 
@@ -351,7 +351,7 @@ def main(names: list[str]) -> None:
         if name in ANIMATIONS:
             ANIMATIONS[name]()
             continue
-        with mpl.rc_context(TEXT):
+        with mpl.rc_context(style.LOOK | TEXT):
             PICTURES[name]().savefig(FOLDER / f"guide_{name}.png")
         print(FOLDER / f"guide_{name}.png")
 

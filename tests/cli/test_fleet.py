@@ -36,7 +36,7 @@ def test_a_flight_is_told_drawn_and_written(tmp_path):
     assert figures["arrived_s"]["right"] is None
     assert "right died at 0.00 s" in ended.stdout
     text = (page / "index.html").read_text()
-    assert "off its path [mm]" in text
+    assert "strayed [mm]" in text
     svg = (page / "figures" / "flight.svg").read_text()
     # Two craft that move and turn; y points down.
     assert svg.count("<animateTransform") == 4

@@ -255,7 +255,7 @@ def fleet(
     ] = None,
     json_file: options.Json = None,
 ) -> None:
-    """Fly several craft on one twin: everyone arrives, and nobody touches.
+    """Fly several craft on one twin, without collisions.
 
     Each craft plans on its own model, and flies a path only after all others have accepted it.
     """

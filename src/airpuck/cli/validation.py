@@ -44,7 +44,7 @@ def evaluate(
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
     budget: Annotated[
-        bool, Option("--budget", help="Also show who owns the error: share of each cause.")
+        bool, Option("--budget", help="Also show what causes the error: share of each cause.")
     ] = False,
     mapping: options.ReadMapping = None,
     json_file: options.Json = None,
@@ -160,7 +160,7 @@ def faults(
     shown = span_table(listed_spans(spans, _MOST_SPANS)) if spans else None
     more = len(spans) - _MOST_SPANS
     folded = f"and {more} more; --json has all" if more > 0 else None
-    what = "passing faults" if strengths.remarkable else "any fault"
+    what = "temporary faults" if strengths.remarkable else "any fault"
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without {what}"
     left, throughout = left_out_words(healthy_part), strengths.sentences
     report(figures, json_file, shown, folded, left, share, *throughout, written)

@@ -19,8 +19,8 @@ from airpuck.boundary.user_code import UserCode
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0
-#: Positions farther away, or more turns, are mistakes; squares of far larger numbers overflow [m,
-#: rad].
+#: Largest position or yaw that is accepted [m, rad]. Larger ones are mistakes, and squares of far
+#: larger numbers overflow.
 _FARTHEST = 1e6
 #: Largest time; stamps count from 1970 [s].
 _LATEST = 1e10
@@ -172,7 +172,7 @@ class SetPoints:
         return self._targets[max(int(self.times.searchsorted(now, side="right")) - 1, 0)]
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
-        """Return the set point in force now for all times; see `preview`."""
+        """Return the present set point for all times; see `preview`."""
         return _held(self.at(now, 0.0), len(ahead))
 
 

@@ -1,4 +1,4 @@
-"""Who owns the prediction error: the share of each cause, and the error if it were known.
+"""What causes the prediction error: the share of each cause, and the error if it were known.
 
 Removing a cause means predicting again with what hindsight knows of it (`evaluation.hindsight`). A
 share is the drop of the squared error, averaged over an order of removal and its reverse: where the
@@ -87,7 +87,7 @@ class ErrorBudget(Result):
 
     @cached_property
     def shares(self) -> dict[str, Float[np.ndarray, " 3"]]:
-        """Share of each owner in the squared error of each channel; they add up to one."""
+        """Share of each cause in the squared error of each channel; they add up to one."""
         total = np.maximum(np.sum(self.errors**2, axis=1), 1e-300)
         owned = dict(zip(OWNERS, self.drops.sum(axis=2) / total, strict=True))
         return owned | {UNEXPLAINED: np.sum(self.all_known**2, axis=1) / total}

@@ -1,4 +1,4 @@
-"""How far a craft may be from its path, by what its model does not know."""
+"""How far a craft may stray from its path, given what its model does not know."""
 
 from __future__ import annotations
 

@@ -289,8 +289,8 @@ def _compared(evidence: Evidence) -> list[str]:
         percent(float(share)) if share <= 1 else "more than 100 %" for share in missed
     )
     return [
-        f"Its errors of x, y and yaw are {shares} of the errors of constant velocity, a craft that "
-        "coasts (typical window of this recording)."
+        f"In the typical window of this recording, its errors of x, y and yaw are {shares} of the "
+        "errors of constant velocity, a craft that coasts."
     ]
 
 
@@ -356,8 +356,11 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
     if thrusts:
         low, high = percent(min(thrusts)), percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
-    shares = "of the value; of α 1 rad, of r the propellers' lever arm"
-    return [f"Standard errors ({shares}): {', '.join(words)}."] if words else []
+    scales = {"α": "α: of 1 rad", "r x": "r: of the propellers' lever arm"}
+    scale = "; ".join(text for label, text in scales.items() if label in listed)
+    if scale:
+        words[-1] += f" ({scale})"
+    return [f"Standard errors: {', '.join(words)}."] if words else []
 
 
 def _learned(model: Model) -> list[MainQuantity]:

@@ -127,7 +127,7 @@ def guess(
     turn = max(_STEEPEST * turn, np.pi * abs(aside))
     durations = np.maximum(durations, turn / request.limits.spin / legs)
     durations = np.maximum(durations, _STEEPEST * lengths / request.limits.speed)
-    if turning:  # initial and final velocities must be turned round first
+    if turning:  # the initial or final velocity must be reversed first
         durations[0] += 2 * np.hypot(*request.start[3:5]) / push
         durations[-1] += 2 * np.hypot(*np.nan_to_num(goal[3:5])) / push
     total = intervals * legs

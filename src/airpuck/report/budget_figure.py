@@ -1,4 +1,4 @@
-"""Who owns the prediction error: the section and the figure of an error budget."""
+"""What causes the prediction error: the section and the figure of an error budget."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from airpuck.report import style
 from airpuck.report.page import PageSection, Picture
 from airpuck.report.tables import budget_table
 
-#: Colour of each owner.
+#: Colour of each cause.
 _PALETTE = ["BLACK", "SKY", "VERMILLION", "ORANGE", "BLUE", "GREEN", "PURPLE", "LIGHT"]
 _COLORS = {o: getattr(style, c) for o, c in zip((*OWNERS, UNEXPLAINED), _PALETTE, strict=True)}
 #: Number of bars over a flight, and the smallest share with a label [%].
@@ -20,7 +20,7 @@ _BARS, _LABELLED = 100, 6.0
 
 @style.styled
 def budget_figure(budget: ErrorBudget) -> Figure:
-    """Draw the squared error over the flight, coloured by owner, and the shares beside it."""
+    """Draw the squared error over the flight, coloured by cause, and the shares beside it."""
     figure = style.new_figure(style.PAGE_WIDTH, 6.2)
     panels = figure.subplots(3, 2, width_ratios=(5.2, 1.0), sharex="col")
     edges = np.linspace(budget.start[0], budget.start[-1], _BARS + 1)
@@ -55,10 +55,10 @@ def budget_figure(budget: ErrorBudget) -> Figure:
 
 
 def budget_section(budget: ErrorBudget) -> PageSection:
-    """Show who owns the error."""
+    """Show what causes the error."""
     caption = (
-        "Squared error after the prediction horizon over the flight, coloured by its owner, and "
-        "the sums on the right."
+        "Squared error after the prediction horizon over the flight, coloured by its cause; the "
+        "sums on the right."
     )
     picture = Picture("error_budget", budget_figure(budget), caption)
-    return PageSection("budget", "Who owns the error", (picture, budget_table(budget)))
+    return PageSection("budget", "What causes the error", (picture, budget_table(budget)))

@@ -109,7 +109,7 @@ def demo(
         out,
         judged=judged,
         truth=truth,
-        title="The paper's study on the twin",
+        title="The paper's study on a simulated craft",
         more=tracking_sections(flights),
         origin=origin,
     )

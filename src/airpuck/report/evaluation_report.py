@@ -234,7 +234,7 @@ def evaluation_report(
     faults : sequence of Span, optional
         Known faults of the recording, found by a model that is not under test.
     budget : ErrorBudget, optional
-        Who owns the errors of the first model.
+        What causes the errors of the first model.
     origin : Origin, optional
         Command line and date, for the foot of the page.
 
@@ -287,7 +287,7 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
     """Show when and why a recording cannot be trusted."""
     spans = sorted((*trajectory.excluded, *faults), key=lambda span: span.start)
     if not spans:
-        words = f"{model.name} shows no passing faults in {trajectory.duration:.1f} s."
+        words = f"{model.name} shows no temporary faults in {trajectory.duration:.1f} s."
         return PageSection("faults", "Faults", (Text([words]),))
     evaluation = evaluate(model, trajectory)
     touched = touched_by(evaluation, spans)
@@ -313,7 +313,7 @@ def fault_report(
     usable = trajectory.leave_out(faults).usable.mean()
     lead = (
         f"{trajectory.source}: {trajectory.duration:.1f} s, {len(trajectory)} samples, "
-        f"{100 * usable:.1f} % of them without passing faults."
+        f"{100 * usable:.1f} % of them without temporary faults."
     )
     sections = [
         fault_section(trajectory, faults, model),

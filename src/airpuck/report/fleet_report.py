@@ -33,20 +33,21 @@ def fleet_report(
     flight: FleetFlight, fleet: Fleet, out: str | os.PathLike[str], origin: Origin | None = None
 ) -> Path:
     """Write a page on a flight: an animation, the paths, the distances."""
-    moving = Picture("flight", fleet_animation(flight, fleet), "The flight, in real time.")
+    moving = Picture(
+        "flight", fleet_animation(flight, fleet), "The flight in real time. Dashed: goals."
+    )
     paths = Picture(
         "paths", path_figure(flight, fleet), "Paths from the starts (open) to the goals (dashed)."
     )
     gaps = Picture(
         "gaps",
         gap_figure(flight),
-        "Smallest distance between the edges of two craft; at zero they touch.",
+        "Smallest gap between the edges of any two craft; at zero they touch.",
     )
     margins = Text(
         [
-            "A path keeps its distance from every other path that its craft may fly. The distance "
-            "is both radii and both margins: how far a craft can be from its path, by what its "
-            "model does not know."
+            "Any two paths are at least both radii and both margins apart. A margin is how far a "
+            "craft may stray from its path, given what its model does not know."
         ]
     )
     sections = [
@@ -70,12 +71,12 @@ def sentences(flight: FleetFlight) -> Iterator[str]:
     touched = [c for c in flight.contacts if not {c[1], c[2]} & set(flight.died)]
     if touched:
         time, one, other, speed = touched[0]
-        yield f"{one} and {other} touched at {time:.2f} s, at {speed:.2f} m/s."
+        yield f"{one} and {other} collided at {time:.2f} s, at {speed:.2f} m/s."
     elif count > 1:
-        yield f"Nobody touched; the smallest gap was {1e3 * flight.least_gap:.0f} mm."
+        yield f"There were no collisions; the smallest gap was {1e3 * flight.least_gap:.0f} mm."
     for name, time in flight.died.items():
         met = [c for c in flight.contacts if name in c[1:3]]
-        hit = f"; it was touched at {max(c[3] for c in met):.2f} m/s" if met else ""
+        hit = f"; it was hit at {max(c[3] for c in met):.2f} m/s" if met else ""
         yield f"{name} died at {time:.2f} s{hit}."
 
 
@@ -90,8 +91,8 @@ def _table(flight: FleetFlight) -> PageTable:
         off, margin = 1e3 * flight.strayed[k], 1e3 * flight.margins[k]
         rows.append((name, arrived, f"{off:.1f}", f"{margin:.1f}"))
     return PageTable(
-        "Arrival of each craft, its largest distance from its path, and the margin for it.",
-        ("craft", "arrived [s]", "off its path [mm]", "margin [mm]"),
+        "When each craft arrived, how far it strayed from its path, and the margin for that.",
+        ("craft", "arrived [s]", "strayed [mm]", "margin [mm]"),
         rows,
     )
 

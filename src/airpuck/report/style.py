@@ -60,7 +60,8 @@ POSE = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 #: Width of a figure that fills a page [in] and resolution of the PNG [1/in].
 PAGE_WIDTH, RESOLUTION = 8.6, 130
 
-_STYLE = mpl.rc_params_from_file(
+#: What all figures look like.
+LOOK = mpl.rc_params_from_file(
     str(resources.files("airpuck") / "packaged" / "figures.mplstyle"), use_default_template=False
 )
 
@@ -72,7 +73,7 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
     @functools.wraps(draw)
     def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
-        with mpl.rc_context(_STYLE):
+        with mpl.rc_context(LOOK):
             return draw(*args, **kwargs)
 
     return in_style
@@ -91,7 +92,7 @@ def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     # Without dates and versions, the same figure gives the same file.
     changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     metadata = changing[suffix]
-    with mpl.rc_context(_STYLE):  # ticks are created on the first draw
+    with mpl.rc_context(LOOK):  # ticks are created on the first draw
         layout = figure.get_layout_engine()
         if layout is not None:
             # The layout costs as much as drawing, so it runs once for all formats.

@@ -105,7 +105,7 @@ def error_tables(
 
 
 def budget_table(budget: ErrorBudget) -> PageTable:
-    """Tabulate who owns the error."""
+    """Tabulate what causes the error."""
     rows = [
         [owner, *(f"{100 * part:.1f}" for part in share), *errors_as_text(budget.bounds[owner])]
         for owner, share in budget.shares.items()
@@ -115,7 +115,7 @@ def budget_table(budget: ErrorBudget) -> PageTable:
         "orders of removal; a cause counts only if it lowers BIC. Right: the error if it were "
         "known; in the last row, if all were."
     )
-    return PageTable(caption, ["owner", "x %", "y %", "γ %", *CHANNELS], rows)
+    return PageTable(caption, ["cause", "x %", "y %", "γ %", *CHANNELS], rows)
 
 
 def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:

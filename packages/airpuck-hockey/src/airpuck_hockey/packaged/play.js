@@ -59,8 +59,8 @@ function ask(x, y, stamp) {
   const number = sendPlace(x, y);
   wishes.push([performance.now() / 1000, x, y]);
   while (wishes.length > 200) wishes.shift();
-  // On a graph nothing says when it was heard.
-  if (!hello.live) sentAt.set(number, stamp);
+  // On a graph nothing says when it was heard, and a game that starts hears late.
+  if (!hello.live && status.phase === "play") sentAt.set(number, stamp);
 }
 // Keys that are held move what is asked for, from where it is.
 const held = new Set();
