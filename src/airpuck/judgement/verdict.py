@@ -356,11 +356,8 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
     if thrusts:
         low, high = percent(min(thrusts)), percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
-    scales = {"α": "α: of 1 rad", "r x": "r: of the propellers' lever arm"}
-    scale = "; ".join(text for label, text in scales.items() if label in listed)
-    if scale:
-        words[-1] += f" ({scale})"
-    return [f"Standard errors: {', '.join(words)}."] if words else []
+    scale = " (α: of 1 rad; r: of the propellers' lever arm)" if "α" in listed else ""
+    return [f"Standard errors: {', '.join(words)}{scale}."] if words else []
 
 
 def _learned(model: Model) -> list[MainQuantity]:

@@ -33,9 +33,7 @@ def fleet_report(
     flight: FleetFlight, fleet: Fleet, out: str | os.PathLike[str], origin: Origin | None = None
 ) -> Path:
     """Write a page on a flight: an animation, the paths, the distances."""
-    moving = Picture(
-        "flight", fleet_animation(flight, fleet), "The flight in real time. Dashed: goals."
-    )
+    moving = Picture("flight", fleet_animation(flight, fleet), "In real time. Dashed: goals.")
     paths = Picture(
         "paths", path_figure(flight, fleet), "Paths from the starts (open) to the goals (dashed)."
     )
