@@ -4,6 +4,8 @@ import contextlib
 import io
 import json
 import os
+import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
@@ -42,6 +44,28 @@ def test_help_lists_the_commands():
     assert process.returncode == 0
     for command in ("fetch", "preprocess", "identify", "evaluate", "compare", "reproduce", "demo"):
         assert command in process.stdout
+
+
+def test_the_help_lists_all_commands_and_then_each_still_has_its_options():
+    shown = airpuck("--help").stdout
+    assert all(name in shown for name in known_commands())
+    assert all(len(command.params) for command in known_commands().values())
+
+
+@pytest.mark.parametrize("command", ["preprocess", "identify", "check"])
+def test_a_missing_recording_is_refused_before_any_library_is_imported(command):
+    heavy = ("numpy", "rich", "airpuck.model", "airpuck.cli.live")
+    code = f"""
+import atexit, sys
+from airpuck.cli import main
+atexit.register(lambda: print(*[name for name in {heavy} if name in sys.modules]))
+sys.argv[1:] = [{command!r}, "nowhere", "-o", "t.npz"][: 2 if {command!r} == "check" else None]
+main()
+"""
+    words = [sys.executable, "-c", code]
+    process = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert refused(process, "nowhere", "there is no such file or folder")
+    assert not process.stdout.split()
 
 
 @pytest.mark.parametrize("name", sorted(known_commands()))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import secrets
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -59,7 +58,7 @@ def temporary_name(target: Path) -> str:
     The name is known before the file exists, so no interruption can leave one behind. It is shorter
     than the system's limit, whatever the final name.
     """
-    return f".{target.stem[:20]}-{secrets.token_hex(4)}{target.suffix}"
+    return f".{target.stem[:20]}-{os.urandom(4).hex()}{target.suffix}"
 
 
 def without_home(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
+import inspect
 import os
 import re
 import shlex
@@ -13,7 +14,10 @@ import sys
 import termios
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
@@ -36,8 +40,26 @@ _SYSTEM_REFUSES = {
 }
 
 
-class _PlainFlags:
+def _import_rich() -> None:
+    """Import what prints help, without modules that ours does not use: a third of its time."""
+    unused = {"rich.markdown": "Markdown", "rich.traceback": "Traceback"}
+    missing = unused.keys() - sys.modules.keys()
+    for name in missing:
+        sys.modules[name] = SimpleNamespace(**{unused[name]: None})  # pyright: ignore
+    try:
+        import_module("typer.rich_utils")
+    finally:
+        for name in missing:
+            del sys.modules[name]
+
+
+class _PlainHelp:
     """Hides the type of a flag in the help: a flag takes no value."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help."""
+        _import_rich()
+        super().format_help(ctx, formatter)  # pyright: ignore[reportAttributeAccessIssue]
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters."""
@@ -48,7 +70,7 @@ class _PlainFlags:
         return parameters
 
 
-class Command(_PlainFlags, TyperCommand):
+class Command(_PlainHelp, TyperCommand):
     """A command that checks file names before it starts."""
 
     #: The parser's own message about them names no option.
@@ -140,30 +162,67 @@ def _unexpected(words: Sequence[str], command: str, parameters: Sequence[Any]) -
     return InputError(f"{problem} (see {command} --help)", field=words[0])
 
 
-class _Group(_PlainFlags, TyperGroup):
-    """All commands; a signal ends them with one line. Entry points are imported when needed."""
+#: Commands by module, in the order of the help. A module is imported for its own commands only.
+_MODULES = {
+    "identification": ("preprocess", "identify"),
+    "validation": ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle"),
+    "flying": ("replay", "excite", "track", "animate", "fleet"),
+    "designing": ("design",),
+    "planning": ("plan", "race"),
+    "export": ("export",),
+    "live": (
+        *("twin", "fly", "fly-fleet", "twin-fleet", "fly-excitation", "record"),
+        *("preflight", "preflight-recording", "watch", "view"),
+    ),
+    "study": ("campaign", "fetch", "reproduce", "demo"),
+}
+_OWN = {name: module for module, names in _MODULES.items() for name in names}
+
+
+class _Group(_PlainHelp, TyperGroup):
+    """All commands; a signal ends them with one line. Each is imported and built when needed."""
+
+    #: Whether only names and descriptions are needed.
+    lists = False
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; other distributions may add it."""
-        if cmd_name not in self.commands:
-            if cmd_name in _FLIGHTS:
-                raise InputError(f"{cmd_name} is now airpuck fly MODEL {_FLIGHTS[cmd_name]}")
-            if cmd_name in (*added("airpuck.commands"), *HOCKEY["airpuck.commands"]):
-                self.commands[cmd_name] = loaded(
-                    "airpuck.commands", cmd_name, lambda function: _built(cmd_name, function)
-                )
-            else:
-                self.list_commands(ctx)  # for the nearest name
-        return super().get_command(ctx, cmd_name)
+        make = partial(_listed if self.lists else _built, cmd_name)
+        if cmd_name in self.commands:
+            return self.commands[cmd_name]
+        if cmd_name in _FLIGHTS:
+            raise InputError(f"{cmd_name} is now airpuck fly MODEL {_FLIGHTS[cmd_name]}")
+        if cmd_name in _OWN:
+            module = import_module(f"airpuck.cli.{_OWN[cmd_name]}")
+            made = make(getattr(module, cmd_name.replace("-", "_")))
+        elif cmd_name in (*added("airpuck.commands"), *HOCKEY["airpuck.commands"]):
+            made = loaded("airpuck.commands", cmd_name, make)
+        else:
+            known_commands()  # for the nearest name
+            return None
+        if not self.lists:
+            self.commands[cmd_name] = made
+        return made
 
     def list_commands(self, ctx: Any) -> list[str]:
         """List all commands; a broken entry point gets one line."""
-        for name in sorted(added("airpuck.commands").keys() - self.commands.keys()):
+        names = [*_OWN]
+        for name in sorted(added("airpuck.commands").keys() - _OWN.keys()):
             try:
                 self.get_command(ctx, name)
             except InputError as error:
                 _say(str(error))
-        return super().list_commands(ctx)
+            else:
+                names.append(name)
+        return names
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print names and descriptions of all commands."""
+        self.lists = True
+        try:
+            super().format_help(ctx, formatter)
+        finally:
+            self.lists = False
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
@@ -173,23 +232,7 @@ class _Group(_PlainFlags, TyperGroup):
             raise typer.Exit(_say_stopped(stopped)) from None
 
 
-class _App(typer.Typer):
-    """The application, whose commands are `Command`s and views of settings objects."""
-
-    def command(
-        self, *args: Any, cls: type[Command] = Command, rare: Sequence[str] = (), **options: Any
-    ) -> Any:
-        """Return a decorator that adds a command, whose help shows rare options on request only."""
-        add = super().command(*args, cls=cls, **options)
-
-        def added(command: Callable[..., Any]) -> Callable[..., Any]:
-            add(viewed(command, rare))
-            return command
-
-        return added
-
-
-app = _App(
+app = typer.Typer(
     name="airpuck",
     cls=_Group,
     help="Identify, simulate and control propeller-driven hovercraft.",
@@ -199,7 +242,7 @@ app = _App(
 
 
 def command(panel: str, rare: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return a decorator for a command that an entry point adds: its place in the help.
+    """Return a decorator for the function of a command: its place in the help.
 
     The help shows `rare` options on request only.
     """
@@ -213,22 +256,31 @@ def command(panel: str, rare: Sequence[str] = ()) -> Callable[..., Any]:
 
 def _built(name: str, function: Callable[..., Any]) -> Any:
     """Return the command of a function."""
-    panel, rare = getattr(function, "shown", ("Extensions", ()))
-    alone = _App(add_completion=False)
-    alone.command(name, rich_help_panel=panel, rare=rare)(function)
+    panel, rare = _shown(function)
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    alone.command(name, cls=Command, rich_help_panel=panel)(viewed(function, rare))
     return get_command(alone)
+
+
+def _listed(name: str, function: Callable[..., Any]) -> Any:
+    """Return the command of a function without its options, which take long to build."""
+    return TyperCommand(name, help=inspect.getdoc(function), rich_help_panel=_shown(function)[0])
+
+
+def _shown(function: Callable[..., Any]) -> tuple[str, Sequence[str]]:
+    return getattr(function, "shown", ("Extensions", ()))
 
 
 @functools.cache
 def commands() -> Any:
-    """Return the group of all commands. Typer would build it again for each call, in 0.1 s."""
+    """Return the group of all commands; each is built at its first use."""
     return get_command(app)
 
 
 def known_commands() -> dict[str, Any]:
     """Return all commands by name, with those that other distributions add."""
-    commands().list_commands(None)
-    return commands().commands
+    group = commands()
+    return {name: group.get_command(None, name) for name in group.list_commands(None)}
 
 
 def main() -> None:

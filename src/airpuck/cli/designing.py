@@ -11,7 +11,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.inputs import load, read_controls
 from airpuck.cli.output import draw, report, show_time_left, table, warn
 from airpuck.control.settings import Criterion, ProposedDuration, ProposedMargin
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SHOWN = 8
 
 
-@app.command(rich_help_panel="Control and flight", rare=("criterion", "mapping", "tuning", "seed"))
+@command("Control and flight", rare=("criterion", "mapping", "tuning", "seed"))
 def design(
     model: options.ModelName = "paper:M3",
     after: Annotated[

@@ -8,12 +8,12 @@ from typing import Annotated
 import airpuck
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.output import report, table
 from airpuck.export.kinds import KINDS, check_given, kind_named, known_kinds
 
 
-@app.command(rich_help_panel="Control and flight")
+@command("Control and flight")
 def export(
     model: options.ModelName,
     kind: Annotated[

@@ -12,7 +12,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.output import page, report, show, warn
 from airpuck.control.laws import PAPERS
 from airpuck.control.settings import ControllerKind, Dwell
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 PANEL = "Control and flight"
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def replay(
     model: options.ModelName,
     flight: Annotated[
@@ -58,7 +58,7 @@ def replay(
     report(result.to_json(), json_file, *tables, written)
 
 
-@app.command(rich_help_panel=PANEL, rare=("tuning", "twin", "seed"))
+@command(PANEL, rare=("tuning", "twin", "seed"))
 def excite(
     output: options.NewBag,
     experiment: options.Experiment,
@@ -93,7 +93,7 @@ def excite(
     report(figures, json_file, _excitation_line(excited), output)
 
 
-@app.command(rich_help_panel=PANEL, rare=("controller", "estimator", "truth", "tuning"))
+@command(PANEL, rare=("controller", "estimator", "truth", "tuning"))
 def track(
     models: Annotated[
         list[str] | None,
@@ -186,7 +186,7 @@ def track(
     report({**flown[-1], "flights": flown}, json_file, *tracking_tables(tracked), written)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def animate(
     recording: Annotated[
         Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSV files.")
@@ -237,7 +237,7 @@ def _excitation_line(excited: Excited) -> str:
     return f"signals paused near the rails: {excited.paused:.1f} s; contacts with a rail: {met}"
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def fleet(
     scenario: Annotated[
         str,

@@ -15,7 +15,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.inputs import load
 from airpuck.cli.output import is_stdout, origin, report, show_progress, show_time_left, table, warn
 from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
@@ -43,7 +43,7 @@ ComFrame = Annotated[
 ]
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def preprocess(
     recording: options.RecordingPath,
     output: Annotated[Path, options.output("FILE", "Trajectory file to write, such as traj.npz.")],
@@ -88,8 +88,8 @@ def _rung_names() -> list[str]:
     return [*RUNGS, "auto"]
 
 
-@app.command(
-    rich_help_panel=PANEL,
+@command(
+    PANEL,
     rare=(
         "encoder_time",
         "prediction_time",

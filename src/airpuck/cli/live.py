@@ -14,7 +14,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.output import is_stdout, report, show, write_json
 from airpuck.cli.views import Without
 from airpuck.live.settings import LiveSettings
@@ -89,7 +89,7 @@ class Guarded(Settings):
         report_flight(figures, json_file, live.quiet)
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def twin(
     live: LiveSettings,
     model: options.TwinModel = "paper:M3",
@@ -134,7 +134,7 @@ def twin(
     )
 
 
-@app.command(rich_help_panel=_PANEL, rare=("dwell", "tuning", "domain", "topics"))
+@command(_PANEL, rare=("dwell", "tuning", "domain", "topics"))
 def fly(
     model: options.ModelName,
     *,
@@ -215,7 +215,7 @@ def _planned(
 _SCENARIO = Argument(metavar="SCENARIO", help="A scenario (TOML), or the name of a packaged one.")
 
 
-@app.command("fly-fleet", rich_help_panel=_PANEL)
+@command(_PANEL)
 def fly_fleet(
     scenario: Annotated[str, _SCENARIO],
     craft: Annotated[str, Setting("Craft of the scenario to fly.", metavar="NAME", option="--as")],
@@ -233,7 +233,7 @@ def fly_fleet(
     report_flight(fly_in_fleet(airpuck.read_fleet(scenario), craft, live), json_file, live.quiet)
 
 
-@app.command("twin-fleet", rich_help_panel=_PANEL)
+@command(_PANEL)
 def twin_fleet(
     scenario: Annotated[str, _SCENARIO],
     live: LiveSettings,
@@ -249,9 +249,7 @@ def twin_fleet(
     report(figures, json_file, words, quiet=live.quiet)
 
 
-@app.command(
-    "fly-excitation", rich_help_panel=_PANEL, rare=("tuning", "domain", "topics", "seed", "vehicle")
-)
+@command(_PANEL, rare=("tuning", "domain", "topics", "seed", "vehicle"))
 def fly_excitation(
     experiment: options.Experiment,
     guarded: Guarded,
@@ -282,7 +280,7 @@ def fly_excitation(
     guarded.fly(make, craft, controls, live, json_file)
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def record(
     output: options.NewBag,
     live: LiveSettings,
@@ -298,7 +296,7 @@ def record(
     report(figures, json_file, *counts, output, quiet=live.quiet)
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def preflight(
     live: Annotated[LiveSettings, Without(("duration",))],
     model: Annotated[str | None, options.BELIEVED] = None,
@@ -319,7 +317,7 @@ def preflight(
     _report_checks(preflight_live(inputs.model_or_nominal(model, vehicle), plan, live), json_file)
 
 
-@app.command("preflight-recording", rich_help_panel=_PANEL)
+@command(_PANEL)
 def preflight_recording(
     recording: options.RecordingPath,
     model: Annotated[str | None, options.BELIEVED] = None,
@@ -344,7 +342,7 @@ def _report_checks(found: Preflight, json_file: Path | None) -> None:
         raise InputError(f"not ready to fly: fix {', '.join(wrong)}, then check again")
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json = None) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
@@ -355,7 +353,7 @@ def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json 
     write_json(json_file, found)
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def view(
     model: options.ModelName,
     live: LiveSettings,

@@ -54,6 +54,8 @@ def check_inputs(context: Any) -> None:
             try:
                 found = os.stat(name)  # noqa: PTH116
             except OSError as error:
+                if error.errno == errno.ENOENT and _is_recording(parameter):
+                    raise InputError("there is no such file or folder", file=name) from None
                 if error.errno == errno.ENAMETOOLONG:
                     shown = f"{str(name)[:_SHOWN]}…"
                     problem = "is a longer name than the system allows"
@@ -64,6 +66,13 @@ def check_inputs(context: Any) -> None:
                     raise InputError(
                         "is also an input; choose another name", file=name, field=option
                     )
+
+
+def _is_recording(parameter: Any) -> bool:
+    """Return whether an argument names recordings, whose readers take long to import."""
+    return parameter.param_type_name == "argument" and str(parameter.metavar).startswith(
+        "RECORDING"
+    )
 
 
 def refuse_empty(arguments: list[str]) -> None:

@@ -14,7 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import unknown
 from airpuck.boundary.settings import Setting
 from airpuck.cli import inputs, options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.output import draw, report, show_time_left, table
 from airpuck.planning.settings import Limits
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 _PANEL = "Control and flight"
 
 
-@app.command(
-    rich_help_panel=_PANEL,
+@command(
+    _PANEL,
     rare=(
         "spin",
         "speed",
@@ -109,7 +109,7 @@ def plan(
     report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, drawn)
 
 
-@app.command(rich_help_panel=_PANEL)
+@command(_PANEL)
 def race(
     model: options.RacingModel = "paper:M3",
     course: Annotated[

@@ -14,7 +14,7 @@ from typer import Argument, Option
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli import options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.output import console, origin, report, say, show, show_time_left, table, write_json
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SHOWN = 10
 
 
-@app.command(rich_help_panel="Many at once")
+@command("Many at once")
 def campaign(
     spec: Annotated[Path, Argument(metavar="SPEC", help="The spec file, such as spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
@@ -74,7 +74,7 @@ _LEFT = ("name", "licence", "content")
 Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def fetch(
     name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = "holohover",
     everything: Annotated[
@@ -104,12 +104,12 @@ def fetch(
         folder=output,
         progress=lambda done, of, file: tell(f"{done + 1}/{of} {file}") if file else None,
     )
-    for command in chosen.next:
-        tell("next: " + command.replace("FOLDER", shlex.quote(str(fetched))))
+    for line in chosen.next:
+        tell("next: " + line.replace("FOLDER", shlex.quote(str(fetched))))
     show(fetched)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def reproduce(
     data: Annotated[
         Path | None, Option(metavar="DIR", help="Folder of the public dataset.")
@@ -123,7 +123,7 @@ def reproduce(
     report(result.to_json(), json_file, output / "index.html")
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.demo import demo

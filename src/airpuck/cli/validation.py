@@ -13,7 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
-from airpuck.cli.app import app
+from airpuck.cli.app import command
 from airpuck.cli.identification import PANEL, value_texts
 from airpuck.cli.inputs import about, load, load_for, read_given
 from airpuck.cli.output import page, report, table, warn
@@ -34,7 +34,7 @@ _MOST_SPANS = 30
 _MODEL_FILES = (".toml", ".json")
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def evaluate(
     model: options.ModelName,
     recording: options.RecordingPath,
@@ -89,7 +89,7 @@ def evaluate(
     said.check_recording(recording)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def check(
     recording: options.RecordingPath,
     vehicle: options.ReadVehicle = None,
@@ -112,7 +112,7 @@ def check(
         raise InputError(problem, file=recording)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def faults(
     recording: options.RecordingPath,
     model: Annotated[
@@ -166,7 +166,7 @@ def faults(
     report(figures, json_file, shown, folded, left, share, *throughout, written)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def present(model: options.ModelName, json_file: options.Json = None) -> None:
     """Present a model: structure, parameters with errors, derived quantities, fit details."""
     from airpuck.judgement.verdict import verdict
@@ -177,7 +177,7 @@ def present(model: options.ModelName, json_file: options.Json = None) -> None:
     report(figures, json_file, *said.sentences, *_presented(presentation))
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def compare(
     models: Annotated[
         list[str],
@@ -263,7 +263,7 @@ def _short_names(names: Sequence[str]) -> list[str]:
     return called if len(set(called)) == len(called) else list(names)
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def resid(
     model: options.ModelName,
     recording: options.RecordingPath,
@@ -329,7 +329,7 @@ def _drift_lines(names: Sequence[str], found: Drift) -> list[str]:
 _FORMATS = (".svg", ".png", ".pdf")
 
 
-@app.command(rich_help_panel=PANEL)
+@command(PANEL)
 def vehicle(
     file: Annotated[Path, Argument(metavar="FILE", help="Vehicle file.")],
     output: Annotated[
