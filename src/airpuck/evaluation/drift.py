@@ -135,7 +135,7 @@ def drift(earlier: Model, later: Model) -> Drift:
     >>> airpuck.drift(fit.model, fit.model).verdicts[0].partition(":")[0]
     'nothing moved'
     """
-    from scipy.stats import t
+    from scipy.special import stdtr
 
     if earlier.vehicle.propeller_names != later.vehicle.propeller_names:
         raise InputError("the models are of craft with different propellers", field="MODEL")
@@ -149,7 +149,7 @@ def drift(earlier: Model, later: Model) -> Drift:
         before, after = (float(quantity.value(m)) for m in (earlier, later))
         joint = float(np.hypot(*errors))
         z = (after - before) / joint
-        p_values.append(2 * t.sf(abs(z), _degrees(errors, earlier, later)))
+        p_values.append(2 * stdtr(_degrees(errors, earlier, later), -abs(z)))
         found.append((quantity, before, after, joint, z))
     if not found:
         raise InputError(

@@ -188,11 +188,11 @@ def rmse_interval(
     errors: Float[np.ndarray, "C W"], start: Float[np.ndarray, " W"]
 ) -> Float[np.ndarray, "2 C"]:
     """Return the 95 % interval of each channel's root mean square error; NaN if too short."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     squares = errors**2
     covariance, degrees = log_mean_square_errors(squares, start)
-    half = t.ppf(0.975, degrees) * np.sqrt(np.diag(covariance)) if degrees else np.nan
+    half = stdtrit(degrees, 0.975) * np.sqrt(np.diag(covariance)) if degrees else np.nan
     return np.sqrt(squares.mean(axis=1)) * np.exp(
         np.outer([-0.5, 0.5], half * np.ones(len(errors)))
     )
@@ -211,7 +211,7 @@ def rmse_ratio(
         Ratio of the second RMSE to the first, its 95 % interval, and the p-value of equality; NaN
         if the predictions are too few.
     """
-    from scipy.stats import t
+    from scipy.special import stdtr, stdtrit
 
     n = len(first)
     squares = np.concatenate([first, second]) ** 2
@@ -222,9 +222,9 @@ def rmse_ratio(
     variance = own[n:] + own[:n] - 2 * np.diag(covariance, n)
     # Equal errors differ by rounding only.
     spread = np.sqrt(np.maximum(variance, 1e-24))
-    half = t.ppf(0.975, degrees) * spread
+    half = stdtrit(degrees, 0.975) * spread
     interval = np.exp([0.5 * (difference - half), 0.5 * (difference + half)])
-    return np.exp(difference / 2), interval, 2 * t.sf(np.abs(difference) / spread, degrees)
+    return np.exp(difference / 2), interval, 2 * stdtr(degrees, -np.abs(difference) / spread)
 
 
 def _log(mean_squares: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

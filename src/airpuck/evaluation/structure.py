@@ -194,7 +194,7 @@ def _tested(
     modelled: dict[str, float],
 ) -> list[Structure]:
     """Regress on the bins of one regressor, all three channels together."""
-    from scipy.stats import f, t
+    from scipy.special import fdtrc, stdtrit
 
     count = bins.member.shape[1]
     length = min(_BLOCK_S, period * len(values) / _FEWEST_BLOCKS)
@@ -209,11 +209,11 @@ def _tested(
         statistic = float(apart @ np.linalg.pinv(contrast @ spread @ contrast.T) @ apart)
         # Hotelling's T², since a covariance from few blocks is uncertain.
         degrees, rest = count - 1, max(blocks - count + 1, 1)
-        p_value = float(f.sf(statistic * rest / degrees / (blocks - 1), degrees, rest))
+        p_value = float(fdtrc(degrees, rest, statistic * rest / degrees / (blocks - 1)))
         center = np.eye(count) - weight
         square = np.mean((center @ own) ** 2) - np.trace(center @ spread @ center.T) / count
         size = float(np.sqrt(max(square, 0.0)))
-        half = t.ppf(1 - LEVEL / 2, blocks - 1) * np.sqrt(np.diag(spread))
+        half = stdtrit(blocks - 1, 1 - LEVEL / 2) * np.sqrt(np.diag(spread))
         share = size / modelled[channel]
         figures = bins.edges, bins.middle, own, half, size, share, p_value
         found.append(Structure(bins.name, bins.unit, channel, *figures))

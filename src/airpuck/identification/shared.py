@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.stats import t
+from scipy.special import stdtrit
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.kinds import unknown
@@ -158,7 +158,7 @@ def _uncertainty(
     spread = np.sqrt(np.diag(covariance))
     clusters = sum(known.clusters for known in every)
     notes = tuple(dict.fromkeys(note for known in every for note in known.notes))
-    quantile = float(t.ppf(0.975, max(clusters - 1, 1)))
+    quantile = float(stdtrit(max(clusters - 1, 1), 0.975))
     errors = np.where(spread > 0, spread, np.nan)
     nothing = np.zeros((0, len(vector)))
     return Uncertainty(vector, covariance, errors, nothing, clusters, quantile, notes)
@@ -171,7 +171,7 @@ def _joined(fits: Sequence[Fit], found: Sequence[OfRecording], joint: Combined) 
     warnings = list(dict.fromkeys(warning for fit in fits for warning in fit.warnings))
     entries = len(fits) * np.sum(last.model.free)
     fewest = min(one.model.uncertainty.clusters for one in fits if one.model.uncertainty)
-    if joint.apart > t.isf(_DISAGREE / 2 / entries, max(fewest - 1, 1)):
+    if joint.apart > -stdtrit(max(fewest - 1, 1), _DISAGREE / 2 / entries):
         label = last.model.parameters.labels(last.model.vehicle.propeller_names)[joint.entry]
         warnings.append(
             f"{names} do not agree on {label}: {joint.apart:.1f} standard errors apart; let each "
