@@ -187,9 +187,9 @@ class _Group(_PlainHelp, TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; other distributions may add it."""
-        make = partial(_listed if self.lists else _built, cmd_name)
         if cmd_name in self.commands:
             return self.commands[cmd_name]
+        make = partial(_listed if self.lists else _built, cmd_name)
         if cmd_name in _FLIGHTS:
             raise InputError(f"{cmd_name} is now airpuck fly MODEL {_FLIGHTS[cmd_name]}")
         if cmd_name in _OWN:
