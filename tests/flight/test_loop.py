@@ -305,7 +305,7 @@ def test_a_log_measures_how_each_set_point_was_reached():
 def test_a_flight_that_nobody_recorded_has_no_metrics():
     controller = TrackingController(read_model("paper:M3"), SetPoint(0.0, 0.0, 0.0))
     log = fly(controller, Twin(read_model("paper:M3")), 0.1)
-    with pytest.raises(InputError, match="nobody recorded this flight"):
+    with pytest.raises(InputError, match="this flight was not recorded"):
         log.metrics()
     with pytest.raises(InputError, match=r"one object now: log = airpuck\.track.*log\.recording"):
         _, log = log  # pyright: ignore[reportGeneralTypeIssues]

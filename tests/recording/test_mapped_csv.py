@@ -178,6 +178,7 @@ def test_files_of_which_nothing_is_known(tmp_path: Path):
         read_recording(tmp_path)
     message = str(caught.value)
     assert "has no pose file" in message
+    assert "add units" in message and "0.01 for percent" in message
     assert 'pose = {file = "...", time = "...", position' in message
     assert 'command = {file = "...", time = "...", values' in message
     assert "out of mocap.csv, motors.csv" in message

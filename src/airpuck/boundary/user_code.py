@@ -122,7 +122,7 @@ def with_code(name: str | os.PathLike[str], option: str) -> tuple[Any, tuple[Any
 
 @contextmanager
 def _contained() -> Iterator[None]:
-    """Keep code from ending this process, by `os._exit`, and from outliving it, by its threads."""
+    """Prevent code from ending this process (`os._exit`), and its threads from outliving it."""
     leave, start, process = os._exit, threading.Thread.start, os.getpid()
     started: list[threading.Thread] = []
 

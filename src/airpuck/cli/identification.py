@@ -244,7 +244,7 @@ def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
         headings,
         [row[: len(headings)] for row in _rows(fit.model)],
         title=f"Learned values ± standard error, from {uncertainty.clusters} blocks of time"
-        + (f"; what differs is that of {Path(own[-1].source).name}" if own else ""),
+        + (f"; separate values are for {Path(own[-1].source).name}" if own else ""),
         left=("", "unit"),
     )
     if own:

@@ -158,7 +158,7 @@ class Excitation(Pilot):
         return replace(step, command=vehicle.actuation.possible(command))
 
     def _change(self, time: float) -> None:
-        """Draw the signals in force at a time, whether or not earlier steps were run."""
+        """Draw the signals in force at a time, even if earlier steps were skipped."""
         assert self._begun is not None
         # Half a nanosecond keeps rounding from delaying a change.
         due = int((time - self._begun + 5e-10) / self._hold) + 1

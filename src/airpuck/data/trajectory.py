@@ -287,7 +287,7 @@ class Trajectory:
 
     @cached_property
     def determined(self) -> np.ndarray:
-        """Shape (N,): False where so many frames are lost that velocities are noisy or unknown."""
+        """Shape (N,): False where too many lost frames make velocities noisy or unknown."""
         determined = bridged(self.time, self.measured)
         for first, last in runs(~determined):
             begin, end = self.time[[first, last - 1]] + np.array([-_ONE_SIDED, _ONE_SIDED])

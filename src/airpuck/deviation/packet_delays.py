@@ -303,7 +303,7 @@ class _Regression:
     def response(
         self, number: Int[np.ndarray, " D"], residual: Float[np.ndarray, "k 3 P D"]
     ) -> Float[np.ndarray, "P D"]:
-        """Return the derivative of some delays, without the prior, by their windows' residuals."""
+        """Return the derivative of delays by their windows' residuals, without the prior."""
         row, column = (part[number] for part in self.best)
         score = np.swapaxes(self._rows[column], 1, 2) @ self._aim(residual)
         change = (self._covariance[column, row][:, None] @ score)[:, 0]

@@ -67,7 +67,7 @@ def patience(vehicle: Vehicle) -> float:
 def usual_pushes(vehicle: Vehicle) -> tuple[float, float]:
     """Return a typical actuator's accelerations at full command, linear and angular [m/s², rad/s²].
 
-    0 if none pushes, or turns.
+    0 if no actuator pushes, or none turns the craft.
     """
     model = nominal_model(vehicle)
     full = np.abs(np.asarray(model.dynamics.thrust).sum(axis=1))

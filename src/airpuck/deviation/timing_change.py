@@ -75,7 +75,7 @@ def timing_change(
         variances.append(max(count / (count - 1) * rest / weight[part].sum() ** 2, _TINY))
         counts.append(count)
     error = float(np.sqrt(sum(variances)))
-    # Welch's test: a few blocks hardly know their own variance.
+    # Welch's test: the variance of a few blocks is itself uncertain.
     spread = sum(v**2 / (n - 1) for v, n in zip(variances, counts, strict=True))
     degrees = sum(variances) ** 2 / spread
     p_value = 2 * float(stdtr(degrees, -abs(change[best]) / error))

@@ -402,7 +402,7 @@ class KalmanFilter:
         return used is not False
 
     def _rewind(self, time: float) -> list[tuple[str, tuple[Any, ...]]] | None:
-        """Rewind to before all measurements later than a time, and return these.
+        """Rewind to a time, and return the measurements after it.
 
         If the history does not reach back that far, return None and change nothing.
         """

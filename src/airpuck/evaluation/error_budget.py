@@ -220,7 +220,7 @@ class _Again:
     def _unless(
         self, known: frozenset[str], held: Float[np.ndarray, "N n"], gain: Float[np.ndarray, "n W"]
     ) -> tuple[Float[np.ndarray, "3 W"], Bool[np.ndarray, " W"]]:
-        """Return errors that a prediction had before, and which windows are predicted anew."""
+        """Return errors of an earlier prediction, and which windows must be predicted again."""
         windows = self._windows
         best, changed = np.empty((3, len(windows))), np.full(len(windows), True)
         for before, commands, strength, errors in self._done:
@@ -251,7 +251,7 @@ class _Again:
         return (first < fault.stop + RECOVERY_S) & (last > fault.begin)
 
     def _commands(self, known: frozenset[str]) -> Float[np.ndarray, "N n"]:
-        """Return the commands that motors follow, as far as they are known."""
+        """Return the commands that motors are known to follow."""
         found, windows = self._hindsight, self._windows
         trajectory, held = windows.trajectories[0], windows.input
         delay = delay_for(self._model, trajectory)

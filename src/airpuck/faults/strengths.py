@@ -222,8 +222,8 @@ def find_strengths(model: Model, trajectory: Trajectory | None = None) -> Streng
 def _medians_of_others(
     ratio: Float[np.ndarray, " n"], among: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return for each actuator the median over those of the others that can be compared."""
-    # Beside one that hardly works, a sound one is not strong.
+    """Return for each actuator the median of the other actuators that can be compared."""
+    # Nearly dead actuators do not count, or a sound one would look strong beside them.
     works = ratio >= _DEAD * np.median(ratio[among]) if among.any() else among
     others = among & works & ~np.eye(len(ratio), dtype=bool)
     medians = [np.median(ratio[row]) if row.any() else 1.0 for row in others]

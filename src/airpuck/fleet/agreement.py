@@ -14,7 +14,7 @@ from typing import NamedTuple
 from airpuck.fleet.path import Route
 from airpuck.fleet.search import Reach, Taken, apart
 
-#: A craft that nobody has heard for this time has died [s].
+#: A craft that has sent nothing for this time counts as dead [s].
 SILENT = 0.5
 
 

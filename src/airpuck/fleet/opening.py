@@ -1,6 +1,6 @@
 """Paths of all craft to their first goals, planned before the flight begins.
 
-Each craft computes all paths from the scenario alone, so everyone knows the same ones.
+Each craft computes all paths from the scenario alone, so all know the same ones.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class Journey(NamedTuple):
 
 
 def opening(journeys: Sequence[Journey], obstacles: Sequence[Taken], table: Table) -> list[Route]:
-    """Return paths that keep clear of each other; all rest if not all can get to their goals.
+    """Return paths that are clear of each other; all rest unless every craft reaches its goal.
 
-    The craft are planned one after another, at first those that need longest. Then the one that
-    arrives last, or finds no path, is moved to the front.
+    The paths are planned one after another, beginning with the longest flight. Then the craft that
+    arrives last, or finds no path, moves to the front of the order.
     """
     random = np.random.default_rng(0)
     searches = [Search(one.reach, np.array(table.reach(one.reach.room)), 0) for one in journeys]

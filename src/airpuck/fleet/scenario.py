@@ -257,7 +257,7 @@ class Fleet:
         Raises
         ------
         InputError
-            If there is none of this name.
+            If no craft has this name.
         """
         found = next((one for one in self.members if one.name == name), None)
         if found is None:

@@ -31,9 +31,9 @@ _LONGEST = 0.8
 _HORIZON = 30.0
 #: Cost of resting away from the goal, besides the time to get there from rest [s].
 _AWAY = 1.0
-#: Cost of resting in the way of a path that has priority, per distance that is missing [s/m].
+#: Cost of blocking a path that has priority while at rest, per metre of missing clearance [s/m].
 _BLOCKING = 100.0
-#: A new path must save so much of the present cost [s].
+#: Least saving of cost that justifies a new path [s].
 SAVES = 0.05
 #: The end of a path and a goal that are closer than this are the same [m, rad].
 SAME = 1e-6
@@ -232,7 +232,7 @@ class Search:
         return recipe if self._best is None else self._varied(recipe, goal)
 
     def _varied(self, recipe: Recipe, goal: Float[np.ndarray, " 3"]) -> Recipe:
-        """Replace the last candidates by variations of the best of the last search."""
+        """Replace the last candidates by variations of the best paths of the previous search."""
         random, best = self._random, self._best
         assert best is not None
         own = best.of(np.resize(np.arange(len(best.later)), _VARIED))

@@ -137,7 +137,7 @@ def _route(path: Route) -> list[Any]:
 
 
 def _read_route(fields: Any) -> Route:
-    """Return a path; raise ValueError if its numbers cannot be those of one."""
+    """Return a path; raise ValueError if the numbers do not describe one."""
     begin, *arrays = fields
     pose, rate, durations, accelerations = (np.array(array, dtype=float) for array in arrays)
     count = durations.shape[-1]

@@ -97,7 +97,7 @@ class FlightLog:
     predictions: Mapping[int, Prediction]
     #: Problems that did not prevent the flight.
     warnings: tuple[str, ...] = ()
-    #: What a recorder on the network logged, and the craft; None: nobody recorded.
+    #: What a recorder on the network logged, with the craft; None without a recorder.
     recorded: Recording | None = None
     vehicle: Vehicle | None = None
 
@@ -116,9 +116,9 @@ class FlightLog:
 
     @property
     def recording(self) -> Recording:
-        """What a recorder on the network logged; InputError if nobody recorded."""
+        """What a recorder on the network logged; InputError without a recorder."""
         if self.recorded is None:
-            raise InputError("nobody recorded this flight; fly with airpuck.track")
+            raise InputError("this flight was not recorded; fly with airpuck.track")
         return self.recorded
 
     def metrics(self) -> list[SetPointResult]:

@@ -41,7 +41,7 @@ _FEWEST = 6
 #: The term that is not an effect: a higher degree of the thrust curves.
 DEGREE = "degree"
 #: Prefix of what changed steadily during the recording: ``all`` thrusts, one motor's thrust, or the
-#: ``delay``; and smallest changes from beginning to end that are told, relative and in seconds.
+#: ``delay``; and smallest changes over the recording that are reported, relative and in seconds.
 CHANGE, ALL, DELAY = "change of ", "all", "delay"
 _LEAST_CHANGE, _LEAST_LATER = 0.04, 3e-3
 #: Part of a term's information that the model's own parameters must leave.
@@ -123,7 +123,7 @@ class _Tests:
 
     model: Model
     quadratic: Quadratic
-    #: Directions in which the fit's own parameters vary, in all parameters.
+    #: Directions of the fit's own parameters, in the space of all parameters.
     basis: Float[np.ndarray, "Q R"]
     #: Positions of the fit's own parameters among all.
     own: Int[np.ndarray, " P"]

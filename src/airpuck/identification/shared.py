@@ -1,9 +1,9 @@
-"""One craft in several recordings: what they share, and what each has for itself.
+"""One craft in several recordings: shared parameters, and parameters of each recording.
 
 Each recording is fitted alone; near its optimum θᵢ its loss is quadratic, with the Hessian Hᵢ. The
-shared parameters s and those of each recording, oᵢ, minimise the sum of these losses, Σᵢ eᵢᵀ Hᵢ eᵢ
-with eᵢ = θᵢ − (s, oᵢ). The result is linear in all θᵢ. So its covariance follows from theirs, and
-so do the errors of the differences that tell whether recordings agree on what they share.
+shared parameters s and the parameters oᵢ of each recording minimise the sum of these losses,
+Σᵢ eᵢᵀ Hᵢ eᵢ with eᵢ = θᵢ − (s, oᵢ). The result is linear in all θᵢ. So the fits' covariances
+give its covariance, and the errors of the differences that show whether the recordings agree.
 """
 
 from __future__ import annotations

@@ -112,7 +112,7 @@ def identify(
     progress : callable, optional
         Called after every iteration of the optimiser.
     each : sequence of str, optional
-        What each recording has for itself, such as ``("delay", "tilt")``: ``delay``, ``lag``,
+        What is fitted for each recording separately, as ``("delay", "tilt")``: ``delay``, ``lag``,
         ``angle``, ``thrust``, or terms of the model. The model has the last recording's values;
         see `Model.recordings`. By default the recordings share everything.
 

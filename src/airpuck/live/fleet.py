@@ -29,7 +29,7 @@ from airpuck.recording.message import MessageCodec, definitions
 
 #: Topic of messages in the namespace of their sender, and its type.
 TOPIC, TYPE = "fleet/message", "std_msgs/msg/String"
-#: The flight begins this long after all are ready, so that all hear of it [s].
+#: Time from when all are ready to the start [s]; the announcement reaches all craft meanwhile.
 _NOTICE = 1.0
 #: A craft is ready once it has flown this close to its start [m] for this time without a break [s].
 _AT_START, _STEADY = 0.05, 0.5

@@ -229,7 +229,7 @@ class Graph:
             self._waitset.detach(subscription._condition)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a message comes on a subscription that wakes, or a time has passed.
+        """Sleep until a waking subscription gets a message, or a time has passed.
 
         Parameters
         ----------

@@ -276,7 +276,7 @@ class ModelFile(Section):
     encoder_indexing: Literal["start", "end"] = "start"
     #: Values of the parameters.
     parameters: ParametersSection
-    #: Effects of the user's own. Their code is not in the file: whoever reads the file names it.
+    #: Effects of the user's own. The file does not contain their code; its reader has to name it.
     effects: dict[str, OwnEffect] = pydantic.Field(default_factory=dict)
     #: What was learned: true, false, or one boolean for each entry. Its keys are names of
     #: quantities without units, such as ``thrust``. A missing key means not learned.

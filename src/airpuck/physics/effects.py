@@ -67,7 +67,7 @@ class Envelope:
 
 
 def _unknown(*_: Any) -> None:
-    """Know no bound."""
+    """Return None: no bound is known."""
 
 
 class Effect:

@@ -149,7 +149,7 @@ class Plan(Result):
         Raises
         ------
         InputError
-            If the intervals cannot be divided into so many legs.
+            If the intervals cannot be divided among the legs.
         """
         if legs < 1 or len(self.commands) % legs:
             problem = f"must divide the plan's {len(self.commands)} intervals, but is {legs}"

@@ -58,6 +58,11 @@ _TO_WRITE = {
     "command": 'time = "...", values = ["...", ...]',
     "puck": 'time = "...", position = ["...", "..."]',
 }
+#: What else to write if the units differ.
+_OTHER_UNITS = {
+    "pose": '; if units are not m, rad and s, add units = ["mm", "deg", "ms"] to pose',
+    "command": "; if commands are not 0 to 1, add scale to command, 0.01 for percent",
+}
 
 
 def is_table(path: Path) -> bool:
@@ -134,8 +139,7 @@ def _require_columns(single: Path, mapping: RecordingMapping, needs: Sequence[st
         found = listing(plain_table(read_rows(single)).columns)
         raise InputError(
             "is a single CSV file; name the folder with one file per stream, or name its columns "
-            f"in a file for --mapping: {written} out of {found}. If units are not m, rad and s, "
-            'or commands not 0 to 1, add units = ["mm", "deg", "ms"] to pose and scale to command',
+            f"in a file for --mapping: {written} out of {found}{''.join(_OTHER_UNITS.values())}",
             file=single,
         )
 
@@ -171,7 +175,7 @@ def _file_of(
         there = listing(sorted(file.name for file in folder.iterdir() if is_table(file)))
         problem += (
             f'; name it in a file for --mapping: {stream} = {{file = "...", {_TO_WRITE[stream]}}} '
-            f"out of {there}"
+            f"out of {there}{_OTHER_UNITS.get(stream, '')}"
         )
     raise InputError(problem, file=folder)
 

@@ -54,7 +54,7 @@ class _Sink:
         self._schemas: dict[int, Schema] = {}
         #: Topic of each channel; None if the channel is skipped.
         self._channels: dict[int, TopicLog | None] = {}
-        #: Claimed times of damaged chunks [ns]; they may be damaged too, but nothing else is there.
+        #: Stated times of damaged chunks [ns]; they may be wrong, but there is no other source.
         self.lost: list[tuple[int, int]] = []
 
     def wants(self, channels: Collection[int]) -> bool:

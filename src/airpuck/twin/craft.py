@@ -225,7 +225,7 @@ class Craft:
         self.state = np.concatenate([moved, self.state[6:]])
 
     def _flown(self, duration: float) -> tuple[Any, bool]:
-        """Return where the craft ends up without a puck, and whether it meets a rail."""
+        """Return the craft's final state without a puck, and whether it touches a rail."""
         _, _, drive, left = self._step
         state, met = self.plant.advance(self.state, drive, np.float64(duration), left)
         return state, bool(met)

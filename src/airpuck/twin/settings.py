@@ -264,7 +264,7 @@ class TwinSettings(AirHockey):
         return self.model_copy(update={"radio": radio})
 
     def without_on_board(self) -> TwinSettings:
-        """Return settings without on-board sensors, for flights in which nobody reads them.
+        """Return settings without on-board sensors, for flights that do not use them.
 
         Returns
         -------

@@ -29,7 +29,7 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 #: Commands may exceed their range by this; a law that saturates may give such, percent and pulse
 #: widths are larger.
 _EXCESS = 1.0
-#: No puck is faster; air-hockey players hit it at up to 20 m/s [m/s, rad/s].
+#: Largest speed and spin of a puck [m/s, rad/s]; air-hockey players hit it at up to 20 m/s.
 _FASTEST = 1000.0
 
 

@@ -58,7 +58,7 @@ class _Candidates:
 
 
 class Shoot(Searcher):
-    """Shoots, directly or over banks, if the probability of scoring is high enough.
+    """Shoots, directly or off the rails, if the probability of scoring is high enough.
 
     Parameters
     ----------

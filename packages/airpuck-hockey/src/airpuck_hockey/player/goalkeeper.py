@@ -32,8 +32,8 @@ _SQUARE = 0.5
 _OVERLAP = 0.004
 #: Distance to a resting puck at which the craft waits [m], beyond the disc to avoid.
 _NEAR = 0.02
-#: A slower puck is not pushed; a faster one, or one this far in the other half, is not avoided
-#: [m/s, m/s, m].
+#: Slowest puck that is pushed [m/s]; fastest puck that is avoided [m/s], and how far it may be in
+#: the other half [m].
 _SLOW, _FAST, _OTHER_HALF = 0.3, 0.5, 0.1
 #: Vectors shorter than this have no direction [m, m/s].
 _RESTS = 1e-6

@@ -42,7 +42,7 @@ _NO_LIMIT = 1e6
 _WARM_UP = 20
 #: Number of steps in which the craft flies home after the player has left; then the game pauses.
 _HOMEWARD = 300
-#: A game is kept for a player who has left for this long [s]; the next one starts a new game.
+#: Time for which a player who has left can resume the game [s].
 _KEPT = 60.0
 #: Position of the puck meanwhile, from which the player begins [m].
 _LAID = 0.3
