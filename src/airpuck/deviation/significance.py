@@ -32,9 +32,9 @@ class Thresholds:
 #: Errors of a model in a recording (`resid`).
 IN_RECORDING = Thresholds((0.05, 0.005), (0.2, 0.01), LEVEL)
 #: Errors in flight (`watch`), which are tested every second, at about four standard deviations;
-#: with three, one of 55 healthy flights gave an alarm (`studies/false_alarms.py`). Where standard
-#: deviations are above 5 % and 2.5 ms, commands change too little, and estimates follow the noise
-#: of the poses, by which errors are judged.
+#: with three, one of 55 healthy flights gave an alarm (`studies/false_alarms.py`). Above
+#: standard deviations of 5 % and 2.5 ms, commands change too little for a judgement: estimates then
+#: follow the noise of the poses.
 IN_FLIGHT = Thresholds((0.1, 0.003), (0.23, 0.0094), 3e-4)
 
 

@@ -200,7 +200,7 @@ class Loss(Settings):
             if abs(other.sample_period / first.sample_period - 1) > _SAME_RATE:
                 raise InputError(
                     f"has poses at {1 / other.sample_period:.0f} Hz, the first recording at "
-                    f"{1 / first.sample_period:.0f} Hz; identify from recordings of one rate",
+                    f"{1 / first.sample_period:.0f} Hz; use recordings with equal rates",
                     file=other.source,
                 )
         steps = first.steps

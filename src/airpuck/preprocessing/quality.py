@@ -35,7 +35,7 @@ _JUMP = "jumping pose"
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
-#: Regular steps on both sides of a clock's step, and how far they are from the usual one.
+#: Number of regular steps required on both sides of a clock's step, and their relative tolerance.
 _BESIDE, _REGULAR = 3, 0.3
 #: Largest fraction of samples that may be dropped because their stamps go back.
 _DROPPED = 0.2

@@ -18,8 +18,8 @@ from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
 
-#: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. For a
-#: game: the goals of both sides, the number of the event's kind, and the side concerned.
+#: Columns of the streams with a fixed meaning. A command's columns are the propellers' names. A
+#: game has the goals of both sides, the number of the event's kind, and the side concerned.
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pose": ("x_m", "y_m", "yaw_rad"),

@@ -32,8 +32,8 @@ _SLOW, _PUSHED = 0.06, 0.2
 _GOOD = 0.25
 #: Room around a puck that makes a position fully good [m].
 _ENOUGH = 0.12
-#: Value of a catch, in seconds to spare: time beyond which more is worth nothing [s]; costs per
-#: second of waiting and per radian off the puck's motion; gain of a fully good place.
+#: Value of a catch, in seconds of spare time. Spare time counts up to the first number [s]. Then:
+#: costs per second of waiting and per radian off the puck's motion; gain of a fully good place.
 _SPARE, _WAITING, _ASLANT, _AT_GOOD_PLACE = 0.15, 0.1, 0.1, 0.3
 #: Number of best catches of which the first with a clear path is planned.
 _BEST = 6
