@@ -14,6 +14,9 @@ learned), `learning_s`, and for the starts `all` and `healthy`: `starts`, `rmse`
 of x [m], y [m], yaw [rad] and the weighted error; `ratio` compares healthy errors with those of the
 first method. A line is written as soon as it is measured, and never measured again: start the same
 command again to continue. Only the first method then learns anew, as the others' reference.
+
+`--figure FILE.png` draws the file's methods: error against learned numbers and against the time
+to learn. `jax-sysid` needs a Python of its own, see `predictors/recurrent.py`.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 from studies.held_out import flights
 
@@ -34,7 +38,7 @@ from airpuck.data.windows import Windows, make_windows
 from airpuck.evaluation.statistical_tests import rmse_interval, rmse_ratio
 from airpuck.report.reproduce import TRAINING, VALIDATION
 
-from .predictors import Method, black_box, models, simple, subspace
+from .predictors import Method, black_box, models, recurrent, simple, subspace
 
 #: Methods by name. A method is a function (trajectory, vehicle) -> Predictor.
 METHODS: dict[str, Method] = {
@@ -46,6 +50,7 @@ METHODS: dict[str, Method] = {
     "scipy-m3": models.scipy(robust=False),
     "scipy-m3-robust": models.scipy(robust=True),
     "network": black_box.accelerations,
+    "jax-sysid": recurrent.jax_sysid,
     "arx": simple.arx,
     "subspace": subspace.n4sid,
     "coasting": simple.coasting,
@@ -152,6 +157,32 @@ def chosen(names: str | None, methods: dict[str, Method]) -> dict[str, Method]:
     return {name: methods[name] for name in names.split(",")} if names else methods
 
 
+def draw(rows: list[dict[str, Any]], file: Path) -> None:
+    """Draw each method's weighted error over the first method's, the mean over their tasks."""
+    known = {(row["task"], row["method"]): row for row in rows}
+    first = rows[0]["method"]
+    figure, axes = plt.subplots(1, 2, figsize=(10, 4.5), sharey=True, layout="constrained")
+    shown = [name for name in METHODS if any(name == method for _, method in known)]
+    for number, method in enumerate([*shown, "published-M3"]):
+        own = [row for (_, name), row in known.items() if name == method]
+        pairs = [(row, known[row["task"], first]) for row in own if (row["task"], first) in known]
+        ratios = [row["healthy"]["rmse"][3] / ours["healthy"]["rmse"][3] for row, ours in pairs]
+        error = float(np.exp(np.mean(np.log(ratios))))
+        style = {"marker": "o" if method.startswith(first) else "s", "color": f"C{number % 10}"}
+        label = f"{method} ({len(pairs)} tasks)" if len(pairs) > 1 else f"{method} (1 task)"
+        for axis, field, least in zip(axes, ("parameters", "learning_s"), (1, 0.1), strict=True):
+            at = max(float(np.median([row[field] for row, _ in pairs])), least)
+            axis.loglog(at, error, **style, ls="", ms=9, mec="k", alpha=0.85, label=label)
+    axes[0].set(xlabel="learned numbers (none: at 1)", ylabel=f"error / error of {first}")
+    axes[1].set(xlabel="time to learn / s (at least 0.1)")
+    for axis in axes:
+        axis.grid(which="both", alpha=0.3)
+        axis.set_yticks([1, 1.5, 2, 3, 5, 10], ["1", "1.5", "2", "3", "5", "10"], minor=False)
+        axis.set_yticks([], minor=True)
+    axes[1].legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8, frameon=False)
+    figure.savefig(file, dpi=160)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", default="", help="beginnings of their names, between commas")
@@ -159,11 +190,15 @@ def main() -> None:
     parser.add_argument(
         "--json", type=Path, help="result file; what is in it is not measured again"
     )
+    parser.add_argument("--figure", type=Path, help="only draw what is in the result file")
     options = parser.parse_args()
-    finished = set()
+    finished, rows = set(), []
     if options.json and options.json.exists():
         rows = [json.loads(row) for row in options.json.read_text().splitlines()]
         finished = {(row["task"], row["method"]) for row in rows}
+    if options.figure:
+        draw(rows, options.figure)
+        return
     for task in tasks():
         published = PUBLISHED if task.name.startswith("paper") else {}
         methods = chosen(options.methods, {**METHODS, **published})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from airpuck import Trajectory, Vehicle
@@ -10,7 +12,7 @@ from airpuck.data.windows import Windows, make_windows
 from . import Predictor, to_body, to_table
 
 #: Samples of one step: 60 Hz instead of 240 Hz.
-_STEP = 4
+STEP = 4
 #: Block rows of the Hankel matrices; order of the model.
 _ROWS, _ORDER = 10, 12
 _RIDGE = 1e-3
@@ -25,8 +27,8 @@ def n4sid(trajectory: Trajectory, vehicle: Vehicle) -> Predictor:
     singular vectors of the first part span the states (Van Overschee and De Moor, "Subspace
     Identification for Linear Systems", 1996, chapter 4). A, B, C and the gain follow by regression.
     """
-    windows = make_windows([trajectory], 2, 2 * _ROWS * _STEP, 2)
-    y, u = _sequences(windows, 0, 2 * _ROWS + 1)
+    windows = make_windows([trajectory], 2, 2 * _ROWS * STEP, 2)
+    y, u = sequences(windows, 0, 2 * _ROWS + 1)
     mean_y, mean_u = y.mean(axis=(0, 1)), u.mean(axis=(0, 1))
     scale_y, scale_u = y.std(axis=(0, 1)), u.std(axis=(0, 1))
     y, u = (y - mean_y) / scale_y, (u - mean_u) / scale_u
@@ -46,32 +48,20 @@ def n4sid(trajectory: Trajectory, vehicle: Vehicle) -> Predictor:
     output = _solve(np.concatenate([state, u[:, _ROWS]], axis=1), y[:, _ROWS])
 
     def predict(windows: Windows) -> np.ndarray:
-        steps = windows.prediction_length // _STEP
-        y, u = _sequences(windows, windows.encoder_length - 1 - _ROWS * _STEP, _ROWS + steps)
+        steps = windows.prediction_length // STEP
+        y, u = sequences(windows, windows.encoder_length - 1 - _ROWS * STEP, _ROWS + steps)
         y, u = (y - mean_y) / scale_y, (u - mean_u) / scale_u
         many = len(y)
         state = (
             np.concatenate([y[:, :_ROWS].reshape(many, -1), u[:, :_ROWS].reshape(many, -1)], axis=1)
             @ to_state
         )
-        now = windows.present
-        pose, (vx, vy, spin) = windows.state[now, :3].T, windows.state[now, 3:].T
-        forward, left = to_body(pose[2], vx, vy)
-        velocity = np.stack([forward, left, spin])
+        forces = []
         for k in range(steps):
             seen = np.concatenate([state, u[:, _ROWS + k]], axis=1)
-            force = ((seen @ output) * scale_y + mean_y).T
+            forces.append(seen @ output * scale_y + mean_y)
             state = seen @ advance
-            index = now + k * _STEP
-            h = windows.time[index + _STEP] - windows.time[index]
-            turned = np.stack([spin * velocity[1], -spin * velocity[0], 0 * spin])
-            middle = velocity + h / 2 * (force + turned)
-            dx, dy = to_table(pose[2] + h / 2 * middle[2], middle[0], middle[1])
-            pose = pose + h * np.stack([dx, dy, middle[2]])
-            turned = np.stack([middle[2] * middle[1], -middle[2] * middle[0], 0 * spin])
-            velocity = velocity + h * (force + turned)
-            spin = velocity[2]
-        return pose
+        return moved(windows, forces)
 
     return Predictor(predict, advance.size + output.size + to_state.size)
 
@@ -87,16 +77,37 @@ def _solve(columns: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.linalg.solve(normal + _RIDGE * len(columns) * np.eye(len(normal)), columns.T @ values)
 
 
-def _sequences(windows: Windows, first: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+def sequences(windows: Windows, first: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Return accelerations in the craft's frame and inputs of each step, shape (W, steps, k)."""
-    index = windows.starts[:, None] + first + _STEP * np.arange(steps + 1)
-    index = np.minimum(index, len(windows.time) - 1)
+    index = windows.starts[:, None] + first + STEP * np.arange(steps + 1)
+    index = np.clip(index, 0, len(windows.time) - 1)
     _, _, yaw, vx, vy, spin = np.moveaxis(windows.state[index], 2, 0)
     h = np.maximum(np.diff(windows.time[index]), 1e-6)
     middle = yaw[:, :-1] + np.diff(yaw) / 2
     ax, ay = to_body(middle, np.diff(vx) / h, np.diff(vy) / h)
     output = np.stack([ax, ay, np.diff(spin) / h], axis=2)
     command = np.stack(
-        [windows.input[np.minimum(index[:, :-1] + k, len(windows.input) - 1)] for k in range(_STEP)]
+        [windows.input[np.minimum(index[:, :-1] + k, len(windows.input) - 1)] for k in range(STEP)]
     ).mean(axis=0)
     return output, np.concatenate([command, command**2], axis=2)
+
+
+def moved(windows: Windows, forces: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the poses after accelerations in the craft's frame, each (W, 3) for one step."""
+    now = windows.present
+    pose, (vx, vy, spin) = windows.state[now, :3].T, windows.state[now, 3:].T
+    velocity = np.stack([*to_body(pose[2], vx, vy), spin])
+    for k, force in enumerate(forces):
+        index = now + k * STEP
+        h = windows.time[index + STEP] - windows.time[index]
+        middle = velocity + h / 2 * (force.T + _turning(velocity))
+        dx, dy = to_table(pose[2] + h / 2 * middle[2], middle[0], middle[1])
+        pose = pose + h * np.stack([dx, dy, middle[2]])
+        velocity = velocity + h * (force.T + _turning(middle))
+    return pose
+
+
+def _turning(velocity: np.ndarray) -> np.ndarray:
+    """Return how a velocity changes in the craft's frame because the frame turns."""
+    along, across, spin = velocity
+    return np.stack([spin * across, -spin * along, 0 * spin])
