@@ -303,7 +303,9 @@ def test_an_unknown_law_or_estimator_is_refused():
     tuning = default_tuning()
     with pytest.raises(InputError, match=r"law\.kind: must be 'lqr', 'mpc', .*not 'MPC'"):
         tuning.with_law("MPC")
-    with pytest.raises(InputError, match=r"estimation\.estimator: must be 'kalman' or 'actuation'"):
+    with pytest.raises(
+        InputError, match=r"estimation\.estimator: must be 'kalman', 'actuation' or"
+    ):
         tuning.with_estimator("actuaton")
 
 

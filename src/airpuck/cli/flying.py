@@ -120,10 +120,10 @@ def track(
         ),
     ] = None,
     estimator: Annotated[
-        Literal["kalman", "actuation"] | None,
+        Literal["kalman", "actuation", "learning"] | None,
         Setting(
-            "kalman, or actuation, which also estimates what each motor does; by default the "
-            "tuning's."
+            "kalman; actuation, which also estimates what each motor does; or learning, which "
+            "remembers it; by default the tuning's."
         ),
     ] = None,
     seed: options.Seed = 0,

@@ -27,6 +27,7 @@ from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
+from airpuck.estimate.multiple_models import LATE
 from airpuck.model.model_file import Model, nominal_model
 
 #: Acceleration in the weakest combination of push and turn below which no law can steer [m/s²].
@@ -124,6 +125,8 @@ class TrackingController(Pilot):
         self._compiled, self._programs = compiled, {}
         self._program(self.law.inputs)
         self._gate = PoseGate(longest_pause(model, tuning))
+        #: Learned delay beyond the model's [s].
+        self._late, self._learns = 0.0, tuning.estimation.estimator == "learning"
         #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
 
@@ -264,9 +267,11 @@ class TrackingController(Pilot):
 
     def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
         """Let the law compute the command, and store its state."""
-        delay = self.model.transport_delay
+        delay = self.model.transport_delay + self._late
         moment = Moment(self.reference, now, delay, foresee, self.limits)
         step, self.state = self.law.step(self.state, moment)
+        if self._learns and step.estimate is not None and step.estimate.actuation is not None:
+            self._late = float(np.clip(step.estimate.actuation.delay, *LATE))
         return replace(step, command=self._modulator.command(now, step.command))
 
     def predict(self, time: float) -> Estimate:
@@ -372,6 +377,8 @@ def _estimator(model: Model, estimation: Estimation, compiled: bool) -> KalmanFi
     """Return the estimator that the tuning names."""
     if estimation.estimator == "kalman":
         return KalmanFilter(model, estimation.noise, compiled=compiled)
+    learned = estimation.learned_s if estimation.estimator == "learning" else None
+    lasting = estimation.forgetting_s
     return ActuationFilter(
-        model, estimation.noise, lasting=estimation.forgetting_s, compiled=compiled
+        model, estimation.noise, lasting=lasting, learned=learned, compiled=compiled
     )

@@ -30,7 +30,7 @@ from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Cameras
 
 #: Estimators by name.
-ESTIMATORS = ("kalman", "actuation")
+ESTIMATORS = ("kalman", "actuation", "learning")
 #: A craft that takes this many times as long for the same motion needs a slower controller: one
 #: actuator accelerates it by less than 0.9 m/s².
 _SLOW = 2.0
@@ -149,9 +149,9 @@ def _plain(settings: LawSettings) -> dict[str, Any]:
 class Estimation(Section):
     """The state estimator and its noise assumptions."""
 
-    #: Whether to assume that motors follow their commands, or to estimate the effectiveness of
-    #: each.
-    estimator: Literal["kalman", "actuation"] = "kalman"
+    #: Whether to assume that motors follow their commands, to estimate the effectiveness of each,
+    #: or also to learn what lasts, and the delay.
+    estimator: Literal["kalman", "actuation", "learning"] = "kalman"
     #: Poses per second; by default as in the recordings that the model was identified from.
     camera_hz: Positive | None = None
     #: Standard deviation of the motion capture.
@@ -169,8 +169,10 @@ class Estimation(Section):
     imu_acceleration_m_s2: Positive = 0.35
     gyro_rad_s: Positive = 0.015
     mouse_m_s: Positive = 1e-2
-    #: For ``actuation``: how long an estimate of a motor remains valid.
+    #: For ``actuation`` and ``learning``: how long an estimate of a failing motor remains valid.
     forgetting_s: Positive = 3.0
+    #: For ``learning``: time after which what was learned is as uncertain as before.
+    learned_s: Positive = 30.0
 
     @property
     def noise(self) -> Noise:

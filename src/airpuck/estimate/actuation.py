@@ -54,6 +54,9 @@ PRIORS = (
     EffectivenessPrior(0.05, 0.05, 0.5, "single motors"),
 )
 
+#: Prior of what is learned in flight: the battery, mass and each motor may differ from the model.
+LEARNED = EffectivenessPrior(0.9, 0.25, 0.15, "learned")
+
 #: Uncertainty of the motor speeds relative to the first command of a window, as a standard
 #: deviation: 0.4 if that command had just changed between arbitrary values, which happened in one
 #: window of four.

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from airpuck.compute.compiled import program
 from airpuck.craft.wheel import Spinning
-from airpuck.estimate.actuation import ActuationEncoder
+from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
 from airpuck.estimate.multiple_models import MultipleModels, States
@@ -29,6 +29,8 @@ Command = Float[np.ndarray, " n"]
 #: Number of one-command intervals that one call handles; longer times take several calls. A command
 #: begins to act between two poses of 240 Hz nearly half of the time.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
+#: Standard deviation of a delay that is learned [s].
+_LEARNED_DELAY = 1e-2
 #: Largest lateness of a measurement if sensors have different latencies [s].
 _REMEMBERED = 0.1
 #: A belief about the craft in the form of the equations: arrays that are never written to.
@@ -443,7 +445,8 @@ class ActuationFilter(KalmanFilter):
     """A Kalman filter that also estimates what each motor does with its command.
 
     It solves the problem of `airpuck.estimate.actuation`, with the same priors and evidence, in
-    closed loop.
+    closed loop. If `learned` is a time [s], it also learns what lasts, the delay included, and
+    predicts with it; after that time without excitation it is as uncertain as at the beginning.
     """
 
     def __init__(
@@ -454,10 +457,13 @@ class ActuationFilter(KalmanFilter):
         encoder: ActuationEncoder | None = None,
         lasting: float = 3.0,
         delay_deviation: float = 3e-3,
+        learned: float | None = None,
         compiled: bool = True,
     ) -> None:
         encoder = encoder or ActuationEncoder()
         priors, n = encoder.priors, model.vehicle.n_propellers
+        if learned is not None:
+            priors, delay_deviation = (LEARNED, *priors[1:]), _LEARNED_DELAY
         covariance = np.zeros((len(priors), n + 1, n + 1))
         covariance[:, :n, :n] = [prior.covariance(n) for prior in priors]
         # Motors without lag give no information about the delay: their speed jumps.
@@ -466,6 +472,12 @@ class ActuationFilter(KalmanFilter):
         weight = np.array([prior.weight for prior in priors])
         names = tuple(prior.name for prior in priors)
         states = States(
-            names, weight / weight.sum(), covariance, lasting, encoder.tail, encoder.tempering
+            names,
+            weight / weight.sum(),
+            covariance,
+            lasting,
+            encoder.tail,
+            encoder.tempering,
+            learned,
         )
         super().__init__(model, noise, states=states, compiled=compiled)

@@ -38,6 +38,8 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 #: hand; a motor would need ten frames for it. The velocities become unknown, and no motor is
 #: blamed.
 _KNOCK = 8.0
+#: Bounds of a learned delay that is used [s].
+LATE = (-0.02, 0.05)
 #: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -66,6 +68,9 @@ class States:
     tail: float
     #: Exponent of the likelihood by which states compete.
     tempering: float
+    #: Time over which what was learned about the first state's e becomes uncertain again [s]; None:
+    #: nothing is learned, and e is drawn around zero.
+    learned_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +103,37 @@ class MultipleModels:
         states = self.states
         same = xp.exp(-duration / states.lasting)
         mean, covariance = mixed(xp, belief)
-        # After a redraw nothing is known about the actuation.
+        # After a redraw nothing is known about the actuation, but what was learned.
         known = np.concatenate([np.ones(9), np.zeros(means.shape[1] - 9)])
-        fresh = covariance * known[:, None] * known + _padded(states.covariance)
-        away = means - mean * known
+        learned, drawn, growth = self._learned(xp, belief, mean, covariance, duration)
+        base = mean * known + learned
+        fresh = covariance * known[:, None] * known + drawn
+        away = means - base
         after = same * weights + (1 - same) * states.weight
         keeps = (same * weights / xp.maximum(after, 1e-300))[:, None, None]
         between = keeps * (1 - keeps) * away[:, :, None] * away[:, None, :]
-        means = mean * known + keeps[:, :, 0] * away
-        return means, keeps * covariances + (1 - keeps) * fresh + between, after
+        means = base + keeps[:, :, 0] * away
+        return means, keeps * covariances + (1 - keeps) * fresh + between + growth, after
+
+    def _learned(
+        self, xp: Any, belief: Belief, mean: Any, covariance: Any, duration: Any
+    ) -> tuple[Any, Any, Any]:
+        """Return means and covariances of e when a state is drawn, and how they grow until then.
+
+        Other states than the first are drawn around what it has learned; it takes over what
+        they have found. Its covariance grows towards the prior's.
+        """
+        states, prior = self.states, _padded(self.states.covariance)
+        if states.learned_s is None:
+            return 0.0, prior, 0.0
+        e = np.concatenate([np.zeros(9), np.ones(len(mean) - 9)])
+        block, first = e[:, None] * e, (np.arange(len(prior)) == 0)[:, None]
+        means, covariances, _ = belief
+        base = xp.where(first, mean, means[0]) * e
+        own, is_first = covariances[0] * block, first[:, :, None]
+        drawn = xp.where(is_first, covariance * block, own + prior)
+        growth = -xp.expm1(-duration / states.learned_s) * (prior[0] - own)
+        return base, drawn, xp.where(is_first, growth, 0.0)
 
     def advance(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
         """Advance belief and motor speeds through intervals with one command each.
@@ -117,7 +144,9 @@ class MultipleModels:
         total = xp.sum(durations)
         means, covariances, weights = self.renewed(xp, (means, covariances, weights), total)
         path = xp.sum(weights[:, None] * means, axis=0)
-        transition, offset, speed = drift(xp, self.dynamics, path, speed, durations, commands)
+        learns = self.states.learned_s is not None
+        given = self.dynamics, path, speed, durations, commands
+        transition, offset, speed = drift(xp, *given, learns=learns)
         half = small_product(xp, transition, covariances)
         moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
@@ -202,22 +231,39 @@ class MultipleModels:
         mean = xp.sum(weights[:, None] * means, axis=0)
         e = mean[ACTUATION]
         effectiveness = 1 + e[:-1]
-        # The estimated delay is not used: each command in transit has its own.
+        # A delay that is not learned is not used: each command in transit has its own.
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
+        given = given if self.states.learned_s is None else self._late(xp, e[-1], *given)
         axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given)
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
         deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
         state = xp.ravel(axes[:, :2].T)
         return state, speed, axes[:, 2], effectiveness, e, deviation, weights
 
+    def _late(self, xp: Any, delay: Any, speed: Any, durations: Any, commands: Any) -> Any:
+        """Let the commands in transit act later, and predict until the last begins to act."""
+        delay = xp.clip(delay, *LATE)
+        lag = lag_at(xp, speed, self.dynamics.lag, self.dynamics.idle_lag)
+        slope = (commands[0] - speed) / xp.maximum(lag, 1e-4)
+        first = np.arange(len(durations)) == 0
+        return speed - delay * slope, xp.maximum(durations + delay * first, 0.0), commands
+
 
 def drift(
-    xp: Any, dynamics: Dynamics, mean: Any, speed: Any, durations: Any, commands: Any
+    xp: Any,
+    dynamics: Dynamics,
+    mean: Any,
+    speed: Any,
+    durations: Any,
+    commands: Any,
+    *,
+    learns: bool = False,
 ) -> tuple[Any, Any, Any]:
     """Integrate the accelerations over intervals with one command each.
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
-    matrix and the offset that advance any x, and the motor speeds.
+    matrix and the offset that advance any x, and the motor speeds. If the craft `learns`, the delay
+    acts on the thrusts as they are known, otherwise on the modelled ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -230,7 +276,8 @@ def drift(
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau, idle)
         motion = p[2] + h / 2 * v[2], v[0], v[1], v[2]
-        a, by_e = sensitivity(xp, dynamics, motion, middle, command)
+        delayed = 1 + e[:-1] if learns else 1.0
+        a, by_e = sensitivity(xp, dynamics, motion, middle, command, delayed)
         rate = a + d + small_product(xp, by_e, e)
         p_by_e, v_by_e = p_by_e + h * v_by_e + h * h / 2 * by_e, v_by_e + h * by_e
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
@@ -249,9 +296,12 @@ def drift(
 
 
 def sensitivity(
-    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any
+    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any, delayed: Any = 1.0
 ) -> tuple[Any, Any]:
-    """Return the modelled accelerations and their derivatives with respect to e."""
+    """Return the modelled accelerations and their derivatives with respect to e.
+
+    The delay acts on these fractions of the motors' thrusts.
+    """
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
     # For a later arrival of the commands: a(t - δ).
@@ -259,7 +309,7 @@ def sensitivity(
     lag = lag_at(xp, speed, dynamics.lag, dynamics.idle_lag)
     slope = (command - speed) / xp.maximum(lag, little)
     earlier = motor_accelerations(xp, dynamics, motion, speed - little * slope)
-    by_delay = (xp.sum(earlier[0], axis=1) + earlier[1] - a) / little
+    by_delay = (xp.sum(delayed * (earlier[0] - by_motor), axis=1) + earlier[1] - rest) / little
     return a, xp.concatenate([by_motor, by_delay[:, None]], axis=1)
 
 

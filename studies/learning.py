@@ -1,0 +1,199 @@
+"""Flights of a craft that learns its motors and delay, beside one that does not and one that knows.
+
+    OPENBLAS_NUM_THREADS=1 python studies/learning.py -o learning.jsonl --flights 100
+
+Each flight follows a circle for 12 s, then set points that are drawn at random, 2 s each. The craft
+is the paper's M3, or it changes: the changes are in `changes`. The same flights are flown by the
+Kalman filter, by the learning estimator, and with the changed model (`knows`, where the change is
+there from the beginning). Each line of the file is one flight: the root mean square distance from
+the circle from 2 s after the change on, the largest overshoot over set points and the largest
+distance in the last half second of one, and for `learning` how many of the final intervals (95 %)
+contain the truth. An interrupted study resumes; `--summary` only reads the file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from airpuck import SetPoints, TrackingController, Twin, fly
+from airpuck.control.reference import Target
+from airpuck.control.tuning import default_tuning, tuning_for
+from airpuck.model.model_file import Model, published_model
+from airpuck.twin.radio import as_received
+from airpuck.twin.settings import Effects, Motors, TwinSettings, Weakness, default_twin_settings
+
+MODEL = replace(published_model("M3"), frame="body", indexing="start")
+#: Duration of the circle, and of each set point; when a motor fails, and when errors count [s].
+CIRCLE, DWELL, FAILS, COUNTS = 12.0, 2.0, 4.0, 6.0
+#: Number of set points.
+POINTS = 6
+ESTIMATORS = ("kalman", "learning", "knows")
+
+
+class Circle:
+    """A circle of 0.3 m around the middle, once in 4 s, with a fixed yaw."""
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target; see `airpuck.Reference`."""
+        rate = 2 * math.pi / 4
+        cos, sin = math.cos(rate * (now + ahead)), math.sin(rate * (now + ahead))
+        place, motion = 0.3 * np.array([cos, sin, 0.0]), 0.3 * rate * np.array([-sin, cos, 0.0])
+        return Target(np.append(place, motion), -(rate**2) * place)
+
+
+class Change(NamedTuple):
+    """What the craft has become: its model, the twin's settings, and its motors at the end."""
+
+    truth: Model
+    settings: TwinSettings
+    gains: np.ndarray
+    later_s: float = 0.0
+    known: bool = True
+
+
+def changes(motor: int) -> dict[str, Change]:
+    """Return all changes; `motor` is the one that fails."""
+    delay = MODEL.transport_delay
+    usual = default_twin_settings().with_delay(delay)
+    ones = np.ones(6)
+    # Packets do not overtake each other, so jitter makes the mean delay longer.
+    waits = as_received(MODEL, usual, default_tuning().period_s).transport_delay - delay
+
+    def fails(share: float) -> Change:
+        name = MODEL.vehicle.columns[motor]
+        weak = Weakness(motor=name, start_s=FAILS, stop_s=1e3, share=share)
+        settings = usual.model_copy(update={"motors": Motors(weak=(weak,))})
+        gains = ones.copy()
+        gains[motor] = share
+        return Change(MODEL, settings, gains, waits, known=False)
+
+    def thrust(factor: float, later: float = 0.0) -> Change:
+        parameters = replace(MODEL.parameters, thrust=factor * MODEL.parameters.thrust)
+        truth = replace(MODEL, parameters=parameters).with_delay(delay + later + waits)
+        return Change(truth, usual.with_delay(delay + later), factor * ones, later + waits)
+
+    sag = 0.27 / 45
+    battery = usual.model_copy(update={"effects": Effects(battery_sag_1_s=sag)})
+    return {
+        "none": thrust(1.0),
+        "battery": Change(
+            MODEL, battery, (1 - sag * (CIRCLE + POINTS * DWELL)) * ones, known=False
+        ),
+        "motor at 60 %": fails(0.6),
+        "mass + 20 %": thrust(1 / 1.2),
+        "delay + 15 ms": thrust(1.0, 0.015),
+        "thrust x 0.7": thrust(0.7),
+        "thrust x 1.2, + 20 ms": thrust(1.2, 0.02),
+        "motor dead": fails(0.0),
+    }
+
+
+def flown(change: Change, law: str, estimator: str, seed: int) -> dict[str, Any]:
+    """Fly a circle and set points."""
+    random = np.random.default_rng([47, seed])
+    model = change.truth if estimator == "knows" else MODEL
+    kind = "kalman" if estimator == "knows" else estimator
+    tuning = tuning_for(MODEL).with_law(law).with_estimator(kind)
+    circle = Circle()
+    controller = TrackingController(model, circle, tuning)
+    twin, seen = Twin(change.truth, change.settings, seed=seed), list[tuple[float, ...]]()
+    receive = controller.measured
+
+    def measured(measurement: Any) -> None:
+        seen.append((measurement.stamp, *measurement.values[:3]))
+        receive(measurement)
+
+    controller.measured = measured
+    fly(controller, twin, CIRCLE)
+    along = np.array([one for one in seen if one[0] > COUNTS])
+    asked = np.array([circle.at(time, 0.0).state[:2] for time in along[:, 0]])
+    row: dict[str, Any] = {
+        "circle_mm": 1e3 * math.sqrt(np.mean(np.sum((along[:, 1:3] - asked) ** 2, axis=1)))
+    }
+    seen.clear()
+    spread = (0.7, 0.25, 1.5)
+    points = [tuple(random.uniform(-1, 1, 3) * spread) for _ in range(POINTS)]
+    begins = twin.now + DWELL * np.arange(POINTS)
+    controller.reference = SetPoints(begins.tolist(), points)
+    fly(controller, twin, POINTS * DWELL)
+    row |= arrivals(np.array(seen), begins, points)
+    found = controller.predict(twin.now).actuation
+    if estimator == "learning" and found is not None:
+        off = (found.effectiveness - change.gains) / found.deviation
+        late = (found.delay - change.later_s) / found.delay_deviation
+        row["off"] = np.append(off, late).round(3).tolist()
+    return row
+
+
+def arrivals(poses: np.ndarray, begins: np.ndarray, points: Sequence[Any]) -> dict[str, float]:
+    """Measure overshoot and final distances [mm]."""
+    over, rest = 0.0, 0.0
+    for begin, point in zip(begins.tolist(), points, strict=True):
+        inside = poses[(poses[:, 0] >= begin) & (poses[:, 0] < begin + DWELL)]
+        error = inside[:, 1:3] - point[:2]
+        over = max(over, float(np.max(-np.sign(error[0]) * error)))
+        last = error[inside[:, 0] > begin + DWELL - 0.5]
+        rest = max(rest, float(np.hypot(*last.T).max()))
+    return {"overshoot_mm": 1e3 * over, "rest_mm": 1e3 * rest}
+
+
+def summary(rows: list[dict[str, Any]]) -> None:
+    """Print medians (and the largest) of all flights."""
+    for law in ("lqr", "mpc"):
+        for name in changes(0):
+            for estimator in ESTIMATORS:
+                own = [
+                    row
+                    for row in rows
+                    if (row["law"], row["change"], row["estimator"]) == (law, name, estimator)
+                ]
+                if not own:
+                    continue
+                text = f"{law} {name:22} {estimator:9} {len(own):3} flights"
+                for key in ("circle_mm", "overshoot_mm", "rest_mm"):
+                    values = [row[key] for row in own]
+                    text += f"  {key} {np.median(values):6.1f} ({max(values):.0f})"
+                off = np.abs([row["off"] for row in own if "off" in row])
+                text += (
+                    f"  within 95 %: {np.mean(off < 1.96):.3f} of {off.size}" if off.size else ""
+                )
+                print(text)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, required=True, help="file of JSON lines")
+    parser.add_argument("--flights", type=int, default=2, help="of each change and estimator")
+    parser.add_argument("--summary", action="store_true", help="only summarise the file")
+    options = parser.parse_args()
+    file, rows = options.output, list[dict[str, Any]]()
+    if file.is_file():
+        rows = [json.loads(line) for line in file.read_text().splitlines()]
+    known = {(row["law"], row["change"], row["estimator"], row["seed"]) for row in rows}
+    for seed in range(0 if options.summary else options.flights):
+        for name, change in changes(seed % 6).items():
+            for law in ("lqr", "mpc"):
+                for estimator in ESTIMATORS if change.known else ESTIMATORS[:2]:
+                    if (law, name, estimator, seed) in known:
+                        continue
+                    row = {"law": law, "change": name, "estimator": estimator, "seed": seed}
+                    row |= flown(change, law, estimator, seed)
+                    print(json.dumps(row), flush=True)
+                    rows.append(row)
+                    with file.open("a") as log:
+                        log.write(json.dumps(row) + "\n")
+    summary(rows)
+
+
+if __name__ == "__main__":
+    from one_line import run
+
+    run(main)

@@ -1,0 +1,134 @@
+"""What the learning estimator knows after a while: against known motors, mass and delays."""
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck.control.reference import SetPoints
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning, tuning_for
+from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.kalman import ActuationFilter
+from airpuck.flight.loop import fly
+from airpuck.model.model_file import published_model
+from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.twin import Twin
+
+from ..apparatus.random_flights import random_flight
+
+M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
+QUIET = Noise(
+    pose=(5e-5, 5e-5, 6e-4), acceleration=(0.02, 0.02, 0.6), disturbance=(0.02, 0.02, 0.6)
+)
+
+
+def changed(share, model=M3):
+    thrust = model.parameters.thrust * np.reshape(share, (-1, 1))
+    return replace(model, parameters=replace(model.parameters, thrust=thrust))
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    return ActuationFilter(M3, QUIET, learned=30.0)
+
+
+@pytest.fixture
+def learning(compiled):
+    """A new filter, with programs compiled once for all tests."""
+    fresh = copy(compiled)
+    fresh.reset()
+    return fresh
+
+
+def taught(learning, share, *, later=0.0, seed=0, lasting=5.0):
+    """Feed the first part of a flight of a changed craft, whose commands act later."""
+    flight = random_flight(changed(share), 5.0, seed)
+    noise = np.random.default_rng(seed).normal(size=(len(flight.time), 3)) * QUIET.pose
+    poses = [
+        (time, 1, pose) for time, pose in zip(flight.time, flight.state[:, :3] + noise, strict=True)
+    ]
+    sent = [
+        (time, 0, command)
+        for time, command in zip(flight.time - later, flight.command, strict=True)
+    ]
+    for time, is_pose, values in sorted(poses + sent, key=lambda one: one[:2]):
+        if time <= lasting:
+            (learning.pose if is_pose else learning.command)(float(time), values)
+    return flight
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_motors_and_delay_are_learned_together(learning, seed):
+    share = 0.8 * np.ones(6)
+    share[seed] = 0.5
+    taught(learning, share, later=0.012, seed=seed)
+    found = learning.predict(5.0).actuation
+    off = np.append(found.effectiveness - share, found.delay - 0.012)
+    assert np.abs(off[:-1]).max() < 0.15
+    assert abs(off[-1]) < 0.003
+    known = np.append(found.deviation, found.delay_deviation)
+    assert np.abs(off / known).max() < 3.5
+
+
+def test_what_was_learned_stays_while_nothing_moves_but_becomes_uncertain(learning):
+    random = np.random.default_rng(0)
+    taught(learning, [0.8, 0.8, 0.5, 0.8, 0.8, 0.8])
+    before = learning.predict(5.0).actuation
+    learning.command(5.0, np.zeros(6))
+    learning.restart(6.0, np.zeros(3))
+    for k in range(1, 20 * 100):
+        learning.pose(6.0 + k / 100, random.normal(size=3) * QUIET.pose)
+    after = learning.predict(26.0).actuation
+    # The actuation filter would think the motors healthy again, see test_actuation_filter.
+    np.testing.assert_allclose(after.effectiveness, before.effectiveness, atol=0.03)
+    assert (after.deviation > 1.5 * before.deviation).all()
+
+
+def test_a_motor_that_dies_is_found_at_once_and_remembered(learning):
+    time = 0.0
+    for share in (np.ones(6), np.array([1, 1, 0.0, 1, 1, 1])):
+        flight = random_flight(changed(share), 3.0, 5)
+        for k, z in enumerate(flight.state):
+            learning.command(time + k / 240, flight.command[k])
+            learning.pose(time + k / 240, z[:3])
+        time += len(flight.time) / 240 + 0.06
+    found = learning.predict(time - 0.06).actuation
+    np.testing.assert_allclose(found.effectiveness, share, atol=0.2)
+
+
+@pytest.mark.parametrize("later", [0.005, 0.015])
+def test_predictions_end_where_the_craft_is_when_a_late_command_acts(learning, later):
+    now = 4.0
+    flight = taught(learning, np.ones(6), later=later, lasting=now)
+    # The commands sent by now act until now + later.
+    true = [np.interp(now + later, flight.time, column) for column in flight.state.T[:6]]
+    predicted = learning.predict(now)
+    np.testing.assert_allclose(predicted.state[:2], true[:2], atol=3e-4)
+    np.testing.assert_allclose(predicted.state[2], true[2], atol=6e-3)
+
+
+def test_the_tuning_names_it():
+    tuning = default_tuning().with_estimator("learning")
+    controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
+    assert isinstance(controller.filter, ActuationFilter)
+
+
+@pytest.mark.slow
+def test_a_predictive_law_settles_on_a_stronger_and_later_craft_that_it_has_learned():
+    model = replace(published_model("M3"), frame="body", indexing="start")
+    later = model.transport_delay + 0.02
+    settings, truth = default_twin_settings().with_delay(later), changed(1.2 * np.ones(6), model)
+    points = SetPoints(
+        [0.0, 3.0, 6.0, 9.0], [(0, 0, 0), (0.5, 0.2, 0.8), (-0.4, 0, 0), (0.2, 0, 1)]
+    )
+    rests = {}
+    for estimator in ("kalman", "learning"):
+        tuning = tuning_for(model).with_law("mpc").with_estimator(estimator)
+        twin = Twin(truth.with_delay(later), settings, seed=1)
+        controller = TrackingController(model, points, tuning)
+        fly(controller, twin, 12.0)
+        rests[estimator] = float(np.hypot(*(twin.state[:2] - (0.2, 0.0))))
+    assert rests["learning"] < 0.01
+    assert rests["kalman"] > 2 * rests["learning"]
