@@ -2,6 +2,7 @@
 
     AIRPUCK_DATA=... python -m benchmarks                   # takes minutes; keep the machine idle
     AIRPUCK_DATA=... python -m benchmarks --only identify   # rows whose names begin with this
+    AIRPUCK_DATA=... python -m benchmarks --only command    # each command, in % of the peer's fit
     AIRPUCK_DATA=... python -m benchmarks --long --authors ~/holohover-sysid
 
 Prints the table and stores it as out/benchmarks.json and out/benchmarks.md. Values are medians.
@@ -29,6 +30,7 @@ from airpuck.compute.process import usable_cores
 from airpuck.recording.dataset import dataset_folder
 
 from . import authors
+from .commands import COMMANDS, measured, slower
 from .process import AIRPUCK, Run, run, workload
 from .workloads import STUDY, TRAINING
 
@@ -103,13 +105,13 @@ def whole_processes(table: Table, folder: Path) -> None:
     identify = (*AIRPUCK, "identify", data, "-o", model, "-q")
     warm = {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
 
-    def timed(*command: object, **environment: str) -> Callable[[], float]:
-        return lambda: run(command, **environment).wall_s
+    def timed(*command: object, cold: bool = False) -> Callable[[], float]:
+        return lambda: run(command, COLD if cold else None).wall_s
 
     def compiled_before() -> float:
         if not (folder / "compiled").exists():
-            run(identify, **warm)
-        return run(identify, **warm).wall_s
+            run(identify, warm)
+        return run(identify, warm).wall_s
 
     def preprocess() -> float:
         if not bag.exists():
@@ -119,12 +121,35 @@ def whole_processes(table: Table, folder: Path) -> None:
     python = (sys.executable, "-c")
     table.add("import airpuck", "s", timed(*python, "import airpuck"), target="≤ 0.3")
     table.add("airpuck --help", "s", timed(*AIRPUCK, "--help"), target="≤ 0.5")
-    table.add("identify M3", "s", timed(*identify, **COLD), target="≤ 5, aim 2.5")
+    table.add("identify M3", "s", timed(*identify, cold=True), target="≤ 5, aim 2.5")
     table.add("identify M3, compiled before", "s", compiled_before, target="aim 2")
     table.add(
-        "M0 to M4, fitted and judged", "s", timed(*python, STUDY, **COLD), target="≤ 12, aim 6"
+        "M0 to M4, fitted and judged", "s", timed(*python, STUDY, cold=True), target="≤ 12, aim 6"
     )
     table.add("60 s bag to trajectory", "s", preprocess, target="≤ 1.5")
+
+
+def each_command(table: Table, folder: Path) -> None:
+    """Each command with nothing compiled before, and with all of it; say what got slower."""
+    names = {f"command {name}, {when}": when for name in COMMANDS for when in ("cold", "compiled")}
+    if table.only and not any(name.startswith(table.only) for name in names):
+        return
+    peer = float(workload("peer", "--runs", 1).figures["cpu_s"])
+    stored = {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
+
+    def share(name: str, when: str) -> float:
+        if when == "compiled":
+            measured(name, folder, stored)
+        return 100 * measured(name, folder, COLD if when == "cold" else stored).cpu_s / peer
+
+    complaints = []
+    for row, when in names.items():
+        name = row.removeprefix("command ").removesuffix(f", {when}")
+        table.add(row, "% of the peer", lambda name=name, when=when: share(name, when), runs=1)
+        if table.rows and table.rows[-1]["name"] == row:
+            complaints.append(slower(f"{name}, {when}", float(str(table.rows[-1]["median"]))))
+    for complaint in filter(None, complaints):
+        print(f"slower than in benchmarks/README.md: {complaint}", flush=True)
 
 
 def inside(table: Table, folder: Path) -> None:
@@ -179,7 +204,7 @@ def peers(table: Table, folder: Path, checkout: Path | None) -> None:
 
     def demo() -> float:
         # Alternate them, so that a slow or busy machine affects both alike.
-        whole = run((*AIRPUCK, "demo", "-q", "-o", folder / "demo"), **COLD).wall_s
+        whole = run((*AIRPUCK, "demo", "-q", "-o", folder / "demo"), COLD).wall_s
         return whole / peer()
 
     table.add("NumPy and scipy.optimize.least_squares, M3", "s", peer)
@@ -253,6 +278,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         whole_processes(table, folder)
+        each_command(table, folder)
         inside(table, folder)
         scripts(table, folder)
         peers(table, folder, options.authors)
