@@ -124,7 +124,7 @@ def continued(stream: Stream, name: str) -> tuple[Stream, tuple[str, ...]]:
 def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]:
     """Remove steps and drift of a sender's clock against the recorder's; return warnings.
 
-    What is right is the part of the recording whose latency is closest to the `usual` one [s].
+    The part of the recording whose latency is closest to the `usual` one [s] counts as right.
     """
     if len(stream) < _ENOUGH_FOR_DRIFT or (stream.stamp_ns == stream.received_ns).all():
         return stream, []

@@ -438,7 +438,7 @@ def _off(puck: Puck, law: Contact, bounce: Bounce) -> Float[np.ndarray, " 2"]:
 def _closing(
     recording: Recording, stream: str, pair: tuple[Line, Line], apart: float
 ) -> tuple[float, float] | None:
-    """Return the speeds along the normal before and after a puck met a body, if it did."""
+    """Return the normal speeds before and after a puck's contact with a body, if there was one."""
     if stream not in recording.streams or not len(recording[stream]):
         return None
     before, after = pair
