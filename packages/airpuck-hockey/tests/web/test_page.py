@@ -226,7 +226,7 @@ def test_the_pointer_is_told_in_metres(browser, arena):
     page.show()
     page.tab.mouse.move(*page.pixel(0.5, 0.25))
     _, (number, x, y, _) = arena.heard()
-    assert number == 1
+    assert number in (1, 2)  # a raw update, and the move with the next frame
     assert (x, y) == pytest.approx((0.5, 0.25), abs=0.004)
 
 
