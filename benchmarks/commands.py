@@ -70,12 +70,12 @@ def _page_answered(process: subprocess.Popen[bytes]) -> None:
 
 def kept() -> dict[str, float]:
     """Return the percentages in README.md by row, such as ``check, compiled``."""
-    rows = re.findall(r"^\| `airpuck (.*?)`(.*?) \| (.*?) \| (.*?) \|", README.read_text(), re.M)
+    row = r"^\| `airpuck ([^`]*)`([^|]*)\|([^|]*)\|([^|]*)\|"
     found = {}
-    for name, more, *shares in rows:
+    for name, more, *shares in re.findall(row, README.read_text("utf-8"), re.M):
         for when, share in zip(("cold", "compiled"), shares, strict=True):
-            if re.fullmatch(r"[\d.]+", share):
-                found[f"{name}{more}, {when}"] = float(share)
+            if re.fullmatch(r" *[\d.]+ *", share):
+                found[f"{name}{more.rstrip()}, {when}"] = float(share)
     return found
 
 
