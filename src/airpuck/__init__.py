@@ -33,6 +33,8 @@ Flights on the twin
     ControllerComparison, Twin, TwinBatch, TwinSettings, read_twin_settings, PuckState
 Time-optimal plans
     plan, Plan, read_plan, Goal, Limits
+From the box to a trusted flight
+    commission, Commissioning
 Several craft
     fly_together, FleetFlight, read_fleet, Fleet, Scenario
 Many flights and fits

@@ -121,6 +121,12 @@ from airpuck.planning.plan import plan as plan, Plan as Plan, read_plan as read_
 from airpuck.planning.request import Goal as Goal
 from airpuck.planning.settings import Limits as Limits
 
+# From the box to a trusted flight.
+from airpuck.commissioning.commission import (
+    commission as commission,
+    Commissioning as Commissioning,
+)
+
 # Several craft.
 from airpuck.fleet.flight import fly_together as fly_together, FleetFlight as FleetFlight
 from airpuck.fleet.scenario import read_fleet as read_fleet, Fleet as Fleet, Scenario as Scenario

@@ -233,6 +233,43 @@ def test_slow_poses_are_refused(flown):
     assert "at least 50" in words(judge_pulses(MODEL, time[::8], pose[::8], *commands), "poses")
 
 
+def test_poses_at_60_hz_suffice(flown):
+    time, pose, *commands = flown
+    found = judge_pulses(MODEL, time[::4], pose[::4], *commands)
+    assert found.ready
+    # Pauses of 0.3 s are short for so few poses: the pulse before is still seen.
+    assert found.strength == pytest.approx(judge_pulses(MODEL, *flown).strength, abs=0.3)
+
+
+def test_a_motor_that_failed_to_start_once_is_not_called_weak(flown):
+    time, pose, at, command = flown
+    pulses = find_pulses(at, command, IDLE)
+    # A pulse that was sent while nothing moved: a copy of an idle stretch's poses, before the test.
+    motor = pulses[0][0]
+    length = pulses[0][2] - pulses[0][1]
+    early = at[0] - 1.0 + np.arange(0.0, 1.0, 0.01)
+    extra = np.full((len(early), command.shape[1]), IDLE)
+    extra[(early > early[0] + 0.4) & (early < early[0] + 0.4 + length), motor] = 0.25
+    before = time[0] - 1.0 + np.arange(0.0, 1.0, 1 / 240)
+    noise = 4e-5 * np.random.default_rng(0).normal(size=(len(before), 3))
+    found = judge_pulses(
+        MODEL,
+        np.concatenate([before, time]),
+        np.concatenate([pose[0] + noise, pose]),
+        np.concatenate([early, at]),
+        np.concatenate([extra, command]),
+    )
+    whole = judge_pulses(MODEL, *flown)
+    assert found.strength[motor] == pytest.approx(whole.strength[motor], abs=0.1)
+
+
+def test_only_the_named_motors_are_tried():
+    pilot = PulseTest(MODEL.vehicle, motors=[1, 4])
+    twin = Twin(MODEL, seed=3, plant=PLANT)
+    log = fly(pilot, twin, pilot.duration)
+    assert set(np.flatnonzero((log.command > IDLE + 1e-3).any(axis=0))) == {1, 4}
+
+
 @pytest.mark.slow
 def test_no_poses_and_poses_that_stop():
     assert wrong(fly_pulses(pose=lambda _: None)) == ["poses"]

@@ -110,13 +110,16 @@ def plain(value: Any) -> Any:
 
 
 #: Kinds of causes, in the order in which causes have consequences: a wrong clock looks like wrong
-#: motors, wrong motors like missing physics, and never the other way round. ``clock``: clocks and
+#: motors, wrong motors like missing physics, and never the other way round. ``poses`` that do not
+#: come or are useless; ``table``: its slope, or the craft's place on it; ``clock``: clocks and
 #: time stamps; ``units``, ``axes`` and ``signs`` of poses and commands; ``order`` of the motors'
 #: columns or sockets; ``layout``: positions and directions of the vehicle file; ``mass``: mass,
 #: inertia and radius; ``actuator``: weak, dead, reversed; ``physics`` that the model lacks;
 #: ``change`` during the recording; ``excitation``: too little of it; ``control``: the controller
 #: does not settle.
 Kind = Literal[
+    "poses",
+    "table",
     "clock",
     "units",
     "axes",

@@ -166,6 +166,7 @@ def _unexpected(words: Sequence[str], command: str, parameters: Sequence[Any]) -
 _MODULES = {
     "identification": ("preprocess", "identify"),
     "validation": ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle"),
+    "commissioning": ("commission",),
     "flying": ("replay", "excite", "track", "animate", "fleet"),
     "designing": ("design",),
     "planning": ("plan", "race"),

@@ -60,6 +60,8 @@ class Excitation(Pilot):
         The table with its rails; by default the paper's.
     margin : float, default 0.05
         Distance from the rails at which the craft must be able to stop [m].
+    reaction : float, default 0
+        Time during which the craft may still accelerate before its brakes act [s].
 
     Raises
     ------
@@ -80,6 +82,7 @@ class Excitation(Pilot):
         seed: int = 0,
         table: Table | None = None,
         margin: float = 0.05,
+        reaction: float = 0.0,
     ) -> None:
         weakest = _weakest_push(model)
         craft = model.vehicle.name
@@ -122,6 +125,7 @@ class Excitation(Pilot):
                 "must not be negative, and leave room between the rails", field="margin"
             )
         self._braking = _BRAKING * weakest
+        self._reaction, self._push = reaction, _strongest_push(model)
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])
@@ -172,6 +176,10 @@ class Excitation(Pilot):
     def _can_stop(self, estimate: Estimate) -> bool:
         """Return whether the craft can brake before the rails."""
         position, velocity = estimate.state[:2], estimate.state[3:5]
+        if self._reaction:
+            gained = self._push * self._reaction * np.where(velocity < 0, -1.0, 1.0)
+            position = position + (velocity + gained / 2) * self._reaction
+            velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
 
@@ -219,7 +227,17 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "c c"], Float[np.ndarray, "
 
 
 def _weakest_push(model: Model) -> float:
-    """Return the largest acceleration in the weakest direction [m/s²].
+    """Return the largest acceleration in the weakest direction [m/s²]."""
+    return float(_pushes(model).min())
+
+
+def _strongest_push(model: Model) -> float:
+    """Return the largest acceleration in the strongest direction [m/s²]."""
+    return float(_pushes(model).max())
+
+
+def _pushes(model: Model) -> Float[np.ndarray, " angles"]:
+    """Return the largest accelerations over all directions [m/s²].
 
     With all propellers at full speed, ignoring moments.
     """
@@ -227,4 +245,4 @@ def _weakest_push(model: Model) -> float:
     angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     pushes = (rays @ model.dynamics.configuration[:2]) * full
-    return float(np.maximum(pushes, 0).sum(axis=1).min())
+    return np.maximum(pushes, 0).sum(axis=1)

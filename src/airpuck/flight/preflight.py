@@ -54,6 +54,8 @@ _FRAMES = (
 )
 #: Fraction of the modelled effect below which a motor counts as dead.
 _SILENT = 0.15
+#: A motor did not start if a pulse had less than this fraction of the effect of its strongest one.
+_STARTED = 0.4
 #: A pulse counts as disturbed if it fits this many times worse than the best of its motor.
 _DISTURBED = 5.0
 #: The test never turns the craft this far: such a yaw is in degrees.
@@ -86,6 +88,11 @@ class Preflight(Result):
     strength: Float[np.ndarray, " n"]
     #: Median transport delay of the working motors [s]; nan if none works.
     delay: float
+    #: Measured accelerations per unit of modelled thrust, like columns of Π; nan if not measured.
+    #: None if no motor moved the craft.
+    effects: Float[np.ndarray, "3 n"] | None = None
+    #: Median misfit of the pulses, in standard deviations of the poses' noise.
+    misfit: float = np.nan
 
     @property
     def strengths(self) -> dict[str, float]:
@@ -196,9 +203,15 @@ def judge_pulses(
         effects = np.full((3, n), np.nan)
         for motor in {response.motor for response in again}:
             pulses = [response for response in again if response.motor == motor]
-            # Exclude pulses that a rail or a hand disturbed.
+            # Exclude pulses that a rail or a hand disturbed, and starts that failed.
             least = min(response.misfit for response in pulses)
-            good = [r.effect for r in pulses if r.misfit <= _DISTURBED * least]
+            largest = max(float(np.linalg.norm(scale[:, 0] * r.effect)) for r in pulses)
+            good = [
+                r.effect
+                for r in pulses
+                if r.misfit <= _DISTURBED * least
+                and np.linalg.norm(scale[:, 0] * r.effect) > _STARTED * largest
+            ] or [r.effect for r in pulses]
             effects[:, motor] = np.mean(good, axis=0)
         return scale * effects
 
@@ -229,7 +242,10 @@ def judge_pulses(
     # A dead motor has no delay: the best fit to its noise is meaningless.
     seen = delays[[moves[response.motor] for response in responses]]
     checks.append(_delay_check(seen, model.transport_delay))
-    return Preflight(tuple(checks), names, strength, float(np.median(seen)))
+    misfit = float(np.median([response.misfit for response in responses]))
+    return Preflight(
+        tuple(checks), names, strength, float(np.median(seen)), effects / scale, misfit
+    )
 
 
 def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,11 @@ class PulseTest(Pilot):
     """
 
     def __init__(
-        self, vehicle: Vehicle, plan: PulsePlan | None = None, table: Table | None = None
+        self,
+        vehicle: Vehicle,
+        plan: PulsePlan | None = None,
+        table: Table | None = None,
+        motors: Sequence[int] | None = None,
     ) -> None:
         self.vehicle, self.plan = vehicle, plan or PulsePlan()
         if self.plan.level <= (idle := vehicle.command_min):
@@ -79,7 +84,9 @@ class PulseTest(Pilot):
             )
         paired = [index for pair in vehicle.opposed for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
-        self._order = [*paired, *single] * self.plan.rounds
+        order = [*paired, *_balanced(vehicle, single)]
+        tried = order if motors is None else [k for k in order if k in motors]
+        self._order = tried * self.plan.rounds
         self.reach = np.array((table or Table()).reach(vehicle.radius_m))
         self._begun = self._stepped = -math.inf
         self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
@@ -143,6 +150,16 @@ class PulseTest(Pilot):
         return ""
 
 
+def _balanced(vehicle: Vehicle, motors: list[int]) -> list[int]:
+    """Order propellers without a partner so that each undoes the motion by those before it."""
+    pushes, moved, order = vehicle.directions, np.zeros(2), list[int]()
+    while len(order) < len(motors):
+        left = [k for k in motors if k not in order]
+        order.append(min(left, key=lambda k: float(np.linalg.norm(moved + pushes[k]))))
+        moved = moved + pushes[order[-1]]
+    return order
+
+
 @dataclass(frozen=True, eq=False)
 class PulseResponse:
     """The effect of one pulse."""
@@ -179,11 +196,14 @@ def pulse_responses(
     """
     idle = model.vehicle.command_min
     pulses = find_pulses(command_time, command, idle)
+    # Slow cameras need longer for the same number of poses.
+    enough = (_FEWEST + 1) * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    before, after = max(_BEFORE, enough), max(_AFTER, enough)
     usual = np.median([end - begin for _, begin, end in pulses]) if pulses else 0.0
     responses = []
     for pulse in pulses:
         motor, begin, end = pulse
-        near = (time > begin - _BEFORE) & (time < end + _AFTER)
+        near = (time > begin - before) & (time < end + after)
         early, late = time[near] < begin, time[near] > end
         if end - begin < _CUT_OFF * usual or min(early.sum(), late.sum()) < _FEWEST:
             continue

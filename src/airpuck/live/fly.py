@@ -35,11 +35,11 @@ from airpuck.model.model_file import Model
 
 NAME = "airpuck fly"
 #: Number of idle commands at the end, since one may be lost.
-_LAST_COMMANDS = 5
+LAST_COMMANDS = 5
 #: Number of rehearsal steps, and how many of them are skipped so that the pilot forgets the others.
 _WARM_UP_STEPS, _FORGOTTEN_STEPS = 150, 100
 #: Poses are processed until this long before a command is due [s].
-_EARLY = 0.002
+EARLY = 0.002
 _GO, _QUIT = "g", "q"
 #: In the preflight check the frame and the units may be wrong. The pilot itself ends the test near
 #: a rail, and pulses keep their length even if poses jump.
@@ -143,7 +143,7 @@ def fly_live(
         pilot = make_pilot()
         check_pilot(pilot)
         if warm_up:
-            _warm_up(pilot, period)
+            rehearse_steps(pilot, period)
         prioritize(first=True)
         # Another controller may have started meanwhile.
         process.refuse_second("command", vehicle.columns, "controller")
@@ -299,12 +299,12 @@ class _Flight:
         start = link.now
         duration = process.settings.duration or math.inf
         try:
-            for action in control(self._pilot, link, duration, self._period, early=_EARLY):
+            for action in control(self._pilot, link, duration, self._period, early=EARLY):
                 self._after(action)
                 if process.interrupted or self._quit or over(action.time):
                     break
         finally:
-            for _ in range(_LAST_COMMANDS):
+            for _ in range(LAST_COMMANDS):
                 link.send(self._idle)
                 process.clock.sleep_until(link.now + self._period)
         process.events.flush()
@@ -388,7 +388,7 @@ class _Flight:
         self._recent = LoopTiming(self._period)
 
 
-def _warm_up(pilot: Pilot, period: float) -> None:
+def rehearse_steps(pilot: Pilot, period: float) -> None:
     """Rehearse steps with the craft at rest before time starts, so that all is compiled."""
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):

@@ -1,0 +1,1 @@
+"""From the box to a trusted flight, alone. Entry point: `commission`."""

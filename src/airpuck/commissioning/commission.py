@@ -1,0 +1,167 @@
+"""From the box to a trusted flight: one call that flies, learns and judges."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from airpuck.boundary.results import Finding, Result
+from airpuck.commissioning.excitations import Excitations
+from airpuck.commissioning.session import Commissioned, Ended, KeptFlight, Learned, TimedWork, Work
+from airpuck.commissioning.steps import CommissioningStep, Hover, Pulses, Rest
+from airpuck.craft.table import Table
+from airpuck.craft.vehicle import Vehicle
+from airpuck.flight.loop import Link
+from airpuck.judgement.study import Study
+from airpuck.model.model_file import Model
+from airpuck.recording.bag_writer import write_bag
+
+
+@dataclass(frozen=True, eq=False)
+class Commissioning(Result):
+    """What a run has learned, and whether its model is trusted.
+
+    Attributes
+    ----------
+    outcome : str
+        ``trusted``, or the kind of the first cause why not: one of `Finding`'s kinds.
+    findings : tuple of Finding
+        The first cause why the run ended without a trusted model, and what it corrected.
+    given, vehicle : Vehicle
+        The craft as stated, and as flown: corrected.
+    table : Table
+        The table.
+    model : Model or None
+        The last identified model.
+    study : Study or None
+        The last study.
+    flights : tuple of KeptFlight
+        All flights.
+    steps : tuple of Learned
+        What each step found.
+    flight_s : float
+        Seconds with motors on.
+    wall_s : float
+        Seconds in all.
+    """
+
+    JSON = "outcome flight_s wall_s steps findings"
+
+    outcome: str
+    findings: tuple[Finding, ...]
+    given: Vehicle
+    table: Table
+    vehicle: Vehicle
+    model: Model | None
+    study: Study | None
+    flights: tuple[KeptFlight, ...]
+    steps: tuple[Learned, ...]
+    flight_s: float
+    wall_s: float
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the model may be flown."""
+        return self.outcome == "trusted"
+
+    @property
+    def sentences(self) -> list[str]:
+        """The outcome in words, and what to type next."""
+        if not self.trusted:
+            return [finding.sentence for finding in self.findings]
+        assert self.study is not None
+        corrections = [f"Corrected: {finding.cause}." for finding in self.findings]
+        took = f"{self.flight_s:.1f} s of flight, {self.wall_s:.0f} s in all."
+        return [*self.study.verdict.sentences[:1], took, *corrections]
+
+
+#: From a craft at rest to a trusted model.
+STEPS: tuple[CommissioningStep, ...] = (Rest(), Pulses(), Hover(), Excitations())
+
+
+def commission(
+    link: Link,
+    vehicle: Vehicle,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    table: Table | None = None,
+    steps: Sequence[CommissioningStep] | None = None,
+    seed: int = 0,
+    tell: Callable[[str], object] = lambda _: None,
+    stopped: Callable[[], bool] = lambda: False,
+    work: Work | None = None,
+    early: float = 0.0,
+) -> Commissioning:
+    """Fly a craft from the box until a model of it is trusted.
+
+    Parameters
+    ----------
+    link : Link
+        The craft, at rest near the middle of the table.
+    vehicle : Vehicle
+        The craft with rough numbers.
+    out : path-like, optional
+        Folder for the recordings, ``model.toml`` and a corrected ``vehicle.toml``.
+    table : Table, optional
+        Table with the rails; by default the paper's.
+    steps : sequence of CommissioningStep, optional
+        By default `STEPS`: rest, pulses, hover, excitations.
+    seed : int, default 0
+        Seed of the excitations.
+    tell : callable, optional
+        Receives a line about each step.
+    stopped : callable, optional
+        Polled every period; returns whether the operator wants the run to end.
+    work : Work, optional
+        How to compute while the craft flies; by default computing time passes on the link's clock.
+    early : float, default 0
+        Poses are processed until this long before a command is due [s].
+
+    Returns
+    -------
+    Commissioning
+        The model, all flights, and the first cause if it is not trusted.
+
+    Examples
+    --------
+    >>> found = airpuck.commission(airpuck.Twin(model), model.vehicle)  # doctest: +SKIP
+    >>> found.trusted  # doctest: +SKIP
+    True
+    """
+    begun = time.monotonic()
+    given = seed, tell, stopped, work or TimedWork(), early
+    session = Commissioned(link, vehicle, table or Table(), *given)
+    ended: Finding | None = None
+    try:
+        for step in STEPS if steps is None else steps:
+            step.run(session)
+    except Ended as end:
+        ended = end.finding
+        session.note("end", ended.sentence)
+    finally:
+        # Writing takes longer than a command may be missing: the craft lands first.
+        session.land()
+        for flight in session.flights if out is not None else ():
+            write_bag(flight.recording, Path(out or "") / "flights" / flight.name)
+    trusted = ended is None and session.study is not None and session.study.verdict.trusted
+    found = Commissioning(
+        "trusted" if trusted else "not_trusted" if ended is None else ended.kind,
+        (*(() if ended is None else (ended,)), *session.findings),
+        vehicle,
+        session.table,
+        session.vehicle,
+        None if session.study is None else session.study.model,
+        session.study,
+        tuple(session.flights),
+        tuple(session.learned),
+        session.flight_s,
+        time.monotonic() - begun,
+    )
+    if out is not None:
+        found.vehicle.save(Path(out) / "vehicle.toml")
+        if found.model is not None:
+            found.model.save(Path(out) / "model.toml")
+    return found

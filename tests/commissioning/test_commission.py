@@ -1,0 +1,91 @@
+"""From the box to a trusted flight, on the twin and over the graph."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airpuck import commission, read_model, read_vehicle
+from airpuck.commissioning.commission import STEPS
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.evaluation.presentation import largest_acceleration
+from airpuck.model.model_file import published_model
+from airpuck.report.commissioning_report import commissioning_report
+from airpuck.twin.settings import TwinSettings
+from airpuck.twin.twin import Twin
+
+pytestmark = pytest.mark.slow
+
+TRUTH = replace(published_model("M3"), frame="body", indexing="start")
+QUIET = TwinSettings().without_on_board()
+
+
+def rough() -> Vehicle:
+    """The craft with wrong numbers, two motors in each other's places, and one turned round."""
+    content = default_vehicle().model_dump(mode="json")
+    content["pairs"] = []
+    content["mass_kg"] *= 1.25
+    nominal, propellers = content["nominal"], content["propellers"]
+    nominal["thrust_N"] = [0.6 * coefficient for coefficient in nominal["thrust_N"]]
+    nominal["inertia_kg_m2"] *= 0.75
+    nominal["motor_time_constant_s"], nominal["transport_delay_s"] = 0.08, 0.0
+    for key in ("position_m", "direction_deg"):
+        propellers[0][key], propellers[3][key] = propellers[3][key], propellers[0][key]
+    propellers[1]["direction_deg"] = (propellers[1]["direction_deg"] + 180) % 360
+    return Vehicle.model_validate(content)
+
+
+def test_a_craft_with_a_rough_file_earns_a_trusted_model(tmp_path):
+    twin, said = Twin(TRUTH, QUIET, seed=4), list[str]()
+    given = rough()
+    found = commission(twin, given, tmp_path, tell=said.append)
+    assert found.trusted, found.findings
+    assert not twin.contacts
+    # The recorded model is the one that was judged, on a flight that it has not seen.
+    model = read_model(tmp_path / "model.toml")
+    assert np.array_equal(largest_acceleration(model), largest_acceleration(found.model))
+    assert found.study.validation is not None
+    true = largest_acceleration(TRUTH)
+    assert largest_acceleration(model) == pytest.approx(true, rel=0.15)
+    response = model.parameters.motor_time_constant + model.transport_delay
+    actual = TRUTH.parameters.motor_time_constant + TRUTH.transport_delay
+    assert response == pytest.approx(actual, abs=0.008)
+    # The corrected file states the true layout; the given one is untouched.
+    corrected = read_vehicle(tmp_path / "vehicle.toml")
+    assert [one.direction_deg for one in corrected.propellers] == pytest.approx(
+        [one.direction_deg for one in default_vehicle().propellers]
+    )
+    assert found.given == given == rough()
+    assert sum("continuing with a corrected vehicle file" in line for line in said) == 1
+    page = commissioning_report(found, tmp_path / "page").read_text("utf-8")
+    assert "Shrinking intervals" in page and "airpuck fly" in page
+
+
+def test_a_dead_motor_ends_the_run_before_any_excitation():
+    dead = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 1e4, "share": 0.0}
+    settings = QUIET.model_copy(update={"motors": TwinSettings(motors={"weak": [dead]}).motors})
+    twin = Twin(TRUTH, settings, seed=1)
+    found = commission(twin, default_vehicle())
+    assert found.outcome == "actuator"
+    assert found.findings[0].cause == "motor_b_1 gives no thrust"
+    assert not twin.contacts
+    names = [flight.name[3:] for flight in found.flights]
+    assert names.count("pulses") == 3 and "excitation" not in names
+
+
+def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):
+    gaps = TwinSettings(motion_capture={"gaps_s": [(6.2, 1e4)]}).motion_capture
+    twin = Twin(TRUTH, QUIET.model_copy(update={"motion_capture": gaps}), seed=2)
+    found = commission(twin, default_vehicle(), tmp_path, steps=STEPS[:3])
+    assert found.outcome == "poses"
+    kept = sorted(path.name for path in (tmp_path / "flights").iterdir())
+    assert kept == ["01_rest", "02_pulses", "03_hover"]
+
+
+def test_on_a_slope_the_craft_is_brought_back_between_pulses():
+    tilt = TwinSettings(effects={"tilt_rad": (0.0, 0.012)}).effects
+    twin = Twin(TRUTH, QUIET.model_copy(update={"effects": tilt}), seed=5)
+    found = commission(twin, default_vehicle(), steps=STEPS[:3])
+    assert "return" in [flight.name[3:] for flight in found.flights]
+    assert [step.step for step in found.steps] == ["rest", "pulses", "hover"]
+    assert max((speed for _, speed in twin.craft.contacts), default=0.0) < 0.3

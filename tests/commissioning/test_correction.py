@@ -1,0 +1,72 @@
+"""A vehicle file set right by effects that are computed from the true layout."""
+
+import numpy as np
+import pytest
+
+from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
+from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.model_file import nominal_model
+from airpuck.physics.rigid_body import acceleration_map
+
+from ..apparatus.models import VEHICLES
+
+
+def effects(vehicle: Vehicle) -> np.ndarray:
+    """Accelerations per newton of each propeller."""
+    return np.asarray(acceleration_map(np, nominal_model(vehicle).dynamics, 0.0, 0.0)[0])
+
+
+def stated(vehicle: Vehicle, order: list[int], turned: int | None = None) -> Vehicle:
+    """A file that states the propellers' places in another order, and one the wrong way round."""
+    places = [vehicle.propellers[k] for k in order]
+    propellers = []
+    for k, (one, place) in enumerate(zip(vehicle.propellers, places, strict=True)):
+        direction = (place.direction_deg + 180 * (k == turned)) % 360
+        update = {"position_m": place.position_m, "direction_deg": direction}
+        propellers.append(one.model_copy(update=update))
+    return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": ()})
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_swapped_and_turned_motors_are_put_where_they_act(name):
+    true = VEHICLES[name]()
+    n = len(true.propellers)
+    wrong = stated(true, [2, 1, 0, *range(3, n)], turned=1)
+    matches = matched(nominal_model(wrong), effects(true))
+    right = corrected(wrong, matches)
+    assert effects(right) == pytest.approx(effects(true), abs=1e-9)
+    causes = [finding.cause for finding in layout_findings(wrong, matches)]
+    assert len(causes) == 3
+    if name == "four":  # of the paper's craft, a turned motor acts exactly like its partner
+        assert causes == [
+            "front acts like back",
+            "left pushes the other way",
+            "back acts like front",
+        ]
+
+
+def test_pairs_follow_the_motors_to_their_places():
+    wrong = default_vehicle()
+    # The true craft has the sockets of the first two pairs' first motors exchanged.
+    true = stated(wrong, [2, 1, 0, 3, 4, 5])
+    right = corrected(wrong, matched(nominal_model(wrong), effects(true)))
+    a1, a2, b1, b2, *_ = wrong.propeller_names
+    assert right.pairs[:2] == ((b1, a2), (a1, b2))
+    for one, other in right.pair_indices:
+        pushes = effects(true)[:, [one, other]]
+        assert pushes[:2, 0] == pytest.approx(-pushes[:2, 1], abs=1e-6)
+
+
+def test_a_right_file_stays_as_it_is():
+    vehicle = default_vehicle()
+    assert corrected(vehicle, matched(nominal_model(vehicle), effects(vehicle))) == vehicle
+
+
+def test_pulses_give_thrusts_and_inertia_in_units_of_the_stated_mass():
+    rough, thrusts = default_vehicle(), np.array([0.6, 1.8, 1.1, 0.9, 1.4, 0.7])
+    seen = effects(rough) * thrusts
+    seen[2] /= 1.3
+    found = measured(nominal_model(rough), seen, 0.05)
+    assert found.nominal_thrust == pytest.approx(thrusts[:, None] * rough.nominal_thrust)
+    assert found.nominal.inertia_kg_m2 == pytest.approx(1.3 * rough.nominal.inertia_kg_m2)
+    assert found.nominal.transport_delay_s == 0.05

@@ -1,0 +1,100 @@
+"""Runs on links that a person could have got wrong: each ends with its cause, and keeps all."""
+
+import numpy as np
+import pytest
+
+from airpuck import commission, read_recording
+from airpuck.commissioning.steps import Rest
+from airpuck.craft.vehicle import default_vehicle
+from airpuck.data.measurement import Measurement
+
+VEHICLE = default_vehicle()
+
+
+class Still:
+    """A link to a craft that lies still: poses at a rate, with noise, around a place."""
+
+    def __init__(self, rate=120.0, noise=1e-4, place=(0.02, -0.01, 0.3), until=np.inf, push=0.0):
+        self.now, self.sent = 0.0, []
+        self._rate, self._noise, self._place, self._until = rate, noise, np.array(place), until
+        self._push, self._count = push, 0
+        self._rng = np.random.default_rng(0)
+
+    def wait_until(self, time):
+        arrived = []
+        while self._rate and (stamp := self._count / self._rate) <= min(time, self._until):
+            self._count += 1
+            moved = np.array([0.5 * self._push * stamp**2, 0.0, 0.0])
+            pose = self._place + moved + self._noise * self._rng.normal(size=3)
+            arrived.append(Measurement("pose", stamp, pose))
+        self.now = time
+        return arrived
+
+    def send(self, command):
+        self.sent.append(command)
+
+    def announce(self, reference):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("link", "kind", "cause"),
+    [
+        (Still(rate=0.0), "poses", "No pose has arrived"),
+        (Still(until=0.3), "poses", "No pose has arrived"),
+        (Still(rate=20.0), "poses", "Poses come at 20 Hz"),
+        (Still(noise=0.0), "poses", "The pose never changes"),
+        (Still(noise=0.01), "poses", "noise is 1"),
+        (Still(place=(300.0, 20.0, 0.0)), "units", "beyond the rails"),
+        (Still(place=(0.9, 0.0, 0.0)), "table", "near a rail"),
+    ],
+)
+def test_a_run_without_useful_poses_ends_with_the_cause(link, kind, cause):
+    found = commission(link, VEHICLE)
+    assert (found.outcome, found.trusted, found.model) == (kind, False, None)
+    assert cause in found.findings[0].cause
+    assert found.findings[0].remedy
+    assert all((command == VEHICLE.idle).all() for command in link.sent)
+    assert found.flight_s == 0
+
+
+@pytest.mark.slow
+def test_a_craft_that_no_motor_moves_is_not_flown():
+    link = Still(rate=240.0)
+    found = commission(link, VEHICLE)
+    assert found.outcome == "actuator"
+    # Pulses of single motors were all that it was sent.
+    assert max(np.count_nonzero(command > VEHICLE.idle + 1e-3) for command in link.sent) == 1
+
+
+@pytest.mark.slow
+def test_any_key_ends_the_run_with_idle_motors(tmp_path):
+    link = Still(rate=240.0)
+    found = commission(link, VEHICLE, tmp_path, stopped=lambda: link.now > 1.5)
+    assert found.findings[0].cause == "Stopped by the operator"
+    assert link.now < 1.7
+    assert (link.sent[-1] == VEHICLE.idle).all()
+    assert [flight.name for flight in found.flights] == ["01_rest", "02_pulses"]
+    for flight in found.flights:
+        kept = read_recording(tmp_path / "flights" / flight.name)
+        assert len(kept["pose"]) == len(flight.recording["pose"])
+    assert (tmp_path / "vehicle.toml").exists()
+
+
+def test_rest_sees_rate_noise_and_slope():
+    link = Still(rate=100.0, noise=2e-4, push=0.1)
+    found = commission(link, VEHICLE, steps=[Rest(duration_s=1.0)])
+    assert found.outcome == "not_trusted"
+    [step] = found.steps
+    assert "100 Hz" in step.words
+    assert "10." in step.words.partition("slope of ")[2]  # 0.1 m/s² over 9.81 m/s² is 10.2 mrad
+
+
+def test_flight_time_counts_every_second_with_motors_on():
+    link = Still(rate=240.0)
+    found = commission(link, VEHICLE, steps=[])
+    assert found.flight_s == 0
+    found = commission(link, VEHICLE, stopped=lambda: link.now > 2.5)
+    on = [(command > VEHICLE.idle + 1e-3).any() for command in link.sent]
+    assert found.flight_s == pytest.approx(0.01 * sum(on), abs=0.02)
+    assert sum(on) > 10
