@@ -26,6 +26,8 @@ _LEAST_PUSH = 1e-2
 _OPPOSED = -0.9
 #: Fraction of the largest acceleration that a stop may need.
 _BRAKING = 0.5
+#: Largest turn of the craft until its brakes act [rad]: turned further, they push another way.
+_TURNED = 0.5
 
 
 class Excitation(Pilot):
@@ -61,7 +63,8 @@ class Excitation(Pilot):
     margin : float, default 0.05
         Distance from the rails at which the craft must be able to stop [m].
     reaction : float, default 0
-        Time during which the craft may still accelerate before its brakes act [s].
+        Time during which the craft may still accelerate before its brakes act [s]. The signals also
+        pause while the craft turns too far in this time.
 
     Raises
     ------
@@ -174,8 +177,10 @@ class Excitation(Pilot):
         self._changes = due
 
     def _can_stop(self, estimate: Estimate) -> bool:
-        """Return whether the craft can brake before the rails."""
+        """Return whether the craft can brake before the rails, and turns slowly enough for it."""
         position, velocity = estimate.state[:2], estimate.state[3:5]
+        if abs(estimate.state[5]) * self._reaction > _TURNED:
+            return False
         if self._reaction:
             gained = self._push * self._reaction * np.where(velocity < 0, -1.0, 1.0)
             position = position + (velocity + gained / 2) * self._reaction
