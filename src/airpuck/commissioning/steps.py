@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
@@ -173,9 +173,12 @@ class Pulses:
     def _brought_back(
         self, session: Commissioned, given: Vehicle, effects: Effects, *timing: float
     ) -> bool:
-        """Bring the craft back to the middle with what is known; return whether that was tried."""
+        """Bring the craft back to the middle if it can be; return whether pulses can go on."""
         if np.isfinite(effects).all(axis=0).sum() < _STEERED:
             return False
+        if _silent(effects).any():
+            # The others cannot steer it; the motor may be tried again while the craft coasts.
+            return True
         session.vehicle = known_vehicle(given, session.cameras, effects, *timing)
         session.fly("return", hovering(session), _RETURN, until=_Settled(session, 0.12, 0.1))
         session.fly("pause", _Resting(given.idle), 2 * timing[0] + timing[1] + 0.05)
@@ -206,9 +209,7 @@ def _unclear(model: Model, effects: Effects) -> tuple[Int[np.ndarray, " k"], Fin
         remedy = "Check that the motors are armed, powered and on the command's topic."
         cause = Finding("actuator", "No motor moves the craft", "", remedy)
         return np.flatnonzero(untried), cause
-    size = np.linalg.norm(effects[:2], axis=0)
-    share = size / np.nanmedian(size)
-    silent = ~untried & (share < _DEAD)
+    share, silent = _shares(effects), _silent(effects)
     matches = matched(model, np.where(silent, np.nan, effects))
     odd = np.array([k in matches and matches[k].acts_as is None for k in range(len(names))])
     unclear = np.flatnonzero(untried | silent | odd)
@@ -225,6 +226,17 @@ def _unclear(model: Model, effects: Effects) -> tuple[Int[np.ndarray, " k"], Fin
         return unclear, Finding("layout", cause, "", remedy)
     cause = f"The craft came near a rail before {names[unclear[0]]} was tried"
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
+
+
+def _shares(effects: Effects) -> Float[np.ndarray, " n"]:
+    """Return the motors' effects relative to the median motor's; nan of those not tried."""
+    size = np.linalg.norm(effects[:2], axis=0)
+    return size / np.nanmedian(size)
+
+
+def _silent(effects: Effects) -> Bool[np.ndarray, " n"]:
+    """Return which motors were tried and gave nothing."""
+    return _shares(effects) < _DEAD
 
 
 def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
