@@ -64,6 +64,10 @@ class Excitations:
         work.start(session.link.now, study, *given)
         if not work.done(session.link.now):
             session.fly("holding", hovering(session), _LONGEST_STUDY, until=work.done)
+        if not work.done(session.link.now):
+            cause = f"A study took longer than {_LONGEST_STUDY:g} s"
+            remedy = "End other programs, and start again."
+            raise Ended(Finding("control", cause, "", remedy))
         return work.result()
 
 

@@ -256,6 +256,8 @@ class Commissioned:
             name = f"{len(self.flights) + 1:02d}_{name}"
             span, log = (begun - self._start, self.link.now - self._start), self._log
             self.flights.append(KeptFlight(name, log.recording(name), span))
+            # On the graph the next pilot takes a moment to make.
+            log.send(self.vehicle.idle)
         return self.flights[-1].recording
 
     def land(self) -> None:
