@@ -7,10 +7,13 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import suppress
 from typing import Any
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import Finding
 from airpuck.commissioning.commission import Commissioning, commission
-from airpuck.commissioning.session import Work
+from airpuck.commissioning.session import Ended, Work
 from airpuck.compute.process import prioritize
 from airpuck.control.excitation import Excitation
 from airpuck.control.reference import SetPoint
@@ -74,8 +77,10 @@ def commission_live(
         process.refuse_second("command", vehicle.columns, "controller")
         prioritize(first=False)
         work, model = ProcessWork(), nominal_model(vehicle)
-        for pilot in (TrackingController(model, SetPoint(0.0, 0.0, 0.0)), Excitation(model)):
-            rehearse_steps(pilot, 0.01)
+        # A wrong file may describe a craft that no controller can steer; pulses correct it.
+        with suppress(InputError):
+            for pilot in (TrackingController(model, SetPoint(0.0, 0.0, 0.0)), Excitation(model)):
+                rehearse_steps(pilot, 0.01)
         prioritize(first=True)
         process.refuse_second("command", vehicle.columns, "controller")
         link = GraphLink(process, vehicle.columns, announces=True)
@@ -85,8 +90,10 @@ def commission_live(
                 link.poses.discard()
 
                 def stopped() -> bool:
-                    rivals = process.graph.publishers(process.topics.command)
-                    return process.interrupted or bool(rivals) or bool(pressed and pressed())
+                    if rivals := process.graph.publishers(process.topics.command):
+                        cause = f"{process.graph.describe(rivals[0])} publishes commands, too"
+                        raise Ended(Finding("control", cause, "", "End it, and start again."))
+                    return process.interrupted or bool(pressed and pressed())
 
                 given: dict[str, Any] = {"table": table, "seed": seed, "tell": tell}
                 given |= {"stopped": stopped, "work": work, "early": EARLY}
