@@ -1,6 +1,6 @@
 """Several craft on one table: contacts, gaps and times of four methods on the same draws.
 
-    OPENBLAS_NUM_THREADS=1 python studies/fleet.py -o fleet.jsonl --method ours --flights 150
+    OPENBLAS_NUM_THREADS=1 python studies/fleet.py -o fleet.jsonl --kind starts --flights 1000
     OPENBLAS_NUM_THREADS=1 python studies/fleet.py -o fleet.jsonl --method central --flights 50
     OPENBLAS_NUM_THREADS=1 python studies/fleet.py -o fleet.jsonl --kind named --method published
 
@@ -219,7 +219,7 @@ def summary(lines: list[dict[str, Any]]) -> None:
         for method in (*PILOTS, "central"):
             own = [one for one in lines if (one["kind"], one["method"]) == (kind, method)]
             if own and method == "central":
-                against_central(lines, own)
+                against_central(lines, own, kind)
             elif own:
                 print(f"{kind}, {method}")
                 table(own)
@@ -287,7 +287,7 @@ def arrival(lines: list[dict[str, Any]]) -> str:
     return f"{median:.2f} s (90 %: {most:.2f} s)"
 
 
-def against_central(lines: list[dict[str, Any]], optima: list[dict[str, Any]]) -> None:
+def against_central(lines: list[dict[str, Any]], optima: list[dict[str, Any]], kind: str) -> None:
     """Print our times over those of the problem for all."""
     solved = {one["draw"]: one for one in optima if math.isfinite(one["rest"])}
     print(f"central: {len(solved)} of {len(optima)} draws solved")
@@ -295,7 +295,7 @@ def against_central(lines: list[dict[str, Any]], optima: list[dict[str, Any]]) -
         flights = [
             one
             for one in lines
-            if (one["kind"], one["method"]) == ("crossings", method) and one["draw"] in solved
+            if (one["kind"], one["method"]) == (kind, method) and one["draw"] in solved
         ]
         for title, field in (("until all rest", "rest"), ("until all are near", "within")):
             ratios = [one["settled"] / solved[one["draw"]][field] for one in flights]
