@@ -222,5 +222,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    from one_line import run
+
     keep_compiled_programs()
-    main()
+    run(main)

@@ -46,6 +46,13 @@ class Commissioning(Result):
         Seconds with motors on.
     wall_s : float
         Seconds in all.
+
+    Examples
+    --------
+    >>> from airpuck.commissioning.steps import Rest
+    >>> found = airpuck.commission(airpuck.Twin(model), model.vehicle, steps=[Rest()])
+    >>> isinstance(found, airpuck.Commissioning), found.outcome
+    (True, 'not_trusted')
     """
 
     JSON = "outcome flight_s wall_s steps findings"
@@ -127,9 +134,12 @@ def commission(
 
     Examples
     --------
-    >>> found = airpuck.commission(airpuck.Twin(model), model.vehicle)  # doctest: +SKIP
-    >>> found.trusted  # doctest: +SKIP
-    True
+    The first step alone, without motors; without `steps` the run takes a minute or two:
+
+    >>> from airpuck.commissioning.steps import Rest
+    >>> found = airpuck.commission(airpuck.Twin(model), model.vehicle, steps=[Rest()])
+    >>> found.trusted, [one.step for one in found.steps]
+    (False, ['rest'])
     """
     begun = time.monotonic()
     given = seed, tell, stopped, work or TimedWork(), early
