@@ -8,13 +8,10 @@ import pytest
 
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import default_tuning, tuning_for
+from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import ActuationFilter
-from airpuck.flight.loop import fly
 from airpuck.model.model_file import published_model
-from airpuck.twin.settings import default_twin_settings
-from airpuck.twin.twin import Twin
 
 from ..apparatus.random_flights import random_flight
 
@@ -113,22 +110,3 @@ def test_the_tuning_names_it():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
     assert isinstance(controller.filter, ActuationFilter)
-
-
-@pytest.mark.slow
-def test_a_predictive_law_settles_on_a_stronger_and_later_craft_that_it_has_learned():
-    model = replace(published_model("M3"), frame="body", indexing="start")
-    later = model.transport_delay + 0.02
-    settings, truth = default_twin_settings().with_delay(later), changed(1.2 * np.ones(6), model)
-    points = SetPoints(
-        [0.0, 3.0, 6.0, 9.0], [(0, 0, 0), (0.5, 0.2, 0.8), (-0.4, 0, 0), (0.2, 0, 1)]
-    )
-    rests = {}
-    for estimator in ("kalman", "learning"):
-        tuning = tuning_for(model).with_law("mpc").with_estimator(estimator)
-        twin = Twin(truth.with_delay(later), settings, seed=1)
-        controller = TrackingController(model, points, tuning)
-        fly(controller, twin, 12.0)
-        rests[estimator] = float(np.hypot(*(twin.state[:2] - (0.2, 0.0))))
-    assert rests["learning"] < 0.01
-    assert rests["kalman"] > 2 * rests["learning"]
