@@ -397,3 +397,10 @@ def test_the_sum_of_lag_and_delay_is_known_where_the_split_is_not():
     assert "±0.40 ms" in words and words.endswith("the delay is at its bound.")
     assert of_timing(timed(0.0, 0.0, 0.0)) == []
     assert of_timing(MODEL) == []
+
+
+def test_a_finding_of_a_model_that_flies_is_said_once(flight):
+    lacking = Finding("physics", "The model lacks the term tilt", "0.5 %", "Add +tilt.")
+    found = verdict(known(), flight, causes=[lacking])
+    assert found.trusted and found.parameters.why == ("The model lacks the term tilt",)
+    assert [one for one in found.sentences if "lacks the term" in one] == [lacking.sentence]

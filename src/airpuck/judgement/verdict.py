@@ -184,13 +184,14 @@ def verdict(
     errors = _relative_errors(model) if model.known is not None else {}
     judged = trajectory is not None
     parameters = _parameters(evidence, findings)
+    said_before = {finding.cause for finding in findings}
     sentences = (
         _headline(model, outcome, own=judged and evaluation is None),
         *(finding.sentence for finding in findings),
         *_unknown(model, errors),
         *_timing(model),
         *(_known(evidence) if outcome == "trusted" else ()),
-        *(parameters.why if parameters.right is False and outcome == "trusted" else ()),
+        *(one for one in parameters.why if outcome == "trusted" and one not in said_before),
         *(one.remedy for law, one in flown.items() if law in laws and one.remedy),
         *_compared(evidence),
         *_errors_in_words(errors),
