@@ -13,6 +13,7 @@ structure names the cause.
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import replace
 from typing import Any
@@ -94,6 +95,9 @@ def judged(flight: int, seed: int) -> dict[str, Any]:
     except InputError as error:
         return line | {"outcome": "refused", "why": [str(error)], "bars": {}, "named": False}
     heard = as_received(truth, settings, tuning_for(truth).period_s)
+    if missing == "direction":  # α is the direction of the pushes, so it contains this error
+        angle = truth.parameters.angle_offset + math.radians(DIRECTION_DEG)
+        heard = replace(heard, parameters=replace(heard.parameters, angle_offset=angle))
     line |= {"model": study.model.name, "outcome": study.verdict.outcome}
     line |= {"right": study.verdict.parameters.right, "named": names(missing, study)}
     line |= {"quantile": study.model.known.quantile if study.model.known else 2.0}

@@ -116,6 +116,9 @@ def test_evaluate_and_compare_write_pages(flown, tmp_path, undrawn, monkeypatch)
     assert f"airpuck evaluate {early} {bag} -o" in page
     assert airpuck(*words).returncode == 0
     assert (tmp_path / "one" / "index.html").read_text() == page
+    both = json.loads(airpuck(*words, "--law", "mpc").stdout)["verdict"]
+    assert list(both["controller"]) == (["lqr", "mpc"] if both["controller"] else [])
+    assert refused(airpuck(*words, "--law", "bogus"), "bogus", "mpc")
 
 
 def test_compare_of_two_models_tells_drift(flown):

@@ -143,3 +143,32 @@ def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
     (found,) = with_shifts(MODEL, [term])
     assert found.shift["τ"] == pytest.approx(-1e3 * size, rel=1e-6)  # stated in ms
     assert found.shift["I"] == 0
+
+
+def test_a_higher_degree_counts_as_the_curve_that_resembles_it():
+    """The shift is that of the thrusts, not of coefficients that cancel each other."""
+    labels = [one.replace("φ^3", "φ^4") for one in OWN if "φ^3" in one]
+    loss = LinearLoss(dict.fromkeys(labels, 0.3))
+    predicted = told(loss)["degree"].direction
+    value, own, _ = loss.with_term(labels)
+    fitted, speeds = np.zeros(len(OWN)), np.linspace(0.0, 1.0, 11)
+    fitted[MODEL.free] = own
+    for label, added in zip(labels, value, strict=True):
+        rows = [OWN.index(label.replace("φ^4", f"φ^{power}")) for power in (1, 2, 3)]
+        powers = speeds[:, None] ** np.array([1, 2, 3])
+        whole = powers @ fitted[rows] + added * speeds**4
+        np.testing.assert_allclose(powers @ predicted[rows], whole, atol=0.02 * abs(added))
+
+
+def test_a_shape_that_all_curves_share_is_told_where_single_ones_are_not():
+    labels = [one.replace("φ^3", "φ^4") for one in OWN if "φ^3" in one]
+    full = np.sum(np.asarray(MODEL.parameters.thrust), axis=1)
+    alike = 0.06 * full / full.mean()
+    mixed = alike * np.tile([1.0, -1.0], 3)
+
+    def told_of(seed: int, bends: Any) -> bool:
+        return "degree" in told(LinearLoss(dict(zip(labels, bends, strict=True)), seed))
+
+    # As strong, but half of the curves bend the other way.
+    found = [sum(told_of(seed, bends) for seed in range(12)) for bends in (alike, mixed)]
+    assert found[0] >= found[1] + 4

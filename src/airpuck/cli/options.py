@@ -192,6 +192,15 @@ LawName = Annotated[
         complete=lambda: list(LAWS),
     ),
 ]
+JudgedLaw = Annotated[
+    str | None,
+    Setting(
+        "Law to fly in simulation besides the usual LQR: mpc (takes seconds), or FILE.py:NAME.",
+        metavar="LAW",
+        option="--law",
+        complete=lambda: list(LAWS),
+    ),
+]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],
     Setting("paper; paper-long (encoders may look further back); causal (no later measurements)."),

@@ -46,6 +46,7 @@ def evaluate(
     budget: Annotated[
         bool, Option("--budget", help="Also show what causes the error: share of each cause.")
     ] = False,
+    law: options.JudgedLaw = None,
     mapping: options.ReadMapping = None,
     json_file: options.Json = None,
     quiet: options.Quiet = False,
@@ -61,7 +62,7 @@ def evaluate(
     judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
-    said = judged_on(judged, trajectory, found, mapping)
+    said = judged_on(judged, trajectory, found, mapping, [law] if law else [])
     since = better_from(found, trajectory)
     faults = reference_faults(trajectory, judged.vehicle)
     owned = None

@@ -38,12 +38,16 @@ _STEP = 1e-3
 _FOLDS = 5
 #: Fewest blocks of time beyond a term's coefficients.
 _FEWEST = 6
-#: The term that is not an effect: a higher degree of the thrust curves.
-DEGREE = "degree"
+#: The term that is not an effect: a higher degree of the thrust curves. It is tested twice, with a
+#: coefficient for each motor and with one for all, which finds a common shape with more certainty.
+DEGREE, _BEND = "degree", "common degree"
 #: Prefix of what changed steadily during the recording: ``all`` thrusts, one motor's thrust, or the
 #: ``delay``; and smallest changes over the recording that are reported, relative and in seconds.
 CHANGE, ALL, DELAY = "change of ", "all", "delay"
 _LEAST_CHANGE, _LEAST_LATER = 0.04, 3e-3
+#: Share of the commands below which a thrust curve is hardly seen; part of the thrust there that is
+#: uncertain if the curve is no cubic polynomial; and number of speeds that stand for a curve.
+_SLOW, _UNSEEN, _SPEEDS = 0.1, 0.5, 101
 #: Part of a term's information that the model's own parameters must leave.
 _OWN = 1e-6
 
@@ -66,16 +70,19 @@ class MissingTerm(Result):
     value : tuple of float
         Predicted coefficients.
     direction : array, shape (P,)
-        Predicted change of the fit's parameters.
+        Predicted change of the fit's parameters. A higher degree of the curves counts as the
+        polynomial of their own degree that resembles it most.
     shift : dict of str to float
         Predicted change of the main quantities if the term is added, by label, in their units.
     largest : str
         The quantity that changes most, in standard errors; empty if these are unknown.
+    unit : str
+        Its unit.
     standard_errors : float
         How many.
     """
 
-    JSON = "term probability gain held_out value shift largest standard_errors"
+    JSON = "term probability gain held_out value shift largest unit standard_errors"
 
     term: str
     probability: float
@@ -85,6 +92,7 @@ class MissingTerm(Result):
     direction: Float[np.ndarray, " P"]
     shift: dict[str, float] = field(default_factory=dict)
     largest: str = ""
+    unit: str = ""
     standard_errors: float = 0.0
 
     @property
@@ -125,8 +133,8 @@ class _Tests:
     quadratic: Quadratic
     #: Directions of the fit's own parameters, in the space of all parameters.
     basis: Float[np.ndarray, "Q R"]
-    #: Positions of the fit's own parameters among all.
-    own: Int[np.ndarray, " P"]
+    #: How changes of all parameters look among the fit's own.
+    echo: Float[np.ndarray, "P Q"]
     #: Entries and lower bounds of each term.
     entries: dict[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]]
 
@@ -139,25 +147,31 @@ class _Tests:
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
         changes = _changes(model, whole, loss) if len(quadratic.scores) >= _FEWEST else {}
-        quadratic = _changing(quadratic, np.array([*changes.values()]).reshape(-1, len(labels)))
+        terms = dict(_terms(model, whole, own))
+        bend = _bends(whole, terms.get(DEGREE))
+        along = np.array([*changes.values()]).reshape(-1, len(labels))
+        quadratic = _changing(quadratic, along, bend)
         hessian = quadratic.hessian
         inside = varying(hessian[np.ix_(own, own)], model.parameters, model.free).basis
         basis = np.zeros((len(hessian), inside.shape[1]))
         basis[own] = inside
         lower, _ = whole.bounds()
         entries = {}
-        for term, mask in _terms(model, whole, own):
+        for term, mask in terms.items():
             entries[term] = (np.flatnonzero(mask), lower[mask])
-        for number, term in enumerate(changes, start=len(labels)):
+        for number, term in enumerate([*changes, _BEND][: len(hessian) - len(labels)], len(labels)):
             entries[term] = (np.array([number]), np.array([-np.inf]))
-        return cls(model, quadratic, basis, own, entries)
+        echo = _echo(model.parameters, whole, own)
+        echo = np.concatenate([echo, np.zeros((len(own), len(changes))), echo @ bend.T], axis=1)
+        return cls(model, quadratic, basis, echo, entries)
 
     def tested(self, beside: list[str]) -> Iterator[MissingTerm]:
         """Test each term with a model that has the terms `beside`, too."""
         basis, hessian = self.basis, self.quadratic.hessian
         for term in beside:
             basis = _extended(basis, hessian, self.entries[term][0])
-        for term, (entries, lower) in self.entries.items():
+        for key, (entries, lower) in self.entries.items():
+            term = DEGREE if key == _BEND else key
             if term in beside:
                 continue
             if (found := self._test(term, entries, lower, basis)) is not None:
@@ -190,9 +204,9 @@ class _Tests:
             return None
         if len(effective) < len(kept) + _FEWEST:
             return None
-        own = (-basis @ (mixed @ value))[self.own]
         gain = float(-value @ effective.sum(axis=0) / 2) / self.quadratic.loss
         along = np.eye(len(hessian))[:, kept] - basis @ mixed
+        own = self.echo @ along @ value
         each = np.einsum("qi,gqp,pj->gij", along, self.quadratic.informations, along, optimize=True)
         chance = _by_chance(effective, each, information, value)
         # Effects of a coefficient with a lower bound grow with its square.
@@ -294,11 +308,42 @@ def _changes(
     return {CHANGE + name: direction for name, direction in found.items()}
 
 
-def _changing(quadratic: Quadratic, directions: Float[np.ndarray, "V Q"]) -> Quadratic:
-    """Add coefficients of directions in which the parameters change linearly with the blocks."""
+def _bends(whole: Parameters, curves: Bool[np.ndarray, " Q"] | None) -> Float[np.ndarray, "B Q"]:
+    """Return the direction in which all curves bend alike, each by its own full thrust; or none."""
+    if curves is None or curves.sum() == 1:
+        return np.zeros((0, len(whole.to_vector())))
+    thrust = np.asarray(whole.thrust)
+    shape = np.zeros_like(thrust)
+    shape[:, -1] = thrust.sum(axis=1)
+    return np.where(curves, replace(whole, thrust=shape).to_vector(), 0.0)[None]
+
+
+def _echo(
+    parameters: Parameters, whole: Parameters, own: Int[np.ndarray, " P"]
+) -> Float[np.ndarray, "P Q"]:
+    """Map changes of all parameters to the model's own: powers that it lacks to their likeness."""
+    count, degree = np.shape(parameters.thrust)
+    echo = np.eye(len(whole.to_vector()))[own]
+    new = np.shape(whole.thrust)[1]
+    if new > degree:
+        # Least squares of φ^new by the lower powers, for speeds φ from 0 to 1.
+        powers = np.arange(1, degree + 1)
+        like = np.linalg.solve(1 / (powers[:, None] + powers + 1), 1 / (powers + new + 1))
+        for motor in range(count):
+            echo[motor * degree + powers - 1, (motor + 1) * new - 1] = like
+    return echo
+
+
+def _changing(
+    quadratic: Quadratic, changing: Float[np.ndarray, "V Q"], constant: Float[np.ndarray, "B Q"]
+) -> Quadratic:
+    """Add coefficients of directions; some parameters change linearly with the blocks."""
     scores, informations = quadratic.scores, quadratic.informations
     time = np.linspace(-0.5, 0.5, len(scores))[:, None, None]
-    wide = np.concatenate([np.eye(scores.shape[1]) + 0 * time, time * directions], axis=1)
+    fixed = np.concatenate([np.eye(scores.shape[1]), changing, constant])
+    still = np.ones(len(fixed))
+    still[scores.shape[1] :][: len(changing)] = 0.0
+    wide = fixed * np.where(still[:, None], 1.0, time)
     return Quadratic(
         quadratic.cluster_losses,
         np.einsum("gp,gvp->gv", scores, wide),
@@ -345,6 +390,25 @@ def _extended(
     return np.concatenate([basis, rest @ vector[:, sure] / np.sqrt(value[sure])], axis=1)
 
 
+def unseen_level(model: Model, loss: PredictionLoss) -> Float[np.ndarray, " P"]:
+    """Return a change of the thrust curves that no motion shows.
+
+    Thrusts that balance each other may all differ by a constant. Only the shape of the curves
+    between rest and the slowest speeds says which, so the thrust there bounds the constant.
+    """
+    parameters, matrix = model.parameters, np.asarray(model.dynamics.configuration)
+    slow = np.quantile(np.abs(loss.windows.input), _SLOW, axis=0)
+    curves = np.asarray(parameters.thrust)
+    powers = np.arange(1, curves.shape[1] + 1)
+    constant = _UNSEEN * np.sum(curves * slow[:, None] ** powers, axis=1)
+    balanced = constant - np.linalg.pinv(matrix) @ (matrix @ constant)
+    speeds = np.linspace(float(slow.min()), 1.0, _SPEEDS)
+    alike = np.linalg.lstsq(speeds[:, None] ** powers, np.ones(_SPEEDS), rcond=None)[0]
+    changed = np.zeros(len(parameters.to_vector()))
+    changed[parameters.mask(frozenset({"thrust"}))] = np.outer(balanced, alike).ravel()
+    return changed
+
+
 def with_shifts(model: Model, found: Sequence[MissingTerm]) -> tuple[MissingTerm, ...]:
     """Add how the main quantities change with each term; and which most, if errors are known."""
     if not found:
@@ -366,6 +430,7 @@ def with_shifts(model: Model, found: Sequence[MissingTerm]) -> tuple[MissingTerm
         relative = np.abs(np.divide(change, errors, where=known, out=np.zeros_like(change)))
         most = int(np.argmax(relative))
         shift = {q.label: float(c) for q, c in zip(quantities, change, strict=True)}
-        largest, size = quantities[most].label if known.any() else "", float(relative[most])
-        complete.append(replace(one, shift=shift, largest=largest, standard_errors=size))
+        size, largest = float(relative[most]), quantities[most]
+        named = {"largest": largest.label, "unit": largest.unit} if known.any() else {}
+        complete.append(replace(one, shift=shift, standard_errors=size, **named))
     return tuple(complete)

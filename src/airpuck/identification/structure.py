@@ -23,7 +23,13 @@ from airpuck.faults.strengths import usual_rung
 from airpuck.identification import fit as fitting
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
-from airpuck.identification.missing_terms import DEGREE, MissingTerm, missing_terms, with_shifts
+from airpuck.identification.missing_terms import (
+    DEGREE,
+    MissingTerm,
+    missing_terms,
+    unseen_level,
+    with_shifts,
+)
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.residual import with_residual
@@ -183,7 +189,7 @@ def structured(
     if added or not usual:
         found = missing_terms(fit.model, fit.objective)
     missing = with_shifts(fit.model, found)
-    fit = _widened(fit, missing)
+    fit = _widened(fit, missing, bent=any(one.term == DEGREE for one in (*added, *missing)))
     fit = with_residual(fit) if neural else fit
     return fit, ModelStructure(rung.name, fit.model.name, added, missing)
 
@@ -207,14 +213,19 @@ def _richer(rung: Rung, terms: Sequence[str], degree: int) -> Rung:
     return named_rung(effects, degree=degree + 1 if bends else rung.degree, frame=rung.frame)
 
 
-def _widened(fit: Fit, missing: Sequence[MissingTerm]) -> Fit:
-    """Widen the errors of a fit by the shifts that missing terms predict."""
-    known = fit.model.known
-    if known is None or not missing:
+def _widened(fit: Fit, missing: Sequence[MissingTerm], bent: bool) -> Fit:
+    """Widen the errors by what missing terms shift, and curves of another shape leave unseen."""
+    known, loss = fit.model.known, fit.objective
+    if known is None or loss is None or not (missing or bent):
         return fit
     sure = np.isfinite(known.standard_errors)
-    shifts = np.where(sure, [one.direction for one in missing], 0.0)
-    note = f"errors include what the model lacks: {', '.join(one.term for one in missing)}"
-    wider = with_held(known, shifts, held=np.zeros_like(sure))
-    wider = replace(wider, notes=(*known.notes, note))
+    changes, notes = [one.direction for one in missing], list(known.notes)
+    if missing:
+        lacking = ", ".join(one.term for one in missing)
+        notes.append(f"errors include what the model lacks: {lacking}")
+    if bent:
+        changes.append(unseen_level(fit.model, loss))
+        notes.append("errors of thrusts include what the curves may do at the slowest commands")
+    wider = with_held(known, np.where(sure, changes, 0.0), held=np.zeros_like(sure))
+    wider = replace(wider, notes=tuple(notes))
     return replace(fit, model=replace(fit.model, uncertainty=wider))

@@ -181,7 +181,7 @@ def rehearse(
 
 def _unsettled(model: Model, seen: Model, settings: TwinSettings, tuning: Tuning) -> str:
     """Describe why the controller does not settle, and the remedy."""
-    flown = f"In simulation, {tuning.law.kind.upper()} with the usual tuning"
+    flown = f"In simulation, {law_class(tuning.law.kind).__name__} with the usual tuning"
     noise, good = settings.motion_capture, default_twin_settings().motion_capture
     if flown_margin(model, seen, settings.model_copy(update={"motion_capture": good}), tuning) >= 1:
         told = (

@@ -227,20 +227,22 @@ def judged_on(
     trajectory: Trajectory,
     evaluation: Evaluation,
     mapping: RecordingMapping | None = None,
+    laws: Sequence[str] = (),
 ) -> Verdict:
     """Judge a model by its predictions of a recording, and by what it lacks there."""
     causes = list[Finding]()
     with suppress(InputError):  # Too short for windows of a fit.
         causes += map(_lacking, lacking_on(model, trajectory))
     axes = AXES if mapping is None else mapping.pose.axes
-    return verdict(model, trajectory, evaluation, causes=causes, axes=axes)
+    return verdict(model, trajectory, evaluation, causes=causes, laws=laws, axes=axes)
 
 
 def _lacking(term: MissingTerm) -> Finding:
     """Report a term that a model lacks, with the error that this causes."""
     evidence = f"the loss would fall by {100 * term.gain:.2g} %"
     if term.largest and not term.term.startswith(CHANGE):
-        evidence += f", and {term.largest} would change by {abs(term.shift[term.largest]):.3g}"
+        change = f"{abs(term.shift[term.largest]):.2g} {term.unit}"
+        evidence += f", and {term.largest} would change by {change}"
     if term.term.startswith(CHANGE):
         return Finding("change", *_changed(term.term.removeprefix(CHANGE), term.value[0], evidence))
     if term.term == "direction":

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -17,6 +17,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding, Result
+from airpuck.control.laws import law_class
 from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.time_scale import patience
@@ -190,7 +191,7 @@ def verdict(
         *(finding.sentence for finding in findings),
         *_unknown(model, errors),
         *_timing(model),
-        *(_known(evidence) if outcome == "trusted" else ()),
+        *(_known(evidence, flown) if outcome == "trusted" else ()),
         *(one for one in parameters.why if outcome == "trusted" and one not in said_before),
         *(one.remedy for law, one in flown.items() if law in laws and one.remedy),
         *_compared(evidence),
@@ -295,15 +296,16 @@ def _compared(evidence: Evidence) -> list[str]:
     ]
 
 
-def _known(evidence: Evidence) -> list[str]:
+def _known(evidence: Evidence, flown: Mapping[str, Rehearsal]) -> list[str]:
     """Describe why the model is trusted."""
     relative, error = evidence.total
+    settle = " and ".join(law_class(name).__name__ for name, one in flown.items() if one.settles)
     response = _with_error(1e3 * response_time(evidence.model), 1e3 * error)
     return [
         f"Its largest acceleration is known to {percent(float(relative.max()))} in every "
         f"direction; the response time τ + d is {response} ms. Systematic "
-        "errors that this recording shows are included. In simulation, the packaged controller "
-        "settles on such a craft."
+        f"errors that this recording shows are included. In simulation, {settle} with the usual "
+        f"tuning settle{'' if ' and ' in settle else 's'} on such a craft."
     ]
 
 
