@@ -38,9 +38,9 @@ def test_a_flight_is_told_drawn_and_written(tmp_path):
     text = (page / "index.html").read_text()
     assert "strayed [mm]" in text
     svg = (page / "figures" / "flight.svg").read_text()
-    # Two craft that move and turn; y points down.
-    assert svg.count("<animateTransform") == 4
-    assert re.search(r'values="-0\.3000 -0\.1000;', svg)
+    # Two craft and their goals; y points down.
+    assert svg.count("<animateTransform") == 8
+    assert re.search(r'values="-0\.300 -0\.100;', svg)
     with Image.open(gif) as picture:
         # 20 frames a second, until the craft has rested for 0.3 s.
         assert picture.n_frames == pytest.approx(20 * (figures["settled_s"] + 0.3), abs=3)

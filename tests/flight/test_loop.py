@@ -1,5 +1,6 @@
 """The flight loop, with a made-up link and pilot."""
 
+import re
 from dataclasses import replace
 from time import sleep
 from typing import ClassVar
@@ -309,3 +310,38 @@ def test_a_flight_that_nobody_recorded_has_no_metrics():
         log.metrics()
     with pytest.raises(InputError, match=r"one object now: log = airpuck\.track.*log\.recording"):
         _, log = log  # pyright: ignore[reportGeneralTypeIssues]
+
+
+class SlowClock:
+    """A wall clock that advances by seconds at each look."""
+
+    def __init__(self, step):
+        self.now, self.step = 0.0, step
+
+    def __call__(self):
+        self.now += self.step
+        return self.now
+
+
+@pytest.mark.parametrize(("step", "watched", "told"), [(3.0, True, True), (3.0, False, False)])
+def test_a_slow_flight_reports_the_time_left_to_whoever_watches(
+    monkeypatch, capsys, step, watched, told
+):
+    monkeypatch.setattr("time.monotonic", SlowClock(step))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: watched)
+    fly(FakePilot(), FakeLink(), 1.0)
+    lines = capsys.readouterr().err.splitlines()
+    assert bool(lines) == told
+    if told:
+        flown, left = map(
+            float, re.fullmatch(r"flown ([\d.]+) of 1 s, about (\d+) s left", lines[-1]).groups()
+        )
+        assert 0.9 < flown <= 1.0 and left < 60
+    assert len(lines) < 100
+
+
+def test_a_flight_in_real_time_reports_nothing(monkeypatch, capsys):
+    monkeypatch.setattr("time.monotonic", SlowClock(0.001))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    fly(FakePilot(), FakeLink(), 60.0)
+    assert capsys.readouterr().err == ""

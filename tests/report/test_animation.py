@@ -1,9 +1,11 @@
 """Animation files: their contents, their size, and rejected input."""
 
 import json
+import math
 import re
 import shutil
 import subprocess
+from xml.etree.ElementTree import fromstring
 
 import numpy as np
 import pytest
@@ -13,7 +15,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import Vehicle
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import COLUMNS, Recording
-from airpuck.report.animation import animate
+from airpuck.report.animation import Mover, animate, moving_drawing
+from airpuck.report.scene import TABLE
 
 from ..apparatus.drawn_flights import CRAFT, EPOCH, flight, stream, with_pose
 from ..apparatus.models import VEHICLES, four_propellers
@@ -271,3 +274,16 @@ def test_a_real_flight(data, tmp_path):
     page = page_data(animate(recording, tmp_path / "a.html"))
     assert len(page["reference"]["time"]) == 4
     assert page["table"] == [2.2, 1.1]
+
+
+def test_a_drawing_starts_and_ends_where_the_craft_does():
+    time = np.linspace(0.0, 2.0, 201)
+    pose = np.column_stack([0.3 * time, 0.2 * time - 0.1, 0.5 * time])
+    drawn = moving_drawing(TABLE.table, [Mover("a <craft>", "#0072b2", 0.07, time, pose)])
+    root, svg = fromstring(drawn), "{http://www.w3.org/2000/svg}"
+    assert [name.text for name in root.iter(f"{svg}text")] == ["a <craft>"] * 2
+    moves, turns = (one.get("values").split(";") for one in root.iter(f"{svg}animateTransform"))
+    # y points down, and angles are clockwise.
+    assert (moves[0], moves[20], moves[-1]) == ("0.000 0.100", "0.300 -0.100", "0.600 -0.300")
+    assert float(turns[-1]) == round(-math.degrees(1.0))
+    assert len(moves) == len(turns) == 20 * 2 + 30  # then it rests for 1.5 s

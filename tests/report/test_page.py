@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
+from airpuck.craft.table import Table
 from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.faults.strengths import find_strengths
 from airpuck.model.uncertainty import DelayJitter
+from airpuck.report.animation import Mover, moving_drawing
 from airpuck.report.evaluation_report import JudgedModels
 from airpuck.report.fit_report import fit_report
 from airpuck.report.page import PageSection, PageTable, Picture, Text, write_page
@@ -76,6 +78,25 @@ def test_a_report_has_no_barrier(tmp_path, chromium, scheme):
             tab.click("summary")
             assert barriers(tab) == []
             assert tab.evaluate("document.documentElement.scrollWidth") == width
+        browser.close()
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(("preference", "moves"), [("reduce", False), ("no-preference", True)])
+def test_a_drawing_moves_unless_the_reader_prefers_no_motion(tmp_path, chromium, preference, moves):
+    sync_api = pytest.importorskip("playwright.sync_api")
+    time = np.linspace(0.0, 20.0, 201)
+    craft = Mover("M3", "#0072b2", 0.07, time, np.column_stack([0.05 * time, 0 * time, time]))
+    drawn = Picture("moving", moving_drawing(Table(), [craft]), "A flight.", moves=True)
+    path = write_page(tmp_path, "A page", "about it", [PageSection("a", "A", [drawn])])
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        tab = browser.new_context(reduced_motion=preference).new_page()
+        tab.goto(path.as_uri())
+        assert barriers(tab) == []
+        first = tab.screenshot()
+        tab.wait_for_timeout(1000)
+        assert (tab.screenshot() != first) == moves
         browser.close()
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from airpuck.identification.method import Iteration
     from airpuck.report.page import Origin
 
 #: Latest date that `datetime` supports, the end of 9999 [s].
@@ -189,11 +188,6 @@ def show_progress(quiet: bool) -> Iterator[Any]:
         from rich.console import Console
 
         with Console(stderr=True).status("compiling …") as status:
-            yield lambda iteration: status.update(_line(iteration))
+            yield lambda iteration: status.update(str(iteration))
     else:
-        yield lambda iteration: print(_line(iteration), file=sys.stderr)
-
-
-def _line(iteration: Iteration) -> str:
-    """Describe one iteration."""
-    return f"iteration {iteration.number}: loss {iteration.loss:.4e}"
+        yield lambda iteration: print(iteration, file=sys.stderr)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.progress import Progress
 from airpuck.control.law import Prediction, Status, Step
 from airpuck.control.pilot import Pilot
 from airpuck.control.reference import asked, check_inside
@@ -202,7 +203,9 @@ def fly(
     if border is not None:
         check_inside(pilot.reference, border, "the table")
     start = link.now
-    actions = list(control(pilot, link, duration, period, on_board=on_board))
+    actions = list(
+        _with_progress(control(pilot, link, duration, period, on_board=on_board), link, duration)
+    )
     link.wait_until(start + duration)
     command = np.array([action.step.command for action in actions])
     return FlightLog(
@@ -218,6 +221,17 @@ def fly(
             if k % PREDICTIONS_EVERY == 0 and action.step.prediction is not None
         },
     )
+
+
+def _with_progress(actions: Iterator[Action], link: Link, duration: float) -> Iterator[Action]:
+    """Yield all actions; report the time left if the flight is slower than real time."""
+    start, progress = link.now, Progress()
+    for action in actions:
+        yield action
+        flown, took = action.time - start, time.monotonic() - progress.began
+        if 0 < flown < took:
+            left = took * (duration / flown - 1)
+            progress(f"flown {flown:.1f} of {duration:g} s, about {left:.0f} s left")
 
 
 def control(

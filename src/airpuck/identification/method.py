@@ -32,6 +32,9 @@ class Iteration:
     #: Prediction loss on the training windows.
     loss: float
 
+    def __str__(self) -> str:
+        return f"iteration {self.number}: loss {self.loss:.4e}"
+
 
 @dataclass(frozen=True)
 class Outcome:

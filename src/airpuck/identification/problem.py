@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.progress import Progress
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers, vehicle_of
 from airpuck.data.windows import make_windows
@@ -46,7 +47,7 @@ class Problem:
     preparation: Preparation = field(default_factory=Preparation)
     #: Whether the motor lag keeps the vehicle file's value.
     lag_held: bool = False
-    progress: Callable[[Iteration], None] = field(default_factory=lambda: lambda _: None)
+    progress: Callable[[Iteration], None] = field(default_factory=Progress)
 
     @classmethod
     def of(

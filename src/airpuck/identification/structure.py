@@ -91,7 +91,7 @@ def identify(
     loss: Loss | None = None,
     method: Method | None = None,
     preparation: Preparation | None = None,
-    progress: Callable[[Iteration], None] = lambda _: None,
+    progress: Callable[[Iteration], None] | None = None,
     each: Sequence[str] = (),
 ) -> Fit:
     """Identify a model by minimising its multi-step prediction error (eq. combined_loss).
@@ -116,7 +116,8 @@ def identify(
     preparation : Preparation, optional
         Whether faults are left out, the delay is learned and packets are retimed.
     progress : callable, optional
-        Called after every iteration of the optimiser.
+        Called after every iteration of the optimiser; by default a terminal or notebook shows one
+        every ten seconds.
     each : sequence of str, optional
         What is fitted for each recording separately, as ``("delay", "tilt")``: ``delay``, ``lag``,
         ``angle``, ``thrust``, or terms of the model. The model has the last recording's values;

@@ -127,7 +127,7 @@ def study(
     seed: int = 0,
     laws: Sequence[str] = (),
     each: Sequence[str] = (),
-    progress: Callable[[Iteration], None] = lambda _: None,
+    progress: Callable[[Iteration], None] | None = None,
     resampled: Callable[[int], None] = lambda _: None,
 ) -> Study:
     """Identify a model of a craft from recordings, and judge it.

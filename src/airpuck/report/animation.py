@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +24,13 @@ from PIL import GifImagePlugin, Image
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
-from airpuck.craft.table import AirHockey
+from airpuck.craft.table import AirHockey, Table
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.loop import FlightLog
 from airpuck.recording.stream import Recording
 from airpuck.report import scene as moments
 from airpuck.report import style
+from airpuck.report.page import render
 from airpuck.report.scene import PAUSE, TABLE, FlightScene, Frames, GameScene, read_scene
 
 #: Most frames of a GIF; more would take hundreds of megabytes.
@@ -128,6 +130,8 @@ _COLORS = 255
 _DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "clip_on": False}
 #: Height of the line above the table, in the figure.
 _HEADER = 0.97
+#: Frames per second of a drawing that moves, and how long its last frame stays [s].
+_RATE, _LASTS = 20.0, 1.5
 
 
 def write_animation_gif(
@@ -403,3 +407,33 @@ def _draw_motors(axes: Axes, scene: FlightScene) -> None:
     axes.tick_params(axis="y", length=0, labelsize=size)
     for text, color in zip(axes.get_yticklabels(), colors, strict=True):
         text.set_color(color)
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """A craft of a drawing, or a goal, which has no name."""
+
+    name: str
+    color: str
+    #: [m].
+    radius: float
+    #: [s].
+    time: Float[np.ndarray, " N"]
+    #: x, y [m], yaw [rad].
+    poses: Float[np.ndarray, "N 3"]
+
+
+def moving_drawing(
+    table: Table, moving: Sequence[Mover], discs: Sequence[tuple[float, float, float]] = ()
+) -> str:
+    """Return an animated SVG, which repeats; readers who prefer no motion see the paths."""
+    end = max(one.time[-1] for one in moving)
+    times = np.append(np.arange(0.0, end, 1 / _RATE), np.full(round(_LASTS * _RATE), end))
+    drawn = []
+    for one in moving:
+        # y points down in an SVG, and angles are in degrees, clockwise.
+        x, y, yaw = one.poses[(one.time.searchsorted(times, side="right") - 1).clip(0)].T
+        places = [f"{x:.3f} {-y:.3f}" for x, y in zip(x, y, strict=True)]
+        drawn.append((one, places, [f"{-a:.0f}" for a in np.degrees(yaw)]))
+    shown = {"moving": drawn, "discs": discs, "seconds": len(times) / _RATE}
+    return render("moving.svg.jinja", table=table, floor=style.FLOOR, rail=style.RAIL, **shown)

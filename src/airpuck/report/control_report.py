@@ -19,7 +19,7 @@ from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 from airpuck.report import style
-from airpuck.report.animation import animate
+from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 from airpuck.report.plan_figures import path_figure
 from airpuck.report.tables import agreement_table, controller_tables, outcome_table, tracking_tables
@@ -264,7 +264,8 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
     )
     if compares_laws(flights):
         caption = "All laws fly the same truth, seed and set points."
-    blocks = [Picture("tracking", tracking_figure(flights), caption), *tracking_tables(flights)]
+    blocks = [moving_picture(flights), Picture("tracking", tracking_figure(flights), caption)]
+    blocks += tracking_tables(flights)
     inputs = [
         Picture(
             f"inputs_{flight.file_name}",
@@ -279,6 +280,19 @@ def tracking_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         return [tracking, commands]
     short = PageSection("summary", "In short", [summary(flights)])
     return [short, tracking, *law_sections(flights), commands]
+
+
+def moving_picture(flights: Sequence[Tracked]) -> Picture:
+    """Show the flights on the twin from above, in motion."""
+    first, moving = flights[0], []
+    for flight, color in zip(flights, flight_colors(flights), strict=True):
+        time, radius = flight.twin.time - flight.origin, flight.vehicle.radius_m
+        moving.append(Mover(flight.label, color, radius, time, flight.twin.pose))
+    asked, radius = first.twin.set_points, first.vehicle.radius_m
+    goal = Mover("", style.BLACK, radius, asked.times - first.origin, asked.poses)
+    drawn = moving_drawing(first.table, [goal, *moving])
+    caption = "The flight from above, in real time. Dashed: the set point."
+    return Picture("moving", drawn, caption, moves=True)
 
 
 @style.styled

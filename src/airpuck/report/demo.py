@@ -103,6 +103,8 @@ def demo(
     for flight in flights:
         _replace_bag(flight.recording, bags / f"set_points_{flight.model}")
     progress("writing the report")
+    tracking, commands = tracking_sections(flights)
+    moving, *evidence = tracking.blocks
     return fit_report(
         fits,
         trajectories["training"],
@@ -110,7 +112,8 @@ def demo(
         judged=judged,
         truth=truth,
         title="The paper's study on a simulated craft",
-        more=tracking_sections(flights),
+        opening=[moving],
+        more=[replace(tracking, blocks=evidence), commands],
         origin=origin,
     )
 

@@ -230,6 +230,7 @@ def fit_report(
     judged: JudgedModels | None = None,
     truth: Model | None = None,
     title: str | None = None,
+    opening: Sequence[Block] = (),
     more: Sequence[PageSection] = (),
     strengths: Strengths | None = None,
     verdicts: Mapping[str, Verdict] | None = None,
@@ -251,6 +252,8 @@ def fit_report(
         The true model, if known, to compare the fits with.
     title : str, optional
         By default the name of the craft.
+    opening : sequence of Block, optional
+        Blocks to add to the summary.
     more : sequence of PageSection, optional
         Sections to add at the end.
     strengths : Strengths, optional
@@ -288,7 +291,7 @@ def fit_report(
     short = _verdicts(fits, judged, training, verdicts or {})
     if strengths.sentences:
         short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))
-    sections = [short]
+    sections = [replace(short, blocks=(*short.blocks, *opening))]
     if judged is None:
         sections.append(path_section(training, vehicle))
     else:

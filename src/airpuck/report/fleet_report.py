@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -19,6 +18,7 @@ from airpuck.boundary.outputs import replacing
 from airpuck.fleet.flight import FleetFlight
 from airpuck.fleet.scenario import Fleet
 from airpuck.report import style
+from airpuck.report.animation import Mover, moving_drawing
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 
 #: Colours of the craft, repeated for more.
@@ -33,7 +33,8 @@ def fleet_report(
     flight: FleetFlight, fleet: Fleet, out: str | os.PathLike[str], origin: Origin | None = None
 ) -> Path:
     """Write a page on a flight: an animation, the paths, the distances."""
-    moving = Picture("flight", fleet_animation(flight, fleet), "In real time. Dashed: goals.")
+    drawn = fleet_animation(flight, fleet)
+    moving = Picture("flight", drawn, "In real time. Dashed: goals.", moves=True)
     paths = Picture(
         "paths", path_figure(flight, fleet), "Paths from the starts (open) to the goals (dashed)."
     )
@@ -164,50 +165,12 @@ def _frames(flight: FleetFlight) -> np.ndarray:
 
 def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
     """Return the flight as an animated SVG, which repeats."""
-    table, rows = fleet.settings.table, _frames(flight)
-    width, height = (side + 2 * _AROUND for side in (table.length_m, table.width_m))
-    lasts = len(rows) / _RATE + _LASTS
-    keys = ";".join(f"{k / _RATE / lasts:.4f}" for k in range(len(rows))) + ";1"
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{-width / 2:.3f} {-height / 2:.3f} '
-        f'{width:.3f} {height:.3f}" width="{_SCALE * width:.0f}">',
-        f'<rect x="{-table.length_m / 2}" y="{-table.width_m / 2}" width="{table.length_m}" '
-        f'height="{table.width_m}" rx=".02" fill="{style.FLOOR}" stroke="{style.RAIL}" '
-        'stroke-width=".012"/>',
-    ]
-    for disc in fleet.scenario.obstacles:
-        parts.append(
-            f'<circle cx="{disc.x_m}" cy="{-disc.y_m}" r="{disc.radius_m}" fill="#767676"/>'
-        )
-    for k, name in enumerate(flight.names):
-        color, radius, goal = _color(k), flight.radii[k], fleet.member(name).goals[-1]
-        parts.append(
-            f'<circle cx="{goal[0]:.3f}" cy="{-goal[1]:.3f}" r="{radius:.3f}" fill="none" '
-            f'stroke="{color}" stroke-width=".005" stroke-dasharray=".02 .015"/>'
-        )
-    for k, name in enumerate(flight.names):
-        parts.append(_moving(flight.poses[rows, k], flight.radii[k], _color(k), keys, lasts, name))
-    return "\n".join([*parts, "</svg>"])
-
-
-def _moving(
-    poses: Float[np.ndarray, "N 3"], radius: float, color: str, keys: str, lasts: float, name: str
-) -> str:
-    """Return a craft that moves along its poses and turns; y points down in an SVG."""
-    yaw = np.unwrap(poses[:, 2])
-    shown = np.vstack([poses, poses[-1:]])
-    places = ";".join(f"{x:.4f} {-y:.4f}" for x, y, _ in shown)
-    turns = ";".join(f"{-math.degrees(a):.1f}" for a in [*yaw, yaw[-1]])
-    timing = f'keyTimes="{keys}" dur="{lasts:.3f}s" repeatCount="indefinite"'
-    return (
-        f"<g><title>{name}</title>"
-        f'<animateTransform attributeName="transform" type="translate" values="{places}" {timing}/>'
-        f'<g><animateTransform attributeName="transform" type="rotate" values="{turns}" {timing}/>'
-        f'<circle r="{radius:.3f}" fill="{color}" fill-opacity=".25" stroke="{color}" '
-        'stroke-width=".006"/>'
-        f'<path transform="scale({radius:.4f})" d="M.9 0L.45 .25V-.25Z" '
-        f'fill="{color}"/></g></g>'
-    )
+    moving = []
+    for k, (name, radius) in enumerate(zip(flight.names, flight.radii, strict=True)):
+        goals = Mover("", _color(k), radius, np.zeros(1), fleet.member(name).goals[-1:])
+        moving += [goals, Mover(name, _color(k), radius, flight.time, flight.poses[:, k])]
+    discs = [(disc.x_m, disc.y_m, disc.radius_m) for disc in fleet.scenario.obstacles]
+    return moving_drawing(fleet.settings.table, moving, discs)
 
 
 @style.styled

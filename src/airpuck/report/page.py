@@ -31,6 +31,8 @@ class Picture:
     figure: Figure | str
     #: Plain text.
     caption: str
+    #: Whether an SVG moves: as an element of the page it follows the reader's preferences.
+    moves: bool = False
 
 
 @dataclass(frozen=True)
