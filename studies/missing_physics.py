@@ -104,7 +104,7 @@ def judged(flight: int, seed: int) -> dict[str, Any]:
     line |= {"missing_terms": [one.term for one in study.selection.missing]}
     line |= {
         "why": [one.sentence for one in study.findings],
-        "bars": beyond(study.model, heard, exact=True),
+        "bars": beyond(study.model, heard, exact=missing != "direction"),
     }
     return line | {"cpu_s": round(time.process_time() - began, 1)}
 
