@@ -1,6 +1,6 @@
 """Pictures of the guides, each from a simulated flight or a stated measurement.
 
-    python docs/pictures.py              # all of them, in a minute
+    python docs/pictures.py              # all of them, in two minutes; AIRPUCK_DATA for `tracking`
     python docs/pictures.py control      # one
 
 They are as wide as a phone's screen, on a white ground, which the site inverts in dark mode.
@@ -20,10 +20,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch
+from PIL import Image, ImageSequence
 
 import airpuck
 from airpuck.control.tuning import tuning_for
+from airpuck.flight.pilot import pilot_named
 from airpuck.report import style
+from airpuck.twin.experiments import course_plan
 from airpuck.twin.settings import default_twin_settings
 
 FOLDER = Path(__file__).parent / "images"
@@ -308,6 +311,80 @@ def owners() -> Figure:
     return figure
 
 
+def plan() -> Figure:
+    """Show the fastest flight over a metre, with thrusts and commands."""
+    table = airpuck.Table()
+    fastest = airpuck.plan(truth(), (-0.5, 0, 0), (0.5, 0, 0), table=table)
+    return airpuck.plot.plan_figure(fastest, table)
+
+
+def race() -> Figure:
+    """Fly the plan 16 times, and the same distance to a set point."""
+    course = course_plan("straight", truth(), default_twin_settings())
+    return airpuck.plot.race_figure(airpuck.race(course, truth(), seeds=16), airpuck.Table())
+
+
+def tracking() -> Figure:
+    """Compare flights of the twin with the paper's, to the same set points."""
+    from airpuck.cli.inputs import published_flights
+    from airpuck.report.control_report import tracking_figure
+
+    names = ["paper:M0", "paper:M4"]
+    flights = [path and airpuck.read_recording(path) for path in published_flights(names)]
+    pilots = [airpuck.read_model(name) for name in names]
+    study = airpuck.tracking_study(pilots, truth(), flights=flights, controller="paper")
+    figure = tracking_figure(study)
+    wide = figure.legends.pop()
+    labels = [text.get_text() for text in wide.get_texts()]
+    figure.legend(wide.legend_handles, labels, loc="outside upper center", ncols=2)
+    return figure
+
+
+#: Vehicle files of the examples, with their titles.
+CRAFT = {
+    "examples/four_propellers/vehicle.toml": "four_propellers",
+    "examples/free_flyers/atmos.toml": "free_flyers: ATMOS",
+    "src/airpuck/packaged/datasets/air-bearing-satellite/vehicle.toml": "air_bearing_satellite",
+    "src/airpuck/packaged/datasets/cybership-enterprise/vehicle.toml": "cybership_enterprise",
+}
+
+
+def examples() -> Figure:
+    """Draw the craft of the examples: a disc, and where its actuators push it."""
+    figure = new(4.0)
+    drawn = zip(CRAFT.items(), figure.subplots(2, 2).flat, strict=True)
+    for (file, title), axes in drawn:
+        craft = airpuck.read_vehicle(FOLDER.parents[1] / file)
+        radius, places = craft.radius_m, craft.positions
+        axes.set(aspect="equal", xlim=(-1.7, 1.7), ylim=(-1.6, 1.1), title=title)
+        axes.axis("off")
+        axes.add_patch(Circle((0, 0), 1.0, facecolor="#f5f5f5", edgecolor=style.GREY))
+        # The page shows forward up.
+        for place, push in zip(places / radius, craft.directions, strict=True):
+            start, way = np.array([-place[1], place[0]]), np.array([-push[1], push[0]])
+            arrow(axes, start - 0.3 * way, start + 0.3 * way, style.BLUE, 1.5)
+        size = f"{craft.mass_kg:.3g} kg, radius {radius:.2g} m"
+        axes.text(0, -1.3, size, ha="center", va="top")
+    return figure
+
+
+def laws() -> Figure:
+    """Fly to one set point with the package's law and with both examples."""
+    figure = new(2.8)
+    axes = figure.add_subplot(xlabel="time [s]", ylabel="distance to the set point [m]")
+    goal = airpuck.SetPoint(0.5, -0.2, 1.0)
+    folder = FOLDER.parents[1] / "examples"
+    flown = {"packaged LQR": "lqr", "own_pilot": f"{folder}/own_pilot/spring.py:Spring"}
+    for name, law in (flown | {"own_law": f"{folder}/own_law/pid.py:PID"}).items():
+        own = pilot_named(law)
+        log = airpuck.track(truth(), goal, 3.0, make_pilot=own, law=None if own else law)
+        pose = log.recording["pose"]
+        away = np.hypot(pose.values[:, 0] - 0.5, pose.values[:, 1] + 0.2)
+        axes.plot(pose.time - pose.time[0], away, label=name)
+    axes.legend()
+    return figure
+
+
 def animated() -> None:
     """Fly to the paper's set points with predictive control, and animate the flight."""
     model = airpuck.read_model("paper:M4")
@@ -316,8 +393,13 @@ def animated() -> None:
     )
     tuning = tuning_for(model).with_law("mpc")
     log = airpuck.track(model, goals, 6.2, tuning=tuning)
-    recording = log.recording
-    airpuck.animate(recording, FOLDER / "flight.gif", log=log, frames_per_second=20.0)
+    path = FOLDER / "flight.gif"
+    airpuck.animate(log.recording, path, log=log, frames_per_second=20.0)
+    # A phone shows the table; its curves over time would be too small.
+    with Image.open(path) as whole:
+        frames = [one.convert("RGB") for one in ImageSequence.Iterator(whole)]
+    shown = [one.crop((0, 50, one.width, 620)).quantize(64) for one in frames]
+    shown[0].save(path, save_all=True, append_images=shown[1:], duration=50, loop=0)
 
 
 def crossing() -> None:
@@ -342,17 +424,23 @@ PICTURES: dict[str, Callable[[], Figure]] = {
     "thrust": thrust,
     "excitation": excitation,
     "owners": owners,
+    "plan": plan,
+    "race": race,
+    "tracking": tracking,
+    "examples": examples,
+    "laws": laws,
 }
 
 
 def main(names: list[str]) -> None:
     """Draw the named pictures, or all."""
+    style.PAGE_WIDTH = WIDTH  # figures of reports are as wide as their page
     for name in names or [*PICTURES, *ANIMATIONS]:
         if name in ANIMATIONS:
             ANIMATIONS[name]()
             continue
         with mpl.rc_context(style.LOOK | TEXT):
-            PICTURES[name]().savefig(FOLDER / f"guide_{name}.png")
+            PICTURES[name]().savefig(FOLDER / f"guide_{name}.png", dpi=RESOLUTION)
         print(FOLDER / f"guide_{name}.png")
 
 

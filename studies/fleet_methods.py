@@ -42,7 +42,7 @@ _T = DT * np.arange(1, STEPS + 1)
 
 
 class TimedPilot(FleetPilot):
-    """Our pilot, with the processor time of each step if that is asked for; asking costs time."""
+    """Our pilot, with the processor time of each step on request; measuring costs time."""
 
     timed = False
 

@@ -1,4 +1,4 @@
-"""Flights of a craft that learns its motors and delay, beside one that does not and one that knows.
+"""Compare three controllers: learning motors and delay, not learning, and knowing the truth.
 
     OPENBLAS_NUM_THREADS=1 python studies/learning.py -o learning.jsonl --flights 100
 

@@ -40,7 +40,7 @@ def play(port: int, duration: float, screenshot: str | None) -> dict[str, float]
         path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))))
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         # A small page at a high resolution keeps its text legible in a narrow column.
-        page = browser.new_page(viewport={"width": 960, "height": 600}, device_scale_factor=1.5)
+        page = browser.new_page(viewport={"width": 640, "height": 430}, device_scale_factor=2)
         page.goto(f"http://127.0.0.1:{port}")
         page.click("#go", timeout=120_000)
         if screenshot:
@@ -51,7 +51,7 @@ def play(port: int, duration: float, screenshot: str | None) -> dict[str, float]
         begin = time.monotonic()
         while (now := time.monotonic() - begin) < duration:
             x, y = math.sin(2.3 * now), math.sin(3.1 * now)
-            page.mouse.move(720 + 180 * x, 320 + 180 * y)
+            page.mouse.move(480 + 120 * x, 220 + 120 * y)
             if len(frames) + 30 * 60 < 60 * now:  # the page keeps a minute
                 taken = page.evaluate(f"{FIGURES}.map(one => one.splice(0))")
                 frames, latencies = frames + taken[0], latencies + taken[1]

@@ -42,7 +42,7 @@ def flown(seed: int) -> dict[str, Any]:
     weak = int(rng.integers(len(names)))
     if seed % 2:
         factors[weak] = rng.uniform(*WEAK) * np.median(np.delete(factors, weak))
-    # The vehicle file's thrusts are alike, so the truth must be, too, but for these factors.
+    # The vehicle file's thrusts are equal, so the true ones differ by these factors only.
     alike = np.mean(nominal, axis=0) * factors[:, None]
     model = replace(model, parameters=replace(model.parameters, thrust=alike))
     settings, rate = default_twin_settings(), float(rng.choice(RATES))

@@ -224,7 +224,7 @@ def fly_fleet(
 ) -> None:
     """Fly one craft of a fleet on the graph; the others are other processes. Ctrl-C lands it.
 
-    Its topics are in the namespace of its name. All begin together, once each is at its start.
+    Its name is the namespace of its topics. All craft begin together, once each is at its start.
     """
     from airpuck.compute.process import low_latency
     from airpuck.live.fleet import fly_in_fleet

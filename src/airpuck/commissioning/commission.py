@@ -27,9 +27,9 @@ class Commissioning(Result):
     Attributes
     ----------
     outcome : str
-        ``trusted``, or the kind of the first cause why not: one of `Finding`'s kinds.
+        ``trusted``, or the kind of the first finding against it.
     findings : tuple of Finding
-        The first cause why the run ended without a trusted model, and what it corrected.
+        Why the run ended without a trusted model (first cause), and what was corrected.
     given, vehicle : Vehicle
         The craft as stated, and as flown: corrected.
     table : Table

@@ -18,7 +18,7 @@ _INERTIA = (0.4, 2.5)
 
 
 def matched(model: Model, effects: Float[np.ndarray, "3 n"]) -> dict[int, EffectMatch]:
-    """Match measured effects of motors, nan if not measured, with those of the model."""
+    """Match the measured effects of motors (nan: not measured) with the model's."""
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
     expected = scale * acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     motors = np.flatnonzero(np.isfinite(effects).all(axis=0))
@@ -68,7 +68,7 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 
 
 def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> Vehicle:
-    """Return a vehicle whose nominal thrusts, inertia, lag and delay are those of the pulses."""
+    """Return a vehicle with the thrusts, inertia, lag and delay that the pulses showed."""
     vehicle = model.vehicle
     stated = np.asarray(acceleration_map(np, model.dynamics, 0.0, 0.0)[0])
     tried = np.isfinite(effects).all(axis=0)

@@ -26,7 +26,7 @@ _SLOW, _FAST = 0.3, 0.12
 
 @dataclass(frozen=True)
 class Excitations:
-    """Excitations until a model predicts one that it has not seen, and its verdict is trusted.
+    """Repeat excitations until a trusted model predicts a flight that it has not seen.
 
     Attributes
     ----------

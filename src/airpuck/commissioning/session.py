@@ -60,7 +60,7 @@ class Work(Protocol):
 class TimedWork:
     """Computes at once and lets the computing time pass on the link's clock: for the twin.
 
-    The time is that of the processor, so that other programs do not lengthen the flight.
+    Counts processor time, so that other programs do not lengthen the flight.
     """
 
     def start(self, now: float, function: Callable[..., Any], *arguments: Any) -> None:

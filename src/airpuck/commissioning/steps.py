@@ -1,4 +1,4 @@
-"""The steps from a craft at rest to one that holds its place under control."""
+"""Steps that take a craft from rest to a controlled hover."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Pulses:
     def _brought_back(
         self, session: Commissioned, given: Vehicle, effects: Effects, *timing: float
     ) -> bool:
-        """Bring the craft back to the middle if it can be; return whether pulses can go on."""
+        """Bring the craft back to the middle if possible; return whether pulses can continue."""
         if np.isfinite(effects).all(axis=0).sum() < _STEERED:
             return False
         if _silent(effects).any():
@@ -258,7 +258,7 @@ def known_vehicle(
 
 
 class _DriftingOff:
-    """Whether the craft has to be brought back now, lest it comes near a rail."""
+    """Whether the craft must be brought back now to stay clear of the rails."""
 
     def __init__(self, session: Commissioned, vehicle: Vehicle) -> None:
         self._session = session

@@ -24,7 +24,7 @@ from airpuck.deviation.timing_change import TimingChange, timing_change
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
 
-#: Commands closer than this to 0 and 1 are those of a switch [1].
+#: Commands this close to 0 or 1 count as on/off [1].
 _OFF = 0.01
 #: Units of the regression, which has a weak prior: fraction of a motor's effect [1], timing [s],
 #: fraction of full thrust by which a curve bends [1].

@@ -263,7 +263,7 @@ def drift(
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
     matrix and the offset that advance any x, and the motor speeds. If the craft `learns`, the delay
-    acts on the thrusts as they are known, otherwise on the modelled ones.
+    acts on the thrusts found in flight, otherwise on the modelled ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]

@@ -106,7 +106,7 @@ class Hindsight:
     #: Packets that came late or early by an amount that counts.
     packets: int
     faults: tuple[KnownFault, ...]
-    #: The model with what it lacks, and the delay that it should have in addition [s].
+    #: The model with its missing terms, and the delay to add [s].
     dynamics: Dynamics
     later: float
     #: Excess strength in each window: common, and of single motors.

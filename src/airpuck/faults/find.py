@@ -121,7 +121,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
 
 
 def _stopping_steps(lag: float, length: float) -> int:
-    """Return after how many steps an undriven motor counts as stopped."""
+    """Return the number of steps after which an undriven motor counts as stopped."""
     return max(2, min(math.ceil(max(3 * lag, SHORTEST) / length), 20))
 
 

@@ -277,7 +277,7 @@ def _verdicts(
     quantile: float,
     usual: Float[np.ndarray, " n"],
 ) -> list[str]:
-    """Judge strengths relative to the others, whose `usual` spread is NaN if there are none."""
+    """Judge strengths relative to the others, whose `usual` spread is NaN without others."""
     reach = _simultaneous(len(relative), _degrees(quantile)) * error
     judged = []
     for middle, half, single, spread in zip(relative, reach, error, usual, strict=True):

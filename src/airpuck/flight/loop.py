@@ -225,9 +225,10 @@ def fly(
 
 def _with_progress(actions: Iterator[Action], link: Link, duration: float) -> Iterator[Action]:
     """Yield all actions; report the time left if the flight is slower than real time."""
-    start, progress = link.now, Progress()
+    start, progress = link.now, None
     for action in actions:
         yield action
+        progress = progress or Progress()  # the first step compiles
         flown, took = action.time - start, time.monotonic() - progress.began
         if 0 < flown < took:
             left = took * (duration / flown - 1)

@@ -258,7 +258,7 @@ def _by_chance(
     The statistic is sᵀ I⁻¹ s over its expectation under the blocks' own covariance (Rao and Scott,
     Journal of the American Statistical Association 76, 1981). Unlike Hotelling's T² it needs few
     blocks. That covariance is of the scores that are left with the term, since a change in flight
-    alone makes scores differ, corrected for what each block explains of itself (HC2 of MacKinnon
+    alone makes scores differ, corrected for each block's own leverage (HC2 of MacKinnon
     and White, Journal of Econometrics 29, 1985).
     """
     from scipy.special import fdtrc
@@ -423,7 +423,7 @@ def with_shifts(model: Model, found: Sequence[MissingTerm]) -> tuple[MissingTerm
     known, complete = errors > 0, []
     scale = np.where(vector != 0, np.abs(vector), 1.0)
     for one in found:
-        # Where the data hardly determine a direction, the shift is far beyond what is possible.
+        # In directions that the data barely determine, the shift is far beyond what is possible.
         step = _STEP / max(1.0, float(np.max(np.abs(one.direction) / scale)))
         parameters = model.parameters.with_vector(vector + step * one.direction)
         change = (values(replace(model, parameters=parameters, uncertainty=None)) - now) / step

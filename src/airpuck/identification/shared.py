@@ -99,7 +99,7 @@ def combined(
     shared: Bool[np.ndarray, " P"],
     own: Bool[np.ndarray, " P"],
 ) -> Combined:
-    """Combine fits; `hessians` are those of their sums of squares."""
+    """Combine fits; `hessians` belong to their sums of squares."""
     learned, s, k = shared | own, int(shared.sum()), int(own.sum())
     size = s + len(models) * k
     normal, right, start = np.zeros((size, size)), np.zeros(size), np.zeros(size)

@@ -155,7 +155,7 @@ def structured(
     each: Sequence[str] = (),
     **options: Any,
 ) -> tuple[Fit, ModelStructure]:
-    """Identify a model, and test what it lacks; `options` are those of `identify`."""
+    """Identify a model, and test what it lacks; `options` as for `identify`."""
     trajectories = load_all(recordings, options.get("vehicle"), mapping)
     craft = options.get("vehicle") or vehicle_of(trajectories)
     free = model is None or model == AUTO

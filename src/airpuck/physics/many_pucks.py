@@ -26,7 +26,7 @@ def puck_paths(
     numbers: Float[np.ndarray, "V 4"],
     after: Float[np.ndarray, " T"],
 ) -> Float[np.ndarray, "V T 6"]:
-    """Return the states of untouched pucks after increasing times; in a goal, that of entering it.
+    """Return the states of untouched pucks after increasing times; in a goal, the state at entry.
 
     Parameters
     ----------

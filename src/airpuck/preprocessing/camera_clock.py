@@ -44,7 +44,7 @@ _RATES = (30, 50, 60, 90, 100, 120, 150, 180, 200, 240, 250, 300, 330, 360, 400,
 _KEPT, _BEAT = 0.7, 0.01
 #: Frames for each pose from which a stated rate does not fit.
 _THINNED = 100
-#: Largest relative difference of the clocks of a client and of cameras, and of periods alike.
+#: Largest relative difference between a client's clock and the cameras', and between equal periods.
 _CLOCKS, _ALIKE = 3e-4, 2e-3
 #: Poses by which a period is refined at first, and the growth of their number.
 _REFINED, _GROWTH = 256, 4

@@ -211,7 +211,7 @@ def _lone(odd: Bool[np.ndarray, " N"], k: int) -> bool:
 def steps_of_motion(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]
 ) -> dict[float, float]:
-    """Return steps of the cameras' clock [s] by time: pauses in which the craft hardly moves.
+    """Return steps of the cameras' clock [s] by time: pauses in which the craft moves little.
 
     During lost frames, it moves on with the velocity that it has before and after them.
     """

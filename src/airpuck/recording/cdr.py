@@ -33,7 +33,7 @@ _NUMBERS = {
     **dict.fromkeys(("bool", "byte", "char", "octet"), "<u1"),
 }
 _STRING = "string"
-#: End of the names of a layout's texts; the name itself is that of their length.
+#: Suffix of the columns that hold texts; the column without it holds their length.
 _TEXT = "\0"
 #: Messages with more layouts than this, such as names of many lengths, are decoded one by one.
 _LAYOUTS = 64

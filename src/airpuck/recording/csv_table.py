@@ -324,7 +324,7 @@ def check_digits(table: CsvTable, stream: Any) -> None:
     repeats = int(repeated.sum())
     if repeats <= _REPEATED * len(steps) or not len(steps):
         return
-    # Poses of one body move on; those of several bodies return to where they were.
+    # Poses of one body move steadily; interleaved poses of several bodies jump back and forth.
     often = (stream.stamp_ns % _ROUNDED).any()
     often = often and np.median(steps[steps > 0]) < _LONGEST_BURST * SECOND_NS
     each = math.ceil(len(steps) / max(int((steps > 0).sum()), 1))

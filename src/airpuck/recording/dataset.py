@@ -40,7 +40,7 @@ class Dataset(Section):
     licence: str
     #: Size of what is downloaded by default.
     size_MB: Positive
-    #: Beginnings of the names of the files to download by default.
+    #: Prefixes of the files that are downloaded by default.
     study: tuple[str, ...] = ("",)
     #: Commands to run next; FOLDER stands for the folder.
     next: tuple[str, ...] = ()

@@ -172,7 +172,7 @@ def _of_frames(rows: Rows, header: int, places: dict[str, int]) -> CsvTable:
 
 
 def _filled(titles: Iterable[str]) -> list[str]:
-    """Repeat each title over the columns without one that follow it."""
+    """Copy each title to the untitled columns that follow it."""
     return list(itertools.accumulate(titles, lambda before, title: title or before))
 
 

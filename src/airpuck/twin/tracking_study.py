@@ -437,7 +437,7 @@ def compare_controllers(
     model : Model
         The controllers' model.
     laws : sequence of str, default ("lqr", "mpc")
-        Names of laws, or FILE.py:NAME; the first is the one that others are compared with.
+        Names of laws, or FILE.py:NAME; the others are compared with the first.
     truth : Model, optional
         The true craft; by default the model.
     flights : int, default 10

@@ -271,7 +271,7 @@ def test_the_next_visitor_gets_a_new_game_at_the_first_level(begun, monkeypatch,
     monkeypatch.setattr(session_module, "_KEPT", 0.5)
     begun.order("leave")
     begun.run(0.2)
-    # Who leaves for a moment finds the game again.
+    # A player who leaves for a moment can resume the game.
     assert (begun.news[-1]["level"] == "hard") is not ends
     begun.run(1.5)
     begun.order("sit")
