@@ -28,7 +28,7 @@ from scipy.stats import t as student
 from airpuck import Fit, Loss, Model, Preparation, identify, load_trajectory
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.drift import drift
-from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
+from airpuck.evaluation.presentation import MainQuantity, main_quantities
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.recording.dataset import dataset_folder
 

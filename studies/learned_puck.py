@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from one_line import run
 
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot
 from airpuck.craft.table import AirHockey
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import PuckOnTable

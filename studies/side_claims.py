@@ -36,7 +36,7 @@ from paper_claims.trials import (
 )
 
 from airpuck import identify, load_trajectory
-from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.evaluation.presentation import physical_thrust
 from airpuck.model.model_file import published_model
 from airpuck.physics.thrust import lowest_slope
 from airpuck.recording.dataset import dataset_folder

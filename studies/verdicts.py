@@ -38,8 +38,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import tuning_for
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.main_quantities import main_quantities
-from airpuck.evaluation.presentation import largest_acceleration
+from airpuck.evaluation.presentation import largest_acceleration, main_quantities
 from airpuck.flight.loop import fly
 from airpuck.judgement.rehearsal import GOAL, NEAR, time_there
 from airpuck.model.model_file import Model, nominal_model

@@ -11,7 +11,7 @@ from airpuck.recording.mapping import (
     PoseMapping as PoseMapping,
     CommandMapping as CommandMapping,
 )
-from airpuck.recording.bag_writer import write_bag as write_bag
+from airpuck.recording.bag import write_bag as write_bag
 from airpuck.recording.csv_folder import write_csv as write_csv
 from airpuck.recording.dataset import fetch as fetch
 
@@ -94,7 +94,7 @@ from airpuck.control.lqr import LQR as LQR
 from airpuck.control.mpc import MPC as MPC
 from airpuck.control.law import Law as Law, Step as Step
 from airpuck.control.limits import Fence as Fence, HalfPlane as HalfPlane, KeepOut as KeepOut
-from airpuck.control.pilot import Pilot as Pilot
+from airpuck.control.law import Pilot as Pilot
 from airpuck.physics.thrust import InverseThrust as InverseThrust
 from airpuck.physics.rigid_body import acceleration_map as acceleration_map
 from airpuck.live.safety import SafetyLimits as SafetyLimits

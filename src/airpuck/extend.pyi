@@ -3,7 +3,7 @@
 
 # Errors, numbers and files: what a user may give, and what is wrong with it.
 from airpuck.boundary.arguments import checked_class as checked_class, numbers_of as numbers_of
-from airpuck.boundary.kinds import nearest as nearest, unknown as unknown
+from airpuck.boundary.errors import nearest as nearest, unknown as unknown
 from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
 from airpuck.boundary import numbers as numbers
 from airpuck.boundary.outputs import check_output as check_output

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from paper_claims.trials import Landscape, Trial
 
-from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.evaluation.presentation import physical_thrust
 from airpuck.physics.thrust import lowest_slope, thrust_slope
 from airpuck.report.style import (
     BLACK,

@@ -12,7 +12,7 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import CHANNELS, hold_for
-from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.evaluation.presentation import physical_thrust
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
@@ -174,7 +174,7 @@ def largest_thrusts(m3: Model, m4: Model) -> dict[str, Float[np.ndarray, " n"]]:
 
     The paper: "the max thrust predicted by M4 is considerably larger than that of M3, suggesting
     that the configuration matrix Π is compensating". Nothing observable fixes the scale of M4's
-    thrusts; `airpuck.evaluation.main_quantities` explains how it is fixed here.
+    thrusts; `airpuck.evaluation.presentation` explains how it is fixed here.
     """
     return {
         "M3_N": physical_thrust(m3).sum(axis=1),

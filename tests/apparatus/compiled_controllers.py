@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 import airpuck
-from airpuck.control.law import Step
+from airpuck.control.law import Pilot, Step
 from airpuck.control.mpc import Ongoing
-from airpuck.control.pilot import Pilot
 from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint, TimedPath, preview
 from airpuck.control.tracking import TrackingController

@@ -114,7 +114,7 @@ def _become(case: dict[str, Any], errors: int) -> None:
     sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115
     sys.argv = ["airpuck", *case["arguments"]]
     # A report needs flights of 90 s, a test does not.
-    airpuck.report.demo.demo = partial(airpuck.report.demo.demo, duration=8.0)
+    airpuck.report.reproduce.demo = partial(airpuck.report.reproduce.demo, duration=8.0)
     counts = {"touch": 0, "replace": 0, "mkdir": 0, "rename": 0}
 
     def disturbed(name: str, begins: bool) -> None:
@@ -147,7 +147,7 @@ if __name__ == "__main__":
     import scipy.optimize  # noqa: F401
 
     import airpuck.identification.fit
-    import airpuck.report.demo
+    import airpuck.report.reproduce
     import airpuck.twin.experiments
     from airpuck.cli import main
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.export.c_source import copy_sources
+from airpuck.export.c import copy_sources
 
 from .c_programs import build
 

@@ -11,7 +11,7 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import fits
+from airpuck.boundary.settings import fits
 
 M3 = airpuck.read_model("paper:M3")
 FUNCTIONS = {

@@ -1,7 +1,6 @@
 """Any misbehaviour of a user's tactic or pilot becomes one line that names its file."""
 
 import json
-import subprocess
 import sys
 
 import pytest
@@ -84,45 +83,6 @@ def test_a_law_whose_command_is_not_finite_is_named_by_its_file(tmp_path):
     typechecker.pause()
     with pytest.raises(InputError, match=r"mine\.py:Mine: .*command: must be finite numbers"):
         law.step(None, Moment(airpuck.SetPoint(0, 0, 0), 0.0, 0.0, lambda: None))
-
-
-THREADS = """
-import os, threading, time
-from concurrent.futures import ThreadPoolExecutor
-
-POOL = ThreadPoolExecutor()
-
-class Mine:
-    def __init__(self):
-        threading.Thread(target=time.sleep, args=(60,)).start()
-        POOL.submit(time.sleep, 60)
-        {misdeed}
-"""
-PROGRAM = """
-import sys
-from airpuck.boundary.user_code import UserCode
-
-code = UserCode(sys.argv[1], "--law")
-code.run("cannot be made", code.kind)
-print("made")
-"""
-
-
-@pytest.mark.parametrize(("misdeed", "status"), [("pass", 0), ("os._exit(0)", 1)])
-def test_threads_and_exits_of_user_code_do_not_decide_when_the_process_ends(
-    tmp_path, misdeed, status
-):
-    (tmp_path / "mine.py").write_text(THREADS.format(misdeed=misdeed))
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, tmp_path / "mine.py:Mine"],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert done.returncode == status
-    assert (done.stdout == "made\n") == (status == 0)
-    assert ("line 11: cannot be made: SystemExit: os._exit(0)" in done.stderr) == (status == 1)
 
 
 def test_a_reference_of_a_pilot_that_misbehaves_is_one_line(tmp_path, capsys):

@@ -18,7 +18,7 @@ from airpuck.boundary.extensions import added
 from airpuck.cli.app import known_commands, main
 from airpuck.cli.inputs import published_flights
 from airpuck.model.model_file import read_model
-from airpuck.report import demo
+from airpuck.report import reproduce as paper
 
 from ..apparatus.commands import airpuck, airpuck_process, refused
 from ..apparatus.synthetic_flights import record
@@ -273,9 +273,9 @@ def test_bad_input_ends_a_process_alike(tmp_path):
 @pytest.mark.slow
 def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
     # A report needs five models and flights of 90 s, a test does not.
-    monkeypatch.setattr("airpuck.report.demo.demo", partial(demo.demo, duration=14.0))
-    monkeypatch.setattr("airpuck.report.demo._MODELS", ("M0", "M3"))
-    monkeypatch.setattr("airpuck.report.demo._PILOTS", ("M3",))
+    monkeypatch.setattr("airpuck.report.reproduce.demo", partial(paper.demo, duration=14.0))
+    monkeypatch.setattr("airpuck.report.reproduce._MODELS", ("M0", "M3"))
+    monkeypatch.setattr("airpuck.report.reproduce._PILOTS", ("M3",))
     process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
     assert process.returncode == 0, process.stderr
     page = Path(process.stdout.strip())

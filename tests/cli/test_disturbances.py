@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from airpuck.boundary.files import load_toml
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.read import read_recording
 
 from ..apparatus.commands import airpuck, airpuck_process, refused

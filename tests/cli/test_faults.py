@@ -8,7 +8,7 @@ import pytest
 from airpuck.cli.validation import listed_spans
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Span
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.stream import Recording, Stream
 
 from ..apparatus.commands import airpuck, refused

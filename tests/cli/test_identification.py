@@ -6,7 +6,7 @@ import pytest
 
 # The report on a ladder, without the fits that precede it, which take a minute.
 from airpuck.model.model_file import published_model, read_model
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.synthetic_flights import record

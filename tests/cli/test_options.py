@@ -13,7 +13,7 @@ from airpuck.boundary.numbers import Range
 from airpuck.cli.app import known_commands
 from airpuck.cli.output import origin, report, show_time_left, table
 from airpuck.model.model_file import published_model, read_model
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 
 from ..apparatus.commands import airpuck, airpuck_process, refused
 from ..apparatus.synthetic_flights import record

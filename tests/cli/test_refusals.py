@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 
 from ..apparatus.commands import airpuck, airpuck_process, refused
 from ..apparatus.export_crafts import EXAMPLES

@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import read_model
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 
 from ..apparatus.commands import airpuck, refused
 from ..apparatus.models import four_propellers

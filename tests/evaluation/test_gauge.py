@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.evaluation.main_quantities import largest_accelerations, physical_thrust, thrust_scale
+from airpuck.evaluation.presentation import largest_accelerations, physical_thrust, thrust_scale
 from airpuck.model.model_file import published_model
 
 from ..apparatus.models import random_scales

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli.app import app
-from airpuck.cli.designing import error_table, summary
 from airpuck.cli.output import console
+from airpuck.cli.planning import error_table, summary
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
 from airpuck.experiment_design.design import (
     CandidateFlight,

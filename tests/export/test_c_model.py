@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.export.c_source import title, write_model
+from airpuck.export.c import title, write_model
 from airpuck.model.model_file import Model, published_model
 from airpuck.physics.effects import Effect, Inflow, VoltageSag
 from airpuck.physics.rigid_body import acceleration, rollout

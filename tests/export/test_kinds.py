@@ -14,7 +14,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.lqr import LQRSettings, lqr_gain
 from airpuck.control.tuning import default_tuning, tuning_for
 from airpuck.export import kinds
-from airpuck.export.c_source import initializer
+from airpuck.export.c import initializer
 from airpuck.model.model_file import nominal_model, read_model
 from airpuck.planning.plan import Plan
 from airpuck.twin.settings import default_twin_settings

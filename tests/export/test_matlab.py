@@ -9,7 +9,7 @@ import pytest
 from airpuck import export
 from airpuck.boundary.errors import InputError
 from airpuck.export.matlab import parameters
-from airpuck.model.statespace import linearize, trim
+from airpuck.model.simulation import linearize, trim
 from airpuck.physics.effects import Effect
 from tests.apparatus.c_programs import compiler
 from tests.apparatus.export_crafts import (

@@ -1,11 +1,13 @@
 """Agreed paths keep their distance, whatever happens to the messages."""
 
 import itertools
+import json
 
 import numpy as np
 import pytest
 
-from airpuck.fleet.agreement import SILENT, Agreement
+import airpuck
+from airpuck.fleet.agreement import SILENT, Agreement, Letter, digest, on_clock
 from airpuck.fleet.path import Route, braked
 from airpuck.fleet.search import Reach, Search
 
@@ -135,3 +137,61 @@ def test_a_craft_that_died_does_not_hold_up_the_others():
     a.receive(b.message(0.9), 0.9)
     assert a.silent(SILENT + 0.1) == {"c"}
     assert a.settle(1.0, 0.02)
+
+
+FLEET = airpuck.read_fleet("into_square")
+MESSAGE = FLEET.agreement("h0", start=3.0).message(2.5)
+LETTER = Letter(MESSAGE, 10**18, 10**18 + 5, True, digest(FLEET.opening))
+FIELDS = json.loads(LETTER.text())["message"]
+PATH = FIELDS["agreed"][1]
+
+
+def test_a_message_survives_the_wire_to_the_bit():
+    again = Letter.read(LETTER.text())
+    assert (again.epoch_ns, again.start_ns, again.ready) == (10**18, 10**18 + 5, True)
+    assert again.opening == LETTER.opening
+    path, other = MESSAGE.agreed.path, again.message.agreed.path
+    for field in ("begin", "pose", "rate", "durations", "accelerations"):
+        np.testing.assert_array_equal(getattr(path, field), getattr(other, field))
+
+
+def test_on_another_clock_the_same_place_is_reached_at_the_same_moment():
+    later = on_clock(MESSAGE, 7.0).agreed.path
+    times = np.linspace(3.0, 5.0, 20)
+    np.testing.assert_allclose(MESSAGE.agreed.path.places(times), later.places(times + 7.0))
+
+
+def test_the_digest_tells_paths_of_other_models_apart():
+    assert digest(FLEET.opening) == digest(airpuck.read_fleet("into_square").opening)
+    assert digest(FLEET.opening) != digest(airpuck.read_fleet("into_line").opening)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"message": None},
+        {"message": {}},
+        {"epoch_ns": "x"},
+        {"message": {**FIELDS, "time": float("nan")}},
+        {"message": {**FIELDS, "agreed": [0, {**PATH, "pose": [1.0]}]}},
+        {"message": {**FIELDS, "accepted": ["h1"]}},
+        {
+            "message": {
+                **FIELDS,
+                "agreed": [
+                    0,
+                    PATH | {key: [[-1], [0], [0]] for key in ("durations", "accelerations")},
+                ],
+            }
+        },
+    ],
+)
+def test_garbage_is_refused(change):
+    with pytest.raises(ValueError, match="not a message of a craft"):
+        Letter.read(json.dumps({**json.loads(LETTER.text()), **change}))
+
+
+@pytest.mark.parametrize("text", ["", "[" * 90_000, "7", "x" * 200_000])
+def test_text_that_is_no_message_is_refused(text):
+    with pytest.raises(ValueError, match=r"not a message|longer than"):
+        Letter.read(text)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import FLYING, Prediction, Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import FLYING, Pilot, Prediction, Step
 from airpuck.control.reference import Rendezvous, SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.data.measurement import Measurement

@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.evaluation.presentation import physical_thrust
 from airpuck.identification.fit import identifiability, identify
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import prediction_loss

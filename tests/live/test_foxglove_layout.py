@@ -10,7 +10,7 @@ import pytest
 from mcap.reader import make_reader
 
 from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
-from airpuck.recording.bag_writer import BagFile
+from airpuck.recording.bag import BagFile
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec, definitions
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits, half_of

@@ -13,7 +13,7 @@ from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import load_all, preprocess
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.stream import Recording
 
 from ..apparatus.examples import examples

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording, Stream

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording

@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import AirHockey, Mallet, Table
 from airpuck.model.model_file import published_model
 from airpuck.physics.puck import PuckState
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
 from airpuck.twin.plant import build_plant

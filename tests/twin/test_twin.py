@@ -14,7 +14,7 @@ from airpuck.model.model_file import nominal_model, published_model
 from airpuck.physics.puck import PuckState
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.twin.plant import build_plant
 from airpuck.twin.play import World
 from airpuck.twin.settings import Effects, MotionCapture, OnBoard, Radio, TwinSettings

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.game import KINDS, Game
-from airpuck_hockey.matches.league import LeagueResult
+from airpuck_hockey.matches.match import LeagueResult
 from tests.apparatus.studies import study
 
 RATINGS = study("ratings")

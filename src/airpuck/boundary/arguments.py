@@ -11,9 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import fits, misfit, nearest, unknown
-from airpuck.boundary.settings import setting_of
+from airpuck.boundary.errors import InputError, nearest, unknown
+from airpuck.boundary.settings import fits, misfit, setting_of
 
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -1,11 +1,16 @@
-"""The one error class intended for users, and the escaping of text on its way to a terminal."""
+"""The one error class intended for users, texts for unknown names, and escaping for terminals."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
+from difflib import get_close_matches
+from typing import Any
 
 #: Libraries may repeat a whole file in their messages.
 _LONGEST = 2000
+#: Number of characters shown of a name that is too long.
+_SHOWN = 60
 
 
 class InputError(ValueError):
@@ -60,3 +65,22 @@ def escaped(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def unknown(name: Any, known: Iterable[Any]) -> str:
+    """Return an error text for an unknown name: the known names, and the nearest of them."""
+    names, shown = list(known), repr(name)
+    shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
+    return f"must be {either(map(repr, names))}, not {shown}{nearest(name, names)}"
+
+
+def nearest(name: Any, known: Iterable[Any]) -> str:
+    """Return the end of an error text that suggests the nearest name; empty if none is near."""
+    near = get_close_matches(repr(name), map(repr, known), 1) if isinstance(name, str) else []
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def either(words: Iterable[str]) -> str:
+    """Join alternatives: 1, 2 or 3."""
+    *others, last = words
+    return f"{', '.join(others)} or {last}" if others else last

@@ -7,10 +7,9 @@ import importlib.util
 import os
 import signal
 import sys
-import threading
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -50,7 +49,7 @@ class UserCode:
         Any exception becomes an `InputError` that begins with `what` and names file and line.
         """
         try:
-            with redirect_stdout(sys.stderr), _contained():
+            with redirect_stdout(sys.stderr):
                 return function(*given)
         # Catches `sys.exit`, too.
         except BaseException as error:
@@ -118,34 +117,6 @@ def with_code(name: str | os.PathLike[str], option: str) -> tuple[Any, tuple[Any
     if not sources or Path(name).exists():
         return name, ()
     return f"{path}.toml", tuple(users_class(one, option) for one in sources.split("+"))
-
-
-@contextmanager
-def _contained() -> Iterator[None]:
-    """Prevent code from ending this process (`os._exit`), and its threads from outliving it."""
-    leave, start, process = os._exit, threading.Thread.start, os.getpid()
-    started: list[threading.Thread] = []
-
-    def refuse(status: int) -> NoReturn:
-        if os.getpid() != process:  # a child, which must end here
-            leave(status)
-        raise SystemExit(f"os._exit({status})")
-
-    def start_daemon(thread: threading.Thread) -> None:
-        thread.daemon = True
-        started.append(thread)
-        start(thread)
-
-    os._exit = refuse
-    threading.Thread.start = start_daemon  # pyright: ignore[reportAttributeAccessIssue]
-    try:
-        yield
-    finally:
-        os._exit, threading.Thread.start = leave, start
-        # At exit, Python waits for the threads of an executor, daemons or not.
-        executors = sys.modules.get("concurrent.futures.thread")
-        for thread in started:
-            getattr(executors, "_threads_queues", {}).pop(thread, None)
 
 
 def _is_signal(error: BaseException) -> bool:

@@ -17,10 +17,9 @@ import numpy as np
 import pydantic
 
 from airpuck import __version__
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
-from airpuck.boundary.kinds import unknown
 from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing, without_home
 from airpuck.campaigns.items import Count, Fitting, Item, Natural, Recovery, ShortestTime, Tracking

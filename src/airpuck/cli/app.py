@@ -25,9 +25,8 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from airpuck.boundary.errors import InputError, escaped
+from airpuck.boundary.errors import InputError, escaped, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
-from airpuck.boundary.kinds import unknown
 from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
 from airpuck.cli.options import check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
@@ -168,8 +167,7 @@ _MODULES = {
     "validation": ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle"),
     "commissioning": ("commission",),
     "flying": ("replay", "excite", "track", "animate", "fleet"),
-    "designing": ("design",),
-    "planning": ("plan", "race"),
+    "planning": ("design", "plan", "race"),
     "export": ("export",),
     "live": (
         *("twin", "fly", "fly-fleet", "twin-fleet", "fly-excitation", "record"),

@@ -23,8 +23,7 @@ from airpuck.identification.settings import Degree, Loss, Preparation, Stride, Y
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.evaluation.main_quantities import MainQuantity
-    from airpuck.evaluation.presentation import Value
+    from airpuck.evaluation.presentation import MainQuantity, Value
     from airpuck.identification.fit_result import Fit
     from airpuck.judgement.study import Study
     from airpuck.model.model_file import Model
@@ -255,8 +254,7 @@ def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
 
 def _each_recording(model: Model) -> Table:
     """Tabulate what recordings of one craft do not share."""
-    from airpuck.evaluation.main_quantities import main_quantities
-    from airpuck.evaluation.presentation import value_of
+    from airpuck.evaluation.presentation import main_quantities, value_of
     from airpuck.model.sections import of_recording
 
     models = [of_recording(model, k + 1, "") for k in range(len(model.recordings))]
@@ -271,8 +269,7 @@ def _each_recording(model: Model) -> Table:
 
 def _rows(model: Model) -> list[list[str]]:
     """Return the texts of the main quantities that were learned."""
-    from airpuck.evaluation.main_quantities import main_quantities
-    from airpuck.evaluation.presentation import value_of
+    from airpuck.evaluation.presentation import main_quantities, value_of
 
     return [
         [*value_texts(value_of(model, quantity)), _resampled(model, quantity)]

@@ -22,7 +22,7 @@ from airpuck.live.settings import LiveSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from airpuck.control.pilot import Pilot
+    from airpuck.control.law import Pilot
     from airpuck.control.tuning import Tuning
     from airpuck.craft.table import Table
     from airpuck.flight.preflight import Preflight

@@ -126,6 +126,6 @@ def reproduce(
 @command(PANEL)
 def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
-    from airpuck.report.demo import demo
+    from airpuck.report.reproduce import demo
 
     show(demo(output, progress=say(quiet), origin=origin()))

@@ -17,7 +17,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import Link
 from airpuck.judgement.study import Study
 from airpuck.model.model_file import Model
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Finding, Result
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot
 from airpuck.control.reference import SetPoint
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle

@@ -13,8 +13,7 @@ from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
 from airpuck.commissioning.session import Commissioned, Ended
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle

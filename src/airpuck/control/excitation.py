@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.control.authority import weakest_effort
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.control.reference import Reference, SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for

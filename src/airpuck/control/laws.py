@@ -6,9 +6,8 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 from typing import Any
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.extensions import added, loaded
-from airpuck.boundary.kinds import unknown
 from airpuck.boundary.user_code import users_class
 
 #: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.

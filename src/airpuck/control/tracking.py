@@ -16,10 +16,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
 from airpuck.control.authority import control_authority, weakest_effort
-from airpuck.control.law import Law, LawOptions, Moment, Status, Step, make_law, staged
+from airpuck.control.law import Law, LawOptions, Moment, Pilot, Status, Step, make_law, staged
 from airpuck.control.limits import Limit, checked_limits
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
-from airpuck.control.pilot import Pilot
 from airpuck.control.pose_gate import PoseGate, longest_pause, remembered
 from airpuck.control.reference import Numbers, Reference, check_inside
 from airpuck.control.tuning import Estimation, Tuning, tuning_for

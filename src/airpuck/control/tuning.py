@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import pydantic
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import (
     Fraction,
     NonNegative,
@@ -22,7 +22,6 @@ from airpuck.boundary.files import (
     read_packaged,
     write_toml,
 )
-from airpuck.boundary.kinds import unknown
 from airpuck.control.laws import LAWS, check_law, law_class, law_label
 from airpuck.deviation.time_scale import patience
 from airpuck.estimate.axis_filter import Noise

@@ -17,7 +17,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.files import (
     Fraction,
     NonNegative,
@@ -27,7 +27,6 @@ from airpuck.boundary.files import (
     read_toml,
     write_toml,
 )
-from airpuck.boundary.kinds import nearest
 from airpuck.boundary.limits import PROPELLERS
 from airpuck.boundary.user_code import with_code
 from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers

@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import unknown
+from airpuck.boundary.errors import InputError, unknown
 
 #: The sensors: motion capture of the craft, the puck and the other side's disc; the on-board
 #: inertial unit and optical mouse sensor.

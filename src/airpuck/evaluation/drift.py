@@ -11,7 +11,7 @@ import numpy as np
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.deviation.significance import holm
-from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
+from airpuck.evaluation.presentation import MainQuantity, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import FLAT, lowest_slope
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.compute.arrays import with_symbols
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model

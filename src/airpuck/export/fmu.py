@@ -14,7 +14,7 @@ from xml.etree import ElementTree as Xml
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.export.c_source import coefficients, constant, copy_sources, title, write_model
+from airpuck.export.c import coefficients, constant, copy_sources, title, write_model
 from airpuck.export.kinds import Subject, refuse_actuators, refuse_settings
 from airpuck.twin.plant import CraftBody, build_plant
 from airpuck.twin.radio import radio_delay

@@ -14,9 +14,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import unknown
-from airpuck.control.pilot import Pilot
+from airpuck.boundary.errors import InputError, unknown
+from airpuck.control.law import Pilot
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.craft.table import Table

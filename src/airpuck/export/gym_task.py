@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import unknown
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.kinds import refuse_actuators

@@ -11,9 +11,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
-from airpuck.boundary.kinds import unknown
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
 

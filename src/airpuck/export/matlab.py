@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 import airpuck
-from airpuck.export.c_source import check_effects, coefficients
+from airpuck.export.c import check_effects, coefficients
 from airpuck.export.kinds import Subject, printable, refuse_actuators
 from airpuck.model.model_file import Model
-from airpuck.model.statespace import trim
+from airpuck.model.simulation import trim
 
 #: Packaged function files.
 _SOURCES = ("airpuck_dynamics.m", "airpuck_acceleration.m", "airpuck_step.m", "airpuck_hover.m")

@@ -20,7 +20,7 @@ from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding, Result, by_cause
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
-from airpuck.evaluation.main_quantities import physical_thrust
+from airpuck.evaluation.presentation import physical_thrust
 from airpuck.faults.layout_check import check_layout
 from airpuck.faults.layout_findings import AXES, LayoutCheck, propeller_findings
 from airpuck.faults.propeller_check import PropellerCheck

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.results import Result
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import Message
 from airpuck.fleet.path import Following

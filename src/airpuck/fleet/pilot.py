@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
 from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import Message

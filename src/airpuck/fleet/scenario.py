@@ -14,15 +14,13 @@ import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml
-from airpuck.boundary.kinds import unknown
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.fleet.agreement import Agreement
 from airpuck.fleet.margin import reach_of
-from airpuck.fleet.opening import Journey, opening
 from airpuck.fleet.path import Route
-from airpuck.fleet.search import Reach, Taken
+from airpuck.fleet.search import Journey, Reach, Taken, opening
 from airpuck.model.model_file import Model, read_model
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 
@@ -237,7 +235,7 @@ class Fleet:
 
     @cached_property
     def opening(self) -> list[Route]:
-        """Paths of all craft at the beginning; see `airpuck.fleet.opening`."""
+        """Paths of all craft at the beginning; see `airpuck.fleet.search`."""
         journeys = [Journey(one.reach, one.start, one.goal(0.0)) for one in self.members]
         return opening(journeys, self.obstacles, self.settings.table)
 

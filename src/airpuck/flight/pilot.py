@@ -11,9 +11,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
-from airpuck.control.law import Law, Prediction, Step
+from airpuck.control.law import Law, Pilot, Prediction, Step
 from airpuck.control.laws import check_law
-from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference, sheltered
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import Estimate

@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
-from airpuck.evaluation.main_quantities import main_quantities
+from airpuck.evaluation.presentation import main_quantities
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.identification.uncertainty import varying
 from airpuck.model.model_file import Model

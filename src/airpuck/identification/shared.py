@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import unknown
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit

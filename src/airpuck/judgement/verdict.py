@@ -22,8 +22,7 @@ from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.time_scale import patience
 from airpuck.evaluation.evaluate import Evaluation
-from airpuck.evaluation.main_quantities import MainQuantity, main_quantities
-from airpuck.evaluation.presentation import WAYS
+from airpuck.evaluation.presentation import WAYS, MainQuantity, main_quantities
 from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
 from airpuck.faults.layout_findings import AXES
 from airpuck.faults.strengths import recording_findings

@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 from xml.sax.saxutils import quoteattr
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.recording.cdr import Types
 
 _TOPIC_PREFIX = "rt"

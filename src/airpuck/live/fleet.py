@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.results import Result
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot
 from airpuck.control.pose_gate import longest_pause
 from airpuck.data.measurement import Measurement
-from airpuck.fleet.agreement import SILENT, Message
+from airpuck.fleet.agreement import SILENT, Letter, Message, digest, on_clock
 from airpuck.fleet.pilot import FleetPilot, Sighting, sighted
 from airpuck.fleet.scenario import Fleet
-from airpuck.fleet.wire import Letter, digest, on_clock
 from airpuck.flight.loop import Action
 from airpuck.live.fly import fly_live
 from airpuck.live.graph import SENSOR

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.numbers import COORDINATE
 from airpuck.compute.process import prioritize
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot
 from airpuck.control.reference import SetPoint, SetPoints, Target
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle

@@ -15,7 +15,7 @@ from airpuck.flight.clock import Every
 from airpuck.live.graph import Endpoint, Graph, Quality, Sample, Subscription
 from airpuck.live.process import Process
 from airpuck.live.settings import LiveSettings
-from airpuck.recording.bag_writer import BagFile
+from airpuck.recording.bag import BagFile
 from airpuck.recording.cdr import Types, flatten
 from airpuck.recording.message import command_type, definitions
 

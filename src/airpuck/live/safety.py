@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement

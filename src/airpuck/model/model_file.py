@@ -16,9 +16,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.arguments import checked_class
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.files import checked, load_toml, write_toml
-from airpuck.boundary.kinds import nearest
 from airpuck.boundary.results import frame
 from airpuck.boundary.user_code import with_code
 from airpuck.compute.arrays import generator, namespace
@@ -369,7 +368,7 @@ class Model:
             If python-control is not installed, the number of commands differs from the number of
             propellers, or a number is out of range.
         """
-        from airpuck.model.statespace import statespace
+        from airpuck.model.simulation import statespace
 
         names = self.vehicle.propeller_names
         return statespace(self.dynamics, self.name, names, yaw, command, period)

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import NonNegative, Positive
-from airpuck.boundary.kinds import unknown
 from airpuck.physics.effects import (
     HIDDEN,
     Dish,

@@ -11,9 +11,8 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.extensions import added, loaded
-from airpuck.boundary.kinds import nearest
 from airpuck.boundary.user_code import users_class
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own

@@ -394,7 +394,7 @@ class IdleLag(Effect):
 
     Empirical. A sensorless controller times a brushless motor by the voltage that it induces, which
     grows with the speed: near standstill this signal is weak. The motors' step
-    (`airpuck.physics.motor`) includes this effect; forces do not change.
+    (`airpuck.physics.thrust`) includes this effect; forces do not change.
     """
 
     #: c, the relative increase of the lag at standstill.

@@ -7,10 +7,9 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.law import Law, LawOptions, Moment, Step, staged
+from airpuck.control.law import Law, LawOptions, Moment, Pilot, Step, staged
 from airpuck.control.laws import law_class
 from airpuck.control.lqr import LQR, motor_lag, point_mass
-from airpuck.control.pilot import Pilot
 from airpuck.control.reference import Reference
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning

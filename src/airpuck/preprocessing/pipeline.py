@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import fits
+from airpuck.boundary.settings import fits
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
 from airpuck.data.sampling import bridged, usual_period
 from airpuck.data.trajectory import Span, Trajectory

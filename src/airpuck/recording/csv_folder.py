@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.recording.cdr import Field
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.csv_table import (

@@ -20,8 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
 from airpuck.recording.conversion import NO_MASK, SECOND_NS, is_mask
 from airpuck.recording.files import chosen_body, listing, shortened

@@ -13,9 +13,8 @@ from typing import Annotated
 import pydantic
 
 from airpuck.boundary import limits
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.files import Positive, Section, read_toml
-from airpuck.boundary.kinds import nearest
 from airpuck.boundary.outputs import replacing, unwritable
 from airpuck.recording.files import listing, sha256
 

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field, Types, decode, decode_singly, flatten
 from airpuck.recording.conversion import SECOND_NS, commands_of, poses_of, propellers_of, stamps_of

@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.limits import Archive, within_means
 from airpuck.data.trajectory import Trajectory
 from airpuck.recording.files import listing, sha256, shortened

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.limits import DEFINITION_SIZE, refused
 from airpuck.recording.cdr import Field
 from airpuck.recording.files import listing, sha256

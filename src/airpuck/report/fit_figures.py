@@ -15,13 +15,13 @@ from matplotlib.patches import Patch
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
-from airpuck.evaluation.main_quantities import (
+from airpuck.evaluation.presentation import (
+    NOT_IDENTIFIED,
     largest_accelerations,
     main_quantities,
     physical_thrust,
     thrust_scale,
 )
-from airpuck.evaluation.presentation import NOT_IDENTIFIED
 from airpuck.experiment_design.design import CheckedFlights, Design
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import IN_MATRIX, QUANTITIES

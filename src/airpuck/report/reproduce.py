@@ -1,12 +1,15 @@
-"""The paper's tables and figures, from its published parameters and from our own fits."""
+"""The paper's study: its tables and figures reproduced, and the whole study without hardware."""
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +17,26 @@ import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.outputs import replacing
+from airpuck.compute.process import usable_cores
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, compare
+from airpuck.experiment_design.forecast import on_processes
 from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
 from airpuck.identification.settings import Preparation
 from airpuck.judgement.verdict import verdict
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import Model, published_model
+from airpuck.model.rungs import RUNGS
+from airpuck.preprocessing.pipeline import load_trajectory
+from airpuck.recording.bag import write_bag
+from airpuck.recording.dataset import dataset_folder
+from airpuck.recording.stream import Recording
+from airpuck.recording.torch_archive import read_authors_experiment
+from airpuck.report.control_report import tracking_sections
 from airpuck.report.craft import craft_section
 from airpuck.report.evaluation_report import JudgedModels, judged_sections, sources_section
 from airpuck.report.fit_figures import ladder_table
-from airpuck.report.fit_report import FitStudy, study_sections
+from airpuck.report.fit_report import FitStudy, fit_report, study_sections
 from airpuck.report.page import (
     Origin,
     PageSection,
@@ -35,8 +48,12 @@ from airpuck.report.page import (
 )
 from airpuck.report.prediction_figures import WORST, squares_held, worst_windows
 from airpuck.report.tables import errors_as_text
+from airpuck.twin.experiments import excite
+from airpuck.twin.tracking_study import tracking_study
 
-RUNGS = ("M0", "M1", "M2", "M3", "M4")
+#: Models to identify.
+_MODELS = ("M0", "M1", "M2", "M3", "M4")
+#: The paper's recordings.
 TRAINING = "2023_10_18-11_28_12_sysid_h1_old"
 VALIDATION = "2023_11_22-11_57_44_sysid_h1_old"
 
@@ -165,11 +182,11 @@ def reproduce(
     """
     started = time.perf_counter()
     training, validation = _experiments(data)
-    published = {name: published_model(name) for name in RUNGS}
+    published = {name: published_model(name) for name in _MODELS}
     reference = tuple(compare(list(published.values()), validation))
     progress("evaluated the published parameters")
     fits = []
-    for name in RUNGS:
+    for name in _MODELS:
         # The paper's fits also included the faults of the recording.
         fits.append(identify(training, name, preparation=Preparation(faults="keep")))
         progress(f"identified {name} in {fits[-1].wall_s:.1f} s, {fits[-1].iterations} iterations")
@@ -191,9 +208,6 @@ def reproduce(
 
 def _experiments(data: str | os.PathLike[str] | None) -> tuple[Trajectory, Trajectory]:
     """Read the paper's training and validation recordings."""
-    from airpuck.recording.dataset import dataset_folder
-    from airpuck.recording.torch_archive import read_authors_experiment
-
     folder = dataset_folder() if data is None else Path(data)
     if not (folder / "experiments").is_dir():
         raise InputError(
@@ -305,3 +319,125 @@ def _change(ratio: float) -> str:
     percent = round(100 * (float(ratio) - 1), 1)
     # With a no-break space before the percent sign, a true minus and no sign before zero.
     return f"{percent:+.1f}\u00a0%".replace("-", "−") if percent else "0.0\u00a0%"
+
+
+#: Seeds of the excitation experiments.
+_SEEDS = {"training": 1, "validation": 2}
+#: Models that fly the set points.
+_PILOTS = ("M0", "M4")
+#: A file with this name marks a folder that a demo may overwrite.
+_MARKER = "written-by-airpuck-demo"
+
+
+def demo(
+    out: str | os.PathLike[str],
+    *,
+    duration: float = 90.0,
+    progress: Callable[[str], None] = lambda _: None,
+    origin: Origin | None = None,
+) -> Path:
+    """Fly the excitation experiment twice on the twin, identify M0 … M4, fly with the result.
+
+    The twin flies the published M3, with sensors and radio as in the real recordings. All flights
+    are saved as ROS 2 bags and read back.
+
+    Parameters
+    ----------
+    out : path-like
+        Folder for the page, figures, models and bags. Only bags of an earlier demo are replaced.
+    duration : float, default 90
+        Length of each excitation experiment [s].
+    progress : callable, optional
+        Called with a line of text after each step.
+    origin : Origin, optional
+        Command line and date, for the foot of the page.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If the folder holds other bags, or cannot be written to.
+    """
+    out = Path(out)
+    bags = _own_folder(out / "bags")
+    truth = _truth()
+    names = " and ".join(_SEEDS)
+    progress(f"flying the {names} experiments on the twin in parallel: {duration:g} s each")
+    with on_processes(None) as run:  # one flight keeps one core busy
+        list(run(fly_experiment, map(bags.joinpath, _SEEDS), _SEEDS.values(), repeat(duration)))
+    trajectories = {name: load_trajectory(bags / name) for name in _SEEDS}
+    for name, trajectory in trajectories.items():
+        delay = 1e3 * trajectory.delay
+        progress(f"preprocessed {bags / name}: transport delay {delay:.1f} ms")
+    progress(f"identifying {', '.join(_MODELS)} in parallel")
+    fits = _identified(trajectories["training"])
+    for fit in fits:
+        name = fit.model.name
+        fit.model.save(out / "models" / f"{name}.toml")
+        progress(f"identified {name} ({RUNGS[name].summary}): loss {fit.loss:.2e}")
+    *evaluations, best_possible = compare(
+        [*(fit.model for fit in fits), truth], trajectories["validation"]
+    )
+    judged = JudgedModels(trajectories["validation"], tuple(evaluations), (best_possible,), "true")
+    for evaluation in evaluations:
+        x, y, yaw = errors_as_text(evaluation.rmse)
+        progress(f"{evaluation.model}: RMSE after 0.2 s: {x} mm, {y} mm, {yaw} rad")
+    pilots = [fit.model for fit in fits if fit.model.name in _PILOTS]
+    progress(f"flying the set points with {' and '.join(pilot.name for pilot in pilots)}")
+    flights = tracking_study(pilots, truth)
+    for flight in flights:
+        _replace_bag(flight.recording, bags / f"set_points_{flight.model}")
+    progress("writing the report")
+    tracking, commands = tracking_sections(flights)
+    moving, *evidence = tracking.blocks
+    return fit_report(
+        fits,
+        trajectories["training"],
+        out,
+        judged=judged,
+        truth=truth,
+        title="The paper's study on a simulated craft",
+        opening=[moving],
+        more=[replace(tracking, blocks=evidence), commands],
+        origin=origin,
+    )
+
+
+def _truth() -> Model:
+    """Return the model that the twin flies: the published M3."""
+    # In a real craft, the offset of the centre of mass turns with the body.
+    return replace(published_model("M3"), frame="body", indexing="start")
+
+
+def fly_experiment(folder: str | os.PathLike[str], seed: int, duration: float) -> None:
+    """Fly the excitation experiment on the twin, and save it as a bag."""
+    _replace_bag(excite(_truth(), duration, seed), Path(folder))
+
+
+def _identified(training: Trajectory) -> list[Fit]:
+    """Identify all models in parallel."""
+    # The slowest fit starts first. While one fit compiles or retimes packets, the others compute.
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        fits = {name: pool.submit(identify, training, name) for name in reversed(_MODELS)}
+        return [fits[name].result() for name in _MODELS]
+
+
+def _own_folder(folder: Path) -> Path:
+    """Make a folder, or raise InputError if it contains the user's own files."""
+    foreign = folder.exists() and any(not path.name.startswith(".") for path in folder.iterdir())
+    if foreign and not (folder / _MARKER).is_file():
+        raise InputError(
+            "contains files that are not from a demo; choose another folder (-o)", file=folder
+        )
+    with replacing(folder / _MARKER):
+        return folder
+
+
+def _replace_bag(recording: Recording, folder: Path) -> None:
+    """Write a bag in place of an earlier demo's."""
+    shutil.rmtree(folder, ignore_errors=True)
+    write_bag(recording, folder)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
-from airpuck.boundary.kinds import nearest
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.model.model_file import Model
 from airpuck.physics.puck_on_table import Moving, PuckOnTable
 from airpuck.twin.plant import LONGEST_STEP, Plant

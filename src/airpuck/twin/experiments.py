@@ -13,8 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.control.excitation import Excitation
-from airpuck.control.law import Law
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Law, Pilot
 from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController

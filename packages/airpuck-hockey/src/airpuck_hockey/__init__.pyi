@@ -4,7 +4,7 @@ from airpuck_hockey.game.contestant import contestant as contestant
 from airpuck_hockey.game.game import Game as Game
 from airpuck_hockey.game.rules import Rules as Rules
 from airpuck_hockey.game.skills import skills as skills
-from airpuck_hockey.matches.league import league as league
+from airpuck_hockey.matches.match import league as league
 from airpuck_hockey.matches.match import match as match
 from airpuck_hockey.player.all_rounder import AllRounder as AllRounder
 from airpuck_hockey.player.attack import Shoot as Shoot

@@ -8,7 +8,7 @@ import pytest
 from airpuck.craft.table import AirHockey, Contact, Puck, read_table
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.stream import COLUMNS, Recording, Stream
 from tests.apparatus.commands import airpuck, refused
 

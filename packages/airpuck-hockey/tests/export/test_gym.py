@@ -12,8 +12,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.craft.table import Table
 from airpuck.export import write
 from airpuck.model.model_file import published_model

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Step
-from airpuck.control.pilot import Pilot
+from airpuck.control.law import Pilot, Step
 from airpuck.model.model_file import read_model
 from airpuck.physics.puck import PuckState
-from airpuck.recording.bag_writer import write_bag
+from airpuck.recording.bag import write_bag
 from airpuck.recording.read import read_recording
 from airpuck.twin.settings import default_twin_settings
 from airpuck_hockey.game.contestant import Contestant, contestant

@@ -8,7 +8,7 @@ import pytest
 from airpuck.boundary.errors import InputError
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.matches import match_item
-from airpuck_hockey.matches.league import LeagueResult, league
+from airpuck_hockey.matches.match import LeagueResult, league
 from tests.apparatus.commands import airpuck, refused
 
 SHORT = Rules(limit_s=3.0)

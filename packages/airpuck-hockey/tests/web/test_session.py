@@ -22,8 +22,8 @@ from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck_hockey.player.player import Player
-from airpuck_hockey.web import session as session_module
-from airpuck_hockey.web.session import Session, play_in_browser
+from airpuck_hockey.web import page as session_module
+from airpuck_hockey.web.page import Session, play_in_browser
 from airpuck_hockey.web.settings import ArenaSettings
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]

@@ -14,7 +14,7 @@ from airpuck_hockey.cli.match import PLAYER, GameRules, Pairing, read_craft, rea
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck_hockey.matches.league import LeagueResult
+    from airpuck_hockey.matches.match import LeagueResult
 
 
 @command("Air hockey")
@@ -46,7 +46,7 @@ def league(
 
     Drag and bounces of the puck differ from game to game, and no player knows them exactly.
     """
-    from airpuck_hockey.matches.league import PLAYERS
+    from airpuck_hockey.matches.match import PLAYERS
 
     if players:
         read_craft(model, players, quiet)

@@ -58,7 +58,7 @@ def play(
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends the game."""
     from airpuck.extend import low_latency
-    from airpuck_hockey.web.session import play_in_browser
+    from airpuck_hockey.web.page import play_in_browser
 
     model = read_player(craft.model, quiet)
     low_latency()
