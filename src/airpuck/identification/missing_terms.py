@@ -279,10 +279,8 @@ def _with_all_terms(model: Model) -> Parameters:
     added: dict[str, Any] = {}
     direct = parameters.configuration_matrix is not None
     for name, quantity in EFFECTS.items():
-        if name == "hull":  # no craft on a table has one, and on water it is learned anyway
-            continue
-        cannot = (direct and quantity.in_matrix) or callable(quantity.labels)
-        if getattr(parameters, name) is None and not cannot:
+        possible = quantity.searched and not (direct and quantity.in_matrix)
+        if getattr(parameters, name) is None and possible:
             least = max(quantity.bounds[0], 0.0)
             added[name] = np.full(np.shape(quantity.start), least)[()]
     if degree < numbers.DEGREE.high and _can_bend(model, degree + 1):

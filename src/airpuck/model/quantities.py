@@ -74,6 +74,8 @@ class Quantity:
     term: str = ""
     start: float | tuple[float, ...] = 0.0
     settings: tuple[str, ...] = ()
+    #: Whether fits without it look for it: not for physics that few craft have, or many weights.
+    searched: bool = True
 
     def entries(self, propellers: tuple[str, ...], degree: int) -> tuple[str, ...]:
         """Return the labels of the entries, in the order of the flat vector."""
@@ -152,7 +154,8 @@ QUANTITIES = (
              bounds=(0.0, np.inf), labels=("linear", "spin"), default=None, effect=Friction,
              term="friction", start=(0.0, 0.0)),
     Quantity("residual", "residual", "1", "w", "weights of the neural term", tuple[float, ...],
-             labels=_weights, default=None, effect=Residual, term="residual", start=()),
+             labels=_weights, default=None, effect=Residual, term="residual", start=(),
+             searched=False),
     Quantity("idle_lag", "idle_lag", "1", "cₗ", "relative increase of the lag at standstill",
              bounds=(0.0, 100.0), default=None, effect=IdleLag, term="idle", start=1.0),
     Quantity("hull", "hull_SI", "1, 1/s, 1/s, 1/s, 1/m, 1/m, 1/rad", "μ, a₁, b₁, e₁, a₂, b₂, e₂",
@@ -163,7 +166,8 @@ QUANTITIES = (
              default=None, effect=Hull, term="hull", start=(0.5, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
              settings=("hull_added_mass", "hull_linear_along_1_s", "hull_linear_across_1_s",
                        "hull_linear_spin_1_s", "hull_quadratic_along_1_m",
-                       "hull_quadratic_across_1_m", "hull_quadratic_spin_1_rad")),
+                       "hull_quadratic_across_1_m", "hull_quadratic_spin_1_rad"),
+             searched=False),
     # Not part of the equations of motion.
     Quantity("transport_delay", "transport_delay_s", "s", "d",
              "from a command's stamp to the motors", NonNegative, bounds=(0.0, 0.5),

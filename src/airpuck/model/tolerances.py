@@ -60,8 +60,7 @@ def geometry_shifts(
         steps = np.vstack([steps, unit])
     errors = [matrix - now for matrix in _wrong(parameters, vehicle)]
     full = np.abs(np.asarray(parameters.thrust).sum(axis=1))
-    owner = np.array([channel.column for channel in vehicle.actuation.channels])
-    same = owner[:, None] == owner
+    same = _same_actuator(vehicle)
     # Of a propeller's directions only one is in use, each half of the time.
     on = 1 / same.sum(axis=1)
     moments = np.outer(full * on, full * on) * _MEAN**2 * ~same + np.diag(full**2 * on * _SQUARE)
@@ -81,9 +80,7 @@ def geometry_shifts(
 
 def _wrong(parameters: Parameters, vehicle: Vehicle) -> Iterator[Any]:
     """Yield the map for an error of each position and direction, and of the mass."""
-    owner = np.array([channel.column for channel in vehicle.actuation.channels])
-    for column in range(len(vehicle.propellers)):
-        mine = (owner == column)[:, None]
+    for mine in _same_actuator(vehicle)[: len(vehicle.propellers), :, None]:
         for axis in np.eye(2):
             positions = vehicle.positions + vehicle.position_error_m * mine * axis
             yield _seen(parameters, vehicle, positions=positions)
@@ -91,6 +88,12 @@ def _wrong(parameters: Parameters, vehicle: Vehicle) -> Iterator[Any]:
         directions = np.where(mine, turned(np, vehicle.directions, angle), vehicle.directions)
         yield _seen(parameters, vehicle, directions=directions)
     yield _seen(parameters, vehicle, mass=vehicle.mass_kg * (1 + vehicle.mass_error))
+
+
+def _same_actuator(vehicle: Vehicle) -> Bool[np.ndarray, "n n"]:
+    """Return which channels are directions of one actuator; propellers come first."""
+    owner = np.array([channel.column for channel in vehicle.actuation.channels])
+    return owner[:, None] == owner
 
 
 def _seen(parameters: Parameters, vehicle: Vehicle, **wrong: Any) -> Any:
