@@ -14,9 +14,9 @@ once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -63,84 +63,84 @@ def most_likely_noise(
     `added` is the model's contribution to position and velocity of each axis from one sample to the
     next; `typical` is the sample period [s]; `near` is an initial guess, if known.
     """
-    given = pose, added, period, restart, measured, used.astype(float)
-    point, step = _begin(near, typical, given)
-    axis = np.arange(3)
-    around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 2)
-    costs = partial(_costs, typical=typical, given=given)
-    point = pattern_search(costs, point, step, around, (_LOWEST, _HIGHEST), _FINEST)
-    # A noise must improve Akaike's criterion, otherwise it is zero. The number of candidates equals
-    # the search's, to share one program.
-    candidates = np.repeat(point[None], len(around), axis=0)
-    candidates[1::2, :, 0], candidates[2:, :, 1] = _LOWEST[0], _LOWEST[1]
-    cost, variance = costs(candidates)
-    ratios = _ratios(candidates)
-    best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
-    ratios, scale = ratios[best, axis], variance[best, axis]
-    densities = ratios * scale[:, None] / typical ** np.array([3, 5])
-    parts: Any = (tuple(np.sqrt(part).tolist()) for part in (scale, *densities.T))
+    # No packet is late.
+    rest = np.zeros_like(pose), period, restart, measured, used.astype(float)
+    units = typical ** np.array([-3.0, -5.0])
+    search = NoiseSearch((pose, added[:, :, None], *rest), 1.0, typical, units, _LOWEST, _HIGHEST)
+    around = np.array(list(itertools.product((-1, 0, 1), repeat=2)))
+    ratios, variance = search.best(*_begin(near, search), around, _FINEST)
+    parts: Any = np.sqrt([variance, *(ratios * variance[:, None]).T]).tolist()
     counts: Any = tuple((1 + (ratios > 0).sum(axis=1)).tolist())
-    return Noise(*parts), counts
+    return Noise(*map(tuple, parts)), counts
 
 
-def pattern_search(
-    costs: Callable[[Float[np.ndarray, "C 3 k"]], tuple[Any, ...]],
-    point: Float[np.ndarray, "3 k"],
-    step: Float[np.ndarray, "3 k"],
-    around: Int[np.ndarray, "C k"],
-    limits: tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]],
-    finest: float,
-) -> Float[np.ndarray, "3 k"]:
-    """Return the logarithms of the noise ratios with the lowest costs, each axis on its own.
+@dataclass(frozen=True, eq=False)
+class NoiseSearch:
+    """A search for the noises that make the samples likeliest, each axis on its own."""
 
-    Candidates lie `around` the best point in multiples of its step, which is halved where none of
-    them is better, until all steps are at most `finest`. `costs` returns the costs first.
-    """
-    axis, least = np.arange(3), np.full(3, np.inf)
-    while (step > finest).any():
-        candidates = np.clip(point + around[:, None] * step, *limits)
-        cost = costs(candidates)[0]
-        best = cost.argmin(axis=0)
-        better = cost[best, axis] < least - _GAIN
-        point = np.where(better[:, None], candidates[best, axis], point)
-        least = np.where(better, cost[best, axis], least)
-        step = np.where(better[:, None], step, step / 2)
-    return point
+    #: What is given for each sample, the motors' lag and the sample period; see `passed`.
+    given: tuple[np.ndarray, ...]
+    lag: float
+    period: float
+    #: Each noise at logarithm 0, relative to the variance of the pose; and ranges of log₁₀, whose
+    #: lower end means no noise.
+    units: Float[np.ndarray, "*axes k"]
+    lowest: Float[np.ndarray, " k"]
+    highest: Float[np.ndarray, " k"]
+
+    def costs(
+        self, points: Float[np.ndarray, "C 3 k"]
+    ) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3 k"]]:
+        """Return the negative concentrated log-likelihood, up to a constant, r, and the noises."""
+        ratios = np.where(points > self.lowest, 10.0**points, 0.0) * self.units
+        three = np.pad(ratios, ((0, 0), (0, 0), (0, 3 - ratios.shape[2])))
+        squares, logs, _ = passed(three, self.lag, self.period, self.given)
+        count = self.given[-1].sum()
+        return 0.5 * (count * np.log(squares / count) + logs), squares / count, ratios
+
+    def best(
+        self,
+        point: Float[np.ndarray, "3 k"],
+        step: Float[np.ndarray, "3 k"],
+        around: Int[np.ndarray, "C k"],
+        finest: float,
+    ) -> tuple[Float[np.ndarray, "3 k"], Float[np.ndarray, " 3"]]:
+        """Return the likeliest noises, relative to the variance of the pose, and that variance.
+
+        Candidates lie `around` the best point in multiples of its step, which is halved where none
+        of them is better, until all steps are at most `finest`.
+        """
+        axis, least = np.arange(3), np.full(3, np.inf)
+        while (step > finest).any():
+            candidates = np.clip(point + around[:, None] * step, self.lowest, self.highest)
+            cost = self.costs(candidates)[0]
+            best = cost.argmin(axis=0)
+            better = cost[best, axis] < least - _GAIN
+            point = np.where(better[:, None], candidates[best, axis], point)
+            least = np.where(better, cost[best, axis], least)
+            step = np.where(better[:, None], step, step / 2)
+        # A noise must improve Akaike's criterion, otherwise it is zero. There are as many
+        # candidates as in the search, to share one program.
+        without = np.array(list(itertools.product((False, True), repeat=around.shape[1])))
+        some = np.where(np.resize(without, around.shape)[:, None], self.lowest, point)
+        cost, variance, ratios = self.costs(some)
+        best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
+        return ratios[best, axis], variance[best, axis]
 
 
 def _begin(
-    near: Noise | None, typical: float, given: tuple[np.ndarray, ...]
+    near: Noise | None, search: NoiseSearch
 ) -> tuple[Float[np.ndarray, "3 2"], Float[np.ndarray, "3 2"]]:
     """Return the centre and the first step of the search."""
     if near is not None:
         densities = np.square([near.acceleration, near.disturbance]).T
-        ratios = densities * typical ** np.array([3, 5]) / np.square(near.pose)[:, None]
+        ratios = densities / search.units / np.square(near.pose)[:, None]
         return np.clip(np.log10(ratios + 1e-300), _LOWEST, _HIGHEST), np.full((3, 2), 0.2)
-    axes = [np.linspace(_LOWEST[k], _HIGHEST[k], _GRID) for k in range(2)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = np.array(list(itertools.product(*np.linspace(_LOWEST, _HIGHEST, _GRID).T)))
     candidates = np.repeat(grid[:, None], 3, axis=1)
-    best = _costs(candidates, typical, given)[0].argmin(axis=0)
+    best = search.costs(candidates)[0].argmin(axis=0)
     step = (_HIGHEST - _LOWEST) / (_GRID - 1) / 2
     return candidates[best, np.arange(3)], np.repeat(step[None], 3, axis=0)
-
-
-def _ratios(point: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Return λ from its logarithm; the lowest value means zero."""
-    return np.where(point > _LOWEST, 10.0**point, 0.0)
-
-
-def _costs(
-    candidates: Float[np.ndarray, "C 3 2"], typical: float, given: tuple[np.ndarray, ...]
-) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3"]]:
-    """Return the negative concentrated log-likelihood, up to a constant, and r."""
-    pose, added, *rest = given
-    ratios = np.zeros((*candidates.shape[:2], 3))
-    ratios[..., :2] = _ratios(candidates) / typical ** np.array([3, 5])
-    # No packet is late.
-    per_sample = pose, added[:, :, None], np.zeros_like(pose), *rest
-    squares, logs, _ = passed(ratios, 1.0, typical, per_sample)
-    variance = squares / (count := given[-1].sum())
-    return 0.5 * (count * np.log(variance) + logs), variance
 
 
 def passed(

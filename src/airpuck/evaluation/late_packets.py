@@ -18,7 +18,7 @@ from jaxtyping import Float
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.motor_regression import accelerations_by_motor
 from airpuck.deviation.packet_delays import delay_for
-from airpuck.evaluation.innovations import Innovations, motor_speeds_at, passed, pattern_search
+from airpuck.evaluation.innovations import Innovations, NoiseSearch, motor_speeds_at, passed
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
@@ -146,16 +146,8 @@ def _most_likely(
     The search resembles `most_likely_noise`, and starts from the noises without jitter. Noises that
     do not improve the likelihood enough are zero, as are disturbances unless they may wander.
     """
-    count, axis = given[-1].sum(), np.arange(3)
     pose = np.square(found.noise.pose)
     units = np.stack([np.full(3, period**-3), np.full(3, period**-5), _SCATTER**2 / pose], axis=1)
-
-    def costs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        ratios = np.where(points > _LOWEST, 10.0**points, 0.0) * units
-        ratios[..., 1] *= wanders
-        squares, logs, _ = passed(ratios, lag, period, given)
-        return 0.5 * (count * np.log(squares / count) + logs), squares / count, ratios
-
     densities = np.square([found.noise.acceleration, found.noise.disturbance]).T / pose[:, None]
     point = np.zeros((3, 3))
     point[:, :2] = np.log10(densities / units[:, :2] + 1e-300)
@@ -163,11 +155,5 @@ def _most_likely(
     # Vary each noise alone, then accelerations against delays, which can replace each other.
     alone = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     around = np.concatenate([alone, [[-1, 0, 1], [1, 0, -1]]]).astype(int)
-    step = np.full((3, 3), _COARSEST)
-    point = pattern_search(costs, point, step, around, (_LOWEST, _HIGHEST), _FINEST)
-    # Keep or drop every noise; Akaike's criterion decides. As many candidates as in the search.
-    without = np.unpackbits(np.arange(8, dtype=np.uint8)[:, None], axis=1)[:, -3:].astype(bool)
-    some = np.where(np.resize(without, (len(around), 3))[:, None], _LOWEST, point)
-    cost, variance, ratios = costs(some)
-    best = (cost + (ratios > 0).sum(axis=2)).argmin(axis=0)
-    return ratios[best, axis], variance[best, axis]
+    search = NoiseSearch(given, lag, period, units * (1.0, wanders, 1.0), _LOWEST, _HIGHEST)
+    return search.best(point, np.full((3, 3), _COARSEST), around, _FINEST)
