@@ -19,13 +19,13 @@ Errors are of the largest accelerations, of the centre of mass, of the lag and o
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from kept import Kept
 from verdicts import drawn as healthy
 from verdicts import settles
 
@@ -203,22 +203,18 @@ def main() -> None:
     parser.add_argument("--fixed", action="store_true", help="also fly the fixed sequence")
     parser.add_argument("--summary", action="store_true")
     given = parser.parse_args()
-    text = given.output.read_text("utf-8") if given.output.exists() else ""
-    lines = [json.loads(line) for line in text.splitlines()]
-    done = {line["seed"] for line in lines}
+    kept = Kept(given.output)
     for seed in range(given.seed, given.seed + given.flights):
-        if given.summary or seed in done:
+        if given.summary or kept.have(seed=seed):
             continue
         began = time.monotonic()
         line = commissioned(seed)
         if given.fixed:
             line["fixed"] = fixed(seed)
-        lines.append(line)
-        with given.output.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        kept.add(line)
         took = time.monotonic() - began
         print(f"{seed}: {line['outcome']} {line['findings'][:1]} {took:.0f} s", flush=True)
-    summary(lines)
+    summary(kept.lines)
 
 
 if __name__ == "__main__":

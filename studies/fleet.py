@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from false_alarms import craft
 from fleet_methods import INTERVALS, Published, TimedPilot, Voronoi, central
+from kept import Kept
 from verdicts import drawn
 
 from airpuck import identify, preprocess
@@ -314,12 +315,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first draw")
     parser.add_argument("--summary", action="store_true", help="only summarise the file")
     options = parser.parse_args()
-    file, lines = options.output, list[dict[str, Any]]()
-    if file.is_file():
-        lines = [json.loads(line) for line in file.read_text().splitlines()]
+    kept = Kept(options.output)
     kind, method = options.kind, options.method
-    known = {(one["kind"], one["draw"], one["method"]): one for one in lines}
-    folder = file.resolve().parent / "fleet_models"
+    known = {(one["kind"], one["draw"], one["method"]): one for one in kept.lines}
+    folder = options.output.resolve().parent / "fleet_models"
     truths = {} if options.summary else prepare(folder)
     last = options.first + options.flights
     last = min(last, len(packaged_scenarios())) if kind == "named" else last
@@ -338,10 +337,8 @@ def main() -> None:
             line |= flown(fleet, method, draw, timed=kind == "scaling")
         shown = {k: v for k, v in line.items() if k not in ("wall", "processor", "paths")}
         print(json.dumps(shown), flush=True)
-        lines.append(line)
-        with file.open("a") as log:
-            log.write(json.dumps(line) + "\n")
-    summary(lines)
+        kept.add(line)
+    summary(kept.lines)
 
 
 if __name__ == "__main__":

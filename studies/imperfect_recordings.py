@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from coverage import derived
+from kept import Kept
 from one_line import run
 from recovery import true_delay, truth
 
@@ -181,19 +182,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=43)
     parser.add_argument("--resume", type=Path, help="file of results, one JSON object a line")
     options = parser.parse_args()
-    done = []
-    if options.resume and options.resume.exists():
-        done = [json.loads(line) for line in options.resume.read_text().splitlines()]
-    known = {one["number"] for one in done}
+    kept = Kept(options.resume)
     for number in range(options.flights):
-        if number in known:
-            continue
-        done.append(flown(options.seed, number, options.duration))
-        print(f"{len(done)} of {options.flights} flights", flush=True)
-        if options.resume:
-            with options.resume.open("a") as file:
-                file.write(json.dumps(done[-1]) + "\n")
-    report(done)
+        if not kept.have(number=number):
+            kept.add(flown(options.seed, number, options.duration))
+            print(f"{len(kept.lines)} of {options.flights} flights", flush=True)
+    report(kept.lines)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from kept import Kept
 
 from airpuck import SetPoints, TrackingController, Twin, fly
 from airpuck.control.reference import Target
@@ -174,23 +175,16 @@ def main() -> None:
     parser.add_argument("--flights", type=int, default=2, help="of each change and estimator")
     parser.add_argument("--summary", action="store_true", help="only summarise the file")
     options = parser.parse_args()
-    file, rows = options.output, list[dict[str, Any]]()
-    if file.is_file():
-        rows = [json.loads(line) for line in file.read_text().splitlines()]
-    known = {(row["law"], row["change"], row["estimator"], row["seed"]) for row in rows}
+    kept = Kept(options.output)
     for seed in range(0 if options.summary else options.flights):
         for name, change in changes(seed % 6).items():
             for law in ("lqr", "mpc"):
                 for estimator in ESTIMATORS if change.known else ESTIMATORS[:2]:
-                    if (law, name, estimator, seed) in known:
-                        continue
                     row = {"law": law, "change": name, "estimator": estimator, "seed": seed}
-                    row |= flown(change, law, estimator, seed)
-                    print(json.dumps(row), flush=True)
-                    rows.append(row)
-                    with file.open("a") as log:
-                        log.write(json.dumps(row) + "\n")
-    summary(rows)
+                    if not kept.have(**row):
+                        kept.add(row | flown(change, law, estimator, seed))
+                        print(json.dumps(kept.lines[-1]), flush=True)
+    summary(kept.lines)
 
 
 if __name__ == "__main__":

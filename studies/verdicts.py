@@ -29,6 +29,7 @@ from typing import Any, Literal
 
 import numpy as np
 from false_alarms import craft
+from kept import Kept
 
 import airpuck
 from airpuck import InputError, preprocess
@@ -431,18 +432,12 @@ def resumed(
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--summary", action="store_true", help="only summarise the file")
     options = parser.parse_args()
-    file, lines = options.output, list[dict[str, Any]]()
-    if file.is_file():
-        lines = [json.loads(line) for line in file.read_text().splitlines()]
-    known = {(line["flight"], line["seed"]) for line in lines}
+    kept = Kept(options.output)
     for flight in range(options.first, options.first + options.flights):
-        if options.summary or (flight, options.seed) in known:
-            continue
-        lines.append(judge(flight, options.seed))
-        print(json.dumps(lines[-1]), flush=True)
-        with file.open("a") as log:
-            log.write(json.dumps(lines[-1]) + "\n")
-    summarise(lines)
+        if not options.summary and not kept.have(flight=flight, seed=options.seed):
+            kept.add(judge(flight, options.seed))
+            print(json.dumps(kept.lines[-1]), flush=True)
+    summarise(kept.lines)
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from false_alarms import CRAFT, craft
+from kept import Kept
 from one_line import run
 
 from airpuck import excite, identify, preprocess
@@ -73,30 +74,24 @@ def main() -> None:
     parser.add_argument("--resume", type=Path, help="file of results, one JSON object a line")
     parser.add_argument("--workers", type=int, default=None)
     options = parser.parse_args()
-    done = []
-    if options.resume and options.resume.exists():
-        done = [json.loads(line) for line in options.resume.read_text().splitlines()]
-    known = {one["seed"] for one in done}
-    seeds = [seed for seed in range(2 * options.flights) if seed not in known]
+    kept = Kept(options.resume)
+    seeds = [seed for seed in range(2 * options.flights) if not kept.have(seed=seed)]
     with ProcessPoolExecutor(options.workers) as pool:
         for result in pool.map(flown, seeds):
-            done.append(result)
-            if options.resume:
-                with options.resume.open("a") as file:
-                    file.write(json.dumps(result) + "\n")
-    weak = [one for one in done if one["weak"]]
-    false = [one for one in done if set(one["named"]) - {one["weak"]}]
+            kept.add(result)
+    weak = [one for one in kept.lines if one["weak"]]
+    false = [one for one in kept.lines if set(one["named"]) - {one["weak"]}]
     named = sum(one["weak"] in one["named"] for one in weak)
     holds = sum(one["holds"] for one in weak)
     errors = [
         (seen - truth) / error
-        for one in done
+        for one in kept.lines
         for truth, seen, error, _ in one["motors"].values()
         if error > 0
     ]
     print(f"weak motor named: {named} of {len(weak)}, {wilson_interval(named, len(weak))}")
     print(f"its factor in the 95 % interval: {holds} of {len(weak)}")
-    print(f"flights with a sound motor named: {len(false)} of {len(done)}")
+    print(f"flights with a sound motor named: {len(false)} of {len(kept.lines)}")
     size = np.sqrt(np.mean(np.square(errors)))
     print(f"root mean square of errors over standard errors: {size:.2f}")
     for one in (*false, *(w for w in weak if w["weak"] not in w["named"])):
