@@ -93,6 +93,38 @@ def test_a_set_point_stays_inside_the_rails():
 # In the browser -----------------------------------------------------------------------------------
 
 
+# This one comes first: a second Playwright cannot start while the page of the flights is open.
+@pytest.mark.browser
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1400, 390])
+def test_the_live_page_has_no_barrier(chromium, scheme, width):
+    sync_api = pytest.importorskip("playwright.sync_api")
+    # Nothing flies here, so a busy machine only makes this test slow.
+    arena = Arena(view_hello(airpuck.read_model("paper:M3"), Table()), page=VIEW_PAGE)
+    state = packed_state(0.0, 0, True, (0.0,) * 3, (0.0,) * 4, (0.2, 0.1, 0.5), (0.3,) * 6)
+    scene = {"seen": True, "set_point": [0.5, 0.2, 0.0], "plan": None, "hint": "Drag the ring."}
+    gauges = [Gauge("controller", "optimal"), Gauge("age of the pose", "14.0 of 10 ms", 1.4)]
+    panel = {"flight": gauges, "health": [("Errors", gauges)], "findings": [["weak", "warning"]]}
+    panel["events"] = [["1 s ago, fly: no pose", "error"], ["2 s ago, fly: flying", "info"]]
+    try:
+        with sync_api.sync_playwright() as playwright:
+            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+            look = {"viewport": {"width": width, "height": 800}, "color_scheme": scheme}
+            tab = browser.new_context(**look).new_page()
+            tab.goto(f"http://127.0.0.1:{arena.port}", timeout=120_000)
+            while not tab.evaluate("document.getElementById('events').childElementCount"):
+                arena.pipe.send_bytes(STATE + state)
+                for name, content in (("scene", scene), ("panel", panel)):
+                    message = json.dumps({"is": name, **content}).encode()
+                    arena.pipe.send_bytes(SCENE + message)
+            tab.evaluate("requestAnimationFrame = () => 0")  # leaves the processor to axe-core
+            assert barriers(tab) == []
+            assert tab.evaluate("document.documentElement.scrollWidth") == width
+            browser.close()
+    finally:
+        arena.close()
+
+
 @pytest.fixture(scope="module")
 def flight(domain, chromium) -> Iterator[tuple[Watch, int, Process]]:
     """A twin, a controller that follows the graph, and a view: the watcher, the port, the view."""
@@ -292,34 +324,3 @@ def test_a_picture_for_the_documents(page, flight, request):
     if path is not None:
         image = Image.fromarray(picture.astype(np.uint8)).quantize(128, dither=Image.Dither.NONE)
         image.save(path, optimize=True)
-
-
-@pytest.mark.browser
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1400, 390])
-def test_the_live_page_has_no_barrier(chromium, scheme, width):
-    sync_api = pytest.importorskip("playwright.sync_api")
-    # Nothing flies here, so a busy machine only makes this test slow.
-    arena = Arena(view_hello(airpuck.read_model("paper:M3"), Table()), page=VIEW_PAGE)
-    state = packed_state(0.0, 0, True, (0.0,) * 3, (0.0,) * 4, (0.2, 0.1, 0.5), (0.3,) * 6)
-    scene = {"seen": True, "set_point": [0.5, 0.2, 0.0], "plan": None, "hint": "Drag the ring."}
-    gauges = [Gauge("controller", "optimal"), Gauge("age of the pose", "14.0 of 10 ms", 1.4)]
-    panel = {"flight": gauges, "health": [("Errors", gauges)], "findings": [["weak", "warning"]]}
-    panel["events"] = [["1 s ago, fly: no pose", "error"], ["2 s ago, fly: flying", "info"]]
-    try:
-        with sync_api.sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-            look = {"viewport": {"width": width, "height": 800}, "color_scheme": scheme}
-            tab = browser.new_context(**look).new_page()
-            tab.goto(f"http://127.0.0.1:{arena.port}", timeout=120_000)
-            while not tab.evaluate("document.getElementById('events').childElementCount"):
-                arena.pipe.send_bytes(STATE + state)
-                for name, content in (("scene", scene), ("panel", panel)):
-                    message = json.dumps({"is": name, **content}).encode()
-                    arena.pipe.send_bytes(SCENE + message)
-            tab.evaluate("requestAnimationFrame = () => 0")  # leaves the processor to axe-core
-            assert barriers(tab) == []
-            assert tab.evaluate("document.documentElement.scrollWidth") == width
-            browser.close()
-    finally:
-        arena.close()
