@@ -138,3 +138,15 @@ def test_consistent_poses_restart_a_lost_estimate():
         gate.offer(estimate, k * FRAME, np.zeros(3))
     assert len(estimate.restarts) == 2
     assert 0.0499 < estimate.restarts[1] < 0.05 + 2 * FRAME
+
+
+def test_a_moving_craft_is_steered_through_a_gap_of_250_ms_and_keeps_its_speed(craft):
+    for k in range(60):
+        assert craft.see(0.2 + 0.5 * k * FRAME, 0.1, 0.3) is None
+    for waited, refused in ((0.04, None), (0.24, None), (0.26, "stale pose")):
+        assert craft.gate.refusal(craft.time + waited, speed=0.5) == refused
+    # One at rest has nothing to brake.
+    assert craft.gate.refusal(craft.time + 0.06, speed=0.05) == "stale pose"
+    craft.time += 0.2 - FRAME
+    assert craft.see(0.2 + 0.5 * (59 * FRAME + 0.2), 0.1, 0.3) is None
+    assert craft.filter.predict(craft.time).state[3] == pytest.approx(0.5, abs=0.05)

@@ -106,6 +106,19 @@ def test_predictions_end_where_the_craft_is_when_a_late_command_acts(learning, l
     np.testing.assert_allclose(predicted.state[2], true[2], atol=6e-3)
 
 
+def test_changes_that_may_be_none_are_not_used_and_certain_ones_are(learning):
+    taught(learning, np.ones(6))
+    found = learning.predict(5.0)
+    assert np.abs(found.actuation.effectiveness - 1).max() > 1e-3
+    np.testing.assert_allclose(found.effectiveness, 1.0, atol=1e-9)
+    assert learning.later == 0
+    learning.reset()
+    taught(learning, 0.7 * np.ones(6), later=0.015)
+    found = learning.predict(5.0)
+    np.testing.assert_allclose(found.effectiveness, 0.7, atol=0.1)
+    assert abs(learning.later - 0.015) < 0.003
+
+
 def test_the_tuning_names_it():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)

@@ -25,6 +25,9 @@ _REMEMBERED = 0.5
 JUMP = (0.1, 0.1, 1.0)
 #: Number of directions, over half a turn, in which the largest acceleration is sought.
 _DIRECTIONS = 16
+#: Longest time for which a moving craft is steered by its prediction, lest it coasts into a rail
+#: [s], and the speed from which it counts as moving [m/s].
+BLIND, MOVES = 0.25, 0.1
 #: Rounding of stamps must not cost a frame [s].
 ROUNDING = 1e-6
 
@@ -81,8 +84,13 @@ class PoseGate:
             self._agreeing_since = time
         self._pose = pose
         if last is None or abs(time - last) > self.pause:
-            # The last pose is too old to predict from, or its stamp lies in the future: restart.
-            self._restart(estimator, time, pose)
+            # The last pose is too old to predict from, or its stamp lies in the future: restart,
+            # unless a short gap has not led the prediction astray.
+            short = last is not None and 0 < time - last <= BLIND and not self._doubtful
+            if short and estimator.pose(time, pose, gate=JUMP):
+                self._used = time
+            else:
+                self._restart(estimator, time, pose)
         # If poses stay doubtful for the longest pause, the prediction is no more credible than they
         # are.
         elif time - self._used <= self.pause and estimator.pose(time, pose, gate=JUMP):
@@ -97,14 +105,15 @@ class PoseGate:
         return True
 
     def refusal(
-        self, time: float
+        self, time: float, speed: float = 0.0
     ) -> Literal["bad input", "no pose", "stale pose", "jumping pose"] | None:
-        """Return why the poses do not allow steering now; None if they do."""
+        """Return why the poses do not allow steering now, at a speed [m/s]; None if they do."""
         if self._bad:
             return "bad input"
         if self.received is None:
             return "no pose"
-        if not self.is_recent(time):
+        blind = speed > MOVES and 0 <= time - self.received <= BLIND
+        if not (self.is_recent(time) or blind):
             return "stale pose"
         return "jumping pose" if self._doubtful else None
 

@@ -26,7 +26,6 @@ from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
-from airpuck.estimate.multiple_models import LATE
 from airpuck.model.model_file import Model, nominal_model
 
 #: Acceleration in the weakest combination of push and turn below which no law can steer [m/s²].
@@ -124,8 +123,8 @@ class TrackingController(Pilot):
         self._compiled, self._programs = compiled, {}
         self._program(self.law.inputs)
         self._gate = PoseGate(longest_pause(model, tuning))
-        #: Learned delay beyond the model's [s].
-        self._late, self._learns = 0.0, tuning.estimation.estimator == "learning"
+        #: Speed of the craft in the last step [m/s].
+        self._speed = 0.0
         #: Latest time that is certain to have passed; -inf: none yet.
         self._clock = -math.inf
 
@@ -238,6 +237,7 @@ class TrackingController(Pilot):
         refusal = self.refusal(time)
         if refusal is not None:
             self._modulator.reset()
+            self._speed = 0.0
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
         return self._act(time, partial(self._foresee, time))
 
@@ -266,11 +266,10 @@ class TrackingController(Pilot):
 
     def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
         """Let the law compute the command, and store its state."""
-        delay = self.model.transport_delay + self._late
+        delay = self.model.transport_delay + self.filter.later
         moment = Moment(self.reference, now, delay, foresee, self.limits)
         step, self.state = self.law.step(self.state, moment)
-        if self._learns and step.estimate is not None and step.estimate.actuation is not None:
-            self._late = float(np.clip(step.estimate.actuation.delay, *LATE))
+        self._speed = 0.0 if step.estimate is None else math.hypot(*step.estimate.state[3:5])
         return replace(step, command=self._modulator.command(now, step.command))
 
     def predict(self, time: float) -> Estimate:
@@ -332,7 +331,7 @@ class TrackingController(Pilot):
         if not math.isfinite(time):
             return "bad input"
         self._clock = time
-        return self._gate.refusal(time)
+        return self._gate.refusal(time, self._speed)
 
 
 def check_steerable(model: Model) -> None:

@@ -55,7 +55,7 @@ PRIORS = (
 )
 
 #: Prior of what is learned in flight: the battery, mass and each motor may differ from the model.
-LEARNED = EffectivenessPrior(0.9, 0.25, 0.15, "learned")
+LEARNED = EffectivenessPrior(0.9, 0.2, 0.1, "learned")
 
 #: Uncertainty of the motor speeds relative to the first command of a window, as a standard
 #: deviation: 0.4 if that command had just changed between arbitrary values, which happened in one

@@ -21,6 +21,8 @@ class ActuationEstimate:
     #: Estimated transport delay minus the model's, and its standard deviation [s].
     delay: float = 0.0
     delay_deviation: float = 0.0
+    #: Fraction that control uses, if not the estimated one: it ignores changes that may be none.
+    used: Float[np.ndarray, " n"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,8 @@ class Estimate:
 
     @property
     def effectiveness(self) -> Float[np.ndarray, " n"]:
-        """Fraction of the modelled thrust that each motor delivers; ones if it is not estimated."""
+        """Fraction of the modelled thrust of each motor, for control; ones if not estimated."""
         if self.actuation is None:
             return np.ones(len(self.motor_speed))
-        return self.actuation.effectiveness
+        used = self.actuation.used
+        return self.actuation.effectiveness if used is None else used

@@ -21,7 +21,7 @@ from airpuck.craft.wheel import Spinning
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import ActuationEstimate, Estimate
-from airpuck.estimate.multiple_models import MultipleModels, States
+from airpuck.estimate.multiple_models import MultipleModels, States, certain
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
@@ -30,13 +30,15 @@ Command = Float[np.ndarray, " n"]
 #: begins to act between two poses of 240 Hz nearly half of the time.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
 #: Standard deviation of a delay that is learned [s].
-_LEARNED_DELAY = 1e-2
+_LEARNED_DELAY = 8e-3
+#: Bounds of a learned delay beyond the model's [s], and its largest change from pose to pose.
+_LATER, _CHANGE = (-0.02, 0.05), 1e-3
 #: Largest lateness of a measurement if sensors have different latencies [s].
 _REMEMBERED = 0.1
 #: A belief about the craft in the form of the equations: arrays that are never written to.
 Belief = tuple[Any, ...]
-#: Time, belief and motor speeds.
-_State = tuple[float, Belief, Float[np.ndarray, " n"]]
+#: Time, belief, motor speeds and learned delay.
+_State = tuple[float, Belief, Float[np.ndarray, " n"], float]
 #: Durations [s] and commands of intervals.
 _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
@@ -46,6 +48,8 @@ class HeldCommands:
 
     def __init__(self, idle: Command) -> None:
         self._begun: deque[tuple[float, Command]] = deque([(-math.inf, idle)])
+        #: How much later than the model says all commands begin to act [s].
+        self.later = 0.0
         #: Reaction wheels; None before the first command.
         self._wheels: tuple[Spinning, ...] | None = None
 
@@ -70,16 +74,18 @@ class HeldCommands:
 
     def drop(self, time: float) -> None:
         """Drop commands older than the command that acts at a time."""
-        while len(self._begun) > 1 and self._begun[1][0] <= time:
+        while len(self._begun) > 1 and self._begun[1][0] + self.later <= time:
             self._begun.popleft()
 
     def until(self, time: float) -> list[tuple[float, Command]]:
         """Return the commands that have begun to act by a time, with their start times."""
-        return [entry for entry in self._begun if entry[0] <= time]
+        begun = ((begins + self.later, command) for begins, command in self._begun)
+        return [entry for entry in begun if entry[0] <= time]
 
     def cut(self, start: float, stop: float) -> list[tuple[float, Command]]:
         """Split a time span where commands change; return durations [s] and commands."""
-        pieces, now, acting = [], start, self._begun[0][1]
+        pieces, acting = [], self._begun[0][1]
+        now, stop = start - self.later, stop - self.later
         for begins, command in self._begun:
             if begins > stop:
                 break
@@ -146,6 +152,11 @@ class KalmanFilter:
     def time(self) -> float | None:
         """Time of the last measurement; None before the first pose [s]."""
         return self._time
+
+    @property
+    def later(self) -> float:
+        """Learned delay beyond the model's [s]."""
+        return self._commands.later
 
     def command(self, time: float, command: Float[np.ndarray, " c"]) -> None:
         """Record a command that was sent.
@@ -226,6 +237,8 @@ class KalmanFilter:
             # It passed the check once: a late measurement must not change that.
             self._remember("pose", (time, np.array(pose, dtype=float)))
         self._settle(time, tuple(belief), speed)
+        if self._states is not None and self._states.learned_s is not None:
+            self._apply_delay()
         return True
 
     def imu(
@@ -269,14 +282,31 @@ class KalmanFilter:
         if self._advance(time, "mouse", given):
             self._belief = self._equations.use_mouse(self._belief, *given[1:])
 
+    def _apply_delay(self) -> None:
+        """Let commands act as late as is certain; the equations are linear around that delay."""
+        means, covariances, weights = self._belief
+        rest = float(weights @ means[:, -1])
+        variance = float(weights @ (covariances[:, -1, -1] + (means[:, -1] - rest) ** 2))
+        later = float(np.clip(certain(np, self.later + rest, variance), *_LATER))
+        change = float(np.clip(later - self.later, -_CHANGE, _CHANGE))
+        self._commands.later += change
+        means = np.array(means)
+        means[:, -1] -= change
+        self._belief = means, covariances, weights
+        tau, idle = self.model.dynamics.lag, self.model.dynamics.idle_lag
+        assert self._time is not None
+        [(_, command)] = self._commands.cut(self._time, self._time)[-1:]
+        speed = motor_step(np, self._motor_speed, command, -change, tau, idle)
+        self._motor_speed = np.clip(speed, *self.model.vehicle.command_range)
+
     def predict(self, time: float) -> Estimate:
         """Predict with the commands reported to the filter, without changing its state.
 
         Parameters
         ----------
         time : float
-            Time of the prediction, at or after the last measurement [s]. The last command stays in
-            force.
+            Time of the prediction, at or after the last measurement, if the model's delay is right
+            [s]; a learned delay is added. The last command stays in force.
 
         Returns
         -------
@@ -331,6 +361,7 @@ class KalmanFilter:
         results : sequence of array
             Results of the function.
         """
+        time += self.later
         belief, speed, pieces = self._pieces(time, _PIECES_TO_PREDICT)
         results = composed(*belief, speed, *pieces, *more)
         state, speed, disturbance, effectiveness, *following = results
@@ -338,8 +369,9 @@ class KalmanFilter:
         if self._states is not None:
             e, deviation, weights, *following = following
             probability = dict(zip(self._states.names, weights.tolist(), strict=True))
-            delay = float(e[-1]), float(deviation[-1])
-            actuation = ActuationEstimate(effectiveness, deviation[:-1], probability, *delay)
+            delay = self.later + float(e[-1]), float(deviation[-1])
+            found = 1 + e[:-1], deviation[:-1], probability
+            actuation = ActuationEstimate(*found, *delay, used=effectiveness)
         return Estimate(time, state, speed, disturbance, actuation), following
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
@@ -388,7 +420,7 @@ class KalmanFilter:
     def _remember(self, sensor: str, given: tuple[Any, ...]) -> None:
         """Record a measurement and the state before it, and drop old ones."""
         assert self._time is not None
-        state, time = (self._time, self._belief, self._motor_speed), given[0]
+        state, time = (self._time, self._belief, self._motor_speed, self.later), given[0]
         self._history.append((time, state, sensor, given))
         while self._history[0][0] < time - _REMEMBERED:
             self._history.popleft()
@@ -411,7 +443,7 @@ class KalmanFilter:
         later = [entry for entry in self._history if entry[0] > time]
         if not later or later[0][1][0] > time:
             return None
-        self._time, self._belief, self._motor_speed = later[0][1]
+        self._time, self._belief, self._motor_speed, self._commands.later = later[0][1]
         for _ in later:
             self._history.pop()
         return [(sensor, given) for _, _, sensor, given in later]

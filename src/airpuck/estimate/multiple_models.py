@@ -38,8 +38,8 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 #: hand; a motor would need ten frames for it. The velocities become unknown, and no motor is
 #: blamed.
 _KNOCK = 8.0
-#: Bounds of a learned delay that is used [s].
-LATE = (-0.02, 0.05)
+#: Standard deviations from which on a learned change is used.
+_CERTAIN = 2.5
 #: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -229,24 +229,45 @@ class MultipleModels:
         Also returns e with its standard deviations, and the weights.
         """
         mean = xp.sum(weights[:, None] * means, axis=0)
-        e = mean[ACTUATION]
-        effectiveness = 1 + e[:-1]
-        # A delay that is not learned is not used: each command in transit has its own.
-        effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
-        given = given if self.states.learned_s is None else self._late(xp, e[-1], *given)
-        axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given)
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
         deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
+        e = mean[ACTUATION]
+        if self.states.learned_s is not None:
+            # What is not certain is not used: then the craft is as if nothing had been learned.
+            means = conditioned(xp, means, covariances, certain_changes(xp, means, covariances))
+            mean = xp.sum(weights[:, None] * means, axis=0)
+        # The delay is left out: each command in transit has its own.
+        effectiveness = 1 + mean[ACTUATION][:-1]
+        effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
+        axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given)
         state = xp.ravel(axes[:, :2].T)
         return state, speed, axes[:, 2], effectiveness, e, deviation, weights
 
-    def _late(self, xp: Any, delay: Any, speed: Any, durations: Any, commands: Any) -> Any:
-        """Let the commands in transit act later, and predict until the last begins to act."""
-        delay = xp.clip(delay, *LATE)
-        lag = lag_at(xp, speed, self.dynamics.lag, self.dynamics.idle_lag)
-        slope = (commands[0] - speed) / xp.maximum(lag, 1e-4)
-        first = np.arange(len(durations)) == 0
-        return speed - delay * slope, xp.maximum(durations + delay * first, 0.0), commands
+
+def certain(xp: Any, value: Any, variance: Any) -> Any:
+    """Shrink an estimate to zero if it may be zero, and hardly if it cannot."""
+    square = value * value
+    return value * xp.maximum(1 - (_CERTAIN**2 * variance / xp.maximum(square, 1e-30)) ** 2, 0.0)
+
+
+def certain_changes(xp: Any, means: Any, covariances: Any) -> Any:
+    """Return the certain part of e in each state, without the delay: common, then of each motor."""
+    e, block = means[:, 9:-1], covariances[:, 9:-1, 9:-1]
+    rows = xp.mean(block, axis=2)
+    common, spread = xp.mean(e, axis=1)[:, None], xp.mean(rows, axis=1)[:, None]
+    own = xp.diagonal(block, axis1=1, axis2=2) - 2 * rows + spread
+    changes = certain(xp, common, spread) + certain(xp, e - common, own)
+    return xp.concatenate([changes, xp.zeros((len(means), 1))], axis=1)
+
+
+def conditioned(xp: Any, means: Any, covariances: Any, values: Any) -> Any:
+    """Return the means if e has certain values."""
+    for k in range(values.shape[1]):
+        column = covariances[:, :, 9 + k]
+        gain = column / xp.maximum(column[:, 9 + k], 1e-30)[:, None]
+        means = means + gain * (values[:, k] - means[:, 9 + k])[:, None]
+        covariances = covariances - gain[:, :, None] * column[:, None, :]
+    return means
 
 
 def drift(

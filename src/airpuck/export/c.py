@@ -23,7 +23,7 @@ from airpuck.control.horizon import Blocks, Sizes
 from airpuck.control.law import LawOptions
 from airpuck.control.lqr import LQRSettings, cost_to_go, lqr_gain, motor_lag, point_mass
 from airpuck.control.mpc import FLOWN_ON, MPC, Ongoing
-from airpuck.control.pose_gate import JUMP, ROUNDING, longest_pause, remembered
+from airpuck.control.pose_gate import BLIND, JUMP, MOVES, ROUNDING, longest_pause, remembered
 from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
@@ -183,7 +183,7 @@ _TARGETS = ((0.0, 0.0, 0.0), (0.3, 0.1, 2.0), (-0.6, 0.3, -1.0), (0.0, 0.0, 0.0)
 #: Departure of a planned flight, and time for which it continues after its end [s].
 _DEPARTS, _AFTERWARDS = 0.05, 0.2
 #: Frames that are lost, that are not finite, and that show another object.
-_LOST, _BAD, _JUMPING = range(110, 130), range(170, 172), range(230, 233)
+_LOST, _BAD, _JUMPING = range(100, 165), range(170, 172), range(230, 233)
 #: Standard deviation of the poses [m, m, rad].
 _NOISE = (5e-5, 5e-5, 6e-4)
 
@@ -329,6 +329,8 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
     return {
         "transport_delay": model.transport_delay,
         "longest_pause": pause,
+        "blind": BLIND,
+        "moves": MOVES,
         "believed_after": pause - ROUNDING,
         "remembered": remembered(pause),
         "jump": np.array(JUMP),

@@ -270,7 +270,13 @@ void airpuck_pose(airpuck *craft, double stamp, const airpuck_real pose[3])
     craft->received = stamp;
     craft->clock = stamp > craft->clock ? stamp : craft->clock;
     if (!(fabs(stamp - last) <= airpuck_tuned.longest_pause)) {
-        /* The last pose is too old to predict from, or its stamp lies in the future. */
+        /* The last pose is too old to predict from, or its stamp lies in the future; but a short gap
+         * may not have led the prediction astray. */
+        if (stamp > last && stamp - last <= airpuck_tuned.blind && !craft->doubtful &&
+            use_pose(craft, stamp, pose)) {
+            craft->used = stamp;
+            return;
+        }
     } else if (stamp - craft->used <= airpuck_tuned.longest_pause && use_pose(craft, stamp, pose)) {
         craft->used = stamp;
         craft->doubtful = 0;
@@ -315,7 +321,9 @@ static airpuck_status refusal(airpuck *craft, double now)
         return AIRPUCK_BAD_INPUT;
     if (!(craft->received > NEVER))
         return AIRPUCK_NO_POSE;
-    if (!(fabs(now - craft->received) <= airpuck_tuned.longest_pause))
+    double age = now - craft->received;
+    int blind = craft->speed > airpuck_tuned.moves && age >= 0 && age <= airpuck_tuned.blind;
+    if (!(fabs(age) <= airpuck_tuned.longest_pause || blind))
         return AIRPUCK_STALE_POSE;
     return craft->doubtful ? AIRPUCK_JUMPING_POSE : AIRPUCK_EXACT;
 }
@@ -335,6 +343,7 @@ airpuck_status airpuck_step(airpuck *craft, double now,
         for (int i = 0; i < MOTORS; i++)
             command[i] = airpuck_tuned.command_min;
         memset(craft->request, 0, sizeof craft->request);
+        craft->speed = 0;
         return craft->status;
     }
     advance(craft, now + airpuck_tuned.transport_delay, mean, craft->motor_speed);
@@ -343,6 +352,7 @@ airpuck_status airpuck_step(airpuck *craft, double now,
         craft->state[3 + axis] = mean[axis][1];
         craft->disturbance[axis] = mean[axis][2];
     }
+    craft->speed = sqrt((double)(mean[0][1] * mean[0][1] + mean[1][1] * mean[1][1]));
 #if AIRPUCK_INTERVALS > 0
     if (targets == NULL) {
         double since = now + airpuck_tuned.transport_delay - craft->departs;

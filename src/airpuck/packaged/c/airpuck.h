@@ -68,7 +68,8 @@ typedef struct {
 /* Numbers fixed at export: the tuning, and what follows from it. */
 typedef struct {
     double transport_delay;                 /* From sending a command to its effect [s]. */
-    double longest_pause;                   /* No control without a pose newer than this [s]. */
+    double longest_pause;                   /* No control without a pose newer than this [s], */
+    double blind, moves;                    /* or this, if the craft is faster than that [m/s]. */
     double believed_after;                  /* Poses that agree for this long are accepted [s]. */
     double remembered;                      /* Older commands affect only motor speeds [s]. */
     airpuck_real jump[3];                   /* A pose this far from its prediction is wrong. */
@@ -125,6 +126,7 @@ typedef struct {
     double used;
     int bad;      /* Whether the last pose was not finite. */
     int doubtful; /* Whether the last pose was too far from its prediction. */
+    double speed;          /* In the last step [m/s]. */
     double agreeing_since; /* Since when poses agree with each other. */
     airpuck_real pose[3];  /* The last pose. */
 
