@@ -26,6 +26,7 @@ import airpuck
 from airpuck.control.tuning import tuning_for
 from airpuck.flight.pilot import pilot_named
 from airpuck.report import style
+from airpuck.report.commissioning_report import flights_figure, interval_figure
 from airpuck.twin.experiments import course_plan
 from airpuck.twin.settings import default_twin_settings
 
@@ -385,6 +386,25 @@ def laws() -> Figure:
     return figure
 
 
+def commissioning() -> None:
+    """Commission the paper's craft on the twin from a rough file, and draw the page's figures."""
+    content = airpuck.default_vehicle().model_dump(mode="json")
+    content["mass_kg"] *= 1.25
+    nominal, propellers = content["nominal"], content["propellers"]
+    nominal["thrust_N"] = [0.6 * coefficient for coefficient in nominal["thrust_N"]]
+    nominal["inertia_kg_m2"] *= 0.75
+    propellers[1]["direction_deg"] = (propellers[1]["direction_deg"] + 180) % 360
+    content["pairs"] = []
+    stated = airpuck.Vehicle.model_validate(content)
+    settings = default_twin_settings().without_on_board()
+    found = airpuck.commission(airpuck.Twin(truth(), settings, seed=4), stated, tell=print)
+    for name, draw in (("intervals", interval_figure), ("flights", flights_figure)):
+        with mpl.rc_context(style.LOOK | TEXT):
+            figure = draw(found, WIDTH)
+            figure.set_dpi(RESOLUTION)
+            figure.savefig(FOLDER / f"commissioning_{name}.png", facecolor="white")
+
+
 def animated() -> None:
     """Fly to the paper's set points with predictive control, and animate the flight."""
     model = airpuck.read_model("paper:M4")
@@ -410,8 +430,12 @@ def crossing() -> None:
     write_fleet_gif(airpuck.fly_together(fleet), fleet, FOLDER / "fleet.gif")
 
 
-#: Pictures that move.
-ANIMATIONS: dict[str, Callable[[], None]] = {"flight": animated, "fleet": crossing}
+#: Pictures that write their own files.
+ANIMATIONS: dict[str, Callable[[], None]] = {
+    "flight": animated,
+    "fleet": crossing,
+    "commissioning": commissioning,
+}
 PICTURES: dict[str, Callable[[], Figure]] = {
     "frames": frames,
     "usage": usage,

@@ -76,7 +76,7 @@ def test_a_dead_motor_ends_the_run_before_any_excitation():
 def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):
     gaps = TwinSettings(motion_capture={"gaps_s": [(6.2, 1e4)]}).motion_capture
     twin = Twin(TRUTH, QUIET.model_copy(update={"motion_capture": gaps}), seed=2)
-    found = commission(twin, default_vehicle(), tmp_path, steps=STEPS[:3])
+    found = commission(twin, default_vehicle(), tmp_path, steps=STEPS[1:4])
     assert found.outcome == "poses"
     kept = sorted(path.name for path in (tmp_path / "flights").iterdir())
     assert kept == ["01_rest", "02_pulses", "03_hover"]
@@ -85,7 +85,7 @@ def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_pat
 def test_on_a_slope_the_craft_is_brought_back_between_pulses():
     tilt = TwinSettings(effects={"tilt_rad": (0.0, 0.012)}).effects
     twin = Twin(TRUTH, QUIET.model_copy(update={"effects": tilt}), seed=5)
-    found = commission(twin, default_vehicle(), steps=STEPS[:3])
+    found = commission(twin, default_vehicle(), steps=STEPS[1:4])
     assert "return" in [flight.name[3:] for flight in found.flights]
     assert [step.step for step in found.steps] == ["rest", "pulses", "hover"]
     assert max((speed for _, speed in twin.craft.contacts), default=0.0) < 0.3

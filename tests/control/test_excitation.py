@@ -269,19 +269,22 @@ def test_the_braking_distance_agrees_with_a_hand_calculation():
         assert (excitation.pauses > paused) == pauses
 
 
-def test_a_craft_that_answers_late_brakes_earlier():
-    # For 0.1 s it may still be pushed outwards as strongly as it can be; then it brakes.
+@pytest.mark.parametrize("forward", [True, False])
+def test_a_craft_that_answers_late_brakes_earlier_if_its_motors_push_outwards(forward):
+    # For 0.1 s its motors go on pushing forward; then it brakes. Idle motors push nowhere.
     full = sum(VEHICLE.nominal.thrust_N) / VEHICLE.mass_kg
     directions = np.deg2rad([p.direction_deg for p in VEHICLE.propellers])
     angles = np.linspace(0, 2 * np.pi, 3601)
     pushes = np.maximum(np.cos(directions[:, None] - angles), 0).sum(axis=0) * full
     late, speed = 0.1, 0.4
-    faster = speed + pushes.max() * late
+    faster = speed + forward * pushes[0] * late
     stop = (speed + faster) / 2 * late + faster**2 / (2 * 0.5 * pushes.min())
     limit = 2.2 / 2 - 0.07 - 0.05 - stop
-    for offset, pauses in ((-0.01, False), (0.01, True)):
+    command = np.where(forward & (np.cos(directions) > 1e-6), 1.0, IDLE)
+    for offset, pauses in ((-0.015, False), (0.015, True)):
         excitation = pilot(seed=1, reaction=late)
         moving(excitation, (limit + offset, 0.0), (speed, 0.0), steps=30)
+        excitation.sent(28 * PERIOD, command)
         paused = excitation.pauses
         excitation.step(29 * PERIOD)
         assert (excitation.pauses > paused) == pauses

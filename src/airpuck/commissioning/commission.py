@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Finding, Result
-from airpuck.commissioning.excitations import Excitations
+from airpuck.commissioning.excitations import Excitations, Preparation
 from airpuck.commissioning.session import Commissioned, Ended, KeptFlight, Learned, TimedWork, Work
 from airpuck.commissioning.steps import CommissioningStep, Hover, Pulses, Rest
 from airpuck.craft.table import Table
@@ -86,7 +87,7 @@ class Commissioning(Result):
 
 
 #: From a craft at rest to a trusted model.
-STEPS: tuple[CommissioningStep, ...] = (Rest(), Pulses(), Hover(), Excitations())
+STEPS: tuple[CommissioningStep, ...] = (Preparation(), Rest(), Pulses(), Hover(), Excitations())
 
 
 def commission(
@@ -115,7 +116,7 @@ def commission(
     table : Table, optional
         Table with the rails; by default the paper's.
     steps : sequence of CommissioningStep, optional
-        By default `STEPS`: rest, pulses, hover, excitations.
+        By default `STEPS`: preparation, rest, pulses, hover, excitations.
     seed : int, default 0
         Seed of the excitations.
     tell : callable, optional
@@ -150,12 +151,15 @@ def commission(
             step.run(session)
     except Ended as end:
         ended = end.finding
-        session.note("end", ended.sentence)
+    except InputError as error:
+        ended = Finding("control", error.problem, "", "Check the layout in the vehicle file.")
     finally:
         # Writing takes longer than a command may be missing: the craft lands first.
         session.land()
         for flight in session.flights if out is not None else ():
             write_bag(flight.recording, Path(out or "") / "flights" / flight.name)
+    if ended is not None:
+        session.note("end", ended.sentence)
     trusted = ended is None and session.study is not None and session.study.verdict.trusted
     found = Commissioning(
         "trusted" if trusted else "not_trusted" if ended is None else ended.kind,

@@ -15,6 +15,8 @@ from airpuck.physics.rigid_body import acceleration_map
 
 #: Bounds for the ratio of measured and stated inertia: beyond, the pulses were disturbed.
 _INERTIA = (0.4, 2.5)
+#: Least thrust of a motor whose pulses tell none, relative to the median motor's.
+_LEAST = 0.1
 
 
 def matched(model: Model, effects: Float[np.ndarray, "3 n"]) -> dict[int, EffectMatch]:
@@ -77,7 +79,10 @@ def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> V
     ratio = effects[2, turns] / stated[2, turns] / push[turns]
     inertia = 1 / float(np.clip(np.median(ratio), *_INERTIA)) if turns.any() else 1.0
     # Of a propeller that pushes both ways, the file states the thrust forwards.
-    strength = np.where(tried, push, float(np.median(push[tried])))[: len(vehicle.propellers)]
+    usual = float(np.median(push[tried]))
+    # What is not clear yet keeps a little thrust: a curve must rise.
+    strength = np.maximum(np.where(tried, push, usual), _LEAST * abs(usual))
+    strength = strength[: len(vehicle.propellers)]
     nominal, curves = vehicle.nominal, vehicle.nominal_thrust[: len(vehicle.propellers)]
     return _copy(
         vehicle,

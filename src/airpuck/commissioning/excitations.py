@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,15 +15,52 @@ from airpuck.commissioning.session import Commissioned, Ended
 from airpuck.commissioning.steps import careful, hovering
 from airpuck.control.excitation import Excitation
 from airpuck.control.settings import ExcitationPlan
+from airpuck.craft.vehicle import Vehicle
+from airpuck.deviation.pose_regression import shortest_judged
 from airpuck.judgement.findings import ACCELERATION_LIMIT, RESPONSE_LIMIT
 from airpuck.judgement.study import Study, study
 from airpuck.judgement.verdict import Verdict
+from airpuck.model.model_file import nominal_model
 from airpuck.recording.stream import Recording
+from airpuck.twin.experiments import excite
+from airpuck.twin.settings import default_twin_settings
 
 #: Longest time for a study while the craft holds its place [s].
 _LONGEST_STUDY = 300.0
+#: Time for which poses are counted [s].
+_LISTENED = 0.3
+#: Longest excitation [s].
+_LONGEST = 20.0
 #: Hold times of the signals: for effects, and for timing [s].
 _SLOW, _FAST = 0.3, 0.12
+
+
+@dataclass(frozen=True)
+class Preparation:
+    """Compiles what a study needs, with flights of the stated craft, before any motor runs."""
+
+    def run(self, session: Commissioned) -> None:
+        """Study simulated flights; see `CommissioningStep`."""
+        link, work = session.link, session.work
+        heard = [one.stamp for one in link.wait_until(link.now + _LISTENED) if one.kind == "pose"]
+        if len(heard) < 3:
+            return  # The next step tells what is wrong with the poses.
+        session.tell("compiling the programs of the first study")
+        work.start(link.now, prepare, session.vehicle, 1 / float(np.median(np.diff(heard))))
+        while not work.done(math.inf):
+            link.wait_until(link.now + _LISTENED)
+            session.check_operator()
+
+
+def prepare(vehicle: Vehicle, rate: float) -> None:
+    """Study two simulated flights with cameras of this rate [Hz]."""
+    usual = default_twin_settings().without_on_board()
+    capture = usual.motion_capture.model_copy(update={"rate_hz": rate})
+    settings = usual.model_copy(update={"motion_capture": capture})
+    # A wrong file may describe a craft that no controller can steer; pulses correct it.
+    with suppress(InputError):
+        flight = excite(nominal_model(vehicle), Excitations.duration_s, settings=settings)
+        study(flight, vehicle, None, flight)
 
 
 @dataclass(frozen=True)
@@ -31,7 +70,7 @@ class Excitations:
     Attributes
     ----------
     duration_s : float
-        Length of each.
+        Length of each; longer for a craft that needs more to be judged.
     most : int
         Largest number of them.
     """
@@ -43,24 +82,25 @@ class Excitations:
         """Fly and study until the verdict is trusted; see `CommissioningStep`."""
         flown: list[Recording] = []
         for number in range(self.most):
-            plan = next_plan(session, self.duration_s)
+            noise = session.cameras.position_noise_m if session.cameras else 0.0
+            needed = max(self.duration_s, shortest_judged(session.vehicle, noise))
+            plan = next_plan(session, min(needed, _LONGEST), number)
             pilot = excitation(session, plan, number)
             flown.append(session.fly("excitation", pilot, plan.duration_s))
+            if number == 0:
+                # The next flight judges a model of this one: there is nothing to decide before.
+                continue
             session.study = self._studied(session, flown)
             said = session.study.verdict
-            held_out = len(flown) > 1
-            session.note("study" if held_out else "first fit", summary(said), session.study.model)
-            if held_out and said.trusted:
-                session.land()
+            session.note("study", summary(said), session.study.model)
+            if said.trusted:
                 return
-        session.land()
         assert session.study is not None
         raise Ended(first_cause(session.study))
 
     def _studied(self, session: Commissioned, flown: list[Recording]) -> Study:
         """Study the flights while the craft holds its place; the last one is held out."""
-        other = flown[-1] if len(flown) > 1 else None
-        work, given = session.work, (flown[:-1] or flown, session.vehicle, None, other)
+        work, given = session.work, (flown[:-1], session.vehicle, None, flown[-1])
         work.start(session.link.now, study, *given)
         if not work.done(session.link.now):
             session.fly("holding", hovering(session), _LONGEST_STUDY, until=work.done)
@@ -71,9 +111,10 @@ class Excitations:
         return work.result()
 
 
-def next_plan(session: Commissioned, duration: float) -> ExcitationPlan:
+def next_plan(session: Commissioned, duration: float, number: int) -> ExcitationPlan:
     """Return the excitation that teaches most of what is least known."""
-    said, hold = None if session.study is None else session.study.verdict, _SLOW
+    said = None if session.study is None else session.study.verdict
+    hold = _FAST if number % 2 else _SLOW
     if said and said.response_error is not None and said.acceleration_errors is not None:
         late = said.response_error / RESPONSE_LIMIT
         hold = _FAST if late > np.max(said.acceleration_errors) / ACCELERATION_LIMIT else _SLOW
@@ -84,10 +125,14 @@ def excitation(session: Commissioned, plan: ExcitationPlan, number: int) -> Exci
     """Return the pilot of an excitation, which brakes in time for what is not known yet."""
     model = session.model
     reaction = float(np.max(model.dynamics.lag)) + model.transport_delay
+    # The worst within the interval, of the pulses or of the study.
+    error = None if session.study is None else session.study.verdict.response_error
+    reaction = max(reaction, session.late) if error is None else reaction + min(2 * error, reaction)
     given: dict[str, Any] = {"tuning": careful(model), "amplitude": plan.amplitude}
     given |= {"hold": plan.hold_s, "margin": plan.margin_m, "seed": session.seed + number}
     try:
-        return Excitation(model, session.here, **given, table=session.table, reaction=reaction)
+        given |= {"table": session.table, "reaction": reaction, "compiled": False}
+        return Excitation(model, session.here, **given)
     except InputError as error:
         remedy = "Check the layout in the vehicle file."
         raise Ended(Finding("control", error.problem, "", remedy)) from error

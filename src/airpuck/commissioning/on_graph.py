@@ -7,24 +7,18 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import suppress
 from typing import Any
 
-from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.commission import Commissioning, commission
 from airpuck.commissioning.session import Ended, Work
 from airpuck.compute.process import prioritize
-from airpuck.control.excitation import Excitation
-from airpuck.control.reference import SetPoint
-from airpuck.control.tracking import TrackingController
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.judgement.study import study
-from airpuck.live.fly import EARLY, GraphLink, keyboard, rehearse_steps
+from airpuck.live.fly import EARLY, GraphLink, keyboard
 from airpuck.live.process import Process
 from airpuck.live.settings import LiveSettings
-from airpuck.model.model_file import nominal_model
 
 NAME = "airpuck commission"
 #: Niceness of the process that computes: the flight comes first.
@@ -75,14 +69,7 @@ def commission_live(
     prioritize(first=True)
     with Process(NAME, settings or LiveSettings()) as process:
         process.refuse_second("command", vehicle.columns, "controller")
-        prioritize(first=False)
-        work, model = ProcessWork(), nominal_model(vehicle)
-        # A wrong file may describe a craft that no controller can steer; pulses correct it.
-        with suppress(InputError):
-            for pilot in (TrackingController(model, SetPoint(0.0, 0.0, 0.0)), Excitation(model)):
-                rehearse_steps(pilot, 0.01)
-        prioritize(first=True)
-        process.refuse_second("command", vehicle.columns, "controller")
+        work = ProcessWork()
         link = GraphLink(process, vehicle.columns, announces=True)
         try:
             with keyboard() as pressed:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.results import Finding, Result
 from airpuck.control.law import Pilot
+from airpuck.control.pose_gate import BLIND
 from airpuck.control.reference import SetPoint
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
@@ -170,6 +171,8 @@ class Commissioned:
         Seed of the excitations.
     cameras : Cameras or None
         Rate and noise of the poses, once they are known.
+    late : float
+        Largest sum of lag and delay that pulses leave likely [s].
     slope : array, shape (2,)
         Acceleration of the resting craft along x and y [m/s²].
     study : Study or None
@@ -191,6 +194,7 @@ class Commissioned:
     work: Work
     early: float
     cameras: Cameras | None = None
+    late: float = 0.0
     slope: Float[np.ndarray, " 2"] = field(default_factory=lambda: np.zeros(2))
     study: Study | None = None
     flights: list[KeptFlight] = field(default_factory=list)
@@ -201,7 +205,8 @@ class Commissioned:
         self._log = _LoggedLink(self.link, self.vehicle)
         self._start = self.link.now
         fence = within_rails(self.table, self.vehicle.radius_m)
-        self._guard = Guard(SafetyLimits(geofence=fence))
+        # The pilots stop sooner unless the craft moves.
+        self._guard = Guard(SafetyLimits(geofence=fence, pose_timeout=BLIND))
         #: The last pose.
         self.position: Float[np.ndarray, " 3"] | None = None
 
@@ -273,11 +278,15 @@ class Commissioned:
         self.learned.append(Learned(step, words, now, self.flight_s, model))
         self.tell(f"{now:6.1f} s  {step}: {words}")
 
+    def check_operator(self) -> None:
+        """End the run if the operator demands it."""
+        if self.stopped():
+            raise Ended(Finding("control", "Stopped by the operator", "", "Start again."))
+
     def _watch(self, action: Action) -> None:
         """End the run if the operator or the cameras demand it."""
         self.position = self._log.poses[-1][1] if self._log.poses else self.position
-        if self.stopped():
-            raise Ended(Finding("control", "Stopped by the operator", "", "Start again."))
+        self.check_operator()
         silent = action.time - self._log.heard
         if silent > _NO_POSE:
             cause = f"No pose has arrived for {silent:.1f} s"

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
@@ -18,8 +20,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.time_scale import usual_pushes
-from airpuck.flight.preflight import Preflight, judge_test
-from airpuck.flight.pulses import PulsePlan, PulseTest
+from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
 
@@ -29,17 +30,28 @@ _RATE = 50.0
 _NOISE = (2e-3, 5e-2)
 _GRAVITY = 9.81
 #: Lags that the pulses are compared with [s].
-_LAGS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16)
+_LAGS = (0.01, 0.015, 0.025, 0.04, 0.06, 0.085, 0.12, 0.16)
+#: Twice the factor by which squared residuals exceed those of white noise.
+_TEMPERED = 8.0
 #: Response time for which the packaged controller is made [s]; slower craft get a slower one.
 _RESPONSE, _SLOWEST = 0.08, 3.0
+#: Spin that a pulse may cause [rad/s].
+_SPIN = 1.0
 #: Effect below which a motor counts as dead, relative to the median motor's.
 _DEAD = 0.15
+#: Error of an effect from which a motor is tried again, relative to the usual effect.
+_VAGUE = 0.15
+#: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
+#: largest misfit of a pulse that was not disturbed, relative to the smallest.
+_STARTED, _DISTURBED = 0.3, 5.0
 #: Factor by which a vehicle file's thrusts may be wrong.
 _ROUGH = 2.0
 #: Fewest known motors that can bring a craft back, and the time that they get [s].
 _STEERED, _RETURN = 3, 6.0
-#: Distance to the rails that is kept [m], and time until brakes act [s].
-_CLEARANCE, _REACTION = 0.05, 0.2
+#: Distance to the rails that is kept [m], and time until a slowed law brakes [s].
+_CLEARANCE, _REACTION = 0.05, 0.4
+#: Time to a rail at which pulses end although nothing can bring the craft back [s].
+_AT_RAIL = 0.2
 #: A motor that gave nothing in this many flights more counts as dead: starts may fail.
 _SILENT = 2
 #: A table counts as level up to this slope [mrad].
@@ -137,7 +149,7 @@ class Pulses:
         Largest number of flights; in each, motors that are still unclear are tried.
     """
 
-    tries: int = 5
+    tries: int = 8
 
     def run(self, session: Commissioned) -> None:
         """Try each motor, and correct the vehicle; see `CommissioningStep`."""
@@ -147,60 +159,62 @@ class Pulses:
             cause = "Commissioning needs propellers alone: no wheels, no on/off thrusters"
             raise Ended(Finding("layout", cause, "", remedy))
         model, stronger = session.model, 1.0
-        effects, timing = np.full((3, given.n_propellers), np.nan), (0.0, 0.0)
+        evidence = PulseEvidence(model)
         unclear, cause = np.arange(given.n_propellers), None
         for tried in range(self.tries):
-            if tried and not self._brought_back(session, given, effects, *timing):
-                break
+            steered = not tried or self._brought_back(session, given, evidence)
             plan = pulse_plan(given, session.cameras, stronger)
             pilot = PulseTest(given, plan, session.table, unclear.tolist())
-            stop = _DriftingOff(session, given)
+            lacking = _STEERED - np.isfinite(evidence.effects[1]).sum()
+            wait = max(int(lacking), 0) * (plan.rest + plan.length) + plan.rest
+            begins = session.link.now + wait if steered else math.inf
+            stop = _DriftingOff(session, given, begins)
             session.fly("pulses", pilot, pilot.duration, until=stop, guarded=False)
-            used, found = judged(pilot, model)
-            if found.effects is not None:
-                seen = np.isfinite(found.effects).all(axis=0)
-                effects[:, seen] = found.effects[:, seen]
-                timing = timing if tried else (float(np.max(used.dynamics.lag)), found.delay)
-            unclear, cause = _unclear(model, effects)
-            if not len(unclear) or (tried >= _SILENT and not np.isnan(effects).any()):
+            evidence = evidence.after(pilot)
+            unclear, cause = _unclear(model, *evidence.effects)
+            untried = np.isnan(evidence.effects[0]).any()
+            if not len(unclear) or (tried >= _SILENT and not untried):
                 break
-            stronger *= 1.0 if np.isnan(effects[:, unclear]).all() else 1.6
+            stronger *= 1.0 if untried else 1.6
         if cause is not None:
             raise Ended(_because_of_slope(session, cause))
-        self._conclude(session, given, effects, *timing)
+        self._conclude(session, given, evidence)
 
-    def _brought_back(
-        self, session: Commissioned, given: Vehicle, effects: Effects, *timing: float
-    ) -> bool:
-        """Bring the craft back to the middle if possible; return whether pulses can continue."""
-        if np.isfinite(effects).all(axis=0).sum() < _STEERED:
+    def _brought_back(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> bool:
+        """Bring the craft back to the middle if it can be; return whether it can."""
+        effects, _ = evidence.effects
+        # If a motor gave nothing, the others cannot steer; it may be tried again while coasting.
+        if np.isfinite(effects).all(axis=0).sum() < _STEERED or _silent(effects).any():
             return False
-        if _silent(effects).any():
-            # The others cannot steer it; the motor may be tried again while the craft coasts.
-            return True
-        session.vehicle = known_vehicle(given, session.cameras, effects, *timing)
-        session.fly("return", hovering(session), _RETURN, until=_Settled(session, 0.12, 0.1))
-        session.fly("pause", _Resting(given.idle), 2 * timing[0] + timing[1] + 0.05)
+        session.vehicle = known_vehicle(given, session.cameras, evidence)
+        try:
+            pilot = hovering(session)
+        except InputError:
+            return False  # What is known so far steers no craft.
+        session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
+        session.fly("pause", _Resting(given.idle), 2 * evidence.lag + evidence.delay + 0.05)
         return True
 
-    def _conclude(
-        self, session: Commissioned, given: Vehicle, effects: Effects, *timing: float
-    ) -> None:
+    def _conclude(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> None:
         """Continue with the corrected vehicle, and say so."""
+        effects, _ = evidence.effects
         wrong = layout_findings(given, matched(nominal_model(given), effects))
         if wrong and given.n_propellers > len(given.columns):
             raise Ended(wrong[0])  # a swap concerns both ways of a propeller
         session.findings += wrong
-        session.vehicle = known_vehicle(given, session.cameras, effects, *timing)
+        session.vehicle = known_vehicle(given, session.cameras, evidence)
+        session.late = evidence.latest
         if wrong:
             said = "; ".join(one.cause for one in wrong)
             session.tell(f"{said}: continuing with a corrected vehicle file")
-        lag, delay = (f"{1e3 * one:.0f} ms" for one in timing)
+        lag, delay = (f"{1e3 * one:.0f} ms" for one in (evidence.lag, evidence.delay))
         count = len(given.propellers)
         session.note("pulses", f"{count} motors answer; lag about {lag}, delay about {delay}")
 
 
-def _unclear(model: Model, effects: Effects) -> tuple[Int[np.ndarray, " k"], Finding | None]:
+def _unclear(
+    model: Model, effects: Effects, errors: Float[np.ndarray, " n"]
+) -> tuple[Int[np.ndarray, " k"], Finding | None]:
     """Return the motors that have to be tried again, and what is wrong with the first one."""
     names = model.vehicle.propeller_names
     untried = np.isnan(effects).any(axis=0)
@@ -211,8 +225,8 @@ def _unclear(model: Model, effects: Effects) -> tuple[Int[np.ndarray, " k"], Fin
     share, silent = _shares(effects), _silent(effects)
     matches = matched(model, np.where(silent, np.nan, effects))
     odd = np.array([k in matches and matches[k].acts_as is None for k in range(len(names))])
-    unclear = np.flatnonzero(untried | silent | odd)
-    if not len(unclear):
+    unclear = np.flatnonzero(untried | silent | odd | (errors > _VAGUE))
+    if not (untried | silent | odd).any():
         return unclear, None
     for k in np.flatnonzero(silent).tolist():
         remedy = "Check its cable, power and bearing, and start again."
@@ -223,7 +237,7 @@ def _unclear(model: Model, effects: Effects) -> tuple[Int[np.ndarray, " k"], Fin
         cause = f"{names[k]} acts {angle:.0f}° off its place in the vehicle file"
         remedy = "Check its position_m and direction_deg, and the axes of the poses."
         return unclear, Finding("layout", cause, "", remedy)
-    cause = f"The craft came near a rail before {names[unclear[0]]} was tried"
+    cause = f"The craft came near a rail before {names[np.flatnonzero(untried)[0]]} was tried"
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
 
 
@@ -245,22 +259,24 @@ def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
     return replace(cause, cause=said, evidence=cause.cause) if slopes else cause
 
 
-def known_vehicle(
-    given: Vehicle, cameras: Cameras | None, effects: Effects, lag: float, delay: float
-) -> Vehicle:
+def known_vehicle(given: Vehicle, cameras: Cameras | None, evidence: PulseEvidence) -> Vehicle:
     """Return the vehicle that pulses show: order, signs, strengths, inertia, lag and delay."""
+    effects, _ = evidence.effects
     right = corrected(given, matched(nominal_model(given), effects))
-    start = with_lag(replace(nominal_model(right), cameras=cameras), lag)
+    start = with_lag(replace(nominal_model(right), cameras=cameras), evidence.lag)
     # Effects are per unit of the given file's thrusts.
     ratios = given.nominal_thrust.sum(axis=1) / right.nominal_thrust.sum(axis=1)
-    return measured(start, effects * ratios, delay)
+    return measured(start, effects * ratios, evidence.delay)
 
 
 class _DriftingOff:
-    """Whether the craft must be brought back now to stay clear of the rails."""
+    """Whether the craft has to be brought back now, lest it comes near a rail.
 
-    def __init__(self, session: Commissioned, vehicle: Vehicle) -> None:
-        self._session = session
+    Until a time nothing can bring it back: then pulses go on until it is at the rail.
+    """
+
+    def __init__(self, session: Commissioned, vehicle: Vehicle, steered: float) -> None:
+        self._session, self._steered = session, steered
         self._reach = np.array(session.table.reach(vehicle.radius_m)) - _CLEARANCE
         self._braking = usual_pushes(vehicle)[0] / (2 * _ROUGH)
         self._motion = _Motion()
@@ -270,7 +286,8 @@ class _DriftingOff:
         if moved is None:
             return False
         place, speed = moved
-        ahead = speed * _REACTION + speed * np.abs(speed) / (2 * self._braking)
+        braked = speed * _REACTION + speed * np.abs(speed) / (2 * self._braking)
+        ahead = braked if now >= self._steered else speed * _AT_RAIL
         return bool((np.abs(place + ahead) > self._reach).any())
 
 
@@ -294,11 +311,14 @@ class _Motion:
 def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> PulsePlan:
     """Return pulses whose motion stands out from the noise, twenty times if thrusts are right."""
     noise, rate = (1e-4, 100.0) if cameras is None else (cameras.position_noise_m, cameras.rate_hz)
-    push, _ = usual_pushes(vehicle)
+    push, turn = usual_pushes(vehicle)
     level = min(0.5 * stronger, 1.0) * vehicle.command_max
-    # The speed of a line of poses over a quarter of a second, before and after.
+    # The speed of a line of poses over a quarter of a second, before and after. In shorter pulses
+    # slow motors reach a part of their thrust only: lag and thrust cannot be told apart.
     speed = 20 * noise * math.sqrt(24 / (0.25 * rate)) / 0.25
-    length = float(np.clip(speed / max(level * push, 1e-6), 0.08, 0.25)) * stronger
+    length = float(np.clip(speed / max(level * push, 1e-6), 0.2, 0.35))
+    # At half of its speed a propeller gives about a quarter of its thrust.
+    length = stronger * min(length, max(_SPIN / max(level**2 * turn, 1e-6), 0.08))
     rest = max(0.3, 22 / rate)
     return PulsePlan(level, min(round(length, 2), 0.6), rest, rounds=2)
 
@@ -308,10 +328,78 @@ def with_lag(model: Model, lag: float) -> Model:
     return replace(model, parameters=replace(model.parameters, motor_time_constant=lag))
 
 
-def judged(pilot: PulseTest, model: Model) -> tuple[Model, Preflight]:
-    """Judge a test of pulses with the lag that explains it best."""
-    found = [(with_lag(model, lag), judge_test(pilot, with_lag(model, lag))) for lag in _LAGS]
-    return min(found, key=lambda one: one[1].misfit if one[1].misfit > 0 else math.inf)
+@dataclass(frozen=True, eq=False)
+class PulseEvidence:
+    """What all pulses so far tell of a craft that is as stated, but for its motors and timing."""
+
+    model: Model
+    #: How well each lag and delay explains them; every pair is as likely at first.
+    costs: Float[np.ndarray, "L D"] = field(
+        default_factory=lambda: np.zeros((len(_LAGS), len(DELAYS)))
+    )
+    #: Pose times, poses, command times and commands of each test.
+    logs: tuple[tuple[np.ndarray, ...], ...] = ()
+
+    def after(self, test: PulseTest) -> PulseEvidence:
+        """Return the evidence after another test."""
+        if not test.poses or not test.sent_commands:
+            return self
+        (times, poses), (sent, commands) = (
+            map(np.array, zip(*log, strict=True)) for log in (test.poses, test.sent_commands)
+        )
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        vehicle = self.model.vehicle
+        if vehicle.actuation.two_way.any():
+            commands = np.maximum(vehicle.actuation.split(commands), vehicle.command_min)
+        log, costs = (times, poses, sent, commands), np.array(self.costs)
+        for row, lag in zip(costs, _LAGS, strict=True):
+            for one in pulse_responses(with_lag(self.model, lag), *log):
+                row += one.costs
+        return replace(self, costs=costs, logs=(*self.logs, log))
+
+    @cached_property
+    def _weights(self) -> Float[np.ndarray, "L D"]:
+        """Probability of each pair."""
+        # The model of a pulse is not exact, so costs count less than those of white noise.
+        found = np.exp(-(self.costs - self.costs.min()) / _TEMPERED)
+        return found / found.sum()
+
+    @property
+    def lag(self) -> float:
+        """Mean lag [s]."""
+        return float(self._weights.sum(axis=1) @ _LAGS)
+
+    @property
+    def delay(self) -> float:
+        """Mean delay [s]."""
+        return float(self._weights.sum(axis=0) @ DELAYS)
+
+    @property
+    def latest(self) -> float:
+        """Largest sum of lag and delay that is likely [s]."""
+        off = np.add.outer(_LAGS, DELAYS) - self.lag - self.delay
+        return self.lag + self.delay + 2 * math.sqrt(np.sum(self._weights * off**2))
+
+    @cached_property
+    def effects(self) -> tuple[Effects, Float[np.ndarray, " n"]]:
+        """Effects of the motors, nan of those not tried, and their errors over the usual effect."""
+        model, count = with_lag(self.model, self.lag), self.model.vehicle.n_propellers
+        effects, errors = np.full((3, count), np.nan), np.full(count, np.nan)
+        delays = np.full(len(self.logs) * 10 * count, self.delay)
+        seen = [one for log in self.logs for one in pulse_responses(model, *log, delays=delays)]
+        scale = np.array([1.0, 1.0, model.radius_of_gyration])
+        for motor in {one.motor for one in seen}:
+            own = [one for one in seen if one.motor == motor]
+            # A start may have failed, or a rail or a hand disturbed a pulse.
+            largest = max(float(np.linalg.norm(scale * one.effect)) for one in own)
+            least = _DISTURBED * min(one.misfit for one in own)
+            good = [one for one in own if one.misfit <= least]
+            good = [g for g in good if np.linalg.norm(scale * g.effect) > _STARTED * largest] or own
+            covariance = np.linalg.pinv(sum(one.information for one in good))
+            effects[:, motor] = covariance @ sum(one.information @ one.effect for one in good)
+            errors[motor] = math.sqrt(np.diag(covariance) @ scale**2 / 3)
+        usual = np.nanmedian(np.linalg.norm(scale[:, None] * effects, axis=0)) if seen else 1.0
+        return effects, errors / usual
 
 
 def careful(model: Model) -> Tuning:
@@ -352,7 +440,8 @@ def hovering(session: Commissioned) -> TrackingController:
     model = session.model
     rate = 240.0 if session.cameras is None else session.cameras.rate_hz
     tuning = careful(model).with_camera(rate)
-    return TrackingController(model, session.here, tuning, table=session.table)
+    # Compiling takes seconds, in which the motors would idle and the craft drift.
+    return TrackingController(model, session.here, tuning, table=session.table, compiled=False)
 
 
 class _Settled:

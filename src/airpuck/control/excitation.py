@@ -18,6 +18,8 @@ from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
 
 #: Lowest acceleration, over all directions, with which a flight can be safe [m/s²].
 _LEAST_PUSH = 1e-2
@@ -62,8 +64,8 @@ class Excitation(Pilot):
     margin : float, default 0.05
         Distance from the rails at which the craft must be able to stop [m].
     reaction : float, default 0
-        Time during which the craft may still accelerate before its brakes act [s]. The signals also
-        pause while the craft turns too far in this time.
+        Time for which the present commands still accelerate the craft before its brakes act [s].
+        The signals also pause while the craft turns too far in this time.
 
     Raises
     ------
@@ -85,6 +87,7 @@ class Excitation(Pilot):
         table: Table | None = None,
         margin: float = 0.05,
         reaction: float = 0.0,
+        compiled: bool = True,
     ) -> None:
         weakest = _weakest_push(model)
         craft = model.vehicle.name
@@ -106,6 +109,7 @@ class Excitation(Pilot):
             (tuning or tuning_for(model)).with_law("lqr"),
             reject_disturbance=False,
             compensate_delay=False,
+            compiled=compiled,
         )
         #: The controller's reference.
         self.reference = controller.reference
@@ -127,7 +131,7 @@ class Excitation(Pilot):
                 "must not be negative, and leave room between the rails", field="margin"
             )
         self._braking = _BRAKING * weakest
-        self._reaction, self._push = reaction, _strongest_push(model)
+        self._reaction = reaction
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])
@@ -180,12 +184,18 @@ class Excitation(Pilot):
         position, velocity = estimate.state[:2], estimate.state[3:5]
         if abs(estimate.state[5]) * self._reaction > _TURNED:
             return False
-        if self._reaction:
-            gained = self._push * self._reaction * np.where(velocity < 0, -1.0, 1.0)
-            position = position + (velocity + gained / 2) * self._reaction
-            velocity = velocity + gained
+        # The present commands may act until the brakes do, or end at once.
+        gained = np.outer([0.0, 1.0], self._acceleration(estimate) * self._reaction)
+        position = position + (velocity + gained / 2) * self._reaction
+        velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
+
+    def _acceleration(self, estimate: Estimate) -> Float[np.ndarray, " 2"]:
+        """Return the acceleration of the commands in force [m/s²]."""
+        dynamics = self.controller.model.dynamics
+        by_thrust, _ = acceleration_map(np, dynamics, estimate.state[2], estimate.state[5])
+        return by_thrust[:2] @ thrust(dynamics.thrust, estimate.motor_speed)
 
 
 def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.ndarray, " signals"]:
@@ -233,11 +243,6 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "c c"], Float[np.ndarray, "
 def _weakest_push(model: Model) -> float:
     """Return the largest acceleration in the weakest direction [m/s²]."""
     return float(_pushes(model).min())
-
-
-def _strongest_push(model: Model) -> float:
-    """Return the largest acceleration in the strongest direction [m/s²]."""
-    return float(_pushes(model).max())
 
 
 def _pushes(model: Model) -> Float[np.ndarray, " angles"]:

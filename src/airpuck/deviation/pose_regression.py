@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import Windows, integration_parts, make_windows
 from airpuck.deviation.motor_regression import (
@@ -22,7 +23,7 @@ from airpuck.deviation.motor_regression import (
     following,
     twice_integrated,
 )
-from airpuck.deviation.time_scale import forgetting_time, showing_time
+from airpuck.deviation.time_scale import clear_time, forgetting_time, showing_time
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics
 
@@ -134,6 +135,14 @@ def judging_windows(trajectory: Trajectory, model: Model) -> tuple[Windows, floa
     if count * lasting < _FEWEST_BLOCKS * block:
         return None
     return make_windows(trajectory, before, ahead, stride=ahead), block
+
+
+def shortest_judged(vehicle: Vehicle, noise: float) -> float:
+    """Return the length of a flight that can be judged, at this noise of the positions [m, s]."""
+    remembered = forgetting_time(vehicle)
+    lasting = max(_AHEAD_S, clear_time(noise, vehicle), remembered)
+    # The first and the last window may be incomplete.
+    return remembered + _FEWEST_BLOCKS * max(_BLOCK_S, 2 * lasting) + 2 * lasting
 
 
 def _parts(dynamics: Dynamics, windows: Windows) -> int:

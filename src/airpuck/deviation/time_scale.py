@@ -45,8 +45,13 @@ def showing_time(trajectories: Sequence[Trajectory], vehicle: Vehicle) -> float:
     """
     push, _ = usual_pushes(vehicle)
     seen = (measured_poses(one) for one in trajectories)
-    noise = (pose_noise(time, pose[:, :2], push) for time, pose in seen)
-    return min(math.sqrt(2 * _CLEAR * max(noise) / push), _LONGEST) if push > 0 else 0.0
+    return clear_time(max(pose_noise(time, pose[:, :2], push) for time, pose in seen), vehicle)
+
+
+def clear_time(noise: float, vehicle: Vehicle) -> float:
+    """Return the time after which thrust stands out from poses with a noise [m], at most 3 [s]."""
+    push, _ = usual_pushes(vehicle)
+    return min(math.sqrt(2 * _CLEAR * noise / push), _LONGEST) if push > 0 else 0.0
 
 
 def forgetting_time(vehicle: Vehicle) -> float:

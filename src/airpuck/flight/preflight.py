@@ -88,11 +88,6 @@ class Preflight(Result):
     strength: Float[np.ndarray, " n"]
     #: Median transport delay of the working motors [s]; nan if none works.
     delay: float
-    #: Measured accelerations per unit of modelled thrust, like columns of Π; nan if not measured.
-    #: None if no motor moved the craft.
-    effects: Float[np.ndarray, "3 n"] | None = None
-    #: Median misfit of the pulses, in standard deviations of the poses' noise.
-    misfit: float = np.nan
 
     @property
     def strengths(self) -> dict[str, float]:
@@ -242,10 +237,7 @@ def judge_pulses(
     # A dead motor has no delay: the best fit to its noise is meaningless.
     seen = delays[[moves[response.motor] for response in responses]]
     checks.append(_delay_check(seen, model.transport_delay))
-    misfit = float(np.median([response.misfit for response in responses]))
-    return Preflight(
-        tuple(checks), names, strength, float(np.median(seen)), effects / scale, misfit
-    )
+    return Preflight(tuple(checks), names, strength, float(np.median(seen)))
 
 
 def _continuous(yaw: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:

@@ -29,7 +29,7 @@ _PAUSE = 0.2
 #: Time span of poses used before a pulse begins and after it ends [s].
 _BEFORE, _AFTER = 0.15, 0.25
 #: Transport delays tried [s], and the longest step of integration [s].
-_DELAYS = np.arange(0.0, 0.15, 1e-3)
+DELAYS = np.arange(0.0, 0.15, 1e-3)
 _STEP = 1e-3
 #: Fewest poses on each side of a pulse for fitting a line.
 _FEWEST = 20
@@ -171,6 +171,10 @@ class PulseResponse:
     delay: float
     #: Root mean square of the residuals, in standard deviations of the poses' noise.
     misfit: float
+    #: Sum of their squares for each delay that was tried.
+    costs: Float[np.ndarray, " D"]
+    #: Inverse of the effect's covariance, from the poses' noise.
+    information: Float[np.ndarray, "3 3"]
 
 
 def pulse_responses(
@@ -207,7 +211,7 @@ def pulse_responses(
         if end - begin < _CUT_OFF * usual or min(early.sum(), late.sum()) < _FEWEST:
             continue
         level = float(command[np.searchsorted(command_time, begin), motor])
-        tried = _DELAYS if delays is None else delays[len(responses) :][:1]
+        tried = DELAYS if delays is None else delays[len(responses) :][:1]
         responses.append(_response(model, pulse, level, time[near], pose[near], tried))
     return responses
 
@@ -265,7 +269,7 @@ def _response(
     cost = square - (effects * score).sum(axis=1)
     best = int(cost.argmin())
     misfit = float(np.sqrt(max(cost[best], 0.0) / aim.shape[1]))
-    return PulseResponse(motor, effects[best], float(delays[best]), misfit)
+    return PulseResponse(motor, effects[best], float(delays[best]), misfit, cost, information[best])
 
 
 def _force(

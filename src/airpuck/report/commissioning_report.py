@@ -20,6 +20,8 @@ from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, w
 
 #: Factor by which a vehicle file's thrusts may be wrong.
 _ROUGH = 2.0
+#: Width of a flight from above [in].
+_FLIGHT_WIDTH = style.PAGE_WIDTH / 3
 #: Quantities whose intervals are drawn: label, and value of a model.
 _SHOWN: tuple[tuple[str, Callable[[Model], float]], ...] = (
     *(
@@ -69,9 +71,9 @@ def commissioning_report(
 
 
 @style.styled
-def interval_figure(found: Commissioning) -> Figure:
-    """Draw how the intervals shrink from step to step."""
-    figure = style.new_figure(style.PAGE_WIDTH, 4.4)
+def interval_figure(found: Commissioning, width: float = style.PAGE_WIDTH) -> Figure:
+    """Draw how the intervals shrink from step to step; width in inches."""
+    figure = style.new_figure(width, 4.4)
     models = [(one.flight_s, one.model) for one in found.steps if one.model is not None]
     stated = nominal_model(found.given)
     for axes, (label, value) in zip(style.panels(figure, 4, 2), _SHOWN, strict=True):
@@ -91,13 +93,13 @@ def interval_figure(found: Commissioning) -> Figure:
 
 
 @style.styled
-def flights_figure(found: Commissioning) -> Figure:
-    """Draw every flight from above."""
+def flights_figure(found: Commissioning, width: float = style.PAGE_WIDTH) -> Figure:
+    """Draw every flight from above; width in inches."""
     flown = [one for one in found.flights if "pose" in one.recording.streams]
-    rows = math.ceil(len(flown) / 3)
-    figure = style.new_figure(style.PAGE_WIDTH, 0.3 + 1.45 * rows)
+    columns = round(width / _FLIGHT_WIDTH)
+    figure = style.new_figure(width, 0.3 + 1.45 * math.ceil(len(flown) / columns))
     half = np.array(found.table.reach(0.0))
-    for axes, flight in zip(style.panels(figure, len(flown), 3), flown, strict=True):
+    for axes, flight in zip(style.panels(figure, len(flown), columns), flown, strict=True):
         x, y, _ = flight.recording["pose"].values.T
         axes.add_patch(Rectangle((-half[0], -half[1]), *(2 * half), fill=False, ec=style.RAIL))
         axes.plot(x, y, color=style.BLUE, lw=0.9)
