@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from airpuck.deviation.motor_regression import normal_equations, solved, twice_integrated
-from airpuck.estimate.kalman import HeldCommands
+from airpuck.estimate.estimator import HeldCommands
 
 from ..apparatus.examples import examples
 

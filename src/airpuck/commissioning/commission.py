@@ -10,7 +10,7 @@ from pathlib import Path
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Finding, Result
-from airpuck.commissioning.excitations import Excitations, Preparation
+from airpuck.commissioning.excitations import Excitations, WarmUp
 from airpuck.commissioning.session import Commissioned, Ended, KeptFlight, Learned, TimedWork, Work
 from airpuck.commissioning.steps import CommissioningStep, Hover, Pulses, Rest
 from airpuck.craft.table import Table
@@ -87,7 +87,7 @@ class Commissioning(Result):
 
 
 #: From a craft at rest to a trusted model.
-STEPS: tuple[CommissioningStep, ...] = (Preparation(), Rest(), Pulses(), Hover(), Excitations())
+STEPS: tuple[CommissioningStep, ...] = (WarmUp(), Rest(), Pulses(), Hover(), Excitations())
 
 
 def commission(
@@ -116,7 +116,7 @@ def commission(
     table : Table, optional
         Table with the rails; by default the paper's.
     steps : sequence of CommissioningStep, optional
-        By default `STEPS`: preparation, rest, pulses, hover, excitations.
+        By default `STEPS`: warm-up, rest, pulses, hover, excitations.
     seed : int, default 0
         Seed of the excitations.
     tell : callable, optional

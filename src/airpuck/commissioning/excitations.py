@@ -36,7 +36,7 @@ _SLOW, _FAST = 0.3, 0.12
 
 
 @dataclass(frozen=True)
-class Preparation:
+class WarmUp:
     """Compiles what a study needs, with flights of the stated craft, before any motor runs."""
 
     def run(self, session: Commissioned) -> None:

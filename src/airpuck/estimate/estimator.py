@@ -1,11 +1,16 @@
-"""Results of an estimator."""
+"""What an estimator knows of commands, and its results."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
+
+from airpuck.craft.wheel import Spinning
+from airpuck.model.model_file import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,3 +52,56 @@ class Estimate:
             return np.ones(len(self.motor_speed))
         used = self.actuation.used
         return self.actuation.effectiveness if used is None else used
+
+
+class HeldCommands:
+    """Motor commands, each in force until the next one begins to act."""
+
+    def __init__(self, idle: Float[np.ndarray, " n"]) -> None:
+        self._begun: deque[tuple[float, Float[np.ndarray, " n"]]] = deque([(-math.inf, idle)])
+        #: How much later than the model says all commands begin to act [s].
+        self.later = 0.0
+        #: Reaction wheels; None before the first command.
+        self._wheels: tuple[Spinning, ...] | None = None
+
+    def __len__(self) -> int:
+        return len(self._begun)
+
+    def add(self, begins: float, command: Float[np.ndarray, " n"]) -> None:
+        """Record the command that was sent last."""
+        # Earlier commands that would begin later had wrong times.
+        while self._begun and self._begun[-1][0] >= begins:
+            self._begun.pop()
+        self._begun.append((begins, np.array(command, dtype=float)))
+
+    def send(self, time: float, command: Float[np.ndarray, " c"], model: Model) -> None:
+        """Record the drives that a command causes, sent last."""
+        actuation = model.vehicle.actuation
+        if self._wheels is None:
+            self._wheels = actuation.spinning()
+        times, drives = actuation.drive(np.array([time]), command[None], self._wheels)
+        for begins, drive in zip(times.tolist(), drives, strict=True):
+            self.add(begins + model.transport_delay, drive)
+
+    def drop(self, time: float) -> None:
+        """Drop commands older than the command that acts at a time."""
+        while len(self._begun) > 1 and self._begun[1][0] + self.later <= time:
+            self._begun.popleft()
+
+    def until(self, time: float) -> list[tuple[float, Float[np.ndarray, " n"]]]:
+        """Return the commands that have begun to act by a time, with their start times."""
+        begun = ((begins + self.later, command) for begins, command in self._begun)
+        return [entry for entry in begun if entry[0] <= time]
+
+    def cut(self, start: float, stop: float) -> list[tuple[float, Float[np.ndarray, " n"]]]:
+        """Split a time span where commands change; return durations [s] and commands."""
+        pieces, acting = [], self._begun[0][1]
+        now, stop = start - self.later, stop - self.later
+        for begins, command in self._begun:
+            if begins > stop:
+                break
+            if begins > now:
+                pieces.append((begins - now, acting))
+                now = begins
+            acting = command
+        return [*pieces, (stop - now, acting)]

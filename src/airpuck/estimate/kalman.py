@@ -17,15 +17,13 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.compiled import program
-from airpuck.craft.wheel import Spinning
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
-from airpuck.estimate.estimator import ActuationEstimate, Estimate
+from airpuck.estimate.estimator import ActuationEstimate, Estimate, HeldCommands
 from airpuck.estimate.multiple_models import MultipleModels, States, certain
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
-Command = Float[np.ndarray, " n"]
 #: Number of one-command intervals that one call handles; longer times take several calls. A command
 #: begins to act between two poses of 240 Hz nearly half of the time.
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
@@ -41,59 +39,6 @@ Belief = tuple[Any, ...]
 _State = tuple[float, Belief, Float[np.ndarray, " n"], float]
 #: Durations [s] and commands of intervals.
 _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
-
-
-class HeldCommands:
-    """Motor commands, each in force until the next one begins to act."""
-
-    def __init__(self, idle: Command) -> None:
-        self._begun: deque[tuple[float, Command]] = deque([(-math.inf, idle)])
-        #: How much later than the model says all commands begin to act [s].
-        self.later = 0.0
-        #: Reaction wheels; None before the first command.
-        self._wheels: tuple[Spinning, ...] | None = None
-
-    def __len__(self) -> int:
-        return len(self._begun)
-
-    def add(self, begins: float, command: Command) -> None:
-        """Record the command that was sent last."""
-        # Earlier commands that would begin later had wrong times.
-        while self._begun and self._begun[-1][0] >= begins:
-            self._begun.pop()
-        self._begun.append((begins, np.array(command, dtype=float)))
-
-    def send(self, time: float, command: Float[np.ndarray, " c"], model: Model) -> None:
-        """Record the drives that a command causes, sent last."""
-        actuation = model.vehicle.actuation
-        if self._wheels is None:
-            self._wheels = actuation.spinning()
-        times, drives = actuation.drive(np.array([time]), command[None], self._wheels)
-        for begins, drive in zip(times.tolist(), drives, strict=True):
-            self.add(begins + model.transport_delay, drive)
-
-    def drop(self, time: float) -> None:
-        """Drop commands older than the command that acts at a time."""
-        while len(self._begun) > 1 and self._begun[1][0] + self.later <= time:
-            self._begun.popleft()
-
-    def until(self, time: float) -> list[tuple[float, Command]]:
-        """Return the commands that have begun to act by a time, with their start times."""
-        begun = ((begins + self.later, command) for begins, command in self._begun)
-        return [entry for entry in begun if entry[0] <= time]
-
-    def cut(self, start: float, stop: float) -> list[tuple[float, Command]]:
-        """Split a time span where commands change; return durations [s] and commands."""
-        pieces, acting = [], self._begun[0][1]
-        now, stop = start - self.later, stop - self.later
-        for begins, command in self._begun:
-            if begins > stop:
-                break
-            if begins > now:
-                pieces.append((begins - now, acting))
-                now = begins
-            acting = command
-        return [*pieces, (stop - now, acting)]
 
 
 class KalmanFilter:

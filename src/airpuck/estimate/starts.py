@@ -22,7 +22,7 @@ from airpuck.deviation.motor_regression import (
     twice_integrated,
 )
 from airpuck.estimate.actuation import ActuationEncoder, residual_covariance
-from airpuck.estimate.kalman import HeldCommands
+from airpuck.estimate.estimator import HeldCommands
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
 

@@ -16,7 +16,8 @@ from airpuck.craft.table import Table
 from airpuck.deviation.model_errors import ModelError, tested_errors
 from airpuck.deviation.motor_regression import normal_equations, solved, with_effectiveness
 from airpuck.deviation.significance import IN_FLIGHT
-from airpuck.estimate.kalman import HeldCommands, KalmanFilter
+from airpuck.estimate.estimator import HeldCommands
+from airpuck.estimate.kalman import KalmanFilter
 from airpuck.estimate.starts import FailedStart, StartMonitor
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import pose_difference
