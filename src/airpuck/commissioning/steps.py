@@ -23,6 +23,7 @@ from airpuck.deviation.time_scale import usual_pushes
 from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
+from airpuck.physics.rigid_body import acceleration_map
 
 #: Lowest useful rate of poses [1/s].
 _RATE = 50.0
@@ -39,8 +40,9 @@ _RESPONSE, _SLOWEST = 0.08, 3.0
 _SPIN = 1.0
 #: Effect below which a motor counts as dead, relative to the median motor's.
 _DEAD = 0.15
-#: Error of an effect from which a motor is tried again, relative to the usual effect.
-_VAGUE = 0.15
+#: Error of an effect from which a motor is tried again, relative to the usual effect; and effect
+#: that moves the craft, relative to the vehicle file's.
+_VAGUE, _MOVED = 0.15, 0.1
 #: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
 #: largest misfit of a pulse that was not disturbed, relative to the smallest.
 _STARTED, _DISTURBED = 0.3, 5.0
@@ -184,7 +186,8 @@ class Pulses:
         """Bring the craft back to the middle if it can be; return whether it can."""
         effects, _ = evidence.effects
         # If a motor gave nothing, the others cannot steer; it may be tried again while coasting.
-        if np.isfinite(effects).all(axis=0).sum() < _STEERED or _silent(effects).any():
+        known = np.isfinite(effects).all(axis=0).sum()
+        if known < _STEERED or _silent(evidence.model, effects).any():
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
         try:
@@ -218,11 +221,11 @@ def _unclear(
     """Return the motors that have to be tried again, and what is wrong with the first one."""
     names = model.vehicle.propeller_names
     untried = np.isnan(effects).any(axis=0)
-    if untried.all():
+    share, silent = _shares(effects), _silent(model, effects)
+    if (untried | silent).all():
         remedy = "Check that the motors are armed, powered and on the command's topic."
         cause = Finding("actuator", "No motor moves the craft", "", remedy)
-        return np.flatnonzero(untried), cause
-    share, silent = _shares(effects), _silent(effects)
+        return np.arange(len(names)), cause
     matches = matched(model, np.where(silent, np.nan, effects))
     odd = np.array([k in matches and matches[k].acts_as is None for k in range(len(names))])
     unclear = np.flatnonzero(untried | silent | odd | (errors > _VAGUE))
@@ -247,9 +250,11 @@ def _shares(effects: Effects) -> Float[np.ndarray, " n"]:
     return size / np.nanmedian(size)
 
 
-def _silent(effects: Effects) -> Bool[np.ndarray, " n"]:
+def _silent(model: Model, effects: Effects) -> Bool[np.ndarray, " n"]:
     """Return which motors were tried and gave nothing."""
-    return _shares(effects) < _DEAD
+    stated = np.asarray(acceleration_map(np, model.dynamics, 0.0, 0.0)[0])[:2]
+    least = _MOVED * np.linalg.norm(stated, axis=0).max()
+    return (_shares(effects) < _DEAD) | (np.linalg.norm(effects[:2], axis=0) < least)
 
 
 def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
@@ -399,7 +404,7 @@ class PulseEvidence:
             effects[:, motor] = covariance @ sum(one.information @ one.effect for one in good)
             errors[motor] = math.sqrt(np.diag(covariance) @ scale**2 / 3)
         usual = np.nanmedian(np.linalg.norm(scale[:, None] * effects, axis=0)) if seen else 1.0
-        return effects, errors / usual
+        return effects, errors / max(float(usual), 1e-9)
 
 
 def careful(model: Model) -> Tuning:
