@@ -1,5 +1,5 @@
 """Evaluation: prediction errors and verdicts of a model on a trajectory.
 
 Entry points: `evaluate.prediction_errors`, `fit_measures.measure_fit`, `innovations.innovations`,
-`main_quantities.physical_thrust`.
+`presentation.physical_thrust`.
 """

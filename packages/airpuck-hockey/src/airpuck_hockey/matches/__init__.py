@@ -1,4 +1,4 @@
 """Many games: matches and leagues, as items of campaigns.
 
-Entry points: `match.match`, `league.league`.
+Entry points: `match.match`, `match.league`.
 """

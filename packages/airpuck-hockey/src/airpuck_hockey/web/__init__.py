@@ -1,4 +1,4 @@
 """Pages of a game in the browser: against a person, of two players, on a ROS 2 graph.
 
-Entry points: `session.play_in_browser`, `page.watch_in_browser`.
+Entry points: `page.play_in_browser`, `page.watch_in_browser`.
 """
