@@ -184,10 +184,11 @@ class Excitation(Pilot):
         position, velocity = estimate.state[:2], estimate.state[3:5]
         if abs(estimate.state[5]) * self._reaction > _TURNED:
             return False
-        # The present commands may act until the brakes do, or end at once.
-        gained = np.outer([0.0, 1.0], self._acceleration(estimate) * self._reaction)
-        position = position + (velocity + gained / 2) * self._reaction
-        velocity = velocity + gained
+        if self._reaction:
+            # The present commands may act until the brakes do, or end at once.
+            gained = np.outer([0.0, 1.0], self._acceleration(estimate) * self._reaction)
+            position = position + (velocity + gained / 2) * self._reaction
+            velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
 

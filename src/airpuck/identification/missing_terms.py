@@ -25,6 +25,7 @@ from airpuck.identification.uncertainty import varying
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
+from airpuck.physics.thrust import thrust
 
 #: Probability below which a term is missing: the tests of a healthy flight then find one of all in
 #: less than a percent of all flights.
@@ -148,9 +149,10 @@ class _Tests:
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
         changes = _changes(model, whole, loss) if len(quadratic.scores) >= _FEWEST else {}
         terms = dict(_terms(model, whole, own))
-        bend = _bends(whole, terms.get(DEGREE))
-        along = np.array([*changes.values()]).reshape(-1, len(labels))
-        quadratic = _changing(quadratic, along, bend)
+        bends = _bends(whole, terms.get(DEGREE))
+        changing = np.array([*changes.values()]).reshape(-1, len(labels))
+        bent = np.array([*bends.values()]).reshape(-1, len(labels))
+        quadratic = _changing(quadratic, changing, bent)
         hessian = quadratic.hessian
         inside = varying(hessian[np.ix_(own, own)], model.parameters, model.free).basis
         basis = np.zeros((len(hessian), inside.shape[1]))
@@ -159,10 +161,10 @@ class _Tests:
         entries = {}
         for term, mask in terms.items():
             entries[term] = (np.flatnonzero(mask), lower[mask])
-        for number, term in enumerate([*changes, _BEND][: len(hessian) - len(labels)], len(labels)):
+        for number, term in enumerate([*changes, *bends], start=len(labels)):
             entries[term] = (np.array([number]), np.array([-np.inf]))
         echo = _echo(model.parameters, whole, own)
-        echo = np.concatenate([echo, np.zeros((len(own), len(changes))), echo @ bend.T], axis=1)
+        echo = np.concatenate([echo, np.zeros((len(own), len(changes))), echo @ bent.T], axis=1)
         return cls(model, quadratic, basis, echo, entries)
 
     def tested(self, beside: list[str]) -> Iterator[MissingTerm]:
@@ -306,14 +308,13 @@ def _changes(
     return {CHANGE + name: direction for name, direction in found.items()}
 
 
-def _bends(whole: Parameters, curves: Bool[np.ndarray, " Q"] | None) -> Float[np.ndarray, "B Q"]:
+def _bends(whole: Parameters, curves: Any) -> dict[str, Float[np.ndarray, " Q"]]:
     """Return the direction in which all curves bend alike, each by its own full thrust; or none."""
     if curves is None or curves.sum() == 1:
-        return np.zeros((0, len(whole.to_vector())))
-    thrust = np.asarray(whole.thrust)
-    shape = np.zeros_like(thrust)
-    shape[:, -1] = thrust.sum(axis=1)
-    return np.where(curves, replace(whole, thrust=shape).to_vector(), 0.0)[None]
+        return {}
+    shape = np.zeros(np.shape(whole.thrust))
+    shape[:, -1] = np.sum(whole.thrust, axis=1)
+    return {_BEND: np.where(curves, replace(whole, thrust=shape).to_vector(), 0.0)}
 
 
 def _echo(
@@ -338,10 +339,8 @@ def _changing(
     """Add coefficients of directions; some parameters change linearly with the blocks."""
     scores, informations = quadratic.scores, quadratic.informations
     time = np.linspace(-0.5, 0.5, len(scores))[:, None, None]
-    fixed = np.concatenate([np.eye(scores.shape[1]), changing, constant])
-    still = np.ones(len(fixed))
-    still[scores.shape[1] :][: len(changing)] = 0.0
-    wide = fixed * np.where(still[:, None], 1.0, time)
+    same, still = np.eye(scores.shape[1]), 0 * time
+    wide = np.concatenate([same + still, time * changing, constant + still], axis=1)
     return Quadratic(
         quadratic.cluster_losses,
         np.einsum("gp,gvp->gv", scores, wide),
@@ -398,7 +397,7 @@ def unseen_level(model: Model, loss: PredictionLoss) -> Float[np.ndarray, " P"]:
     slow = np.quantile(np.abs(loss.windows.input), _SLOW, axis=0)
     curves = np.asarray(parameters.thrust)
     powers = np.arange(1, curves.shape[1] + 1)
-    constant = _UNSEEN * np.sum(curves * slow[:, None] ** powers, axis=1)
+    constant = _UNSEEN * thrust(curves, slow)
     balanced = constant - np.linalg.pinv(matrix) @ (matrix @ constant)
     speeds = np.linspace(float(slow.min()), 1.0, _SPEEDS)
     alike = np.linalg.lstsq(speeds[:, None] ** powers, np.ones(_SPEEDS), rcond=None)[0]

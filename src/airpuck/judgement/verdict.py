@@ -298,13 +298,13 @@ def _compared(evidence: Evidence) -> list[str]:
 def _known(evidence: Evidence, flown: Mapping[str, Rehearsal]) -> list[str]:
     """Describe why the model is trusted."""
     relative, error = evidence.total
-    settle = " and ".join(law_class(name).__name__ for name, one in flown.items() if one.settles)
+    laws = [law_class(name).__name__ for name, one in flown.items() if one.settles]
     response = _with_error(1e3 * response_time(evidence.model), 1e3 * error)
     return [
         f"Its largest acceleration is known to {percent(float(relative.max()))} in every "
-        f"direction; the response time τ + d is {response} ms. Systematic "
-        f"errors that this recording shows are included. In simulation, {settle} with the usual "
-        f"tuning settle{'' if ' and ' in settle else 's'} on such a craft."
+        f"direction; the response time τ + d is {response} ms. Systematic errors that this "
+        f"recording shows are included. In simulation, {' and '.join(laws)} with the "
+        f"usual tuning settle{'s' * (len(laws) == 1)} on such a craft."
     ]
 
 
