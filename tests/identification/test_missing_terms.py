@@ -52,7 +52,7 @@ class LinearLoss(PredictionLoss):
         self.missing, self.like, self.only = missing, like, only
         self.rng = np.random.default_rng(seed)
 
-    def quadratic(self, parameters: Any) -> Quadratic:
+    def quadratic(self, parameters: Any, **_: Any) -> Quadratic:
         """Draw design and data."""
         blocks, rows = 40, 30
         self.labels = parameters.labels(MODEL.vehicle.propeller_names)

@@ -143,7 +143,7 @@ class _Tests:
     def of(cls, model: Model, loss: PredictionLoss) -> _Tests:
         """Evaluate the loss once, with all terms at zero."""
         whole = _with_all_terms(model)
-        quadratic = loss.quadratic(whole)
+        quadratic = loss.quadratic(whole, once=True)
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
@@ -197,7 +197,7 @@ class _Tests:
             information = whole - mixed.T @ mixed
             if not (np.diag(information) > _OWN * np.diag(whole)).all():
                 return None
-            value = -_solved(information, effective.sum(axis=0))
+            value = -_inverse(information) @ effective.sum(axis=0)
             impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 <= bound[e]]
             if not impossible:
                 break
@@ -232,7 +232,7 @@ class _Tests:
             rest = np.setdiff1d(np.arange(len(scores)), held)
             lost = []
             for size in (own, own + len(entries)):
-                step = -_solved(h[rest].sum(axis=0)[:size, :size], g[rest].sum(axis=0)[:size])
+                step = -_inverse(h[rest].sum(axis=0)[:size, :size]) @ g[rest].sum(axis=0)[:size]
                 slope, bend = g[held].sum(axis=0)[:size], h[held].sum(axis=0)[:size, :size]
                 lost.append(slope @ step + step @ bend @ step / 2)
             gains.append(lost[0] - lost[1])
@@ -240,13 +240,11 @@ class _Tests:
         return float((np.sum(gains) - error) / self.quadratic.loss)
 
 
-def _solved(
-    information: Float[np.ndarray, "k k"], score: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, " k"]:
-    """Solve scaled normal equations; directions without information stay at zero."""
+def _inverse(information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """Invert scaled normal equations; directions without information stay at zero."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information * np.outer(scale, scale), rcond=1e-9, hermitian=True)
-    return scale * (inverse @ (scale * score))
+    both = np.outer(scale, scale)
+    return both * np.linalg.pinv(information * both, rcond=1e-9, hermitian=True)
 
 
 def _by_chance(
@@ -266,13 +264,11 @@ def _by_chance(
     from scipy.special import fdtrc
 
     count, size = scores.shape
-    total, expected = scores.sum(axis=0), 0.0
-    square = float(total @ _solved(information, total))
-    for score, own in zip(scores, informations, strict=True):
-        others = np.linalg.pinv(np.eye(size) - own @ np.linalg.pinv(information))
-        left = score + own @ value
-        expected += float(others @ left @ _solved(information, left))
-    return float(fdtrc(size, count - 1, square / max(expected, 1e-300)))
+    total, inverse = scores.sum(axis=0), _inverse(information)
+    others = np.linalg.pinv(np.eye(size) - informations @ inverse)
+    left = scores + informations @ value
+    expected = float(np.einsum("gij,gj,ik,gk->", others, left, inverse, left, optimize=True))
+    return float(fdtrc(size, count - 1, total @ inverse @ total / max(expected, 1e-300)))
 
 
 def _with_all_terms(model: Model) -> Parameters:

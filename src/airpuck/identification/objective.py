@@ -57,6 +57,11 @@ _MANY, _THINNED = 1000, 4
 _Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
 
 
+#: The Runge-Kutta stages: time since the step's begin, and weights in the change of the motion, in
+#: steps; and in the change of the position, in squared steps.
+_STAGES = np.array([[0, 1 / 2, 1 / 2, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6], [1 / 6, 1 / 6, 1 / 6, 0]])
+
+
 def normal_equations(
     dynamics: tuple[Any, tuple[Any, Any], Any, Any, Any],
     basis: tuple[Any, Any],
@@ -129,8 +134,6 @@ def normal_equations(
     sizes = (coefficients.size, len(basis[0]), 2, lags + 1)
     edges = list(accumulate(sizes, initial=0))
 
-    # Compiled separately so that it is traced only once for all four stages.
-    @jax.jit
     def rates(
         motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any, *place: Any
     ) -> tuple[Any, Any]:
@@ -152,6 +155,30 @@ def normal_equations(
             d_acceleration = d_acceleration.at[:, first:last].add(part)
         return jnp.concatenate([motion[3:], value]), d_acceleration
 
+    def advanced(
+        h: Any, motion: Any, d_yaw: Any, d_velocity: Any, speeds: Any, d_speeds: Any, *place: Any
+    ) -> list[Any]:
+        """Return the changes of the motion and, beyond h v, of the position, with sensitivities."""
+
+        def stage(carry: Any, given: Any) -> tuple[Any, None]:
+            slope, d_slope, d_there, changes = carry
+            (ahead, weight, of_position), speed, d_speed = given
+            d_now = d_velocity + ahead * d_slope
+            now = motion + ahead * slope, d_yaw + ahead * d_there[2], d_now
+            slope, d_slope = rates(*now, speed, d_speed, *place)
+            moved = of_position * slope[1:3], of_position * d_slope
+            steps = weight * slope, weight * d_slope, *moved
+            changes = [change + step for change, step in zip(changes, steps, strict=True)]
+            return (slope, d_slope, d_now, changes), None
+
+        table = _STAGES.T[..., None] * jnp.stack([h, h, h**2])
+        none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
+        carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
+        # Four copies of a stage are faster if it is short; of a long one they only take longer to
+        # compile.
+        copies = 1 if linear[1] else 4
+        return jax.lax.scan(stage, carry, (table, speeds, d_speeds), unroll=copies)[0][-1]
+
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
         def turned(speed: Any, held: Any, values: Any) -> Any:
             own = all_lags(values[0], own_lag)
@@ -172,18 +199,13 @@ def normal_equations(
         there = ()
         if of_place:
             there = position + h / 2 * motion[1:3], d_position + h / 2 * d_velocity[:2]
-        k1, a1 = rates(motion, d_yaw, d_velocity, *begin, *there)
-        d2 = d_velocity + h / 2 * a1
-        k2, a2 = rates(motion + h / 2 * k1, d_yaw + h / 2 * d_velocity[2], d2, *middle, *there)
-        d3 = d_velocity + h / 2 * a2
-        k3, a3 = rates(motion + h / 2 * k2, d_yaw + h / 2 * d2[2], d3, *middle, *there)
-        d4 = d_velocity + h * a3
-        k4, a4 = rates(motion + h * k3, d_yaw + h * d3[2], d4, *end, *there)
-        position += h * motion[1:3] + h**2 / 6 * (k1 + k2 + k3)[1:3]
-        motion += h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        d_pose = h * d_velocity + h**2 / 6 * (a1 + a2 + a3)
+        stages = *map(jnp.stack, zip(begin, middle, middle, end, strict=True)), *there
+        turned, d_turned, moved, d_moved = advanced(h, motion, d_yaw, d_velocity, *stages)
+        position += h * motion[1:3] + moved
+        motion += turned
+        d_pose = h * d_velocity + d_moved
         d_position, d_yaw = d_position + d_pose[:2], d_yaw + d_pose[2]
-        d_velocity += h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        d_velocity += d_turned
 
         scale = channel_weights[:, None] * jnp.sqrt(multiplicity * measured[now + 1])
         predicted = jnp.concatenate([position, motion[:1]])
@@ -210,9 +232,10 @@ def normal_equations(
 
 
 @cache
-def compiled_normal_equations() -> Callable[..., tuple[Any, Any, Any]]:
-    """Compile `normal_equations`; the last three arguments must be hashable."""
-    return for_batches(normal_equations, static_argnames=("encoder", "lengths", "frame"))
+def compiled_normal_equations(once: bool = False) -> Callable[..., tuple[Any, Any, Any]]:
+    """Compile `normal_equations`, fast or to be fast; the last three arguments must be hashable."""
+    hashed = "encoder", "lengths", "frame"
+    return for_batches(normal_equations, once=once, static_argnames=hashed)
 
 
 @dataclass(frozen=True)
@@ -319,20 +342,22 @@ class PredictionLoss:
         """The windows, with steps short enough for integration."""
         return self.windows.refined(max(map(integration_parts, self.windows.trajectories)))
 
-    def quadratic(self, parameters: Parameters) -> Quadratic:
+    def quadratic(self, parameters: Parameters, *, once: bool = False) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation in one pass over the windows.
 
         Parameters
         ----------
         parameters : Parameters
             θ.
+        once : bool
+            Whether it is the only pass with these terms: the program is compiled in half the time.
 
         Returns
         -------
         Quadratic
             Derivatives are with respect to ``parameters.to_vector()``.
         """
-        square, score, curvature, owner, local = self._passed(parameters)
+        square, score, curvature, owner, local = self._passed(parameters, once)
         scale = 1 / (3 * self._counted @ self.windows.poses)
         return Quadratic(
             cluster_losses=scale * _summed([part.sum() for part in square], owner),
@@ -364,7 +389,7 @@ class PredictionLoss:
         return scale * np.concatenate(square)[:count], gradients
 
     def _passed(
-        self, parameters: Parameters
+        self, parameters: Parameters, once: bool = False
     ) -> tuple[list[Any], list[Any], list[Any], list[int], Float[np.ndarray, "L P"]]:
         """Pass over the windows; return r² and Jᵀr of each, JᵀJ of batches with owners, dL/dθ."""
         register_pytrees()
@@ -387,7 +412,7 @@ class PredictionLoss:
 
         lengths = windows.encoder_length, windows.prediction_length
         static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame}
-        normal_equations = partial(compiled_normal_equations(), **static)
+        normal_equations = partial(compiled_normal_equations(once), **static)
         batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
