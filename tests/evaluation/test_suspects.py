@@ -3,6 +3,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.evaluation.suspects import clock_suspect, unit_suspect
 from airpuck.model.model_file import Model, nominal_model
@@ -41,3 +43,12 @@ def test_a_delay_that_replaces_the_lag_is_no_fault_of_the_clocks():
 def test_a_delay_that_was_learned_in_a_few_seconds_accuses_no_clock():
     model = learned(float(TRUTH.parameters.motor_time_constant), TRUTH.transport_delay + 0.05)
     assert clock_suspect(model, preprocess(record(TRUTH, 6.0))) == []
+
+
+def test_a_delay_too_short_to_see_accuses_no_clock():
+    delay = np.float64(1e-3)
+    true = replace(TRUTH, parameters=replace(TRUTH.parameters, transport_delay=delay))
+    flight = preprocess(record(true, 12.0))
+    for fitted in (0.0, 1e-3):
+        model = learned(float(TRUTH.parameters.motor_time_constant), fitted)
+        assert clock_suspect(model, flight) == [], fitted

@@ -56,12 +56,13 @@ def clock_suspect(
     bears = patience(model.vehicle)
     stated = model.vehicle.nominal.transport_delay_s
     longest = max(bears * _LONGEST_DELAY, stated + bears * _DELAY_ABOVE)
-    # The recording determines the delay in whole samples.
-    if learned <= 0 or seen < -trajectory.sample_period:
+    # The recording determines the delay in whole samples, so none may be one of half a sample; and
+    # the fit of a short one may end at its bound, zero.
+    if seen < (0 if learned <= 0 else -trajectory.sample_period):
         return [
             Finding(
                 "clock",
-                "The motion seems to begin before, or as soon as, the commands that cause it",
+                "The motion seems to begin before the commands that cause it",
                 f"commands act {1e3 * min(learned, seen):.0f} ms after their time stamps",
                 "The poses are probably stamped early: check that the clocks of cameras and "
                 "controller are synchronised.",
