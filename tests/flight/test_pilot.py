@@ -36,8 +36,7 @@ def test_the_example_is_short():
 
 @pytest.mark.slow
 def test_a_pilot_of_ones_own_reaches_its_set_point_on_the_twin(file):
-    make = pilot_maker(f"{file}:Spring")
-    log = track(M3, airpuck.SetPoint(0.4, -0.1, 0.5), 6.0, make_pilot=make)
+    log = track(M3, airpuck.SetPoint(0.4, -0.1, 0.5), 6.0, law=f"{file}:Spring")
     recording = log.recording
     assert set(log.status) == {"open loop"}
     np.testing.assert_allclose(recording["pose"].values[-1], [0.4, -0.1, 0.5], atol=0.1)

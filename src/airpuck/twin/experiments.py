@@ -19,7 +19,7 @@ from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.flight.loop import FlightLog, fly
-from airpuck.flight.pilot import PilotMaker
+from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.angle import wrapped
 from airpuck.planning.plan import Plan, plan
@@ -187,7 +187,7 @@ def track(
         Factory of a user's pilot from (model, reference); the controller's options then do not
         apply.
     law : str, or subclass of Law or an object of it, optional
-        See `TrackingController`.
+        See `TrackingController`; FILE.py:NAME may name a pilot, too.
 
     Returns
     -------
@@ -211,6 +211,7 @@ def track(
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
     given: Any = {"law": law, "gain": gain}
     given |= {"compensate_delay": compensate_delay, "reject_disturbance": reject_disturbance}
+    make_pilot = make_pilot or (pilot_named(law) if isinstance(law, str) else None)
     pilot = make_pilot(model, reference) if make_pilot else None
     log, words = _fly(model, reference, duration, twin, tuning, pilot, on_board, **given)
     goal = "set points" if isinstance(reference, SetPoints) else "its target"
