@@ -45,6 +45,19 @@ def test_swapped_and_turned_motors_are_put_where_they_act(name):
         ]
 
 
+def test_propellers_that_push_both_ways_are_put_where_they_act():
+    one_way = VEHICLES["four"]()
+    both = tuple(one.model_copy(update={"reverse": 0.8}) for one in one_way.propellers)
+    true = one_way.model_copy(update={"propellers": both, "pairs": ()})
+    wrong = stated(true, [1, 0, 2, 3], turned=2)
+    matches = matched(nominal_model(wrong), effects(true))
+    right = corrected(wrong, matches)
+    assert effects(right) == pytest.approx(effects(true), abs=1e-9)
+    causes = [finding.cause for finding in layout_findings(wrong, matches)]
+    swapped = "front acts like left", "left acts like front"
+    assert causes == [*swapped, "back pushes the other way"]
+
+
 def test_pairs_follow_the_motors_to_their_places():
     wrong = default_vehicle()
     # The true craft has the sockets of the first two pairs' first motors exchanged.

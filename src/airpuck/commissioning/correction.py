@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -30,7 +31,7 @@ def matched(model: Model, effects: Float[np.ndarray, "3 n"]) -> dict[int, Effect
 def layout_findings(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> list[Finding]:
     """Name the motors that act like another one, or the other way."""
     names, found = vehicle.propeller_names, []
-    for k, match in sorted(matches.items()):
+    for k, match in sorted(_of_propellers(vehicle, matches).items()):
         if match.acts_as is None:
             continue
         other = names[match.acts_as]
@@ -46,10 +47,11 @@ def layout_findings(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> lis
 
 def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
     """Return a copy whose motors stand and push as their effects say; names stay in order."""
+    matches = _of_propellers(vehicle, matches)
     if all(match.acts_as == k and match.sign > 0 for k, match in matches.items()):
         return vehicle
     given, propellers, place = vehicle.propellers, list(vehicle.propellers), dict[int, int]()
-    curves = vehicle.nominal_thrust.copy()
+    curves = vehicle.nominal_thrust[: len(given)].copy()
     for k, match in matches.items():
         if match.acts_as is None:
             continue
@@ -67,6 +69,19 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
         if one in place and other in place
     ]
     return _copy(vehicle, propellers=propellers, pairs=pairs, thrust_N=curves.tolist())
+
+
+def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
+    """Return the matches of propellers alone: one that pushes backwards is one turned round."""
+    count, found = len(vehicle.propellers), dict[int, EffectMatch]()
+    backwards = [k for k, one in enumerate(vehicle.propellers) if one.reverse is not None]
+    for k, match in matches.items():
+        if k < count and match.acts_as is not None and match.acts_as >= count:
+            forwards = backwards[match.acts_as - count]
+            found[k] = replace(match, acts_as=forwards, sign=-match.sign)
+        elif k < count:
+            found[k] = match
+    return found
 
 
 def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> Vehicle:

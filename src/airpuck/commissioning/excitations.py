@@ -150,8 +150,8 @@ def summary(said: Verdict) -> str:
 
 
 def first_cause(found: Study) -> Finding:
-    """Return the first cause why a model is not trusted."""
-    if found.findings:
-        return found.findings[0]
+    """Return why a model is not trusted: in a sound recording, what decided in the end."""
+    if said := found.findings:
+        return said[0] if said[0].suspect else said[-1]
     cause = found.verdict.sentences[0].removesuffix(".")
     return Finding("excitation", cause, "", "Fly longer: `airpuck fly-excitation`.")
