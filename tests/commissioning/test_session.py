@@ -5,6 +5,7 @@ import pytest
 
 from airpuck import commission, read_recording
 from airpuck.commissioning.steps import Rest
+from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.measurement import Measurement
 
@@ -98,3 +99,24 @@ def test_flight_time_counts_every_second_with_motors_on():
     on = [(command > VEHICLE.idle + 1e-3).any() for command in link.sent]
     assert found.flight_s == pytest.approx(0.01 * sum(on), abs=0.02)
     assert sum(on) > 10
+
+
+class Pushing(Pilot):
+    """Runs all motors at half speed."""
+
+    def step(self, time):
+        return Step(np.full(VEHICLE.n_propellers, 0.5), "open loop", np.zeros(3), None)
+
+
+class Twice:
+    """Two flights: one whose pilot watches the poses itself, and one behind the guard."""
+
+    def run(self, session):
+        for guarded in (False, True):
+            session.fly("push", Pushing(), 0.5, guarded=guarded)
+
+
+def test_a_flight_after_another_flies_at_once():
+    found = commission(Still(), VEHICLE, steps=[Twice()])
+    _, second = (flight.recording["command"].values for flight in found.flights)
+    assert (second[:-1] == 0.5).all()

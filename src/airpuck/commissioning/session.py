@@ -249,11 +249,14 @@ class Commissioned:
             If the operator stops it, or poses stop coming.
         """
         self._log.clear()
-        begun = self.link.now
+        begun, judged = self.link.now, 0
         lowest = self.vehicle.command_range[0]
         flown = GuardedPilot(pilot, self._guard, lowest, lambda *_: None) if guarded else pilot
         try:
             for action in control(flown, self._log, duration, early=self.early):
+                for pose in self._log.poses[judged:] if not guarded else ():
+                    self._guard.pose(*pose)  # The next flight need not wait until they are good.
+                judged = len(self._log.poses)
                 self._watch(action)
                 if until(action.time):
                     break
