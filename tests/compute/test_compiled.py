@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -196,3 +197,19 @@ def test_rows_are_repeated_up_to_a_power_of_two(count, length):
     assert len(longer) == length
     np.testing.assert_array_equal(longer[:count], values)
     assert (longer[count:] == values[-1]).all()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="mappings are counted on Linux")
+def test_a_process_that_compiles_for_many_recordings_keeps_its_memory_bounded():
+    def mappings():
+        return len(Path("/proc/self/maps").read_text().splitlines())
+
+    def shifted(values):
+        return jax.lax.scan(lambda sum, k: (jnp.sort(sum) + k, None), values, jnp.arange(3.0))[0]
+
+    batch, least = for_batches(shifted), mappings()
+    for size in range(2, 302):
+        assert batch(np.zeros(size))[0] == 3.0
+        least = max(least, mappings()) if size < 100 else least
+    assert mappings() <= 1.5 * least

@@ -49,7 +49,8 @@ _OPTIONS: dict[str, Any] = {
 }
 #: Those of a program that runs once.
 _OPTIONS_ONCE: dict[str, Any] = {**_OPTIONS, "xla_cpu_use_fusion_emitters": False}
-#: Programs by their computation, least recently used first; enough for a dozen craft.
+#: Programs by their computation, least recently used first; enough for a dozen craft. A program
+#: takes some hundred mappings of memory, of which Linux allows 65 530.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
 #: Number of samples that a sample-by-sample pass takes at a time.
@@ -85,10 +86,12 @@ def for_batches(
     import jax
 
     options = _cpu_options(once) if jax.default_backend() == "cpu" else None
-    compiled = jax.jit(function, compiler_options=options, **settings)
+    compiled: Any = jax.jit(function, compiler_options=options, **settings)
 
     @wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
+        if compiled._cache_size() > _MOST_KEPT:
+            compiled.clear_cache()
         with jax.enable_x64(True):
             return compiled(*arguments, **named)
 
