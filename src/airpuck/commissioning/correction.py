@@ -73,15 +73,15 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
     """Return the matches of propellers alone: one that pushes backwards is one turned round."""
-    count, found = len(vehicle.propellers), dict[int, EffectMatch]()
+    count = len(vehicle.propellers)
     backwards = [k for k, one in enumerate(vehicle.propellers) if one.reverse is not None]
-    for k, match in matches.items():
-        if k < count and match.acts_as is not None and match.acts_as >= count:
-            forwards = backwards[match.acts_as - count]
-            found[k] = replace(match, acts_as=forwards, sign=-match.sign)
-        elif k < count:
-            found[k] = match
-    return found
+
+    def forwards(match: EffectMatch) -> EffectMatch:
+        if match.acts_as is None or match.acts_as < count:
+            return match
+        return replace(match, acts_as=backwards[match.acts_as - count], sign=-match.sign)
+
+    return {k: forwards(match) for k, match in matches.items() if k < count}
 
 
 def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> Vehicle:
