@@ -55,8 +55,6 @@ _LARGE = 10_000
 _MANY, _THINNED = 1000, 4
 #: First samples of B windows, and how often each counts.
 _Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
-
-
 #: The Runge-Kutta stages: time since the step's begin, and weights in the change of the motion, in
 #: steps; and in the change of the position, in squared steps.
 _STAGES = np.array([[0, 1 / 2, 1 / 2, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6], [1 / 6, 1 / 6, 1 / 6, 0]])
@@ -174,8 +172,7 @@ def normal_equations(
         table = _STAGES.T[..., None] * jnp.stack([h, h, h**2])
         none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
         carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
-        # Four copies of a stage are faster if it is short; of a long one they only take longer to
-        # compile.
+        # Four copies of a short stage are faster; of a long one they only take longer to compile.
         copies = 1 if linear[1] else 4
         return jax.lax.scan(stage, carry, (table, speeds, d_speeds), unroll=copies)[0][-1]
 
