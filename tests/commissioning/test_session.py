@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from airpuck import commission, read_recording
-from airpuck.commissioning.steps import Rest
+from airpuck.commissioning.steps import Pulses, Rest
 from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.measurement import Measurement
+from airpuck.physics.rigid_body import turned
 
 VEHICLE = default_vehicle()
 
@@ -120,3 +121,12 @@ def test_a_flight_after_another_flies_at_once():
     found = commission(Still(), VEHICLE, steps=[Twice()])
     _, second = (flight.recording["command"].values for flight in found.flights)
     assert (second[:-1] == 0.5).all()
+
+
+@pytest.mark.parametrize("push", [0.2, -0.2])
+def test_the_first_pulse_pushes_a_drifting_craft_uphill(push):
+    link = Still(rate=120.0, push=push)
+    commission(link, VEHICLE, steps=[Rest(), Pulses()], stopped=lambda: link.now > 1.2)
+    [motor] = np.flatnonzero(next(c for c in link.sent if (c > VEHICLE.idle + 1e-3).any()) > 0.1)
+    [[along_x, _]] = turned(np, VEHICLE.directions[[motor]], 0.3)
+    assert along_x * push < -0.7 * abs(push)

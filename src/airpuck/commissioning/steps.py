@@ -24,6 +24,7 @@ from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
 from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.thrust import thrust
 
 #: Lowest useful rate of poses [1/s].
 _RATE = 50.0
@@ -56,6 +57,8 @@ _CLEARANCE, _REACTION = 0.05, 0.4
 _AT_RAIL = 0.2
 #: A motor that gave nothing in this many flights more counts as dead: starts may fail.
 _SILENT = 2
+#: Time over which a drifting craft's speed is taken [s].
+_LOOK = 0.15
 #: A table counts as level up to this slope [mrad].
 _LEVEL = 1.0
 #: Accelerations per newton: forward, left, turn.
@@ -166,7 +169,8 @@ class Pulses:
         for tried in range(self.tries):
             steered = not tried or self._brought_back(session, given, evidence)
             plan = pulse_plan(given, session.cameras, stronger)
-            pilot = PulseTest(given, plan, session.table, unclear.tolist())
+            order = uphill(session, plan, unclear.tolist())
+            pilot = PulseTest(given, plan, session.table, order)
             lacking = _STEERED - np.isfinite(evidence.effects[1]).sum()
             wait = max(int(lacking), 0) * (plan.rest + plan.length) + plan.rest
             begins = session.link.now + wait if steered else math.inf
@@ -324,6 +328,31 @@ def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> Pu
     length = stronger * min(length, max(_SPIN / max(level**2 * turn, 1e-6), 0.08))
     rest = max(0.3, 22 / rate)
     return PulsePlan(level, min(round(length, 2), 0.6), rest, rounds=2)
+
+
+def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[int]:
+    """Order motors so that, by the vehicle file, pulses undo the slope's motion and each other's.
+
+    Motion is along x, y and the yaw times the radius of gyration.
+    """
+    poses = session.flights[-1].recording["pose"] if session.flights else None
+    if poses is None or len(poses.time) < 2 or not motors:
+        return motors
+    model, order, turn = nominal_model(session.vehicle), list[int](), plan.length + plan.rest
+    scale = np.array([1.0, 1.0, model.radius_of_gyration])
+    first = np.searchsorted(poses.time, poses.time[-1] - _LOOK).clip(0, len(poses.time) - 2)
+    moved = (poses.values[-1] - poses.values[first]) / (poses.time[-1] - poses.time[first])
+    place, speed = poses.values[-1] * [1, 1, 0], moved * scale
+    effects, _ = acceleration_map(np, model.dynamics, float(poses.values[-1, 2]), 0.0)
+    force = thrust(model.dynamics.thrust, np.full(model.vehicle.n_propellers, plan.level))
+    pushes = scale[:, None] * np.asarray(effects) * force * plan.length
+    for _ in range(len(motors)):
+        left = [k for k in motors if k not in order]
+        speed = speed + np.append(session.slope, 0.0) * turn
+        place = place + speed * turn
+        order.append(min(left, key=lambda k: np.linalg.norm(place + speed + pushes[:, k])))
+        speed = speed + pushes[:, order[-1]]
+    return order
 
 
 def with_lag(model: Model, lag: float) -> Model:

@@ -84,7 +84,7 @@ class PulseTest(Pilot):
         paired = [index for pair in vehicle.opposed for index in pair]
         single = [k for k in range(vehicle.n_propellers) if k not in paired]
         order = [*paired, *_balanced(vehicle, single)]
-        tried = order if motors is None else [k for k in order if k in motors]
+        tried = order if motors is None else list(motors)
         self._order = tried * self.plan.rounds
         self.reach = np.array((table or Table()).reach(vehicle.radius_m))
         self._begun = self._stepped = -math.inf
