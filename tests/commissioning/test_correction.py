@@ -6,7 +6,7 @@ import pytest
 from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model
-from airpuck.physics.rigid_body import acceleration_map
+from airpuck.physics.rigid_body import acceleration_map, turned
 
 from ..apparatus.models import VEHICLES
 
@@ -68,6 +68,17 @@ def test_pairs_follow_the_motors_to_their_places():
     for one, other in right.pair_indices:
         pushes = effects(true)[:, [one, other]]
         assert pushes[:2, 0] == pytest.approx(-pushes[:2, 1], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("inertia", [0.4, 2.4])
+def test_a_wrong_inertia_hides_no_motor_s_place(name, inertia):
+    vehicle = VEHICLES[name]()
+    model, seen = nominal_model(vehicle), effects(vehicle)
+    # As noise of a pulse might turn a push, on top.
+    seen[:2] = turned(np, seen[:2].T, 0.35).T
+    seen[2] /= inertia
+    assert all(match.acts_as == k for k, match in matched(model, seen).items())
 
 
 def test_a_right_file_stays_as_it_is():

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,39 +13,37 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
+from airpuck.commissioning.pulse_evidence import (
+    Effects,
+    PulseEvidence,
+    pulse_plan,
+    uphill,
+    with_lag,
+)
 from airpuck.commissioning.session import Commissioned, Ended
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.time_scale import usual_pushes
-from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
+from airpuck.flight.pulses import PulseTest
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
 from airpuck.physics.rigid_body import acceleration_map
-from airpuck.physics.thrust import thrust
 
 #: Lowest useful rate of poses [1/s].
 _RATE = 50.0
 #: Largest standard deviation of poses at rest [m, rad].
 _NOISE = (2e-3, 5e-2)
 _GRAVITY = 9.81
-#: Lags that the pulses are compared with [s].
-_LAGS = (0.01, 0.015, 0.025, 0.04, 0.06, 0.085, 0.12, 0.16)
-#: Twice the factor by which squared residuals exceed those of white noise.
-_TEMPERED = 8.0
 #: Response time for which the packaged controller is made [s]; slower craft get a slower one.
 _RESPONSE, _SLOWEST = 0.08, 3.0
-#: Spin that a pulse may cause [rad/s].
-_SPIN = 1.0
-#: Effect below which a motor counts as dead, relative to the median motor's.
-_DEAD = 0.15
+#: Effect below which a motor counts as dead, relative to the median motor's: of a slow motor the
+#: next one's pulse still shows up to a quarter.
+_DEAD = 0.35
 #: Error of an effect from which a motor is tried again, relative to the usual effect; and effect
 #: that moves the craft, relative to the vehicle file's.
 _VAGUE, _MOVED = 0.15, 0.1
-#: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
-#: largest misfit of a pulse that was not disturbed, relative to the smallest.
-_STARTED, _DISTURBED = 0.3, 5.0
 #: Factor by which a vehicle file's thrusts may be wrong.
 _ROUGH = 2.0
 #: Fewest known motors that can bring a craft back, and the time that they get [s].
@@ -55,14 +52,11 @@ _STEERED, _RETURN = 3, 6.0
 _CLEARANCE, _REACTION = 0.05, 0.4
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
-#: A motor that gave nothing in this many flights more counts as dead: starts may fail.
+#: A motor that gave nothing in this many flights more, once all were tried, counts as dead: starts
+#: may fail.
 _SILENT = 2
-#: Time over which a drifting craft's speed is taken [s].
-_LOOK = 0.15
 #: A table counts as level up to this slope [mrad].
 _LEVEL = 1.0
-#: Accelerations per newton: forward, left, turn.
-Effects = Float[np.ndarray, "3 n"]
 
 
 @runtime_checkable
@@ -165,7 +159,7 @@ class Pulses:
             raise Ended(Finding("layout", cause, "", remedy))
         model, stronger = session.model, 1.0
         evidence = PulseEvidence(model)
-        unclear, cause = np.arange(given.n_propellers), None
+        unclear, cause, complete = np.arange(given.n_propellers), None, 0
         for tried in range(self.tries):
             steered = not tried or self._brought_back(session, given, evidence)
             plan = pulse_plan(given, session.cameras, stronger)
@@ -179,7 +173,8 @@ class Pulses:
             evidence = evidence.after(pilot)
             unclear, cause = _unclear(model, *evidence.effects)
             untried = np.isnan(evidence.effects[0]).any()
-            if not len(unclear) or (tried >= _SILENT and not untried):
+            complete += not untried
+            if not len(unclear) or complete > _SILENT:
                 break
             stronger *= 1.0 if untried else 1.6
         if cause is not None:
@@ -223,7 +218,7 @@ def _unclear(
     """Return the motors that have to be tried again, and what is wrong with the first one."""
     names = model.vehicle.propeller_names
     untried = np.isnan(effects).any(axis=0)
-    share, silent = _shares(effects), _silent(model, effects)
+    share, silent = _shares(model, effects), _silent(model, effects)
     if (untried | silent).all():
         remedy = "Check that the motors are armed, powered and on the command's topic."
         cause = Finding("actuator", "No motor moves the craft", "", remedy)
@@ -246,17 +241,22 @@ def _unclear(
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
 
 
-def _shares(effects: Effects) -> Float[np.ndarray, " n"]:
-    """Return the motors' effects relative to the median motor's; nan of those not tried."""
+def _shares(model: Model, effects: Effects) -> Float[np.ndarray, " n"]:
+    """Return the motors' effects relative to the median motor's; nan of those not tried.
+
+    Of a motor that is stated to be weak, as a share of what is stated.
+    """
+    stated = np.linalg.norm(acceleration_map(np, model.dynamics, 0.0, 0.0)[0][:2], axis=0)
     size = np.linalg.norm(effects[:2], axis=0)
-    return size / np.nanmedian(size)
+    size, relative = size / np.nanmedian(size), size / stated
+    return np.maximum(size, relative / np.nanmedian(relative))
 
 
 def _silent(model: Model, effects: Effects) -> Bool[np.ndarray, " n"]:
     """Return which motors were tried and gave nothing."""
     stated = np.asarray(acceleration_map(np, model.dynamics, 0.0, 0.0)[0])[:2]
     least = _MOVED * np.linalg.norm(stated, axis=0).max()
-    return (_shares(effects) < _DEAD) | (np.linalg.norm(effects[:2], axis=0) < least)
+    return (_shares(model, effects) < _DEAD) | (np.linalg.norm(effects[:2], axis=0) < least)
 
 
 def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
@@ -313,125 +313,6 @@ class _Motion:
             del self._poses[0]
         before, old = self._poses[0]
         return (pose[:2], (pose[:2] - old) / (now - before)) if now - before >= 0.1 else None
-
-
-def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> PulsePlan:
-    """Return pulses whose motion stands out from the noise, twenty times if thrusts are right."""
-    noise, rate = (1e-4, 100.0) if cameras is None else (cameras.position_noise_m, cameras.rate_hz)
-    push, turn = usual_pushes(vehicle)
-    level = min(0.5 * stronger, 1.0) * vehicle.command_max
-    # The speed of a line of poses over a quarter of a second, before and after. In shorter pulses
-    # slow motors reach a part of their thrust only: lag and thrust cannot be told apart.
-    speed = 20 * noise * math.sqrt(24 / (0.25 * rate)) / 0.25
-    length = float(np.clip(speed / max(level * push, 1e-6), 0.2, 0.35))
-    # At half of its speed a propeller gives about a quarter of its thrust.
-    length = stronger * min(length, max(_SPIN / max(level**2 * turn, 1e-6), 0.08))
-    rest = max(0.3, 22 / rate)
-    return PulsePlan(level, min(round(length, 2), 0.6), rest, rounds=2)
-
-
-def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[int]:
-    """Order motors so that, by the vehicle file, pulses undo the slope's motion and each other's.
-
-    Motion is along x, y and the yaw times the radius of gyration.
-    """
-    poses = session.flights[-1].recording["pose"] if session.flights else None
-    if poses is None or len(poses.time) < 2 or not motors:
-        return motors
-    model, order, turn = nominal_model(session.vehicle), list[int](), plan.length + plan.rest
-    scale = np.array([1.0, 1.0, model.radius_of_gyration])
-    first = np.searchsorted(poses.time, poses.time[-1] - _LOOK).clip(0, len(poses.time) - 2)
-    moved = (poses.values[-1] - poses.values[first]) / (poses.time[-1] - poses.time[first])
-    place, speed = poses.values[-1] * [1, 1, 0], moved * scale
-    effects, _ = acceleration_map(np, model.dynamics, float(poses.values[-1, 2]), 0.0)
-    force = thrust(model.dynamics.thrust, np.full(model.vehicle.n_propellers, plan.level))
-    pushes = scale[:, None] * np.asarray(effects) * force * plan.length
-    for _ in range(len(motors)):
-        left = [k for k in motors if k not in order]
-        speed = speed + np.append(session.slope, 0.0) * turn
-        place = place + speed * turn
-        order.append(min(left, key=lambda k: np.linalg.norm(place + speed + pushes[:, k])))
-        speed = speed + pushes[:, order[-1]]
-    return order
-
-
-def with_lag(model: Model, lag: float) -> Model:
-    """Return a model with another lag of all motors [s]."""
-    return replace(model, parameters=replace(model.parameters, motor_time_constant=lag))
-
-
-@dataclass(frozen=True, eq=False)
-class PulseEvidence:
-    """What all pulses so far tell of a craft that is as stated, but for its motors and timing."""
-
-    model: Model
-    #: How well each lag and delay explains them; every pair is as likely at first.
-    costs: Float[np.ndarray, "L D"] = field(
-        default_factory=lambda: np.zeros((len(_LAGS), len(DELAYS)))
-    )
-    #: Pose times, poses, command times and commands of each test.
-    logs: tuple[tuple[np.ndarray, ...], ...] = ()
-
-    def after(self, test: PulseTest) -> PulseEvidence:
-        """Return the evidence after another test."""
-        if not test.poses or not test.sent_commands:
-            return self
-        (times, poses), (sent, commands) = (
-            map(np.array, zip(*log, strict=True)) for log in (test.poses, test.sent_commands)
-        )
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        vehicle = self.model.vehicle
-        if vehicle.actuation.two_way.any():
-            commands = np.maximum(vehicle.actuation.split(commands), vehicle.command_min)
-        log, costs = (times, poses, sent, commands), np.array(self.costs)
-        for row, lag in zip(costs, _LAGS, strict=True):
-            for one in pulse_responses(with_lag(self.model, lag), *log):
-                row += one.costs
-        return replace(self, costs=costs, logs=(*self.logs, log))
-
-    @cached_property
-    def _weights(self) -> Float[np.ndarray, "L D"]:
-        """Probability of each pair."""
-        # The model of a pulse is not exact, so costs count less than those of white noise.
-        found = np.exp(-(self.costs - self.costs.min()) / _TEMPERED)
-        return found / found.sum()
-
-    @property
-    def lag(self) -> float:
-        """Mean lag [s]."""
-        return float(self._weights.sum(axis=1) @ _LAGS)
-
-    @property
-    def delay(self) -> float:
-        """Mean delay [s]."""
-        return float(self._weights.sum(axis=0) @ DELAYS)
-
-    @property
-    def latest(self) -> float:
-        """Largest sum of lag and delay that is likely [s]."""
-        off = np.add.outer(_LAGS, DELAYS) - self.lag - self.delay
-        return self.lag + self.delay + 2 * math.sqrt(np.sum(self._weights * off**2))
-
-    @cached_property
-    def effects(self) -> tuple[Effects, Float[np.ndarray, " n"]]:
-        """Effects of the motors, nan of those not tried, and their errors over the usual effect."""
-        model, count = with_lag(self.model, self.lag), self.model.vehicle.n_propellers
-        effects, errors = np.full((3, count), np.nan), np.full(count, np.nan)
-        delays = np.full(len(self.logs) * 10 * count, self.delay)
-        seen = [one for log in self.logs for one in pulse_responses(model, *log, delays=delays)]
-        scale = np.array([1.0, 1.0, model.radius_of_gyration])
-        for motor in {one.motor for one in seen}:
-            own = [one for one in seen if one.motor == motor]
-            # A start may have failed, or a rail or a hand disturbed a pulse.
-            largest = max(float(np.linalg.norm(scale * one.effect)) for one in own)
-            least = _DISTURBED * min(one.misfit for one in own)
-            good = [one for one in own if one.misfit <= least]
-            good = [g for g in good if np.linalg.norm(scale * g.effect) > _STARTED * largest] or own
-            covariance = np.linalg.pinv(sum(one.information for one in good))
-            effects[:, motor] = covariance @ sum(one.information @ one.effect for one in good)
-            errors[motor] = math.sqrt(np.diag(covariance) @ scale**2 / 3)
-        usual = np.nanmedian(np.linalg.norm(scale[:, None] * effects, axis=0)) if seen else 1.0
-        return effects, errors / max(float(usual), 1e-9)
 
 
 def careful(model: Model) -> Tuning:
