@@ -1,9 +1,13 @@
 """Runs on links that a person could have got wrong: each ends with its cause, and keeps all."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from airpuck import commission, read_recording
+from airpuck.boundary.results import Finding
+from airpuck.commissioning.excitations import first_cause
 from airpuck.commissioning.steps import Pulses, Rest
 from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
@@ -28,6 +32,7 @@ class Still:
             self._count += 1
             moved = np.array([0.5 * self._push * stamp**2, 0.0, 0.0])
             pose = self._place + moved + self._noise * self._rng.normal(size=3)
+            pose[2] = np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi
             arrived.append(Measurement("pose", stamp, pose))
         self.now = time
         return arrived
@@ -124,9 +129,23 @@ def test_a_flight_after_another_flies_at_once():
 
 
 @pytest.mark.parametrize("push", [0.2, -0.2])
-def test_the_first_pulse_pushes_a_drifting_craft_uphill(push):
-    link = Still(rate=120.0, push=push)
+@pytest.mark.parametrize("yaw", [0.3, np.pi])
+def test_the_first_pulse_pushes_a_drifting_craft_uphill(push, yaw):
+    link = Still(rate=120.0, push=push, place=(0.02, -0.01, yaw))
     commission(link, VEHICLE, steps=[Rest(), Pulses()], stopped=lambda: link.now > 1.2)
     [motor] = np.flatnonzero(next(c for c in link.sent if (c > VEHICLE.idle + 1e-3).any()) > 0.1)
-    [[along_x, _]] = turned(np, VEHICLE.directions[[motor]], 0.3)
+    [[along_x, _]] = turned(np, VEHICLE.directions[[motor]], yaw)
     assert along_x * push < -0.7 * abs(push)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "named"),
+    [
+        (("actuator", "control"), "control"),
+        (("physics", "control"), "physics"),
+        (("actuator",), "actuator"),
+    ],
+)
+def test_a_weak_motor_is_no_cause_if_there_is_another(kinds, named):
+    found = SimpleNamespace(findings=[Finding(kind, kind) for kind in kinds])
+    assert first_cause(found).kind == named

@@ -16,7 +16,7 @@ from airpuck.physics.rigid_body import acceleration_map
 
 #: Bounds for the ratio of measured and stated inertia: beyond, the pulses were disturbed.
 _INERTIA = (0.4, 2.5)
-#: Least median ratio of moment and force, over the radius of gyration, that tells an inertia.
+#: Median lever (moment over force, in radii of gyration) from which pulses tell the inertia.
 _LEVER = 0.2
 #: Least thrust of a motor whose pulses tell none, relative to the median motor's.
 _LEAST = 0.1
@@ -25,19 +25,20 @@ _LEAST = 0.1
 def matched(model: Model, effects: Float[np.ndarray, "3 n"]) -> dict[int, EffectMatch]:
     """Match the measured effects of motors (nan: not measured) with the model's.
 
-    A wrong inertia changes all moments alike, whatever the order of the motors.
+    A wrong inertia scales all moments alike, so moments are scaled to the usual lever first; once
+    most motors are measured, their order hardly changes it.
     """
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
     expected = scale * acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     motors = np.flatnonzero(np.isfinite(effects).all(axis=0))
-    seen, stated = (_lever(scale * effects)[motors], _lever(expected)[motors])
-    if len(motors) > 1 and np.median(stated) > _LEVER:
+    seen, stated = _lever(scale * effects)[motors], _lever(expected)
+    if 2 * len(motors) > len(stated) and np.median(stated) > _LEVER:
         expected[2] *= np.clip(np.median(seen) / np.median(stated), *_INERTIA)
     return match_effects(scale * effects[:, motors], expected, motors)
 
 
 def _lever(effects: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
-    """Return the ratio of moment and force of each motor."""
+    """Return each motor's moment over its force, in radii of gyration."""
     return np.abs(effects[2]) / np.maximum(np.hypot(*effects[:2]), 1e-12)
 
 
@@ -85,7 +86,10 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 
 
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
-    """Return the matches of propellers alone: one that pushes backwards is one turned round."""
+    """Return the matches of propellers, without those of their backward channels.
+
+    A propeller that acts like a backward channel is that propeller, turned round.
+    """
     count = len(vehicle.propellers)
     backwards = [k for k, one in enumerate(vehicle.propellers) if one.reverse is not None]
 

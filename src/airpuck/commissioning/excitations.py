@@ -150,8 +150,8 @@ def summary(said: Verdict) -> str:
 
 
 def first_cause(found: Study) -> Finding:
-    """Return why a model is not trusted: in a sound recording, what decided in the end."""
+    """Return the first cause why a model is not trusted; a learned weak motor is none."""
     if said := found.findings:
-        return said[0] if said[0].suspect else said[-1]
+        return next((one for one in said if one.kind != "actuator"), said[0])
     cause = found.verdict.sentences[0].removesuffix(".")
     return Finding("excitation", cause, "", "Fly longer: `airpuck fly-excitation`.")

@@ -15,6 +15,7 @@ from airpuck.deviation.time_scale import usual_pushes
 from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
+from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
@@ -27,7 +28,7 @@ _SPIN = 1.0
 #: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
 #: largest misfit of a pulse that was not disturbed, relative to the smallest.
 _STARTED, _DISTURBED = 0.3, 5.0
-#: Time over which a drifting craft's speed is taken [s].
+#: Time over which the speed of a drift is measured [s].
 _LOOK = 0.15
 #: Accelerations per newton: forward, left, turn.
 Effects = Float[np.ndarray, "3 n"]
@@ -49,9 +50,10 @@ def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> Pu
 
 
 def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[int]:
-    """Order motors so that, by the vehicle file, pulses undo the slope's motion and each other's.
+    """Order motors so that, by the vehicle as known so far, their pulses best stop the drift.
 
-    Motion is along x, y and the yaw times the radius of gyration.
+    Each next motor minimises the distance from the middle plus the speed, after a second; yaw
+    counts times the radius of gyration.
     """
     poses = session.flights[-1].recording["pose"] if session.flights else None
     if poses is None or len(poses.time) < 2 or not motors:
@@ -59,7 +61,8 @@ def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[in
     model, order, turn = nominal_model(session.vehicle), list[int](), plan.length + plan.rest
     scale = np.array([1.0, 1.0, model.radius_of_gyration])
     first = np.searchsorted(poses.time, poses.time[-1] - _LOOK).clip(0, len(poses.time) - 2)
-    moved = (poses.values[-1] - poses.values[first]) / (poses.time[-1] - poses.time[first])
+    moved = pose_difference(np, poses.values[-1], poses.values[first])
+    moved = moved / (poses.time[-1] - poses.time[first])
     place, speed = poses.values[-1] * [1, 1, 0], moved * scale
     effects, _ = acceleration_map(np, model.dynamics, float(poses.values[-1, 2]), 0.0)
     force = thrust(model.dynamics.thrust, np.full(model.vehicle.n_propellers, plan.level))

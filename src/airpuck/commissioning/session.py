@@ -255,7 +255,7 @@ class Commissioned:
         try:
             for action in control(flown, self._log, duration, early=self.early):
                 for pose in self._log.poses[judged:] if not guarded else ():
-                    self._guard.pose(*pose)  # The next flight need not wait until they are good.
+                    self._guard.pose(*pose)  # So that the next flight starts at once.
                 judged = len(self._log.poses)
                 self._watch(action)
                 if until(action.time):

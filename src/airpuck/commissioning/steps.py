@@ -38,8 +38,8 @@ _NOISE = (2e-3, 5e-2)
 _GRAVITY = 9.81
 #: Response time for which the packaged controller is made [s]; slower craft get a slower one.
 _RESPONSE, _SLOWEST = 0.08, 3.0
-#: Effect below which a motor counts as dead, relative to the median motor's: of a slow motor the
-#: next one's pulse still shows up to a quarter.
+#: Effect below which a motor counts as dead, relative to the usual one's. A slow motor still pushes
+#: while the next one is tried, so that a dead one may seem to give a quarter.
 _DEAD = 0.35
 #: Error of an effect from which a motor is tried again, relative to the usual effect; and effect
 #: that moves the craft, relative to the vehicle file's.
@@ -52,7 +52,7 @@ _STEERED, _RETURN = 3, 6.0
 _CLEARANCE, _REACTION = 0.05, 0.4
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
-#: A motor that gave nothing in this many flights more, once all were tried, counts as dead: starts
+#: Further flights after which a motor without thrust counts as dead, once all were tried: starts
 #: may fail.
 _SILENT = 2
 #: A table counts as level up to this slope [mrad].
@@ -230,8 +230,9 @@ def _unclear(
         return unclear, None
     for k in np.flatnonzero(silent).tolist():
         remedy = "Check its cable, power and bearing, and start again."
-        evidence = f"{percent(float(share[k]))} of the others' effect"
-        return unclear, Finding("actuator", f"{names[k]} gives no thrust", evidence, remedy)
+        evidence = f"at most {percent(float(share[k]))} of the usual effect"
+        cause = Finding("actuator", f"{names[k]} gives little or no thrust", evidence, remedy)
+        return unclear, cause
     for k in np.flatnonzero(odd).tolist():
         angle = math.degrees(math.acos(float(np.clip(matches[k].cosine, -1, 1))))
         cause = f"{names[k]} acts {angle:.0f}° off its place in the vehicle file"
@@ -242,9 +243,10 @@ def _unclear(
 
 
 def _shares(model: Model, effects: Effects) -> Float[np.ndarray, " n"]:
-    """Return the motors' effects relative to the median motor's; nan of those not tried.
+    """Return the motors' effects relative to the usual one's; nan of those not tried.
 
-    Of a motor that is stated to be weak, as a share of what is stated.
+    The larger of two ratios counts, to the median motor and to the vehicle file, so that a motor
+    that is stated to be weak does not pass for dead.
     """
     stated = np.linalg.norm(acceleration_map(np, model.dynamics, 0.0, 0.0)[0][:2], axis=0)
     size = np.linalg.norm(effects[:2], axis=0)

@@ -22,10 +22,12 @@ XLA's behaviour on a CPU, as measured:
 * A loop that joins arrays is not vectorised. In the identification's kernel the batch is therefore
   the last axis throughout, and sensitivities are added in place, kind by kind.
 * It does not skip products with zeros: Jacobians are taken with respect to one argument at a time.
-* Alternatives tried on that kernel, all slower: one array for each kind of coordinate, the Jacobian
-  of a whole step, reverse mode. The Runge-Kutta stages as an inner loop are slower (by half) only
-  without effects, and take half the time to compile. So do programs without fusion emitters; with
-  many coordinates they are as fast, with few they take 1.6 times as long.
+* Tried on that kernel, and slower: one array for each kind of coordinate, the Jacobian of a whole
+  step, reverse mode.
+* The Runge-Kutta stages as an inner loop compile in half the time. A pass then takes as long with
+  effects, and half as long again without.
+* Without fusion emitters a program compiles in half the time. With many coordinates a pass takes as
+  long, with few 1.6 times as long.
 """
 
 from __future__ import annotations
@@ -47,12 +49,14 @@ _OPTIONS: dict[str, Any] = {
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
     "xla_cpu_prefer_vector_width": 512,
 }
-#: Those of a program that runs once.
+#: Those of a program that runs once: it compiles faster, and may run slower.
 _OPTIONS_ONCE: dict[str, Any] = {**_OPTIONS, "xla_cpu_use_fusion_emitters": False}
-#: Programs by their computation, least recently used first; enough for a dozen craft. A program
-#: takes some hundred mappings of memory, of which Linux allows 65 530.
+#: Programs by their computation, least recently used first; enough for a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}
 _MOST_KEPT = 100
+#: Programs that a function of `for_batches` keeps. Each takes some hundred mappings of memory, of
+#: which Linux allows 65 530 in a process.
+_MOST_COMPILED = 50
 #: Number of samples that a sample-by-sample pass takes at a time.
 _STRETCH = 512
 
@@ -74,7 +78,7 @@ def for_batches(
     function : callable
         Takes and returns trees of arrays; pure.
     once : bool
-        Whether it hardly runs, so that compiling fast counts for more than a fast program.
+        Whether it runs once or twice only, so that a short compile time matters more.
     **settings : dict
         Of `jax.jit`.
 
@@ -90,7 +94,7 @@ def for_batches(
 
     @wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
-        if compiled._cache_size() > _MOST_KEPT:
+        if compiled._cache_size() > _MOST_COMPILED:
             compiled.clear_cache()
         with jax.enable_x64(True):
             return compiled(*arguments, **named)

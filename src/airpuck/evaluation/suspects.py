@@ -56,8 +56,8 @@ def clock_suspect(
     bears = patience(model.vehicle)
     stated = model.vehicle.nominal.transport_delay_s
     longest = max(bears * _LONGEST_DELAY, stated + bears * _DELAY_ABOVE)
-    # The recording determines the delay in whole samples, so none may be one of half a sample; and
-    # the fit of a short one may end at its bound, zero.
+    # `seen` is in whole samples, and negative only if motion visibly precedes the commands. A delay
+    # that was learned outweighs one sample of it, unless the fit ended at its bound, zero.
     if seen < (0 if learned <= 0 else -trajectory.sample_period):
         return [
             Finding(

@@ -61,7 +61,8 @@ class PulseTest(Pilot):
 
     It assumes no layout, thrust or frame, since any of them may be wrong. The craft stays on the
     table because the pulses are short and the propellers of a pair alternate and undo each other's
-    motion. The test ends near a rail or without poses.
+    motion. The test ends near a rail or without poses. `motors` are tried in the order given;
+    without them, all are, pairs first.
     """
 
     def __init__(

@@ -55,8 +55,8 @@ _LARGE = 10_000
 _MANY, _THINNED = 1000, 4
 #: First samples of B windows, and how often each counts.
 _Batch = tuple[Int[np.ndarray, " B"], Float[np.ndarray, " B"]]
-#: The Runge-Kutta stages: time since the step's begin, and weights in the change of the motion, in
-#: steps; and in the change of the position, in squared steps.
+#: Runge-Kutta stages. Rows: time from the start of the step, and weight in the change of the motion
+#: [steps]; weight in the change of the position [steps²].
 _STAGES = np.array([[0, 1 / 2, 1 / 2, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6], [1 / 6, 1 / 6, 1 / 6, 0]])
 
 
@@ -156,7 +156,7 @@ def normal_equations(
     def advanced(
         h: Any, motion: Any, d_yaw: Any, d_velocity: Any, speeds: Any, d_speeds: Any, *place: Any
     ) -> list[Any]:
-        """Return the changes of the motion and, beyond h v, of the position, with sensitivities."""
+        """Return the changes of the motion and of the position (less h v), with sensitivities."""
 
         def stage(carry: Any, given: Any) -> tuple[Any, None]:
             slope, d_slope, d_there, changes = carry
@@ -172,7 +172,7 @@ def normal_equations(
         table = _STAGES.T[..., None] * jnp.stack([h, h, h**2])
         none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
         carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
-        # Four copies of a short stage are faster; of a long one they only take longer to compile.
+        # Unrolled, short stages run faster; long ones only take longer to compile.
         copies = 1 if linear[1] else 4
         return jax.lax.scan(stage, carry, (table, speeds, d_speeds), unroll=copies)[0][-1]
 
@@ -197,12 +197,12 @@ def normal_equations(
         if of_place:
             there = position + h / 2 * motion[1:3], d_position + h / 2 * d_velocity[:2]
         stages = *map(jnp.stack, zip(begin, middle, middle, end, strict=True)), *there
-        turned, d_turned, moved, d_moved = advanced(h, motion, d_yaw, d_velocity, *stages)
+        changed, d_changed, moved, d_moved = advanced(h, motion, d_yaw, d_velocity, *stages)
         position += h * motion[1:3] + moved
-        motion += turned
+        motion += changed
         d_pose = h * d_velocity + d_moved
         d_position, d_yaw = d_position + d_pose[:2], d_yaw + d_pose[2]
-        d_velocity += d_turned
+        d_velocity += d_changed
 
         scale = channel_weights[:, None] * jnp.sqrt(multiplicity * measured[now + 1])
         predicted = jnp.concatenate([position, motion[:1]])
@@ -230,7 +230,7 @@ def normal_equations(
 
 @cache
 def compiled_normal_equations(once: bool = False) -> Callable[..., tuple[Any, Any, Any]]:
-    """Compile `normal_equations`, fast or to be fast; the last three arguments must be hashable."""
+    """Compile `normal_equations`, quickly if it runs `once`; keywords must be hashable."""
     hashed = "encoder", "lengths", "frame"
     return for_batches(normal_equations, once=once, static_argnames=hashed)
 
@@ -347,7 +347,7 @@ class PredictionLoss:
         parameters : Parameters
             θ.
         once : bool
-            Whether it is the only pass with these terms: the program is compiled in half the time.
+            Whether this is the only pass with these terms; it then compiles in half the time.
 
         Returns
         -------

@@ -187,7 +187,8 @@ def track(
         Factory of a user's pilot from (model, reference); the controller's options then do not
         apply.
     law : str, or subclass of Law or an object of it, optional
-        See `TrackingController`; FILE.py:NAME may name a pilot, too.
+        See `TrackingController`. FILE.py:NAME may also name a pilot, to which the controller's
+        options do not apply.
 
     Returns
     -------
