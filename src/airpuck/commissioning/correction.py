@@ -10,14 +10,12 @@ from jaxtyping import Float
 
 from airpuck.boundary.results import Finding
 from airpuck.craft.vehicle import Vehicle
-from airpuck.faults.propeller_check import EffectMatch, match_effects
+from airpuck.faults.propeller_check import EffectMatch, force_to_moment, match_effects
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 
 #: Bounds for the ratio of measured and stated inertia: beyond, the pulses were disturbed.
 _INERTIA = (0.4, 2.5)
-#: Median lever (moment over force, in radii of gyration) from which pulses tell the inertia.
-_LEVER = 0.2
 #: Least thrust of a motor whose pulses tell none, relative to the median motor's.
 _LEAST = 0.1
 
@@ -25,21 +23,17 @@ _LEAST = 0.1
 def matched(model: Model, effects: Float[np.ndarray, "3 n"]) -> dict[int, EffectMatch]:
     """Match the measured effects of motors (nan: not measured) with the model's.
 
-    A wrong inertia scales all moments alike, so moments are scaled to the usual lever first; once
-    most motors are measured, their order hardly changes it.
+    A wrong inertia scales all moments alike. So moments are first scaled to the forces, if most
+    motors are measured: then the scale does not depend on their order.
     """
     scale = np.array([1.0, 1.0, model.radius_of_gyration])[:, None]
     expected = scale * acceleration_map(np, model.dynamics, 0.0, 0.0)[0]
     motors = np.flatnonzero(np.isfinite(effects).all(axis=0))
-    seen, stated = _lever(scale * effects)[motors], _lever(expected)
-    if 2 * len(motors) > len(stated) and np.median(stated) > _LEVER:
-        expected[2] *= np.clip(np.median(seen) / np.median(stated), *_INERTIA)
-    return match_effects(scale * effects[:, motors], expected, motors)
-
-
-def _lever(effects: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, " n"]:
-    """Return each motor's moment over its force, in radii of gyration."""
-    return np.abs(effects[2]) / np.maximum(np.hypot(*effects[:2]), 1e-12)
+    seen = scale * effects[:, motors]
+    if 2 * len(motors) > expected.shape[1]:
+        factor = force_to_moment(seen, np.zeros_like(seen), expected[:, motors])
+        expected[2] /= np.clip(factor, *_INERTIA)
+    return match_effects(seen, expected, motors)
 
 
 def layout_findings(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> list[Finding]:
@@ -86,7 +80,7 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 
 
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
-    """Return the matches of propellers, without those of their backward channels.
+    """Return the matches of the propellers' forward channels.
 
     A propeller that acts like a backward channel is that propeller, turned round.
     """

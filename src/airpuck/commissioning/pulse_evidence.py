@@ -50,13 +50,13 @@ def pulse_plan(vehicle: Vehicle, cameras: Cameras | None, stronger: float) -> Pu
 
 
 def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[int]:
-    """Order motors so that, by the vehicle as known so far, their pulses best stop the drift.
+    """Order motors so that their pulses best stop the drift, if the vehicle file is right.
 
     Each next motor minimises the distance from the middle plus the speed, after a second; yaw
     counts times the radius of gyration.
     """
     poses = session.flights[-1].recording["pose"] if session.flights else None
-    if poses is None or len(poses.time) < 2 or not motors:
+    if poses is None or len(poses.time) < 2:
         return motors
     model, order, turn = nominal_model(session.vehicle), list[int](), plan.length + plan.rest
     scale = np.array([1.0, 1.0, model.radius_of_gyration])
@@ -83,7 +83,7 @@ def with_lag(model: Model, lag: float) -> Model:
 
 @dataclass(frozen=True, eq=False)
 class PulseEvidence:
-    """What all pulses so far tell of a craft that is as stated, but for its motors and timing."""
+    """What all pulses show about a craft whose motors and timing may not be as stated."""
 
     model: Model
     #: How well each lag and delay explains them; every pair is as likely at first.

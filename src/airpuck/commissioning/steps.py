@@ -248,16 +248,19 @@ def _shares(model: Model, effects: Effects) -> Float[np.ndarray, " n"]:
     The larger of two ratios counts, to the median motor and to the vehicle file, so that a motor
     that is stated to be weak does not pass for dead.
     """
-    stated = np.linalg.norm(acceleration_map(np, model.dynamics, 0.0, 0.0)[0][:2], axis=0)
     size = np.linalg.norm(effects[:2], axis=0)
-    size, relative = size / np.nanmedian(size), size / stated
+    size, relative = size / np.nanmedian(size), size / _stated(model)
     return np.maximum(size, relative / np.nanmedian(relative))
+
+
+def _stated(model: Model) -> Float[np.ndarray, " n"]:
+    """Return the linear accelerations per newton that a model states."""
+    return np.linalg.norm(acceleration_map(np, model.dynamics, 0.0, 0.0)[0][:2], axis=0)
 
 
 def _silent(model: Model, effects: Effects) -> Bool[np.ndarray, " n"]:
     """Return which motors were tried and gave nothing."""
-    stated = np.asarray(acceleration_map(np, model.dynamics, 0.0, 0.0)[0])[:2]
-    least = _MOVED * np.linalg.norm(stated, axis=0).max()
+    least = _MOVED * _stated(model).max()
     return (_shares(model, effects) < _DEAD) | (np.linalg.norm(effects[:2], axis=0) < least)
 
 

@@ -263,7 +263,6 @@ def _cpu_options(once: bool = False) -> dict[str, Any]:
     import jax
 
     options = _OPTIONS_ONCE if once else _OPTIONS
-
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         nothing = jax.jit(lambda same: same).lower(0.0)
 
