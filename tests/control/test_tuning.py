@@ -249,6 +249,14 @@ def test_only_a_much_slower_craft_gets_another_tuning():
     assert weights_of(tuning_for(heavy)).speed > weights_of(default_tuning()).speed
 
 
+def test_a_craft_that_answers_late_gets_a_slower_filter():
+    late = nominal_model(default_vehicle())
+    own = replace(late.parameters, motor_time_constant=0.1, transport_delay=0.06)
+    tuned = tuning_for(replace(late, parameters=own))
+    assert tuned.law == default_tuning().law
+    assert tuned.estimation == default_tuning().slowed(2.0).estimation
+
+
 def test_the_estimator_expects_the_noise_of_the_models_recordings():
     cameras = Cameras(rate_hz=120, position_noise_m=3e-4, yaw_noise_rad=4e-3, stamp_jitter_s=1e-3)
     model = replace(nominal_model(default_vehicle()), cameras=cameras)

@@ -27,6 +27,18 @@ def test_twins_that_blow_at_each_other_are_told_although_both_lose_alike(interac
         assert found["pair"].value[0] == pytest.approx(interaction, rel=0.5)
 
 
+@pytest.mark.slow
+def test_a_few_seconds_show_what_is_missing():
+    """The usual blocks of time would be too few to tell."""
+    truth = replace(published_model("M3"), frame="body")
+    braked = replace(truth.parameters, drag=np.array([0.5, 0.0, 0.5, 0.0]))
+    for parameters, terms in ((braked, {"drag"}), (truth.parameters, set())):
+        flight = fly(replace(truth, parameters=parameters), duration=7.0)
+        fit = identify(flight, "M3")
+        found = {one.term for one in missing_terms(fit.model, fit.objective) if one.worthwhile}
+        assert found == terms
+
+
 MODEL = replace(published_model("M3"), frame="body", indexing="start")
 OWN = MODEL.parameters.labels(MODEL.vehicle.propeller_names)
 
@@ -38,7 +50,7 @@ class LinearLoss(PredictionLoss):
     another; `only` is the one block in which anything is missing.
     """
 
-    clusters = np.zeros(1, dtype=int)
+    clusters = np.arange(40)
     windows = cast(Any, SimpleNamespace(trajectories=[None, None]))
     __setattr__ = object.__setattr__
 

@@ -17,6 +17,7 @@ from airpuck.identification.uncertainty import (
     grown,
     identifiability_of,
     sandwich,
+    cluster_windows,
     shared_at_borders,
     subspace,
     varying,
@@ -531,6 +532,11 @@ def test_clusters_are_blocks_of_time():
     assert (np.diff(clusters) >= 0).all()
     seconds = np.bincount(clusters) * 7 / 240
     assert 1.2 < seconds.min() <= seconds.max() < 2.1
+    # More of them are shorter, but none is shorter than a window.
+    seconds = np.bincount(cluster_windows(windows, 14)) * 7 / 240
+    assert len(seconds) in (14, 15, 16) and seconds.max() < 1.2
+    seconds = np.bincount(cluster_windows(windows, 1000)) * 7 / 240
+    assert seconds.mean() == pytest.approx(90 / 240, rel=0.1)
 
 
 def test_an_error_beyond_all_possible_values_is_none():

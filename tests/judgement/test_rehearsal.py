@@ -97,6 +97,14 @@ def test_a_slow_craft_with_its_own_pwm_settles_with_the_packaged_controller(name
     assert flown_margin(model, model, settings.model_copy(update=updates)) >= 1
 
 
+@pytest.mark.parametrize(
+    ("margins", "margin"), [([2.0], 2.0), ([1.3, 0.9, 1.2], 0.9), ([0.2], 0.2)]
+)
+def test_a_craft_settles_if_it_does_in_each_of_several_flights(monkeypatch, margins, margin):
+    monkeypatch.setattr("airpuck.judgement.rehearsal._margin", lambda *given: margins[given[-1]])
+    assert flown_margin(MODEL, MODEL, default_twin_settings()) == margin
+
+
 @pytest.mark.slow
 def test_a_controller_does_not_settle_without_a_motor():
     dead = scaled(np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))

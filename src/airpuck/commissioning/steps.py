@@ -23,7 +23,7 @@ from airpuck.commissioning.pulse_evidence import (
 from airpuck.commissioning.session import Commissioned, Ended
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, tuning_for
+from airpuck.control.tuning import Tuning, lateness, tuning_for
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.time_scale import usual_pushes
 from airpuck.flight.pulses import PulseTest
@@ -36,8 +36,8 @@ _RATE = 50.0
 #: Largest standard deviation of poses at rest [m, rad].
 _NOISE = (2e-3, 5e-2)
 _GRAVITY = 9.81
-#: Response time for which the packaged controller is made [s]; slower craft get a slower one.
-_RESPONSE, _SLOWEST = 0.08, 3.0
+#: Largest factor by which the controller is slowed for a craft that answers late.
+_SLOWEST = 3.0
 #: Effect below which a motor counts as dead, relative to the usual one's. A slow motor still pushes
 #: while the next one is tried, so that a dead one may seem to give a quarter.
 _DEAD = 0.35
@@ -322,8 +322,9 @@ class _Motion:
 
 def careful(model: Model) -> Tuning:
     """Return the packaged tuning, slowed for a craft that answers slowly."""
-    response = float(np.max(model.dynamics.lag)) + model.transport_delay
-    return tuning_for(model).slowed(float(np.clip(response / _RESPONSE, 1.0, _SLOWEST)))
+    tuning = tuning_for(model)
+    slower = tuning.slowed(float(np.clip(lateness(model), 1.0, _SLOWEST)))
+    return tuning.model_copy(update={"law": slower.law})
 
 
 @dataclass(frozen=True)

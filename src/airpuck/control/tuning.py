@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
+import numpy as np
 import pydantic
 
 from airpuck.boundary.errors import InputError, unknown
@@ -33,6 +34,8 @@ ESTIMATORS = ("kalman", "actuation", "learning")
 #: A craft that takes this many times as long for the same motion needs a slower controller: one
 #: actuator accelerates it by less than 0.9 m/s².
 _SLOW = 2.0
+#: Response time (lag + delay) for which the packaged tuning is made [s].
+_RESPONSE = 0.08
 #: Speeds on the way to a set point, at which errors of stamps become errors of poses: half of the
 #: largest ones of the paper's flights [m/s, rad/s].
 _FLOWN_SPEED, _FLOWN_SPIN = 0.4, 2.0
@@ -358,12 +361,14 @@ class Tuning(Section):
         Tuning
             A copy. The periods remain.
         """
+        law = self._each(lambda law: law.slowed(times))
+        return self._answering(times).model_copy(update={"law": law})
+
+    def _answering(self, times: float) -> Tuning:
+        """Return the tuning with a filter that is `times` as slow."""
         powers = {"acceleration_density": -1.5, "angular_acceleration_density": -1.5}
         powers |= {"disturbance_density": -2.5, "angular_disturbance_density": -2.5}
-        estimation = scaled(self.estimation, powers, times)
-        return self.model_copy(
-            update={"law": self._each(lambda law: law.slowed(times)), "estimation": estimation}
-        )
+        return self.model_copy(update={"estimation": scaled(self.estimation, powers, times)})
 
     def with_camera(self, rate_hz: float) -> Tuning:
         """Return the tuning for a camera, unless it states its own rate.
@@ -464,11 +469,17 @@ def default_tuning() -> Tuning:
     return read_packaged("tuning.toml", Tuning)
 
 
+def lateness(model: Model) -> float:
+    """Return the craft's response time, relative to the one that the packaged tuning is made for."""
+    return (float(np.max(model.dynamics.lag)) + model.transport_delay) / _RESPONSE
+
+
 def tuning_for(model: Model) -> Tuning:
     """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
-    A craft that is much slower than the paper's gets a slower controller. A craft that has its own
-    PWM gets one duty cycle for each of its periods; the predictive law's steps are then no shorter,
+    A craft that is much slower than the paper's gets a slower controller. One whose motors answer
+    late gets a slower filter: the control law looks ahead by the response time, and would otherwise
+    turn noise into commands. A craft that has its own PWM gets one duty cycle for each of its periods; the predictive law's steps are then no shorter,
     and as many. The estimator expects the noise that the model's recordings showed, if it is
     larger than the packaged noise.
 
@@ -483,7 +494,9 @@ def tuning_for(model: Model) -> Tuning:
         The tuning.
     """
     slower, kind = patience(model.vehicle), model.vehicle.actuation.kind
-    tuning = default_tuning().slowed(slower) if slower > _SLOW else default_tuning()
+    slower = slower if slower > _SLOW else 1.0
+    late = lateness(model) / slower
+    tuning = default_tuning().slowed(slower)._answering(max(1.0, late))
     if model.cameras is not None:
         tuning = tuning.with_noise_of(model.cameras)
     period = kind.pwm_period_s

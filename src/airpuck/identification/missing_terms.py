@@ -21,7 +21,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
 from airpuck.evaluation.presentation import main_quantities
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.uncertainty import varying
+from airpuck.identification.uncertainty import cluster_windows, shared_at_borders, varying
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
@@ -37,8 +37,9 @@ _NOTICEABLE = 0.01
 _STEP = 1e-3
 #: Number of blocks of time that are held out in turn.
 _FOLDS = 5
-#: Fewest blocks of time beyond a term's coefficients.
-_FEWEST = 6
+#: Fewest blocks of time beyond a term's coefficients; and fewest blocks of a recording, which are
+#: shorter than usual below 24 s.
+_FEWEST, _BLOCKS = 6, 12
 #: The term that is not an effect: a higher degree of the thrust curves. It is tested twice, with a
 #: coefficient for each motor and with one for all, which finds a common shape with more certainty.
 DEGREE, _BEND = "degree", "common degree"
@@ -138,11 +139,16 @@ class _Tests:
     echo: Float[np.ndarray, "P Q"]
     #: Entries and lower bounds of each term.
     entries: dict[str, tuple[Int[np.ndarray, " k"], Float[np.ndarray, " k"]]]
+    #: Fraction of the scores' variance that shortened blocks miss.
+    shared: float
 
     @classmethod
     def of(cls, model: Model, loss: PredictionLoss) -> _Tests:
         """Evaluate the loss once, with all terms at zero."""
-        whole = _with_all_terms(model)
+        whole, shared = _with_all_terms(model), 0.0
+        if loss.clusters is not None and loss.clusters.max() + 1 < _BLOCKS:
+            loss = replace(loss, clusters=cluster_windows(loss.windows, _BLOCKS))
+            shared = shared_at_borders(loss)
         quadratic = loss.quadratic(whole, once=True)
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
@@ -165,7 +171,7 @@ class _Tests:
             entries[term] = (np.array([number]), np.array([-np.inf]))
         echo = _echo(model.parameters, whole, own)
         echo = np.concatenate([echo, np.zeros((len(own), len(changes))), echo @ bent.T], axis=1)
-        return cls(model, quadratic, basis, echo, entries)
+        return cls(model, quadratic, basis, echo, entries, shared)
 
     def tested(self, beside: list[str]) -> Iterator[MissingTerm]:
         """Test each term with a model that has the terms `beside`, too."""
@@ -210,7 +216,7 @@ class _Tests:
         along = np.eye(len(hessian))[:, kept] - basis @ mixed
         own = self.echo @ along @ value
         each = np.einsum("qi,gqp,pj->gij", along, self.quadratic.informations, along, optimize=True)
-        chance = _by_chance(effective, each, information, value)
+        chance = _by_chance(effective, each, information, value, self.shared)
         # Effects of a coefficient with a lower bound grow with its square.
         least = np.maximum([bound[entry] for entry in kept], 0.0)
         value = np.where(least > 0, np.sqrt(least * np.abs(least + 2 * value)), value)
@@ -252,6 +258,7 @@ def _by_chance(
     informations: Float[np.ndarray, "G k k"],
     information: Float[np.ndarray, "k k"],
     value: Float[np.ndarray, " k"],
+    shared: float,
 ) -> float:
     """Return the probability of such a sum of block scores if the term were zero.
 
@@ -259,7 +266,7 @@ def _by_chance(
     Journal of the American Statistical Association 76, 1981). Unlike Hotelling's T² it needs few
     blocks. That covariance is of the scores that are left with the term, since a change in flight
     alone makes scores differ, corrected for each block's own leverage (HC2 of MacKinnon
-    and White, Journal of Econometrics 29, 1985).
+    and White, Journal of Econometrics 29, 1985); blocks miss the fraction `shared` of it.
     """
     from scipy.special import fdtrc
 
@@ -268,7 +275,8 @@ def _by_chance(
     others = np.linalg.pinv(np.eye(size) - informations @ inverse)
     left = scores + informations @ value
     expected = float(np.einsum("gij,gj,ik,gk->", others, left, inverse, left, optimize=True))
-    return float(fdtrc(size, count - 1, total @ inverse @ total / max(expected, 1e-300)))
+    expected = max(expected / (1 - shared), 1e-300)
+    return float(fdtrc(size, count - 1, total @ inverse @ total / expected))
 
 
 def _with_all_terms(model: Model) -> Parameters:

@@ -55,11 +55,13 @@ _BENT = 1.1
 _POOR = 1e6
 
 
-def cluster_windows(windows: Windows) -> Int[np.ndarray, " W"]:
-    """Group windows into blocks of time."""
+def cluster_windows(windows: Windows, fewest: int = 1) -> Int[np.ndarray, " W"]:
+    """Group windows into blocks of time: shorter ones, up to a window's length, if few result."""
     trajectory, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
-    span = max(BLOCK, _LENGTHS * period * (windows.encoder_length + windows.prediction_length))
+    length = period * (windows.encoder_length + windows.prediction_length)
+    span = max(BLOCK, _LENGTHS * length)
+    span = min(span, max(length, len(windows) * stride * period / fewest))
     size = max(1, round(span / (stride * period)))
     # Use whole batches if that length is close: half-filled ones would cost as much as full ones.
     if size > 0.75 * BATCH:
