@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.deviation.packet_delays import delay_response, packet_delays
+from airpuck.deviation.packet_delays import PacketDelays, delay_response, packet_delays
 from airpuck.identification.fit import identify
 from airpuck.identification.retiming import modelled_acceleration, retimed
 from airpuck.identification.settings import Preparation
@@ -54,6 +54,22 @@ def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
     response = delay_response(flight.trajectory, fit.model, delays, change[None])[0]
     assert np.corrcoef(response, later)[0, 1] < -0.95
     assert np.polyfit(later, response, 1)[0] == pytest.approx(-1, abs=0.06)
+
+
+def test_delays_of_packets_beyond_the_poses_answer_to_nothing(flight, fit):
+    """Windows move with the model's delay: the last one of a recording may leave it."""
+    trajectory, packet = flight.trajectory, fit.packet_delays[0].packet
+    change = np.ones((1, len(trajectory), 3))
+
+    def response(packet):
+        known = PacketDelays(packet, np.zeros(len(packet)), np.ones(len(packet)))
+        return delay_response(trajectory, fit.model, known, change)[0]
+
+    last = len(trajectory.command_time) - 1
+    assert last not in packet
+    found = response(np.append(packet, last))
+    assert found[-1] == 0
+    np.testing.assert_array_equal(found[:-1], response(packet))
 
 
 def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):

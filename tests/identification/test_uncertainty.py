@@ -14,10 +14,10 @@ from airpuck.identification.problem import prediction_loss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import (
     binding_constraints,
+    cluster_windows,
     grown,
     identifiability_of,
     sandwich,
-    cluster_windows,
     shared_at_borders,
     subspace,
     varying,

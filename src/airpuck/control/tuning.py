@@ -470,7 +470,7 @@ def default_tuning() -> Tuning:
 
 
 def lateness(model: Model) -> float:
-    """Return the craft's response time, relative to the one that the packaged tuning is made for."""
+    """Return the craft's response time, relative to that for which the packaged tuning is made."""
     return (float(np.max(model.dynamics.lag)) + model.transport_delay) / _RESPONSE
 
 
@@ -478,10 +478,10 @@ def tuning_for(model: Model) -> Tuning:
     """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
     A craft that is much slower than the paper's gets a slower controller. One whose motors answer
-    late gets a slower filter: the control law looks ahead by the response time, and would otherwise
-    turn noise into commands. A craft that has its own PWM gets one duty cycle for each of its periods; the predictive law's steps are then no shorter,
-    and as many. The estimator expects the noise that the model's recordings showed, if it is
-    larger than the packaged noise.
+    late gets a slower filter: the law looks ahead by the response time, and would otherwise turn
+    noise into commands. A craft that has its own PWM gets one duty cycle for each of its periods;
+    the predictive law's steps are then no shorter, and as many. The estimator expects the noise
+    that the model's recordings showed, if it is larger than the packaged noise.
 
     Parameters
     ----------

@@ -113,17 +113,22 @@ def packet_delays(trajectory: Trajectory, model: Model, *, thorough: bool = Fals
 def delay_response(
     trajectory: Trajectory, model: Model, delays: PacketDelays, modelled: Float[np.ndarray, "P N 3"]
 ) -> Float[np.ndarray, "P B"]:
-    """Return the derivative of the estimated delays with respect to the modelled accelerations."""
+    """Return the derivative of the estimated delays with respect to the modelled accelerations.
+
+    Another delay of the model moves the first and last arrivals beyond the poses: their derivative
+    is zero.
+    """
     near = _surroundings(trajectory, model)
     if near is None or not len(delays):
         return np.zeros((len(modelled), len(delays)))
     late = np.zeros(len(trajectory.command_time))
     late[delays.packet] = delays.deviation
     found = _regressed(near, late)
-    number = np.searchsorted(found.packet, delays.packet)
+    number = np.searchsorted(found.packet[:-1], delays.packet)
+    seen = found.packet[number] == delays.packet
     index = near.index[:, found.best[1][number]]
     change = np.moveaxis(modelled[:, index], (1, 3, 0), (0, 1, 2))
-    return found.response(number, near.components.of_accelerations(-change))
+    return np.where(seen, found.response(number, near.components.of_accelerations(-change)), 0.0)
 
 
 def moved(
