@@ -17,6 +17,7 @@ from airpuck.control.excitation import Excitation
 from airpuck.control.settings import ExcitationPlan
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.pose_regression import shortest_judged
+from airpuck.deviation.time_scale import response_time
 from airpuck.judgement.findings import ACCELERATION_LIMIT, RESPONSE_LIMIT
 from airpuck.judgement.study import Study, study
 from airpuck.judgement.verdict import Verdict
@@ -124,7 +125,7 @@ def next_plan(session: Commissioned, duration: float, number: int) -> Excitation
 def excitation(session: Commissioned, plan: ExcitationPlan, number: int) -> Excitation:
     """Return the pilot of an excitation, which brakes in time for what is not known yet."""
     model = session.model
-    reaction = float(np.max(model.dynamics.lag)) + model.transport_delay
+    reaction = float(np.max(response_time(model)))
     # The worst within the interval, of the pulses or of the study.
     error = None if session.study is None else session.study.verdict.response_error
     reaction = max(reaction, session.late) if error is None else reaction + min(2 * error, reaction)

@@ -15,7 +15,6 @@ from airpuck.deviation.time_scale import usual_pushes
 from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
-from airpuck.physics.angle import pose_difference
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
@@ -28,8 +27,6 @@ _SPIN = 1.0
 #: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
 #: largest misfit of a pulse that was not disturbed, relative to the smallest.
 _STARTED, _DISTURBED = 0.3, 5.0
-#: Time over which the speed of a drift is measured [s].
-_LOOK = 0.15
 #: Accelerations per newton: forward, left, turn.
 Effects = Float[np.ndarray, "3 n"]
 
@@ -55,16 +52,12 @@ def uphill(session: Commissioned, plan: PulsePlan, motors: list[int]) -> list[in
     Each next motor minimises the distance from the middle plus the speed, after a second; yaw
     counts times the radius of gyration.
     """
-    poses = session.flights[-1].recording["pose"] if session.flights else None
-    if poses is None or len(poses.time) < 2:
+    if (motion := session.motion) is None:
         return motors
     model, order, turn = nominal_model(session.vehicle), list[int](), plan.length + plan.rest
     scale = np.array([1.0, 1.0, model.radius_of_gyration])
-    first = np.searchsorted(poses.time, poses.time[-1] - _LOOK).clip(0, len(poses.time) - 2)
-    moved = pose_difference(np, poses.values[-1], poses.values[first])
-    moved = moved / (poses.time[-1] - poses.time[first])
-    place, speed = poses.values[-1] * [1, 1, 0], moved * scale
-    effects, _ = acceleration_map(np, model.dynamics, float(poses.values[-1, 2]), 0.0)
+    place, speed = motion[0] * [1, 1, 0], motion[1] * scale
+    effects, _ = acceleration_map(np, model.dynamics, float(motion[0][2]), 0.0)
     force = thrust(model.dynamics.thrust, np.full(model.vehicle.n_propellers, plan.level))
     pushes = scale[:, None] * np.asarray(effects) * force * plan.length
     for _ in range(len(motors)):

@@ -24,11 +24,14 @@ from airpuck.live.fly import LAST_COMMANDS
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits, within_rails
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
+from airpuck.physics.angle import pose_difference
 from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.sensors import log_stream
 
 #: Without a pose for this long the run ends [s].
 _NO_POSE = 1.0
+#: Time over which velocities are measured [s].
+_LOOK = 0.1
 #: A command this far above idle counts as motors on.
 _ON = 1e-3
 
@@ -231,6 +234,15 @@ class Commissioned:
     def first_pose(self) -> float:
         """Time of the first pose of the present flight; infinite before it [s]."""
         return self._log.poses[0][0] if self._log.poses else math.inf
+
+    @property
+    def motion(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]] | None:
+        """Last pose and the velocity until then [m/s, m/s, rad/s]; None until it is known."""
+        log = self._log.poses
+        for stamp, pose in reversed(log):
+            if (passed := log[-1][0] - stamp) >= _LOOK:
+                return log[-1][1], pose_difference(np, log[-1][1], pose) / passed
+        return None
 
     def fly(
         self,

@@ -23,9 +23,9 @@ from airpuck.commissioning.pulse_evidence import (
 from airpuck.commissioning.session import Commissioned, Ended
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import Tuning, lateness, tuning_for
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle
-from airpuck.deviation.time_scale import usual_pushes
+from airpuck.deviation.time_scale import lateness, usual_pushes
 from airpuck.flight.pulses import PulseTest
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
@@ -291,33 +291,14 @@ class _DriftingOff:
         self._session, self._steered = session, steered
         self._reach = np.array(session.table.reach(vehicle.radius_m)) - _CLEARANCE
         self._braking = usual_pushes(vehicle)[0] / (2 * _ROUGH)
-        self._motion = _Motion()
 
     def __call__(self, now: float) -> bool:
-        moved = self._motion.at(now, self._session.position)
-        if moved is None:
+        if (motion := self._session.motion) is None:
             return False
-        place, speed = moved
+        place, speed = (one[:2] for one in motion)
         braked = speed * _REACTION + speed * np.abs(speed) / (2 * self._braking)
         ahead = braked if now >= self._steered else speed * _AT_RAIL
         return bool((np.abs(place + ahead) > self._reach).any())
-
-
-class _Motion:
-    """Position and velocity from poses a tenth of a second apart."""
-
-    def __init__(self) -> None:
-        self._poses: list[tuple[float, Float[np.ndarray, " 2"]]] = []
-
-    def at(self, now: float, pose: np.ndarray | None) -> tuple[np.ndarray, np.ndarray] | None:
-        """Add the pose of now; return place and velocity [m, m/s], None until they are known."""
-        if pose is None:
-            return None
-        self._poses.append((now, pose[:2]))
-        while len(self._poses) > 2 and now - self._poses[1][0] >= 0.1:
-            del self._poses[0]
-        before, old = self._poses[0]
-        return (pose[:2], (pose[:2] - old) / (now - before)) if now - before >= 0.1 else None
 
 
 def careful(model: Model) -> Tuning:
@@ -369,16 +350,14 @@ class _Settled:
     def __init__(self, session: Commissioned, near: float, slow: float) -> None:
         self._session, self._near, self._slow = session, near, slow
         self._since: float | None = None
-        self._motion = _Motion()
         #: Whether it has settled.
         self.reached = False
 
     def __call__(self, now: float) -> bool:
-        moved = self._motion.at(now, self._session.position)
-        if moved is None:
+        if (motion := self._session.motion) is None:
             return False
-        place, speed = moved
-        near = math.hypot(*place) < self._near and math.hypot(*speed) < self._slow
+        place, speed = (math.hypot(*one[:2]) for one in motion)
+        near = place < self._near and speed < self._slow
         self._since = (self._since if self._since is not None else now) if near else None
         self.reached = self._since is not None and now - self._since >= 0.2
         return self.reached

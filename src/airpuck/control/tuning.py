@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
-import numpy as np
 import pydantic
 
 from airpuck.boundary.errors import InputError, unknown
@@ -24,7 +23,7 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.control.laws import LAWS, check_law, law_class, law_label
-from airpuck.deviation.time_scale import patience
+from airpuck.deviation.time_scale import lateness, patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Cameras
@@ -34,8 +33,6 @@ ESTIMATORS = ("kalman", "actuation", "learning")
 #: A craft that takes this many times as long for the same motion needs a slower controller: one
 #: actuator accelerates it by less than 0.9 m/s².
 _SLOW = 2.0
-#: Response time (lag + delay) for which the packaged tuning is made [s].
-_RESPONSE = 0.08
 #: Speeds on the way to a set point, at which errors of stamps become errors of poses: half of the
 #: largest ones of the paper's flights [m/s, rad/s].
 _FLOWN_SPEED, _FLOWN_SPIN = 0.4, 2.0
@@ -469,11 +466,6 @@ def default_tuning() -> Tuning:
     return read_packaged("tuning.toml", Tuning)
 
 
-def lateness(model: Model) -> float:
-    """Return the craft's response time, relative to that for which the packaged tuning is made."""
-    return (float(np.max(model.dynamics.lag)) + model.transport_delay) / _RESPONSE
-
-
 def tuning_for(model: Model) -> Tuning:
     """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
@@ -495,8 +487,7 @@ def tuning_for(model: Model) -> Tuning:
     """
     slower, kind = patience(model.vehicle), model.vehicle.actuation.kind
     slower = slower if slower > _SLOW else 1.0
-    late = lateness(model) / slower
-    tuning = default_tuning().slowed(slower)._answering(max(1.0, late))
+    tuning = default_tuning().slowed(slower)._answering(max(1.0, lateness(model) / slower))
     if model.cameras is not None:
         tuning = tuning.with_noise_of(model.cameras)
     period = kind.pwm_period_s

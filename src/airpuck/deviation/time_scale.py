@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +16,7 @@ from jaxtyping import Float
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import usual_period
 from airpuck.data.trajectory import Trajectory
-from airpuck.model.model_file import nominal_model
+from airpuck.model.model_file import Model, nominal_model
 
 #: Displacement that stands out, in standard deviations of the noise: fits of an air-bearing
 #: satellite are best when predictions last until about then.
@@ -31,6 +32,8 @@ _OF_MOTION = 1.5
 #: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
 #: craft takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
+#: Response time above which a craft counts as late [s]: the paper's has 49 ms.
+_LATE = 0.08
 #: Time constants of the slowest motors after which a guess of their initial speed is forgotten to
 #: 0.4 %.
 FORGOTTEN = 5.5
@@ -67,6 +70,16 @@ def patience(vehicle: Vehicle) -> float:
     """
     push, _ = usual_pushes(vehicle)
     return max(1.0, math.sqrt(2 * _CENTIMETRE / push) / _USUAL_MOVE) if push > 0 else 1.0
+
+
+def response_time(model: Model) -> Any:
+    """Return the response time of the motors to a command: lag and delay together [s]."""
+    return model.parameters.motor_time_constant + model.transport_delay
+
+
+def lateness(model: Model) -> float:
+    """Return the response time, relative to the longest for which usual controllers are made."""
+    return float(np.max(response_time(model))) / _LATE
 
 
 def usual_pushes(vehicle: Vehicle) -> tuple[float, float]:

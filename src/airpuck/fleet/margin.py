@@ -9,10 +9,10 @@ import numpy as np
 from airpuck.control.authority import control_authority
 from airpuck.control.lqr import LQRSettings, cost_to_go, lqr_gain, point_mass
 from airpuck.control.tuning import Tuning
+from airpuck.deviation.time_scale import response_time
 from airpuck.estimate.axis_filter import process_noise
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.fleet.search import Reach
-from airpuck.judgement.findings import response_time
 from airpuck.model.model_file import Model
 from airpuck.model.tolerances import bar
 

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,7 +14,7 @@ from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding, by_cause
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.effect_errors import LOW_SPEED, EffectErrors, effect_errors
-from airpuck.deviation.time_scale import patience
+from airpuck.deviation.time_scale import patience, response_time
 from airpuck.evaluation.coasting import coasting
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
@@ -214,11 +213,6 @@ def _ways(relative: Float[np.ndarray, " 6"]) -> str:
         for (way, *_), r in zip(WAYS, relative, strict=True)
         if r > ACCELERATION_LIMIT
     )
-
-
-def response_time(model: Model) -> Any:
-    """Return the response time of the motors to a command: lag and delay together [s]."""
-    return model.parameters.motor_time_constant + model.transport_delay
 
 
 def first_causes(findings: Sequence[Finding]) -> tuple[Finding, ...]:

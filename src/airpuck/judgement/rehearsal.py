@@ -165,17 +165,14 @@ def rehearse(
     if model.cameras is None:
         model = replace(model, cameras=cameras)
     if weakest_effort(model) < _HELD * weakest_effort(nominal_model(model.vehicle)):
-        why = _weakness(model)
-        return Rehearsal(
-            0.0, f"No controller can hold the modelled craft: {why}. Check the motors."
-        )
+        why = f"No controller can hold the modelled craft: {_weakness(model)}. Check the motors."
+        return Rehearsal(0.0, why)
     tuning, settings = tuning_for(model), like(cameras, model)
     tuning = tuning if law is None else tuning.with_law(law)
     try:
         margin = flown_margin(model, seen, settings, tuning)
-        if margin >= 1:
-            return Rehearsal(margin)
-        return Rehearsal(margin, _unsettled(model, seen, settings, tuning))
+        why = "" if margin >= 1 else _unsettled(model, seen, settings, tuning)
+        return Rehearsal(margin, why)
     except InputError as error:
         return Rehearsal(0.0, f"No controller can be designed from the model: {error.problem}.")
 

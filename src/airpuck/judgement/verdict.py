@@ -20,7 +20,7 @@ from airpuck.boundary.results import Finding, Result
 from airpuck.control.laws import law_class
 from airpuck.control.tuning import tuning_for
 from airpuck.data.trajectory import Trajectory
-from airpuck.deviation.time_scale import patience
+from airpuck.deviation.time_scale import patience, response_time
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, MainQuantity, main_quantities
 from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
@@ -30,7 +30,6 @@ from airpuck.judgement.findings import (
     Evidence,
     first_causes,
     incomplete,
-    response_time,
     too_quiet,
     too_uncertain,
     too_wrong,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from airpuck.commissioning.commission import Commissioning
+from airpuck.deviation.time_scale import response_time
 from airpuck.evaluation.presentation import WAYS, largest_acceleration
-from airpuck.judgement.findings import response_time
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.report import style
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
