@@ -75,12 +75,14 @@ def normal_equations(
     encoder: StateEncoder,
     lengths: tuple[int, int],
     frame: CenterOfMassFrame,
+    once: bool,
 ) -> tuple[Any, Any, Any]:
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
-    `lengths` are E and T; poses count where `measured` is one, not zero. Local coordinates are the
-    thrust coefficients, K directions of Π and the effects, the centre of mass if it acts beside Π,
-    τ and its increase at standstill, and the transport delay.
+    `lengths` are E and T; poses count where `measured` is one, not zero; a program that runs `once`
+    is made to compile quickly. Local coordinates are the thrust coefficients, K directions of Π and
+    the effects, the centre of mass if it acts beside Π, τ and its increase at standstill, and the
+    transport delay.
 
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
@@ -169,12 +171,11 @@ def normal_equations(
             changes = [change + step for change, step in zip(changes, steps, strict=True)]
             return (slope, d_slope, d_now, changes), None
 
-        table = _STAGES.T[..., None] * jnp.stack([h, h, h**2])
+        many = _STAGES.T[..., None] * jnp.stack([h, h, h**2]), speeds, d_speeds
         none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
         carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
-        # Unrolled, short stages run faster; long ones only take longer to compile.
-        copies = 1 if linear[1] else 4
-        return jax.lax.scan(stage, carry, (table, speeds, d_speeds), unroll=copies)[0][-1]
+        # Unrolled, stages run in half to four fifths of the time, but take longer to compile.
+        return jax.lax.scan(stage, carry, many, unroll=1 if once else 4)[0][-1]
 
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:
         def turned(speed: Any, held: Any, values: Any) -> Any:
@@ -231,7 +232,7 @@ def normal_equations(
 @cache
 def compiled_normal_equations(once: bool = False) -> Callable[..., tuple[Any, Any, Any]]:
     """Compile `normal_equations`, quickly if it runs `once`; keywords must be hashable."""
-    hashed = "encoder", "lengths", "frame"
+    hashed = "encoder", "lengths", "frame", "once"
     return for_batches(normal_equations, once=once, static_argnames=hashed)
 
 
@@ -408,7 +409,7 @@ class PredictionLoss:
             )
 
         lengths = windows.encoder_length, windows.prediction_length
-        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame}
+        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame, "once": once}
         normal_equations = partial(compiled_normal_equations(once), **static)
         batches, owner = self._batches()
 
