@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.craft.vehicle import GRAVITY, Vehicle, default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.physics.effects import (
-    GRAVITY,
     BodyMotion,
     Drag,
     Effect,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from airpuck.physics.effects import GRAVITY, Dish, Friction
+from airpuck.craft.vehicle import GRAVITY
+from airpuck.physics.effects import Dish, Friction
 from airpuck.physics.rigid_body import Dynamics, rollout
 
 BOWL, STEP = 0.05, 0.02

@@ -11,9 +11,8 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Reference
 from airpuck.craft.table import Table
-from airpuck.craft.vehicle import Nominal, Propeller, Vehicle
+from airpuck.craft.vehicle import GRAVITY, Nominal, Propeller, Vehicle
 from airpuck.model.model_file import nominal_model
-from airpuck.physics.effects import GRAVITY
 from airpuck.planning import transcription
 from airpuck.planning.plan import Plan, read_plan
 from airpuck.planning.request import Goal, checked_request

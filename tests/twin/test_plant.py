@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from airpuck.craft.table import Table
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.model.model_file import published_model
-from airpuck.physics.effects import GRAVITY
 from airpuck.physics.rigid_body import Dynamics, step
 from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant
 from airpuck.twin.settings import Effects, default_twin_settings

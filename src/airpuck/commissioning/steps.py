@@ -24,7 +24,7 @@ from airpuck.commissioning.session import Commissioned, Ended
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
-from airpuck.craft.vehicle import Vehicle
+from airpuck.craft.vehicle import GRAVITY, Vehicle
 from airpuck.deviation.time_scale import lateness, usual_pushes
 from airpuck.flight.pulses import PulseTest
 from airpuck.model.model_file import Model, nominal_model
@@ -35,7 +35,6 @@ from airpuck.physics.rigid_body import acceleration_map
 _RATE = 50.0
 #: Largest standard deviation of poses at rest [m, rad].
 _NOISE = (2e-3, 5e-2)
-_GRAVITY = 9.81
 #: Largest factor by which the controller is slowed for a craft that answers late.
 _SLOWEST = 3.0
 #: Effect below which a motor counts as dead, relative to the usual one's. A slow motor still pushes
@@ -96,8 +95,7 @@ class Rest:
         vehicle = session.vehicle
         # Poses may begin late; the session ends the run if none come.
         enough = lambda now: now - session.first_pose > self.duration_s  # noqa: E731
-        session.fly("rest", _Resting(vehicle.idle), 10.0, until=enough)
-        pose = session.flights[-1].recording["pose"]
+        pose = session.fly("rest", _Resting(vehicle.idle), 10.0, until=enough)["pose"]
         time, values = pose.time - pose.time[0], np.array(pose.values)
         values[:, 2] = np.unwrap(values[:, 2])
         rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
@@ -118,7 +116,7 @@ class Rest:
         seen = {"position_noise_m": across, "yaw_noise_rad": float(noise[2])}
         session.cameras = Cameras(rate_hz=rate, **seen)
         session.slope = found[2, :2]
-        slope = float(np.hypot(*session.slope)) / _GRAVITY
+        slope = float(np.hypot(*session.slope)) / GRAVITY
         self._check_place(session, values[-1])
         said = f"poses at {rate:.0f} Hz, noise {1e3 * across:.2g} mm and {1e3 * noise[2]:.2g} mrad"
         session.note("rest", f"{said}; the craft drifts as on a slope of {1e3 * slope:.1f} mrad")
@@ -266,7 +264,7 @@ def _silent(model: Model, effects: Effects) -> Bool[np.ndarray, " n"]:
 
 def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
     """Return the slope as the cause if it kept motors from being tried."""
-    slope = 1e3 * float(np.hypot(*session.slope)) / _GRAVITY
+    slope = 1e3 * float(np.hypot(*session.slope)) / GRAVITY
     said, slopes = f"The table slopes by {slope:.0f} mrad", slope > _LEVEL and cause.kind == "table"
     return replace(cause, cause=said, evidence=cause.cause) if slopes else cause
 

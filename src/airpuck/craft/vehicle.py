@@ -49,11 +49,12 @@ _LEVER = 0.2
 _MOST_WHEELS = 4
 #: Suffix of the name of the direction that a negative command drives.
 _BACKWARDS = "_reverse"
-_GRAVITY = 9.81
+#: Acceleration of free fall [m/s²].
+GRAVITY = 9.81
 _LENGTHS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
 _MASSES = {"grams": 1e-3}
 _INERTIAS = {"g m²": 1e-3, "kg cm²": 1e-4, "kg mm²": 1e-6, "g cm²": 1e-7, "g mm²": 1e-9}
-_FORCES = {"gram-force": 1e-3 * _GRAVITY}
+_FORCES = {"gram-force": 1e-3 * GRAVITY}
 _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6}
 
 
@@ -469,11 +470,11 @@ def check_sizes(
 
 def check_nominal(mass: float, thrust: float, lag: float, delay: float) -> None:
     """Raise ValueError if full thrust, lag or delay are implausible."""
-    if thrust > _THRUST * mass * _GRAVITY:
+    if thrust > _THRUST * mass * GRAVITY:
         raise ValueError(
             f"nominal.thrust_N adds up to {thrust:g} at full speed, "
-            f"{thrust / (mass * _GRAVITY):.0f} times the craft's weight"
-            f"{_guess(thrust, _FORCES, 0.3 * mass * _GRAVITY)}"
+            f"{thrust / (mass * GRAVITY):.0f} times the craft's weight"
+            f"{_guess(thrust, _FORCES, 0.3 * mass * GRAVITY)}"
         )
     for name, time, usual in (
         ("motor_time_constant_s", lag, 0.03),

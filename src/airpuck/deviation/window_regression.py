@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.data.trajectory import Trajectory
-from airpuck.physics.effects import CREEP, GRAVITY
+from airpuck.physics.effects import CREEP
 
 #: Shortest and longest window [s]; the length that explains most clearly is used.
 _SHORTEST, _LONGEST = 0.05, 3.2

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from airpuck.craft.table import Table
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.export.kinds import (
     Subject,
     printable,
@@ -20,7 +21,7 @@ from airpuck.export.kinds import (
     refuse_settings,
 )
 from airpuck.model.model_file import Model
-from airpuck.physics.effects import GRAVITY, Tilt
+from airpuck.physics.effects import Tilt
 
 #: Time step [s].
 _TIMESTEP = 2.5e-4

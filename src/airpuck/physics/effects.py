@@ -16,10 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from airpuck.compute.arrays import linear_map
-from airpuck.craft.vehicle import Vehicle
-
-#: Acceleration of free fall [m/s²].
-GRAVITY = 9.81
+from airpuck.craft.vehicle import GRAVITY, Vehicle
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.model.model_file import Model
 from airpuck.physics.puck import PuckState
@@ -262,7 +263,7 @@ class Twin:
             return np.array([cos * vx + sin * vy, cos * vy - sin * vx])
         felt = scaled(self._felt, self.craft.thrust_left(self.world.time)[:, None])
         ax, ay, _ = acceleration(np, felt, self.state[2:6], self.state[6:])
-        return np.array([cos * ax + sin * ay, cos * ay - sin * ax, 9.81, 0.0, 0.0, spin])
+        return np.array([cos * ax + sin * ay, cos * ay - sin * ax, GRAVITY, 0.0, 0.0, spin])
 
 
 def _played(
