@@ -161,7 +161,8 @@ def wired(first: int, second: int) -> Callable[[Vehicle], Vehicle]:
         places = [propellers[k].model_dump(exclude={"name"}) for k in (second, first)]
         for k, place in zip((first, second), places, strict=True):
             propellers[k] = propellers[k].model_copy(update=place)
-        return vehicle.model_copy(update={"propellers": tuple(propellers)})
+        # Wrongly wired pairs do not oppose each other: each motor is excited by itself.
+        return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": ()})
 
     return build
 

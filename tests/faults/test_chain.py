@@ -48,6 +48,14 @@ def test_long_chains_neither_overflow_nor_vanish():
     np.testing.assert_allclose(found, np.exp(seen), atol=1e-12)
 
 
+def test_two_motors_at_once_are_thirty_times_rarer_than_one():
+    """FAULTS has one of the three pairs, which stands for all."""
+    first = np.cumsum([1, *(fault.ages for fault in FAULTS)])[:-1]
+    begins = fault_chain(FAULTS, NAMES).transition[0, first]
+    count = np.array([len(fault.motors) for fault in FAULTS])
+    assert begins[count == 2].sum() == pytest.approx(begins[count == 1].sum() / 30)
+
+
 def test_the_chain_is_one():
     chain = fault_chain(FAULTS, NAMES)
     np.testing.assert_allclose(chain.transition.sum(axis=1), 1)

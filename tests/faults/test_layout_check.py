@@ -247,6 +247,19 @@ def test_only_a_certain_deviation_is_blamed(flight, monkeypatch, error, verdict)
     assert {one.verdict for one in others} == {"agrees"}
 
 
+def test_one_still_motor_is_no_flight_without_commands(flight, monkeypatch):
+    vehicle = default_vehicle()
+
+    def measured(*given):
+        found = regress_windows(*given)
+        errors = np.where(np.arange(6) == 2, np.inf, found.error)
+        return replace(found, error=errors, p_value=0.5)
+
+    monkeypatch.setattr(layout_check, "regress_windows", measured)
+    check = check_layout(flight, vehicle)
+    assert not check.conclusive and not check.still
+
+
 def test_a_rotation_is_not_remarked_where_motors_are_swapped():
     swapped = layout_check.PropellerCheck("a", -1.0, "b", "behaves like b: motors are swapped")
     fine = layout_check.PropellerCheck("c", 1.0, "c", "agrees")
