@@ -146,14 +146,16 @@ class _Tests:
     def of(cls, model: Model, loss: PredictionLoss) -> _Tests:
         """Evaluate the loss once, with all terms at zero."""
         whole, shared = _with_all_terms(model), 0.0
-        if loss.clusters is not None and loss.clusters.max() + 1 < _BLOCKS:
+        assert loss.clusters is not None
+        if (count := int(loss.clusters.max()) + 1) < _BLOCKS:
             loss = replace(loss, clusters=cluster_windows(loss.windows, _BLOCKS))
             shared = shared_at_borders(loss)
         quadratic = loss.quadratic(whole, once=True)
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
-        changes = _changes(model, whole, loss) if len(quadratic.scores) >= _FEWEST else {}
+        # In short blocks, other drift looks like a change.
+        changes = _changes(model, whole, loss) if count > _FEWEST else {}
         terms = dict(_terms(model, whole, own))
         bends = _bends(whole, terms.get(DEGREE))
         changing = np.array([*changes.values()]).reshape(-1, len(labels))
@@ -164,9 +166,7 @@ class _Tests:
         basis = np.zeros((len(hessian), inside.shape[1]))
         basis[own] = inside
         lower, _ = whole.bounds()
-        entries = {}
-        for term, mask in terms.items():
-            entries[term] = (np.flatnonzero(mask), lower[mask])
+        entries = {term: (np.flatnonzero(mask), lower[mask]) for term, mask in terms.items()}
         for number, term in enumerate([*changes, *bends], start=len(labels)):
             entries[term] = (np.array([number]), np.array([-np.inf]))
         echo = _echo(model.parameters, whole, own)
