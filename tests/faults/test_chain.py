@@ -69,6 +69,13 @@ def test_the_chain_is_one():
     assert set(chain.causes) == {RADIO_OUT, UNEXPLAINED, *(f"{name} stalled" for name in NAMES)}
 
 
+def test_a_recording_may_begin_before_the_motors_are_armed_and_with_no_other_fault():
+    chain, (unarmed, *_) = fault_chain(FAULTS, NAMES), FAULTS
+    begins = {0: 0.98, unarmed.ages: 0.02}
+    expected = [begins.get(state, 0.0) for state in range(len(chain.initial))]
+    np.testing.assert_allclose(chain.initial, expected)
+
+
 def test_faults_of_motors_last_at_least_a_tenth_of_a_second():
     chain = fault_chain(FAULTS, NAMES)
     states = np.zeros(len(chain.initial))
@@ -121,6 +128,14 @@ def test_a_healthy_craft_is_normal(flight, predicted):
     close(predicted.normal, means(flight, predicted, flight.input))
     # The first speeds are a guess, soon forgotten.
     close(predicted.measured[6:], predicted.normal[6:])
+
+
+@pytest.mark.parametrize(("lag", "steps"), [(0.045, 6), (0.09, 11), (0.4, 20)])
+def test_a_motor_stands_after_three_lags(flight, lag, steps):
+    """In steps of 25 ms, at most 20 of them."""
+    slow = replace(MODEL.parameters, motor_time_constant=lag)
+    faults = predict_faults(flight, replace(MODEL, parameters=slow).dynamics).faults
+    assert {fault.ages for fault in faults if fault.motors} == {steps}
 
 
 @pytest.mark.parametrize("motors", [(0,), (4,), (1, 3), tuple(range(6))])
