@@ -1,4 +1,4 @@
-"""Are flights of seven seconds judged rightly? Drawn craft; in two of three something is missing.
+"""Are verdicts on flights of seven seconds right? In two of three flights something is missing.
 
     OPENBLAS_NUM_THREADS=1 python studies/short_flights.py -o short.jsonl --flights 48 --seed 99
 
@@ -45,8 +45,9 @@ def judged(flight: int, seed: int) -> dict[str, Any]:
         recording = airpuck.excite(truth, RECORDED, flight, settings=settings)
         study = airpuck.study(airpuck.preprocess(recording, truth.vehicle))
     except InputError as error:
-        return line | {"outcome": "refused", "why": str(error), "bars": {}, "right": False}
-    bars = beyond(study.model, as_received(truth, settings, tuning_for(truth).period_s))
+        return line | {"outcome": "refused", "why": [str(error)], "bars": {}, "right": False}
+    heard = as_received(truth, settings, tuning_for(truth).period_s)
+    bars = beyond(study.model, heard, exact=True)
     said = study.verdict
     line |= {"model": study.model.name, "outcome": said.outcome, "right": said.parameters.right}
     lacking = [one.term for one in study.selection.missing]
@@ -69,7 +70,7 @@ def summary(lines: list[dict[str, Any]]) -> None:
         for title, chosen in (("all", part), ("called right", [o for o in part if o["right"]])):
             off = np.abs([bar for one in chosen for bar in one["bars"].values()])
             if len(off):
-                far = sum(max(map(abs, one["bars"].values())) > 3 for one in chosen)
+                far = sum(max(map(abs, one["bars"].values()), default=0.0) > 3 for one in chosen)
                 print(
                     f"  {title}: {(off > 3).sum()} of {len(off)} parameters beyond three bars, in "
                     f"{far} of {len(chosen)} flights; the largest {off.max():.1f}"

@@ -161,8 +161,10 @@ def wired(first: int, second: int) -> Callable[[Vehicle], Vehicle]:
         places = [propellers[k].model_dump(exclude={"name"}) for k in (second, first)]
         for k, place in zip((first, second), places, strict=True):
             propellers[k] = propellers[k].model_copy(update=place)
-        # Wrongly wired pairs do not oppose each other: each motor is excited by itself.
-        return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": ()})
+        # A pair of which one is moved no longer opposes itself, and cannot be excited as a pair.
+        both = {propellers[first].name, propellers[second].name}
+        pairs = tuple(pair for pair in vehicle.pairs if len(both & set(pair)) != 1)
+        return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": pairs})
 
     return build
 

@@ -255,6 +255,12 @@ def test_a_craft_that_answers_late_gets_a_slower_filter():
     tuned = tuning_for(replace(late, parameters=own))
     assert tuned.law == default_tuning().law
     assert tuned.estimation == default_tuning().slowed(2.0).estimation
+    # At most by a factor of three; a slow craft has a slower filter anyway.
+    later = replace(late, parameters=replace(own, motor_time_constant=0.4))
+    assert tuning_for(later).estimation == default_tuning().slowed(3.0).estimation
+    heavy = late.vehicle.model_copy(update={"mass_kg": 10 * late.vehicle.mass_kg})
+    slow = replace(nominal_model(heavy), parameters=own)
+    assert tuning_for(slow) == tuning_for(nominal_model(heavy))
 
 
 def test_the_estimator_expects_the_noise_of_the_models_recordings():

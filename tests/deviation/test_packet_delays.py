@@ -56,7 +56,7 @@ def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):
     assert np.polyfit(later, response, 1)[0] == pytest.approx(-1, abs=0.06)
 
 
-def test_delays_of_packets_beyond_the_poses_answer_to_nothing(flight, fit):
+def test_packets_beyond_the_poses_have_no_derivative(flight, fit):
     """Windows move with the model's delay: the last one of a recording may leave it."""
     trajectory, packet = flight.trajectory, fit.packet_delays[0].packet
     change = np.ones((1, len(trajectory), 3))

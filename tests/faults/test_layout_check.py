@@ -247,7 +247,7 @@ def test_only_a_certain_deviation_is_blamed(flight, monkeypatch, error, verdict)
     assert {one.verdict for one in others} == {"agrees"}
 
 
-def test_one_still_motor_is_no_flight_without_commands(flight, monkeypatch):
+def test_one_unused_motor_does_not_make_a_recording_still(flight, monkeypatch):
     vehicle = default_vehicle()
 
     def measured(*given):

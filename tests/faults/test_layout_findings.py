@@ -51,7 +51,7 @@ def motion():
     [AxisSigns(), AxisSigns(x=-1), AxisSigns(y=-1), AxisSigns(yaw=-1), AxisSigns(x=-1, yaw=-1)],
 )
 def test_flipped_axes_are_found(motion, signs):
-    """Two flipped axes are half a turn of the forces, as of a rigid body: not in this list."""
+    """x and y flipped together look like a rigid body turned by half: not tested here."""
     flight, modelled = motion
     assert find_axis_signs(signs.undone(flight), modelled, 0.0) == signs
 

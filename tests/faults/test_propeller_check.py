@@ -54,10 +54,9 @@ def test_strength_is_the_force_along_the_stated_direction():
 
 
 def test_noise_does_not_count_as_force_or_moment():
-    """Squares by hand: forces (4 - 1)/1, moments 1/1; where noise is as large as either, 1."""
+    """Squares by hand: forces 9 - 1, moments 1; 1 if a square is at most four times its noise."""
     stated, measured = np.array([[1.0], [0.0], [1.0]]), np.array([[2.0], [0.0], [1.0]])
     error = np.array([[0.6], [0.8], [0.0]])
-    # Four squares of noise are too few; 9 are enough.
     assert force_to_moment(measured, error, stated) == 1
     measured[0] = 3.0
     assert force_to_moment(measured, error, stated) == pytest.approx(np.sqrt(8))

@@ -98,9 +98,9 @@ def test_a_slow_craft_with_its_own_pwm_settles_with_the_packaged_controller(name
 
 
 @pytest.mark.parametrize(
-    ("margins", "margin"), [([2.0], 2.0), ([1.3, 0.9, 1.2], 0.9), ([0.2], 0.2)]
+    ("margins", "margin"), [([2.0], 2.0), ([1.3, 0.8, 1.2], 0.8), ([0.9], 0.9)]
 )
-def test_a_craft_settles_if_it_does_in_each_of_several_flights(monkeypatch, margins, margin):
+def test_the_smallest_margin_decides_if_the_first_is_close(monkeypatch, margins, margin):
     monkeypatch.setattr("airpuck.judgement.rehearsal._margin", lambda *given: margins[given[-1]])
     assert flown_margin(MODEL, MODEL, default_twin_settings()) == margin
 

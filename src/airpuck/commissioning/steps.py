@@ -35,8 +35,6 @@ from airpuck.physics.rigid_body import acceleration_map
 _RATE = 50.0
 #: Largest standard deviation of poses at rest [m, rad].
 _NOISE = (2e-3, 5e-2)
-#: Largest factor by which the controller is slowed for a craft that answers late.
-_SLOWEST = 3.0
 #: Effect below which a motor counts as dead, relative to the usual one's. A slow motor still pushes
 #: while the next one is tried, so that a dead one may seem to give a quarter.
 _DEAD = 0.35
@@ -192,7 +190,9 @@ class Pulses:
         except InputError:
             return False  # What is known so far steers no craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
-        session.fly("pause", _Resting(given.idle), 2 * evidence.lag + evidence.delay + 0.05)
+        # Long enough to know the drift, too.
+        pause = max(2 * evidence.lag + evidence.delay + 0.05, 0.15)
+        session.fly("pause", _Resting(given.idle), pause)
         return True
 
     def _conclude(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> None:
@@ -302,8 +302,7 @@ class _DriftingOff:
 def careful(model: Model) -> Tuning:
     """Return the packaged tuning, slowed for a craft that answers slowly."""
     tuning = tuning_for(model)
-    slower = tuning.slowed(float(np.clip(lateness(model), 1.0, _SLOWEST)))
-    return tuning.model_copy(update={"law": slower.law})
+    return tuning.model_copy(update={"law": tuning.slowed(lateness(model)).law})
 
 
 @dataclass(frozen=True)

@@ -359,10 +359,10 @@ class Tuning(Section):
             A copy. The periods remain.
         """
         law = self._each(lambda law: law.slowed(times))
-        return self._answering(times).model_copy(update={"law": law})
+        return self._with_slower_filter(times).model_copy(update={"law": law})
 
-    def _answering(self, times: float) -> Tuning:
-        """Return the tuning with a filter that is `times` as slow."""
+    def _with_slower_filter(self, times: float) -> Tuning:
+        """Return the tuning with a filter that takes `times` as long."""
         powers = {"acceleration_density": -1.5, "angular_acceleration_density": -1.5}
         powers |= {"disturbance_density": -2.5, "angular_disturbance_density": -2.5}
         return self.model_copy(update={"estimation": scaled(self.estimation, powers, times)})
@@ -470,10 +470,10 @@ def tuning_for(model: Model) -> Tuning:
     """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
     A craft that is much slower than the paper's gets a slower controller. One whose motors answer
-    late gets a slower filter: the law looks ahead by the response time, and would otherwise turn
-    noise into commands. A craft that has its own PWM gets one duty cycle for each of its periods;
-    the predictive law's steps are then no shorter, and as many. The estimator expects the noise
-    that the model's recordings showed, if it is larger than the packaged noise.
+    late gets a slower filter: the controller predicts over the delay and inverts the lag, and both
+    enlarge the noise of the poses. A craft that has its own PWM gets one duty cycle for each of its
+    periods; the predictive law's steps are then no shorter, and as many. The estimator expects the
+    noise that the model's recordings showed, if it is larger than the packaged noise.
 
     Parameters
     ----------
@@ -487,7 +487,7 @@ def tuning_for(model: Model) -> Tuning:
     """
     slower, kind = patience(model.vehicle), model.vehicle.actuation.kind
     slower = slower if slower > _SLOW else 1.0
-    tuning = default_tuning().slowed(slower)._answering(max(1.0, lateness(model) / slower))
+    tuning = default_tuning().slowed(slower)._with_slower_filter(max(1.0, lateness(model) / slower))
     if model.cameras is not None:
         tuning = tuning.with_noise_of(model.cameras)
     period = kind.pwm_period_s

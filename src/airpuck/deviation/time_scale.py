@@ -32,8 +32,9 @@ _OF_MOTION = 1.5
 #: A distance [m], and the time above which a craft that takes it counts as slow [s]: the paper's
 #: craft takes 65 ms.
 _CENTIMETRE, _USUAL_MOVE = 0.01, 0.075
-#: Response time above which a craft counts as late [s]: the paper's has 49 ms.
-_LATE = 0.08
+#: Response time above which a craft counts as late [s], where the paper's has 49 ms; and largest
+#: factor by which a controller is slowed for it.
+_LATE, _LATEST = 0.08, 3.0
 #: Time constants of the slowest motors after which a guess of their initial speed is forgotten to
 #: 0.4 %.
 FORGOTTEN = 5.5
@@ -78,8 +79,8 @@ def response_time(model: Model) -> Any:
 
 
 def lateness(model: Model) -> float:
-    """Return the response time, relative to the longest for which usual controllers are made."""
-    return float(np.max(response_time(model))) / _LATE
+    """Return the factor, 1 to 3, by which a controller is slowed if the motors answer late."""
+    return float(np.clip(np.max(response_time(model)) / _LATE, 1.0, _LATEST))
 
 
 def usual_pushes(vehicle: Vehicle) -> tuple[float, float]:

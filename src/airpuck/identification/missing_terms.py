@@ -37,9 +37,10 @@ _NOTICEABLE = 0.01
 _STEP = 1e-3
 #: Number of blocks of time that are held out in turn.
 _FOLDS = 5
-#: Fewest blocks of time beyond a term's coefficients; and fewest blocks of a recording, which are
-#: shorter than usual below 24 s.
-_FEWEST, _BLOCKS = 6, 12
+#: Fewest blocks of time beyond a term's coefficients.
+_FEWEST = 6
+#: Number of blocks below which they are made shorter: enough for six coefficients.
+_BLOCKS = 12
 #: The term that is not an effect: a higher degree of the thrust curves. It is tested twice, with a
 #: coefficient for each motor and with one for all, which finds a common shape with more certainty.
 DEGREE, _BEND = "degree", "common degree"
@@ -154,7 +155,7 @@ class _Tests:
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])
-        # In short blocks, other drift looks like a change.
+        # In shorter blocks than these, other drift looks like a change.
         changes = _changes(model, whole, loss) if count > _FEWEST else {}
         terms = dict(_terms(model, whole, own))
         bends = _bends(whole, terms.get(DEGREE))

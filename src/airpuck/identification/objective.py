@@ -174,7 +174,7 @@ def normal_equations(
         many = _STAGES.T[..., None] * jnp.stack([h, h, h**2]), speeds, d_speeds
         none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
         carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
-        # Unrolled, stages run in half to four fifths of the time, but take longer to compile.
+        # Unrolled, stages run faster, but take longer to compile; see `airpuck.compute.compiled`.
         return jax.lax.scan(stage, carry, many, unroll=1 if once else 4)[0][-1]
 
     def lag(speed: Any, d_speed: Any, held: Any, d_held: Any, duration: Any) -> tuple[Any, Any]:

@@ -12,6 +12,7 @@ scatter says (Ledoit and Wolf, Journal of Multivariate Analysis 88, 2004).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -56,16 +57,15 @@ _POOR = 1e6
 
 
 def cluster_windows(windows: Windows, fewest: int = 1) -> Int[np.ndarray, " W"]:
-    """Group windows into blocks of time: shorter ones, up to a window's length, if few result."""
+    """Group windows into blocks of time: at least so many, but none shorter than a window."""
     trajectory, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
     length = period * (windows.encoder_length + windows.prediction_length)
-    span = max(BLOCK, _LENGTHS * length)
-    span = min(span, max(length, len(windows) * stride * period / fewest))
-    size = max(1, round(span / (stride * period)))
+    size = max(1, round(max(BLOCK, _LENGTHS * length) / (stride * period)))
     # Use whole batches if that length is close: half-filled ones would cost as much as full ones.
     if size > 0.75 * BATCH:
         size = BATCH * round(size / BATCH)
+    size = min(size, max(len(windows) // fewest, math.ceil(length / (stride * period))))
     clusters, first = np.zeros(len(windows), dtype=int), 0
     for number in np.unique(trajectory):
         members = np.flatnonzero(trajectory == number)

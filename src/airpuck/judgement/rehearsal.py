@@ -44,9 +44,9 @@ _LEISURE, _LONGEST = 3.0, 60.0
 _HELD = 0.02
 #: Largest useful frame rate for a controller; more frames only cost time.
 _MOST_FRAMES = 240.0
-#: One flight decides if its margin is outside this range; otherwise the worst of several. With the
-#: noise of a flight that just settles, margins scatter by 30 % from seed to seed.
-_CLOSE, _SEEDS = (0.7, 1.4), 3
+#: Margin below which more than one flight has to settle, and how many. With the noise of a flight
+#: that just settles, margins scatter by 30 % from seed to seed.
+_CLOSE, _SEEDS = 1.4, 3
 #: Standard deviation of errors that are uniform within a step, in steps.
 _UNIFORM = 12**-0.5
 #: Noise that the tuning assumes, relative to the recording's, if a law is unsettled by noise.
@@ -60,8 +60,9 @@ class Rehearsal(Result):
     Attributes
     ----------
     margin : float
-        Tolerance over the largest error at the goal, after the time to get there; 0 if the craft
-        touched a rail, or no controller can be designed.
+        Tolerance over the largest error at the goal, after the time to get there; the smallest of
+        three flights if it is just above 1; 0 if the craft touched a rail, or no controller can be
+        designed.
     remedy : str
         Why the craft does not settle, and what to do; empty if it settles.
     """
@@ -82,12 +83,12 @@ def flown_margin(
 ) -> float:
     """Return the margin with which the controller of a model brings a craft to rest at the goal.
 
-    The margin is the smallest of several flights if one flight does not decide: a craft that stays
-    at the goal in two flights of three does not settle.
+    If a flight just settles, the smallest margin of three counts: a craft that stays at the goal in
+    two of three does not settle.
     """
     tuning = tuning or tuning_for(model)
     margins = [_margin(model, craft, settings, tuning, 0)]
-    if _CLOSE[0] < margins[0] < _CLOSE[1]:
+    if 1 <= margins[0] < _CLOSE:
         margins += [_margin(model, craft, settings, tuning, seed) for seed in range(1, _SEEDS)]
     return min(margins)
 
