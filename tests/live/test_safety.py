@@ -218,6 +218,16 @@ def test_a_fast_craft_after_a_gap_is_no_jump(guard):
     assert guard.position is not None
 
 
+@pytest.mark.parametrize(
+    ("moved", "jumps"), [(0.05 + 2.95 * 0.04, False), (0.05 + 3.1 * 0.04, True)]
+)
+def test_no_craft_is_faster_than_three_metres_a_second(guard, moved, jumps):
+    """40 ms after the last pose, beside the 5 cm that any two poses may be apart."""
+    late = 0.5 - FRAME + 0.04
+    guard.pose(late, np.array([0.1 + moved, 0.2, 0.3]))
+    assert (guard.refusal(late) is not None) == jumps
+
+
 @pytest.mark.parametrize("side", [-1, 1])
 def test_the_others_half_is_out_of_bounds(side):
     guard = Guard(half_of(Table(length_m=2.2, width_m=1.1), 0.07, side))
