@@ -86,6 +86,20 @@ def test_a_gap_is_found_and_no_window_spans_it(recording):
     assert far < 1.5 * np.abs(truth.state[:, 3]).max()
 
 
+def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
+    def edit(stamp, received, values):
+        kept = np.abs((stamp - stamp[0]) / 1e9 - 3.0) > 0.03
+        return stamp[kept], received[kept], values[kept]
+
+    trajectory = preprocess(edited(recording, "pose", edit))
+    known, time = trajectory.bridged, trajectory.time
+    assert np.ptp(time[~known]) == pytest.approx(0.06, abs=2 / RATE)
+    for column in trajectory.acceleration.T:
+        expected = np.interp(time[~known], time[known], column[known])
+        np.testing.assert_allclose(column[~known], expected)
+        assert np.abs(expected).min() > 0
+
+
 def test_duplicates_and_backward_stamps_are_dropped_and_said(recording):
     def edit(stamp, received, values):
         stamp = stamp.copy()
