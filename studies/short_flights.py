@@ -77,7 +77,11 @@ def summary(lines: list[dict[str, Any]]) -> None:
                 )
 
 
+def main() -> None:
+    resumed(judged, summary)
+
+
 if __name__ == "__main__":
     from one_line import run
 
-    run(lambda: resumed(judged, summary))
+    run(main)
