@@ -7,7 +7,7 @@ import pytest
 
 from airpuck import commission, read_recording
 from airpuck.boundary.results import Finding
-from airpuck.commissioning.excitations import first_cause
+from airpuck.commissioning.excitations import WarmUp, first_cause
 from airpuck.commissioning.steps import Pulses, Rest
 from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
@@ -105,6 +105,26 @@ def test_flight_time_counts_every_second_with_motors_on():
     on = [(command > VEHICLE.idle + 1e-3).any() for command in link.sent]
     assert found.flight_s == pytest.approx(0.01 * sum(on), abs=0.02)
     assert sum(on) > 10
+
+
+class SlowWork:
+    """Takes ten looks."""
+
+    looks = 0
+
+    def start(self, now, function, *arguments): ...
+
+    def done(self, now):
+        self.looks += 1
+        return self.looks > 10
+
+    def result(self): ...
+
+
+def test_poses_that_come_while_programs_compile_are_heard():
+    found = commission(Still(rate=120.0), VEHICLE, steps=[WarmUp(), Rest()], work=SlowWork())
+    assert [one.step for one in found.steps] == ["rest"]
+    assert not found.findings
 
 
 class Pushing(Pilot):

@@ -42,15 +42,14 @@ class WarmUp:
 
     def run(self, session: Commissioned) -> None:
         """Study simulated flights; see `CommissioningStep`."""
-        link, work = session.link, session.work
-        heard = [one.stamp for one in link.wait_until(link.now + _LISTENED) if one.kind == "pose"]
+        heard, work = session.listen(_LISTENED), session.work
         if len(heard) < 3:
             return  # The next step tells what is wrong with the poses.
         session.tell("compiling the programs of the first study")
-        work.start(link.now, prepare, session.vehicle, 1 / float(np.median(np.diff(heard))))
+        rate = 1 / float(np.median(np.diff(heard)))
+        work.start(session.link.now, prepare, session.vehicle, rate)
         while not work.done(math.inf):
-            link.wait_until(link.now + _LISTENED)
-            session.check_operator()
+            session.listen(_LISTENED)
 
 
 def prepare(vehicle: Vehicle, rate: float) -> None:
@@ -141,13 +140,11 @@ def excitation(session: Commissioned, plan: ExcitationPlan, number: int) -> Exci
 
 def summary(said: Verdict) -> str:
     """Describe a verdict in a line."""
-    known = ""
-    if said.acceleration_errors is not None and said.response_error is not None:
-        worst = float(np.max(said.acceleration_errors))
-        known = (
-            f"accelerations ± {100 * worst:.2g} %, response ± {1e3 * said.response_error:.2g} ms"
-        )
-    return f"{said.outcome.replace('_', ' ')}; {known}".rstrip("; ")
+    outcome = said.outcome.replace("_", " ")
+    if said.acceleration_errors is None or said.response_error is None:
+        return outcome
+    worst, late = 100 * float(np.max(said.acceleration_errors)), 1e3 * said.response_error
+    return f"{outcome}; accelerations ± {worst:.2g} %, response ± {late:.2g} ms"
 
 
 def first_cause(found: Study) -> Finding:

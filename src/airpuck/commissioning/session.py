@@ -32,6 +32,8 @@ from airpuck.twin.sensors import log_stream
 _NO_POSE = 1.0
 #: Time over which velocities are measured [s].
 _LOOK = 0.1
+#: Time between looks at what has arrived [s].
+_POLL = 0.02
 #: A command this far above idle counts as motors on.
 _ON = 1e-3
 
@@ -279,6 +281,16 @@ class Commissioned:
             # On the graph the next pilot takes a moment to make.
             log.send(self.vehicle.idle)
         return self.flights[-1].recording
+
+    def listen(self, duration: float) -> list[float]:
+        """Let time pass without a command; return the stamps of the poses that come."""
+        self._log.clear()
+        until = self.link.now + duration
+        while self.link.now < until:
+            # A pose that waits too long in the link counts as late.
+            self._log.wait_until(min(self.link.now + _POLL, until))
+            self.check_operator()
+        return [stamp for stamp, _ in self._log.poses]
 
     def land(self) -> None:
         """Let the motors idle."""

@@ -136,19 +136,13 @@ def as_seen(model: Model, effects: EffectErrors) -> Model:
 def like(cameras: Cameras, model: Model) -> TwinSettings:
     """Return a twin with the cameras of a recording, on a table with room for the craft."""
     usual = default_twin_settings()
-    capture = usual.motion_capture.model_copy(
-        update={
-            "rate_hz": min(cameras.rate_hz, _MOST_FRAMES),
-            "position_noise_m": cameras.position_noise_m,
-            "yaw_noise_rad": cameras.yaw_noise_rad,
-            "stamp_step_s": cameras.stamp_jitter_s / _UNIFORM,
-        }
-    )
-    room = 2 * model.vehicle.radius_m
-    table = usual.table.model_copy(
-        update={"length_m": usual.table.length_m + room, "width_m": usual.table.width_m + room}
-    )
-    updates = {"motion_capture": capture, "table": table}
+    seen = cameras.model_dump(include={"position_noise_m", "yaw_noise_rad"})
+    seen["rate_hz"] = min(cameras.rate_hz, _MOST_FRAMES)
+    seen["stamp_step_s"] = cameras.stamp_jitter_s / _UNIFORM
+    table, room = usual.table, 2 * model.vehicle.radius_m
+    sides = {"length_m": table.length_m + room, "width_m": table.width_m + room}
+    updates = {"motion_capture": usual.motion_capture.model_copy(update=seen)}
+    updates |= {"table": table.model_copy(update=sides)}
     return usual.model_copy(update=updates).without_on_board()
 
 
