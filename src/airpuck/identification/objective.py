@@ -232,8 +232,8 @@ def normal_equations(
 @cache
 def compiled_normal_equations(once: bool = False) -> Callable[..., tuple[Any, Any, Any]]:
     """Compile `normal_equations`, quickly if it runs `once`; keywords must be hashable."""
-    hashed = "encoder", "lengths", "frame", "once"
-    return for_batches(normal_equations, once=once, static_argnames=hashed)
+    hashed = "encoder", "lengths", "frame"
+    return for_batches(partial(normal_equations, once=once), once=once, static_argnames=hashed)
 
 
 @dataclass(frozen=True)
@@ -409,7 +409,7 @@ class PredictionLoss:
             )
 
         lengths = windows.encoder_length, windows.prediction_length
-        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame, "once": once}
+        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame}
         normal_equations = partial(compiled_normal_equations(once), **static)
         batches, owner = self._batches()
 
