@@ -11,19 +11,95 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
-from airpuck.experiment_design.design import CheckedFlights, check_design, design
-from airpuck.model.model_file import published_model
+from airpuck.control.settings import ExcitationPlan
+from airpuck.control.tuning import Tuning
+from airpuck.experiment_design.design import Design, design
+from airpuck.experiment_design.forecast import ComparedQuantities, fly, loss_of, on_processes
+from airpuck.identification.fit import identify
+from airpuck.identification.settings import Preparation
+from airpuck.model.model_file import Model, published_model
 from airpuck.report.fit_figures import design_figure
-from airpuck.report.style import write_png
+from airpuck.report.style import VERMILLION, label_rows, write_png
+from airpuck.twin.radio import as_received
+from airpuck.twin.settings import TwinSettings
+
+#: First seed of the flights that check a proposal; far from the seeds of the trials.
+CHECK_SEED = 1_000_000
 
 
 def show_progress(done: int, total: int) -> None:
     """Print the progress."""
     print(f"{done} of {total} flights", file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedFlights:
+    """Flights of one plan, each identified separately."""
+
+    labels: list[str]
+    #: Predicted relative standard errors of such a flight alone.
+    predicted: Float[np.ndarray, " K"]
+    #: Relative standard errors that each fit reports.
+    errors: Float[np.ndarray, "N K"]
+    #: Deviation of each estimate from the truth, on the same scale.
+    misses: Float[np.ndarray, "N K"]
+    #: Smallest distance to a rail [m].
+    clearance: Float[np.ndarray, " N"]
+
+    @property
+    def typical(self) -> Float[np.ndarray, " K"]:
+        """Root mean square of the standard errors that the fits report."""
+        return np.sqrt((self.errors**2).mean(axis=0))
+
+
+def check_design(
+    found: Design, flights: int, processes: int | None
+) -> tuple[CheckedFlights, CheckedFlights]:
+    """Fly the usual excitation and the proposal with other seeds, identify, and compare."""
+    candidates = (found.usual, found.proposal)
+    plans = [candidate.plan for candidate in candidates for _ in range(flights)]
+    seeds = [*range(CHECK_SEED, CHECK_SEED + flights)] * len(candidates)
+    results = []
+    with on_processes(processes) as run:
+        act = partial(_fly_and_identify, found.model, found.settings, found.tuning)
+        for result in run(act, plans, seeds):
+            results.append(result)
+            show_progress(len(results), len(plans))
+    usual, proposal = (
+        CheckedFlights(
+            found.quantities.labels,
+            candidate.relative_alone,
+            *(np.array(each) for each in zip(*results[first : first + flights], strict=True)),
+        )
+        for candidate, first in zip(candidates, (0, flights), strict=True)
+    )
+    return usual, proposal
+
+
+def _fly_and_identify(
+    truth: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"], float]:
+    """Fly and identify; return relative standard errors, deviations and the clearance."""
+    trajectory, clearance = fly(truth, settings, tuning, plan, seed)
+    model = identify(
+        trajectory,
+        truth.rung,
+        vehicle=truth.vehicle,
+        initial=truth.parameters,
+        loss=loss_of(truth),
+        preparation=Preparation(delay="fit" if truth.delay_learned else "fixed"),
+    ).model
+    quantities = ComparedQuantities(truth)
+    if truth.delay_learned:
+        truth = as_received(truth, settings, tuning.period_s)
+    missed = (quantities.values(model) - quantities.values(truth)) / quantities.scales
+    return quantities.relative_errors_of(model), missed, clearance
 
 
 def report(name: str, one: CheckedFlights) -> None:
@@ -62,13 +138,14 @@ def main() -> None:
     )
     print("usual:", found.usual.plan)
     print("proposal:", found.proposal.plan)
-    usual, proposal = check_design(
-        found, options.flights, processes=options.processes, progress=show_progress
-    )
+    usual, proposal = check_design(found, options.flights, options.processes)
     report("usual", usual)
     report("proposal", proposal)
     if options.figure is not None:
-        write_png(design_figure(found, proposal), options.figure)
+        figure = design_figure(found, alone=True)
+        rows = label_rows(figure.axes[0], proposal.labels)
+        figure.axes[0].plot(100 * proposal.errors.T, rows, "|", color=VERMILLION, ms=9, mew=1.3)
+        write_png(figure, options.figure)
 
 
 if __name__ == "__main__":

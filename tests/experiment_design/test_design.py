@@ -13,23 +13,20 @@ from airpuck.cli.app import app
 from airpuck.cli.output import console
 from airpuck.cli.planning import error_table, summary
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
-from airpuck.experiment_design.design import (
-    CandidateFlight,
-    CheckedFlights,
-    Design,
-    check_design,
-    design,
-)
+from airpuck.experiment_design.design import design
 from airpuck.experiment_design.forecast import (
     ComparedQuantities,
     Forecast,
     Information,
     Trial,
+    fly,
     fly_trial,
     joined,
+    loss_of,
 )
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
+from airpuck.twin.radio import as_received
 
 PUBLISHED = published_model("M3")
 #: The model with the entries that the next fit will learn.
@@ -213,10 +210,7 @@ def test_a_quantity_that_its_bound_holds_is_not_in_the_mean(trials):
     assert found.proposal.relative[labels.index("τ")] < 1e-12
     others = np.delete(found.proposal.relative, labels.index("τ"))
     assert found.proposal.score == pytest.approx(np.exp(np.log(others).mean()))
-    flights = np.full((2, len(labels)), 0.1)
-    checked = CheckedFlights(labels, found.proposal.relative_alone, flights, flights, np.ones(2))
-    assert np.isnan(checked.ratio).tolist() == [label == "τ" for label in labels]
-    console().print(error_table(found, checked))
+    console().print(error_table(found))
 
 
 def test_no_two_flights_share_their_seed(monkeypatch):
@@ -255,24 +249,27 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     np.testing.assert_array_equal(again.information.hessian, both[0].hessian)
     expected = Forecast(MODEL, both).of(joined(both), 8.0, alone=True)
     alone = ComparedQuantities(MODEL).relative_errors(expected)
-    candidate = CandidateFlight(plan, again.clearance, alone, alone, float(alone.max()), "")
-    real = replace(found, usual=candidate, proposal=candidate)
-    one, other = check_design(real, 1, processes=1)
-    np.testing.assert_array_equal(one.errors, other.errors)
+    trajectory, _ = fly(MODEL, found.settings, found.tuning, plan, 3)
+    fit = airpuck.identify(
+        trajectory, "M3", vehicle=MODEL.vehicle, initial=MODEL.parameters, loss=loss_of(MODEL)
+    ).model
+    quantities, truth = ComparedQuantities(MODEL), as_received(MODEL, found.settings, 0.01)
+    stated = quantities.relative_errors_of(fit)
     # Three blocks of time determine no more than a factor.
-    assert 0.4 < np.median(one.typical / one.predicted) < 2.5
+    assert 0.4 < np.median(stated / alone) < 2.5
     # The deviation is as large as the error, not as the value.
-    assert np.median(np.abs(one.misses[0]) / one.typical) < 4
-    assert one.clearance.shape == (1,)
-    shows_every_quantity(real, one)
+    missed = (quantities.values(fit) - quantities.values(truth)) / quantities.scales
+    assert np.median(np.abs(missed) / stated) < 4
 
 
-def shows_every_quantity(real: Design, checked):
-    (axes,) = design_figure(real, checked).axes
-    assert [label.get_text() for label in axes.get_yticklabels()] == real.quantities.labels
-    shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
-    np.testing.assert_allclose(shown["proposal, predicted"], 100 * real.proposal.relative_alone)
-    np.testing.assert_allclose(shown["proposal, obtained (flights: 1)"], 100 * checked.errors[0])
+def test_the_figure_shows_every_quantity(found):
+    for alone in (False, True):
+        (axes,) = design_figure(found, alone=alone).axes
+        assert [label.get_text() for label in axes.get_yticklabels()] == found.quantities.labels
+        shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
+        proposal = found.proposal
+        expected = proposal.relative_alone if alone else proposal.relative
+        np.testing.assert_allclose(shown["proposal, predicted"], 100 * expected)
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,7 +22,7 @@ from airpuck.planning.settings import Limits
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from airpuck.experiment_design.design import CandidateFlight, CheckedFlights, Design
+    from airpuck.experiment_design.design import CandidateFlight, Design
     from airpuck.model.model_file import Model
     from airpuck.planning.plan import Plan
     from airpuck.planning.request import Goal
@@ -258,14 +257,6 @@ def design(
     output: Annotated[
         Path | None, options.output("FILE", "Plan file to write, for excite --plan.")
     ] = None,
-    check: Annotated[
-        int | None,
-        Setting(
-            "Fly the proposal N times on the twin, identify, and compare.",
-            numbers.CHECK_FLIGHTS,
-            "N",
-        ),
-    ] = None,
     figure: Annotated[
         Path | None, options.output("FILE", "Figure of the errors to write, a PNG.", "--figure")
     ] = None,
@@ -277,8 +268,6 @@ def design(
     quiet: options.Quiet = False,
 ) -> None:
     """Propose the excitation that best reduces the largest parameter errors."""
-    from airpuck.experiment_design.design import check_design
-
     craft = airpuck.read_model(model)
     if after:
         craft = _fitted(craft, after, mapping, quiet)
@@ -293,16 +282,11 @@ def design(
             tuning=inputs.read_controls(tuning, None, craft),
             progress=progress,
         )
-    figures, checked = found.to_json(), None
-    if check is not None:
-        with show_time_left("flights to check", quiet) as progress:
-            usual, checked = check_design(found, check, progress=progress)
-        figures["check"] = {"usual": usual.to_json(), "proposal": checked.to_json()}
     if output is not None:
         found.proposal.plan.save(output)
-    draw(figure, "fit_figures.design_figure", found, checked)
-    tables = _candidate_table(found), error_table(found, checked)
-    report(figures, json_file, *tables, *summary(found), output, figure)
+    draw(figure, "fit_figures.design_figure", found)
+    tables = _candidate_table(found), error_table(found)
+    report(found.to_json(), json_file, *tables, *summary(found), output, figure)
 
 
 def _fitted(
@@ -379,21 +363,14 @@ def _row(one: CandidateFlight) -> tuple[str, ...]:
     )
 
 
-def error_table(found: Design, checked: CheckedFlights | None) -> Table:
+def error_table(found: Design) -> Table:
     """Tabulate the standard errors of every quantity."""
     headings = ("", "100 % are", "now", "usual", "proposal")
     errors = [found.relative_before, found.usual.relative, found.proposal.relative]
-    if checked is not None:
-        headings += ("alone", "obtained", "ratio")
-        errors += [checked.predicted, checked.typical]
     compared, rows = found.quantities, []
     for k, (label, unit) in enumerate(zip(compared.labels, compared.units, strict=True)):
         scale = compared.scales[k]
         size = f"{scale:.3g} {unit}" if scale < 1e12 else "no scale"
-        row = [label, size, *(percent(each[k], "–") for each in errors)]
-        if checked is not None:
-            ratio = float(checked.ratio[k])
-            row.append("–" if math.isnan(ratio) else f"{ratio:.2f}")
-        rows.append(row)
+        rows.append([label, size, *(percent(each[k], "–") for each in errors)])
     title = "Standard errors, relative to each quantity's scale"
     return table(headings, rows, title=title, left=("", "100 % are"))

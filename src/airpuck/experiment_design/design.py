@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import plain
 from airpuck.control.settings import Criterion, ExcitationPlan, ProposedDuration, ProposedMargin
@@ -23,16 +22,11 @@ from airpuck.experiment_design.forecast import (
     Information,
     Progress,
     Trial,
-    fly,
     fly_trial,
     joined,
-    loss_of,
     on_processes,
 )
-from airpuck.identification.fit import identify
-from airpuck.identification.settings import Preparation
 from airpuck.model.model_file import Model
-from airpuck.twin.radio import as_received
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
 
@@ -46,8 +40,6 @@ _WEAKER = 0.6
 #: Number of finalists flown at full length, and flights of each. If none stays away from the rails,
 #: the next candidates follow.
 _FINALISTS, _FLIGHTS = 3, 3
-#: First seed of the flights that check a proposal; far from the seeds of the trials.
-_CHECK_SEED = 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,111 +365,3 @@ def _as_learned_next(model: Model) -> Model:
         unknown = np.concatenate([uncertainty.undetermined, delay[None].astype(float)])
         uncertainty = replace(uncertainty, undetermined=unknown)
     return replace(model, free=model.free | delay, uncertainty=uncertainty)
-
-
-@dataclass(frozen=True, eq=False)
-class CheckedFlights:
-    """Flights of one plan, each identified separately."""
-
-    labels: list[str]
-    #: Predicted relative standard errors of such a flight alone.
-    predicted: Float[np.ndarray, " K"]
-    #: Relative standard errors that each fit reports.
-    errors: Float[np.ndarray, "N K"]
-    #: Deviation of each estimate from the truth, on the same scale.
-    misses: Float[np.ndarray, "N K"]
-    #: Smallest distance to a rail [m].
-    clearance: Float[np.ndarray, " N"]
-
-    @property
-    def typical(self) -> Float[np.ndarray, " K"]:
-        """Root mean square of the standard errors that the fits report."""
-        return np.sqrt((self.errors**2).mean(axis=0))
-
-    @property
-    def ratio(self) -> Float[np.ndarray, " K"]:
-        """Ratio of `typical` to `predicted`; nan where a quantity is fixed or undetermined."""
-        counts = np.isfinite(self.predicted) & (self.predicted > HELD)
-        unknown = np.full(len(counts), np.nan)
-        return np.divide(self.typical, self.predicted, out=unknown, where=counts)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
-        return {
-            "quantities": {
-                label: {
-                    "predicted": float(self.predicted[k]),
-                    "obtained": float(self.typical[k]),
-                    "ratio": float(self.ratio[k]),
-                    "misses": self.misses[:, k].tolist(),
-                }
-                for k, label in enumerate(self.labels)
-            },
-            "clearance_m": self.clearance.tolist(),
-        }
-
-
-def check_design(
-    found: Design,
-    flights: int = 4,
-    *,
-    processes: int | None = None,
-    progress: Progress = lambda _done, _total: None,
-) -> tuple[CheckedFlights, CheckedFlights]:
-    """Fly the usual excitation and the proposal with other seeds, identify, and compare.
-
-    Parameters
-    ----------
-    found : Design
-        From `airpuck.design`.
-    flights : int, default 4
-        Number of flights of each of the two.
-    processes : int, optional
-        By default one per core. The result does not depend on it.
-    progress : callable, optional
-        Called with the number of flights done and the total.
-
-    Returns
-    -------
-    usual, proposal : CheckedFlights
-        Predicted standard errors, reported standard errors, and actual deviations.
-    """
-    numbers.CHECK_FLIGHTS.check(flights, "flights")
-    candidates = (found.usual, found.proposal)
-    plans = [candidate.plan for candidate in candidates for _ in range(flights)]
-    seeds = [*range(_CHECK_SEED, _CHECK_SEED + flights)] * len(candidates)
-    results = []
-    with on_processes(processes) as run:
-        act = partial(_fly_and_identify, found.model, found.settings, found.tuning)
-        for result in run(act, plans, seeds):
-            results.append(result)
-            progress(len(results), len(plans))
-    usual, proposal = (
-        CheckedFlights(
-            found.quantities.labels,
-            candidate.relative_alone,
-            *(np.array(each) for each in zip(*results[first : first + flights], strict=True)),
-        )
-        for candidate, first in zip(candidates, (0, flights), strict=True)
-    )
-    return usual, proposal
-
-
-def _fly_and_identify(
-    truth: Model, settings: TwinSettings, tuning: Tuning, plan: ExcitationPlan, seed: int
-) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"], float]:
-    """Fly and identify; return relative standard errors, deviations and the clearance."""
-    trajectory, clearance = fly(truth, settings, tuning, plan, seed)
-    model = identify(
-        trajectory,
-        truth.rung,
-        vehicle=truth.vehicle,
-        initial=truth.parameters,
-        loss=loss_of(truth),
-        preparation=Preparation(delay="fit" if truth.delay_learned else "fixed"),
-    ).model
-    quantities = ComparedQuantities(truth)
-    if truth.delay_learned:
-        truth = as_received(truth, settings, tuning.period_s)
-    missed = (quantities.values(model) - quantities.values(truth)) / quantities.scales
-    return quantities.relative_errors_of(model), missed, clearance

@@ -22,7 +22,7 @@ from airpuck.evaluation.presentation import (
     physical_thrust,
     thrust_scale,
 )
-from airpuck.experiment_design.design import CheckedFlights, Design
+from airpuck.experiment_design.design import Design
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import IN_MATRIX, QUANTITIES
 from airpuck.physics.thrust import thrust
@@ -396,31 +396,28 @@ def packet_delay_figure(
 
 
 @style.styled
-def design_figure(found: Design, checked: CheckedFlights | None = None) -> Figure:
-    """Draw the relative standard errors of all quantities: now, usual, proposed, checked."""
+def design_figure(found: Design, *, alone: bool = False) -> Figure:
+    """Draw the relative standard errors of all quantities: now, usual, proposed.
+
+    Those of a flight `alone` exclude earlier data.
+    """
     figure = style.new_figure(style.PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
     rows = style.label_rows(axes, found.quantities.labels)
-    # Checked flights ran without earlier data, so their predictions exclude them, too.
     usual, proposal = (
-        100 * (one.relative if checked is None else one.relative_alone)
+        100 * (one.relative_alone if alone else one.relative)
         for one in (found.usual, found.proposal)
     )
     axes.hlines(rows, usual, proposal, color=style.LIGHT, lw=2.5)
     dots: dict[str, Any] = {"ls": "", "ms": 5.5}
     handles = []
-    if checked is None and np.isfinite(found.relative_before).any():
+    if not alone and np.isfinite(found.relative_before).any():
         now = 100 * found.relative_before
         handles += axes.plot(now, rows, marker="s", color=style.GREY, label="now", **dots)
     dots["marker"] = "o"
     label = "usual excitation, predicted"
     handles += axes.plot(usual, rows, color=style.GREY, mfc="white", label=label, **dots)
     handles += axes.plot(proposal, rows, color=style.BLUE, label="proposal, predicted", **dots)
-    if checked is not None:
-        marks: dict[str, Any] = {"ls": "", "marker": "|", "ms": 9, "mew": 1.3}
-        axes.plot(100 * checked.errors.T, rows, color=style.VERMILLION, **marks)
-        label = f"proposal, obtained (flights: {len(checked.errors)})"
-        handles.append(style.key(label, style.VERMILLION, **marks))
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
