@@ -24,7 +24,7 @@ from airpuck.judgement.verdict import Verdict
 from airpuck.model.model_file import nominal_model
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite
-from airpuck.twin.settings import default_twin_settings
+from airpuck.twin.settings import MotionCapture, TwinSettings
 
 #: Longest time for a study while the craft holds its place [s].
 _LONGEST_STUDY = 300.0
@@ -54,9 +54,7 @@ class WarmUp:
 
 def prepare(vehicle: Vehicle, rate: float) -> None:
     """Study two simulated flights with cameras of this rate [Hz]."""
-    usual = default_twin_settings().without_on_board()
-    capture = usual.motion_capture.model_copy(update={"rate_hz": rate})
-    settings = usual.model_copy(update={"motion_capture": capture})
+    settings = TwinSettings(motion_capture=MotionCapture(rate_hz=rate)).without_on_board()
     # A wrong file may describe a craft that no controller can steer; pulses correct it.
     with suppress(InputError):
         flight = excite(nominal_model(vehicle), Excitations.duration_s, settings=settings)

@@ -121,7 +121,6 @@ class Twin:
         self._sent: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self._announced: list[tuple[float, Float[np.ndarray, " 6"]]] = []
         self._truth: list[tuple[float, Float[np.ndarray, " s"]]] = []
-        self._puck_truth: list[tuple[float, ...]] = []
 
     @property
     def play(self) -> World | None:
@@ -220,11 +219,6 @@ class Twin:
         times, states = zip(*self._truth, strict=True)
         return np.array(times), np.array(states)
 
-    @property
-    def puck_truth(self) -> Float[np.ndarray, "N 6"]:
-        """True states of the puck at the times of `truth`; NaN while it is in a goal."""
-        return np.array(self._puck_truth).reshape(-1, 6)
-
     def recording(self) -> Recording:
         """Return the flight as a recorder on the network would log it.
 
@@ -243,11 +237,8 @@ class Twin:
         return Recording(streams=streams, source=f"twin of {self.model.name}")
 
     def _log_truth(self, time: float) -> None:
-        """Store the states at a frame of the motion capture."""
+        """Store the state at a frame of the motion capture."""
         self._truth.append((time, self.state))
-        puck = self.world.puck
-        if puck is not None:
-            self._puck_truth.append((math.nan,) * 6 if puck.goal else puck.state)
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return noise-free readings."""
