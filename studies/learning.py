@@ -79,7 +79,8 @@ def changes(motor: int) -> dict[str, Change]:
     def thrust(factor: float, later: float = 0.0) -> Change:
         parameters = replace(MODEL.parameters, thrust=factor * MODEL.parameters.thrust)
         truth = replace(MODEL, parameters=parameters).with_delay(delay + later + waits)
-        return Change(truth, usual.with_delay(delay + later), factor * ones, later + waits)
+        settings = default_twin_settings().with_delay(delay + later)
+        return Change(truth, settings, factor * ones, later + waits)
 
     sag = 0.27 / 45
     battery = usual.model_copy(update={"effects": Effects(battery_sag_1_s=sag)})

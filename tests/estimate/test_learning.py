@@ -95,6 +95,21 @@ def test_a_motor_that_dies_is_found_at_once_and_remembered(learning):
     np.testing.assert_allclose(found.effectiveness, share, atol=0.2)
 
 
+def test_a_craft_that_rests_can_be_forgotten_but_for_its_pose(learning):
+    new = copy(learning)
+    new.pose(0.0, np.zeros(3))
+    unknown = new.predict(0.0).actuation
+    flight = taught(learning, [0.8, 0.8, 0.0, 0.8, 0.8, 0.8], later=0.012)
+    assert learning.predict(5.0).actuation.delay > 0.005
+    learning.forget()
+    forgotten = learning.predict(5.0)
+    np.testing.assert_allclose(forgotten.actuation.effectiveness, 1.0, atol=1e-9)
+    np.testing.assert_allclose(forgotten.actuation.deviation, unknown.deviation)
+    assert forgotten.actuation.delay == learning.later == 0.0
+    last = flight.state[flight.time <= 5.0][-1, :3]
+    np.testing.assert_allclose(forgotten.state[:3], last, atol=2e-3)
+
+
 @pytest.mark.parametrize("later", [0.005, 0.015])
 def test_predictions_end_where_the_craft_is_when_a_late_command_acts(learning, later):
     now = 4.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
@@ -119,13 +119,7 @@ def track(
             option="--law",
         ),
     ] = None,
-    estimator: Annotated[
-        Literal["kalman", "actuation", "learning"] | None,
-        Setting(
-            "kalman; actuation, which also estimates what each motor does; or learning, which "
-            "remembers it; by default the tuning's."
-        ),
-    ] = None,
+    estimator: options.Estimator = None,
     seed: options.Seed = 0,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,

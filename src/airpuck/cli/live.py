@@ -134,7 +134,7 @@ def twin(
     )
 
 
-@command(_PANEL, rare=("dwell", "tuning", "domain", "topics"))
+@command(_PANEL, rare=("dwell", "estimator", "tuning", "domain", "topics"))
 def fly(
     model: options.ModelName,
     *,
@@ -163,6 +163,7 @@ def fly(
         bool, Option("--follow", help="Follow the reference that another node publishes.")
     ] = False,
     law: options.LawName = None,
+    estimator: options.Estimator = None,
     guarded: Guarded,
     live: LiveSettings,
     json_file: options.Json = None,
@@ -182,6 +183,10 @@ def fly(
     own = None if law is None or plan else pilot_named(law)
     craft = inputs.read_belief(model)
     controls = inputs.read_controls(guarded.tuning, None if own else law, craft)
+    if estimator is not None:
+        if own is not None:
+            raise InputError(f"{law} has its own estimator", field="--estimator")
+        controls = controls.with_estimator(estimator)
     fence, rails = guarded.bounds(craft)
     if plan is not None:
         optimal = _time_optimal(plan, craft, fence)

@@ -183,6 +183,14 @@ Experiment = Annotated[
     ),
 ]
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME of your own law"
+#: The state estimator of a controller.
+Estimator = Annotated[
+    Literal["kalman", "actuation", "learning"] | None,
+    Setting(
+        "kalman; actuation, which also estimates what each motor does; or learning, which "
+        "remembers it; by default the tuning's."
+    ),
+]
 LawName = Annotated[
     str | None,
     Setting(

@@ -21,6 +21,8 @@ MOTIONS = {
 }
 #: Accelerations below this fraction of what all propellers could produce together count as zero.
 _NOTHING = 1e-6
+#: `weakest_effort` below which no law can steer [m/s²].
+LEAST_EFFORT = 1e-6
 
 
 @dataclass(frozen=True)

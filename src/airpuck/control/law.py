@@ -28,7 +28,9 @@ from airpuck.model.model_file import Model
 #: craft's motion by as little as possible. ``iteration limit``: the solver found no solution; the
 #: plan of the previous step continues. ``fallback``: there is no plan; an LQR steers.
 Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
-_Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
+_Refused = Literal[
+    "no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe", "cannot steer"
+]
 #: Status of a control step. With an outcome of allocation or prediction the craft flies; all others
 #: idle the motors. A guard around the controller sets ``unsafe``.
 Status = Outcome | Predicted | _Refused

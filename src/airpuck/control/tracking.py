@@ -15,7 +15,8 @@ from airpuck.boundary.arguments import checked_class, numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.compute.process import large_programs_are_fast
 from airpuck.control.allocation import all_finite
-from airpuck.control.authority import control_authority, weakest_effort
+from airpuck.control.authority import LEAST_EFFORT, control_authority, weakest_effort
+from airpuck.control.landing import Landing
 from airpuck.control.law import Law, LawOptions, Moment, Pilot, Status, Step, make_law, staged
 from airpuck.control.limits import Limit, checked_limits
 from airpuck.control.modulation import modulator_for, of_means, stage_of_means
@@ -27,9 +28,6 @@ from airpuck.data.measurement import Measurement
 from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model, nominal_model
-
-#: Acceleration in the weakest combination of push and turn below which no law can steer [m/s²].
-_LEAST_EFFORT = 1e-6
 
 
 @checked_class
@@ -122,6 +120,8 @@ class TrackingController(Pilot):
         self.filter = _estimator(model, tuning.estimation, compiled)
         self._compiled, self._programs = compiled, {}
         self._program(self.law.inputs)
+        lands = tuning.estimation.estimator == "learning" and not self.law.looks_ahead
+        self._landing = Landing(model) if lands else None
         self._gate = PoseGate(longest_pause(model, tuning))
         #: Speed of the craft in the last step [m/s].
         self._speed = 0.0
@@ -267,8 +267,14 @@ class TrackingController(Pilot):
     def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
         """Let the law compute the command, and store its state."""
         delay = self.model.transport_delay + self.filter.later
-        moment = Moment(self.reference, now, delay, foresee, self.limits)
+        landing = self._landing
+        reference = self.reference if landing is None else landing.reference(self.reference)
+        moment = Moment(reference, now, delay, foresee, self.limits)
         step, self.state = self.law.step(self.state, moment)
+        if landing is not None:
+            step = landing.land(now, step, self._idle)
+            if landing.retries(now):
+                self.filter.forget()
         self._speed = 0.0 if step.estimate is None else math.hypot(*step.estimate.state[3:5])
         return replace(step, command=self._modulator.command(now, step.command))
 
@@ -355,7 +361,7 @@ def _commands_all_directions(model: Model) -> bool:
     """
     # Express moments as forces at the radius of gyration: one unit for all three rows.
     spans = np.linalg.matrix_rank(model.propeller_effects, rtol=1e-6) == 3
-    return bool(spans) and weakest_effort(nominal_model(model.vehicle)) >= _LEAST_EFFORT
+    return bool(spans) and weakest_effort(nominal_model(model.vehicle)) >= LEAST_EFFORT
 
 
 def _copied(values: Numbers, count: int, name: str) -> Float[np.ndarray, " k"]:

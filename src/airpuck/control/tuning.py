@@ -171,7 +171,7 @@ class Estimation(Section):
     #: For ``actuation`` and ``learning``: how long an estimate of a failing motor remains valid.
     forgetting_s: Positive = 3.0
     #: For ``learning``: time after which what was learned is as uncertain as before.
-    learned_s: Positive = 30.0
+    learned_s: Positive = 120.0
 
     @property
     def noise(self) -> Noise:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,9 @@ from jaxtyping import Float
 
 from airpuck.craft.wheel import Spinning
 from airpuck.model.model_file import Model
+
+#: What the names of a controller's figures about its craft begin with.
+LEARNED = "learned: "
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +32,13 @@ class ActuationEstimate:
     delay_deviation: float = 0.0
     #: Fraction that control uses, if not the estimated one: it ignores changes that may be none.
     used: Float[np.ndarray, " n"] | None = None
+
+    def figures(self, motors: Sequence[str]) -> dict[str, str]:
+        """Return what was found in words: the thrust of each motor, and the delay."""
+        thrusts = zip(motors, 100 * self.effectiveness, 100 * self.deviation, strict=True)
+        found = {f"{LEARNED}{name}": f"{e:.0f} ± {sd:.0f} %" for name, e, sd in thrusts}
+        delay, deviation = 1e3 * self.delay, 1e3 * self.delay_deviation
+        return found | {f"{LEARNED}delay": f"{delay:+.1f} ± {deviation:.1f} ms"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -340,6 +340,14 @@ class KalmanFilter:
         self._time = time
         self._belief = self._equations.begin(pose, before, elapsed)
 
+    def forget(self) -> None:
+        """Forget what is known about motors and delay, of a craft at rest."""
+        assert self._time is not None
+        pose = self.predict_with(self._predict, self._time - self.later)[0].state[:3]
+        self._commands.later = 0.0
+        self._history.clear()
+        self._belief = self._equations.begin(pose, None, 0.0)
+
     def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
         """Advance to a measurement of an on-board sensor; return whether to use it now.
 

@@ -22,6 +22,7 @@ from airpuck.control.reference import SetPoint, SetPoints, Target
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.measurement import Measurement, MeasurementKind
+from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.clock import LoopTiming
 from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import check_pilot, checked_step
@@ -278,6 +279,9 @@ class _Flight:
         self._inboxes += [self._wishes] if self._wishes else []
         self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
         self._until_plan = 0
+        self._motors = vehicle.columns
+        #: What the estimator last found about the motors.
+        self._actuation: ActuationEstimate | None = None
         self._guard = Guard(limits)
         self._idle, lowest = vehicle.idle, vehicle.command_range[0]
         self._pilot = GuardedPilot(pilot, self._guard, lowest, process.events.log)
@@ -327,6 +331,7 @@ class _Flight:
         self._outcomes[step.status] += 1
         if step.estimate is not None:
             self._estimates.send(step.estimate.state)
+            self._actuation = step.estimate.actuation
         if step.prediction is not None:
             self._until_plan = (self._until_plan or PREDICTIONS_EVERY) - 1
             if not self._until_plan:
@@ -384,6 +389,8 @@ class _Flight:
             name: f"{value['p99']:.2f} (p99)" if isinstance(value, dict) else value
             for name, value in self._recent.to_json().items()
         }
+        if self._actuation is not None:
+            figures |= self._actuation.figures(self._motors)
         self._process.events.heartbeat("warning" if warning else "info", status, figures)
         self._recent = LoopTiming(self._period)
 

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.estimate.estimator import LEARNED
 from airpuck.flight.health import Health, HealthMonitor
+from airpuck.live.fly import NAME as FLY
 from airpuck.live.graph import LOG, SENSOR, STATE, Quality
 from airpuck.live.plan import PLAN, PLAN_TYPE, positions
 from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE, Inbox, Process
@@ -24,6 +26,8 @@ NAME = "airpuck watch"
 _LOOK = 0.02
 #: Window over which rates are counted [s].
 _COUNTED = 1.0
+#: Age of the last heartbeat above which a controller counts as gone [s].
+GONE = 2.5
 #: Events kept.
 _EVENTS = 200
 
@@ -93,6 +97,12 @@ class Observer:
             self._counted = now
         return poses
 
+    def learned(self, controller: str) -> dict[str, str]:
+        """Return what a controller says that it has learned about its craft."""
+        came, _, figures = self.beats.get(controller, (-math.inf, "", {}))
+        told = {key.removeprefix(LEARNED): text for key, text in figures.items() if LEARNED in key}
+        return told if self.clock.now - came < GONE else {}
+
     def age(self, stream: str) -> float:
         """Return the age of a stream's newest numbers [s]."""
         return self.clock.now - self.heard.get(stream, -math.inf)
@@ -153,6 +163,9 @@ def watch_live(
                 continue
             health = observer.health
             report(str(health))
+            learned = ", ".join(" ".join(one) for one in observer.learned(FLY).items())
+            if learned:
+                report(f"the controller has learned: {learned}")
             level = "warning" if health.findings else "info"
             if health.names != named:
                 named = health.names

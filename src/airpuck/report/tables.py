@@ -193,6 +193,7 @@ OUTCOMES = {
     "jumping pose": "the last poses are farther away than the craft can have flown; motors idle",
     "bad input": "a pose or the time is not finite; motors idle",
     "unsafe": "the safety guard rejects the command; motors idle",
+    "cannot steer": "motors are dead that the law cannot do without; landed, motors idle",
 }
 
 

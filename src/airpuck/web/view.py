@@ -19,7 +19,7 @@ from airpuck.live.fly import NAME as FLY
 from airpuck.live.plan import NAME as PLAN
 from airpuck.live.process import EVENT_LEVELS, Outbox, Process
 from airpuck.live.settings import LiveSettings
-from airpuck.live.watch import Observer
+from airpuck.live.watch import GONE, Observer
 from airpuck.model.model_file import Model
 from airpuck.web.address import LOOPBACK
 from airpuck.web.messages import Wish, packed_state
@@ -28,8 +28,6 @@ from airpuck.web.server import PageKind
 
 #: Number of events shown, the newest first.
 _SHOWN = 12
-#: Age of the last heartbeat above which a controller counts as gone [s].
-_GONE = 2.5
 #: Figures of the controller's heartbeat, their names here, and their limits [ms].
 _TIMES = {
     "pose_to_command_ms": ("pose to command", 1e3 * LATENCY_P99),
@@ -55,9 +53,10 @@ def panel(observer: Observer) -> dict[str, Any]:
     rates = [f"{observer.rates.get(stream, 0.0):.0f} Hz" for stream in ("pose", "command")]
     gauges = [Gauge("poses, commands", ", ".join(rates))]
     came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
-    if now - came < _GONE:
+    if now - came < GONE:
         gauges += [Gauge("controller", status), *timing_gauges(figures)]
         gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
+        gauges += [Gauge(f"learned: {name}", text) for name, text in observer.learned(FLY).items()]
     else:
         gauges.append(Gauge("controller", "none"))
     newest = list(observer.events)[: -_SHOWN - 1 : -1]
@@ -90,7 +89,7 @@ def timing_gauges(figures: Mapping[str, str]) -> list[Gauge]:
 
 def plan_gauges(came: float, status: str, figures: Mapping[str, str], now: float) -> list[Gauge]:
     """Return a predictive law's last report on its plan: outcome and active limits."""
-    if now - came >= _GONE:
+    if now - came >= GONE:
         return []
     return [Gauge("plan", status), Gauge("limits ahead", figures.get("limits") or "none")]
 

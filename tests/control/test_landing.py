@@ -1,0 +1,107 @@
+"""A craft whose motors do not suffice lands: by hand, against linear programs, and on the twin."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from airpuck.control.authority import control_authority
+from airpuck.control.landing import Landing, can_steer
+from airpuck.control.law import Step
+from airpuck.control.reference import SetPoint, SetPoints
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
+from airpuck.craft.vehicle import Vehicle
+from airpuck.estimate.estimator import ActuationEstimate, Estimate
+from airpuck.flight.loop import fly
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.twin.settings import Motors, TwinSettings, Weakness
+from airpuck.twin.twin import Twin
+
+CORNERS = ((0.05, 0.05, 315), (0.05, -0.05, 45), (-0.05, 0.05, 225), (-0.05, -0.05, 135))
+TWICE = nominal_model(
+    Vehicle.model_validate(
+        {
+            "name": "craft with two propellers at each corner",
+            "mass_kg": 0.2,
+            "radius_m": 0.08,
+            "command_min": 0.0,
+            "propellers": [
+                {"name": f"p{k}", "position_m": (x, y), "direction_deg": angle}
+                for k, (x, y, angle) in enumerate(CORNERS * 2)
+            ],
+            "nominal": {"thrust_N": (0.0, 1.0), "inertia_kg_m2": 4e-4},
+        }
+    )
+)
+IDLE = np.zeros(8)
+REFERENCE = SetPoint(0.5, 0.0, 0.0)
+
+
+def test_a_craft_flies_on_while_its_motors_can_push_and_turn_everywhere():
+    for dead in (each for count in range(4) for each in combinations(range(8), count)):
+        running = ~np.isin(np.arange(8), dead)
+        thrust = TWICE.parameters.thrust * running[:, None]
+        left = replace(TWICE, parameters=replace(TWICE.parameters, thrust=thrust))
+        assert can_steer(TWICE, running) == (not control_authority(left).missing), dead
+
+
+def step(*dead, speed=0.5, deviation=0.02):
+    """A step of a law on a craft that moves along x, with the motors that do not run."""
+    effectiveness = np.where(np.isin(np.arange(8), dead), 0.0, 1.0)
+    found = ActuationEstimate(effectiveness, np.full(8, deviation))
+    state = np.array([0.1, 0.2, 0.3, speed, 0.0, 0.4])
+    estimate = Estimate(0.0, state, np.zeros(8), np.zeros(3), found)
+    return Step(np.full(8, 0.5), "nearest", estimate=estimate)
+
+
+@pytest.mark.parametrize("sent", [step(), step(0), step(0, 4, deviation=0.2)])
+def test_a_law_that_can_steer_is_obeyed(sent):
+    landing = Landing(TWICE)
+    assert landing.land(1.0, sent, IDLE) is sent
+    assert landing.reference(REFERENCE) is REFERENCE
+    assert not landing.retries(100.0)
+
+
+def test_a_craft_without_a_corner_brakes_and_then_rests():
+    landing, moving = Landing(TWICE), step(0, 4)
+    assert landing.land(1.0, moving, IDLE) is moving
+    target = landing.reference(REFERENCE).at(1.0, 0.0)
+    np.testing.assert_array_equal(target.state, [0.1, 0.2, 0.3, 0, 0, 0.4])
+    landed = landing.land(1.5, step(0, 4, speed=0.02), IDLE)
+    assert (landed.status, landed.flies) == ("cannot steer", False)
+    np.testing.assert_array_equal(landed.command, IDLE)
+    # A craft that coasts on does not run its motors again.
+    assert not landing.land(1.6, step(0, 4), IDLE).flies
+
+
+def test_braking_ends_after_three_seconds():
+    landing = Landing(TWICE)
+    flying = [time for time in np.arange(0, 5, 0.1) if landing.land(time, step(0, 4), IDLE).flies]
+    assert flying[-1] == pytest.approx(3.0)
+
+
+def test_motors_are_tried_again_twice():
+    landing, tried = Landing(TWICE), []
+    for now in np.arange(0, 30, 0.01):
+        landing.land(now, step(0, 4, speed=0.0), IDLE)
+        if landing.retries(now):
+            tried.append(now)
+            assert landing.reference(REFERENCE) is REFERENCE
+    assert tried == pytest.approx([2.0, 4.01])
+
+
+def test_a_regulated_craft_with_a_dead_motor_comes_to_rest_instead_of_rails():
+    model = replace(published_model("M3"), frame="body", indexing="start")
+    dead = Weakness(motor=model.vehicle.columns[0], start_s=0.5, stop_s=60.0, share=0.0)
+    settings = TwinSettings(motors=Motors(weak=(dead,)))
+    tuning = default_tuning().with_law("lqr").with_estimator("learning")
+    points = SetPoints([0.0, 1.0], [(0.4, 0.2, 1.0), (-0.3, -0.1, -1.0)])
+    controller = TrackingController(model, points, tuning)
+    twin, statuses = Twin(model, settings, seed=1), []
+    steps = controller.step
+    controller.step = lambda time: statuses.append(steps(time)) or statuses[-1]
+    fly(controller, twin, 5.0)
+    assert "cannot steer" in {each.status for each in statuses}
+    assert twin.contacts == []
