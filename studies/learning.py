@@ -6,9 +6,10 @@ Each flight follows a circle for 12 s, then set points that are drawn at random,
 is the paper's M3, or it changes: the changes are in `changes`. The same flights are flown by the
 Kalman filter, by the learning estimator, and with the changed model (`knows`, where the change is
 there from the beginning). Each line of the file is one flight: the root mean square distance from
-the circle from 2 s after the change on, the largest overshoot over set points and the largest
-distance in the last half second of one, and for `learning` how many of the final intervals (95 %)
-contain the truth. An interrupted study resumes; `--summary` only reads the file.
+the circle from 2 s after the change on, the largest overshoot over set points, the largest distance
+in the last half second of one, the fastest contact with a rail, and for `learning` how many of the
+final intervals (95 %) contain the truth. An interrupted study resumes; `--summary` only reads the
+file.
 """
 
 from __future__ import annotations
@@ -127,6 +128,7 @@ def flown(change: Change, law: str, estimator: str, seed: int) -> dict[str, Any]
     controller.reference = SetPoints(begins.tolist(), points)
     fly(controller, twin, POINTS * DWELL)
     row |= arrivals(np.array(seen), begins, points)
+    row["rail_m_s"] = max((speed for _, speed in twin.craft.contacts), default=0.0)
     found = controller.predict(twin.now).actuation
     if estimator == "learning" and found is not None:
         off = (found.effectiveness - change.gains) / found.deviation
@@ -163,6 +165,7 @@ def summary(rows: list[dict[str, Any]]) -> None:
                 for key in ("circle_mm", "overshoot_mm", "rest_mm"):
                     values = [row[key] for row in own]
                     text += f"  {key} {np.median(values):6.1f} ({max(values):.0f})"
+                text += f"  rail_m_s {max(row['rail_m_s'] for row in own):.2f}"
                 off = np.abs([row["off"] for row in own if "off" in row])
                 text += (
                     f"  within 95 %: {np.mean(off < 1.96):.3f} of {off.size}" if off.size else ""
