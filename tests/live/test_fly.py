@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from airpuck.control.reference import SetPoint
+from airpuck.control.tracking import TrackingController
+from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
@@ -12,6 +15,7 @@ from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.safety import SafetyLimits
 from airpuck.live.settings import LiveSettings
+from airpuck.model.model_file import published_model
 
 from ..apparatus.processes import CODECS, COMMANDS, POSES
 
@@ -30,6 +34,19 @@ class Pilot(PulseTest):
     def step(self, time):
         self.asked.append(time)
         return super().step(time)
+
+
+def test_a_rehearsal_teaches_nothing_about_the_motors():
+    model, far = published_model("M3"), SetPoint(0.4, 0.2, 1.0)
+    tuning = default_tuning().with_estimator("learning")
+    controller = TrackingController(model, far, tuning)
+    fly.rehearse_steps(controller, VEHICLE.idle, 0.01)
+    for k in range(5):
+        controller.pose(k / 240, np.zeros(3))
+    step = controller.step(0.02)
+    assert step.flies
+    np.testing.assert_allclose(step.estimate.actuation.effectiveness, 1.0, atol=0.02)
+    assert step.estimate.actuation.delay == pytest.approx(0.0, abs=1e-4)
 
 
 def test_motors_idle_as_soon_as_a_rival_is_on_the_graph(domain, monkeypatch):

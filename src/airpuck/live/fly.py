@@ -144,7 +144,7 @@ def fly_live(
         pilot = make_pilot()
         check_pilot(pilot)
         if warm_up:
-            rehearse_steps(pilot, period)
+            rehearse_steps(pilot, vehicle.idle, period)
         prioritize(first=True)
         # Another controller may have started meanwhile.
         process.refuse_second("command", vehicle.columns, "controller")
@@ -395,13 +395,17 @@ class _Flight:
         self._recent = LoopTiming(self._period)
 
 
-def rehearse_steps(pilot: Pilot, period: float) -> None:
-    """Rehearse steps with the craft at rest before time starts, so that all is compiled."""
+def rehearse_steps(pilot: Pilot, idle: Float[np.ndarray, " n"], period: float) -> None:
+    """Rehearse steps with the craft at rest before time starts, so that all is compiled.
+
+    The motors idle: a pilot that learns would take motors for dead that do not move the craft.
+    """
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):
         now = k * period
         pilot.measured(Measurement("pose", now, pose))
-        pilot.sent(now, checked_step(pilot, pilot.step(now)).command)
+        checked_step(pilot, pilot.step(now))
+        pilot.sent(now, idle)
 
 
 @contextlib.contextmanager
