@@ -43,7 +43,7 @@ class CheckedFlights:
     """Flights of one plan, each identified separately."""
 
     labels: list[str]
-    #: Predicted relative standard errors of such a flight alone.
+    #: Predicted relative standard errors of such a flight; nothing was known before.
     predicted: Float[np.ndarray, " K"]
     #: Relative standard errors that each fit reports.
     errors: Float[np.ndarray, "N K"]
@@ -74,7 +74,7 @@ def check_design(
     usual, proposal = (
         CheckedFlights(
             found.quantities.labels,
-            candidate.relative_alone,
+            candidate.relative,
             *(np.array(each) for each in zip(*results[first : first + flights], strict=True)),
         )
         for candidate, first in zip(candidates, (0, flights), strict=True)
@@ -142,7 +142,7 @@ def main() -> None:
     report("usual", usual)
     report("proposal", proposal)
     if options.figure is not None:
-        figure = design_figure(found, alone=True)
+        figure = design_figure(found)
         rows = label_rows(figure.axes[0], proposal.labels)
         figure.axes[0].plot(100 * proposal.errors.T, rows, "|", color=VERMILLION, ms=9, mew=1.3)
         write_png(figure, options.figure)

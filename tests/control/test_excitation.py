@@ -269,6 +269,17 @@ def test_the_braking_distance_agrees_with_a_hand_calculation():
         assert (excitation.pauses > paused) == pauses
 
 
+@pytest.mark.parametrize("late", [0.0, 0.1])
+def test_near_a_rail_a_craft_that_answers_late_pushes_back_and_lets_its_yaw_be(late):
+    excitation = pilot(seed=1, reaction=late)
+    # Turned by 1 rad, which the regulator corrects unless the craft answers late.
+    excitation.pose(0.0, np.array([0.97, 0.0, 1.0]))
+    step = excitation.step(0.0)
+    assert step.request[0] < -0.5
+    assert (abs(step.request[2]) < 1e-6) == (late > 0)
+    assert excitation.controller.reference is excitation.reference
+
+
 @pytest.mark.parametrize("forward", [True, False])
 def test_a_craft_that_answers_late_brakes_earlier_if_its_motors_push_outwards(forward):
     # For 0.1 s its motors go on pushing forward; then it brakes. Idle motors push nowhere.

@@ -151,9 +151,6 @@ def test_what_is_known_stands_beside_and_counts(trials, found):
     np.testing.assert_allclose(before, found.quantities.relative_errors(known))
     expected = 1 / np.sqrt(1 / found.proposal.relative**2 + 1 / before**2)
     np.testing.assert_allclose(after.proposal.relative, expected, rtol=1e-6)
-    np.testing.assert_allclose(
-        after.proposal.relative_alone, found.proposal.relative_alone, rtol=1e-6
-    )
 
 
 @pytest.mark.slow
@@ -247,29 +244,27 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     both = [one.information for one in flights if one.information is not None]
     assert again.information is not None
     np.testing.assert_array_equal(again.information.hessian, both[0].hessian)
-    expected = Forecast(MODEL, both).of(joined(both), 8.0, alone=True)
-    alone = ComparedQuantities(MODEL).relative_errors(expected)
+    expected = Forecast(MODEL, both).of(joined(both), 8.0)
+    quantities = ComparedQuantities(MODEL)
+    predicted = quantities.relative_errors(expected)
     trajectory, _ = fly(MODEL, found.settings, found.tuning, plan, 3)
     fit = airpuck.identify(
         trajectory, "M3", vehicle=MODEL.vehicle, initial=MODEL.parameters, loss=loss_of(MODEL)
     ).model
-    quantities, truth = ComparedQuantities(MODEL), as_received(MODEL, found.settings, 0.01)
+    truth = as_received(MODEL, found.settings, 0.01)
     stated = quantities.relative_errors_of(fit)
     # Three blocks of time determine no more than a factor.
-    assert 0.4 < np.median(stated / alone) < 2.5
+    assert 0.4 < np.median(stated / predicted) < 2.5
     # The deviation is as large as the error, not as the value.
     missed = (quantities.values(fit) - quantities.values(truth)) / quantities.scales
     assert np.median(np.abs(missed) / stated) < 4
 
 
 def test_the_figure_shows_every_quantity(found):
-    for alone in (False, True):
-        (axes,) = design_figure(found, alone=alone).axes
-        assert [label.get_text() for label in axes.get_yticklabels()] == found.quantities.labels
-        shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
-        proposal = found.proposal
-        expected = proposal.relative_alone if alone else proposal.relative
-        np.testing.assert_allclose(shown["proposal, predicted"], 100 * expected)
+    (axes,) = design_figure(found).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == found.quantities.labels
+    shown = {str(line.get_label()): np.asarray(line.get_xdata()) for line in axes.lines}
+    np.testing.assert_allclose(shown["proposal, predicted"], 100 * found.proposal.relative)
 
 
 @pytest.mark.slow

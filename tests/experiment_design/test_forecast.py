@@ -53,8 +53,8 @@ def synthetic(seed, model=MODEL, blocks=10**9):
     return Information(spread(200), spread(60), 1e-6, 20.0, blocks)
 
 
-def errors(forecast, flight, duration, **options):
-    return forecast.of(flight, duration, **options).standard_errors[ENTRIES]
+def errors(forecast, flight, duration):
+    return forecast.of(flight, duration).standard_errors[ENTRIES]
 
 
 @pytest.mark.slow
@@ -130,8 +130,6 @@ def test_what_is_known_counts_like_another_flight():
     np.testing.assert_allclose(
         errors(Forecast(changed, [flight]), flight, 60.0), before.standard_errors[ENTRIES]
     )
-    alone = errors(after, flight, 60.0, alone=True)
-    np.testing.assert_allclose(alone, before.standard_errors[ENTRIES], rtol=1e-6)
 
 
 def test_larger_residuals_give_larger_errors():

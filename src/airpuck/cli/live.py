@@ -183,10 +183,9 @@ def fly(
     own = None if law is None or plan else pilot_named(law)
     craft = inputs.read_belief(model)
     controls = inputs.read_controls(guarded.tuning, None if own else law, craft)
-    if estimator is not None:
-        if own is not None:
-            raise InputError(f"{law} has its own estimator", field="--estimator")
-        controls = controls.with_estimator(estimator)
+    if own is not None and estimator is not None:
+        raise InputError(f"{law} has its own estimator", field="--estimator")
+    controls = controls.with_estimator(estimator or controls.estimation.estimator)
     fence, rails = guarded.bounds(craft)
     if plan is not None:
         optimal = _time_optimal(plan, craft, fence)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.authority import weakest_effort
 from airpuck.control.law import Pilot, Step
-from airpuck.control.reference import Reference, SetPoint
+from airpuck.control.reference import Reference, SetPoint, Unturned
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
@@ -65,7 +65,8 @@ class Excitation(Pilot):
         Distance from the rails at which the craft must be able to stop [m].
     reaction : float, default 0
         Time for which the present commands still accelerate the craft before its brakes act [s].
-        The signals also pause while the craft turns too far in this time.
+        The signals also pause while the craft turns too far in this time. With a reaction time the
+        craft returns from a rail without regard to its yaw.
 
     Raises
     ------
@@ -161,11 +162,23 @@ class Excitation(Pilot):
         self._change(time)
         if not self._can_stop(step.estimate):
             self.pauses += 1
-            return step
+            return self._brake(time, step.estimate) if self._reaction else step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
         command = np.clip(signed, *vehicle.command_range)
         return replace(step, command=vehicle.actuation.possible(command))
+
+    def _brake(self, time: float, estimate: Estimate) -> Step:
+        """Return the controller's step with the thrust for the way back, not for the yaw.
+
+        The less the craft turns until its brakes act, the more of its spin is left alone.
+        """
+        spin = estimate.state[5] * max(0.0, 1 - abs(estimate.state[5]) * self._reaction / _TURNED)
+        free = np.append(estimate.state[:5], spin)
+        self.controller.reference = Unturned(self.reference, free)
+        step = self.controller.step(time)
+        self.controller.reference = self.reference
+        return step
 
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, even if earlier steps were skipped."""
@@ -186,17 +199,14 @@ class Excitation(Pilot):
             return False
         if self._reaction:
             # The present commands may act until the brakes do, or end at once.
-            gained = np.outer([0.0, 1.0], self._acceleration(estimate) * self._reaction)
+            dynamics = self.controller.model.dynamics
+            by_thrust, _ = acceleration_map(np, dynamics, *estimate.state[[2, 5]])
+            now = by_thrust[:2] @ thrust(dynamics.thrust, estimate.motor_speed)
+            gained = np.outer([0.0, 1.0], now * self._reaction)
             position = position + (velocity + gained / 2) * self._reaction
             velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
         return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
-
-    def _acceleration(self, estimate: Estimate) -> Float[np.ndarray, " 2"]:
-        """Return the acceleration of the commands in force [m/s²]."""
-        dynamics = self.controller.model.dynamics
-        by_thrust, _ = acceleration_map(np, dynamics, estimate.state[2], estimate.state[5])
-        return by_thrust[:2] @ thrust(dynamics.thrust, estimate.motor_speed)
 
 
 def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.ndarray, " signals"]:
@@ -242,17 +252,9 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "c c"], Float[np.ndarray, "
 
 
 def _weakest_push(model: Model) -> float:
-    """Return the largest acceleration in the weakest direction [m/s²]."""
-    return float(_pushes(model).min())
-
-
-def _pushes(model: Model) -> Float[np.ndarray, " angles"]:
-    """Return the largest accelerations over all directions [m/s²].
-
-    With all propellers at full speed, ignoring moments.
-    """
+    """Return the largest acceleration in the weakest direction, whatever the moment [m/s²]."""
     full = model.dynamics.thrust.sum(axis=1)
     angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
     rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     pushes = (rays @ model.dynamics.configuration[:2]) * full
-    return np.maximum(pushes, 0).sum(axis=1)
+    return float(np.maximum(pushes, 0).sum(axis=1).min())

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.control.authority import LEAST_EFFORT, weakest_effort
 from airpuck.control.law import Step
-from airpuck.control.reference import Reference, Target
+from airpuck.control.reference import Reference, SetPoint, Unturned
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
@@ -45,16 +45,17 @@ class Landing:
 
     def reference(self, given: Reference) -> Reference:
         """Return the reference of the next step: while landing, to stop at once."""
-        return given if self._brakes is None else _Stop(self._state)
+        if self._brakes is None:
+            return given
+        x, y = self._state[:2].tolist()
+        return Unturned(SetPoint(x, y, 0.0), self._state)
 
     def land(self, now: float, step: Step, idle: Float[np.ndarray, " n"]) -> Step:
         """Return the step to send, which idles the motors once the craft has stopped."""
         estimate = step.estimate
-        if estimate is None:
+        if estimate is None or (self._brakes is None and self._steers(estimate)):
             return step
         if self._brakes is None:
-            if self._steers(estimate):
-                return step
             self._brakes, self._landings = now, self._landings + 1
         self._state = estimate.state
         slow = math.hypot(*self._coasting(estimate)) < _STOPPED
@@ -73,32 +74,20 @@ class Landing:
 
     def _coasting(self, estimate: Estimate) -> list[float]:
         """Return the velocity once motors that idle from now on have stopped [m/s]."""
-        dynamics, yaw, spin = self._model.dynamics, *estimate.state[[2, 5]]
+        dynamics = self._model.dynamics
         # Speeds decay exponentially, so that the k-th power of one lasts a k-th of the lag.
         powers = 1 + np.arange(dynamics.thrust.shape[1])
         lasting = dynamics.lag * thrust(dynamics.thrust / powers, estimate.motor_speed)
-        matrix, _ = acceleration_map(np, dynamics, yaw, spin)
+        matrix, _ = acceleration_map(np, dynamics, *estimate.state[[2, 5]])
         gained = matrix[:2] @ (lasting * estimate.effectiveness)
         return (estimate.state[3:5] + gained).tolist()
 
     def _steers(self, estimate: Estimate) -> bool:
         """Return whether the motors that may run can push and turn in all directions."""
         found = estimate.actuation
-        if found is None:
-            return True
+        assert found is not None
         dead = found.effectiveness + _CERTAIN * found.deviation < _DEAD
         return not dead.any() or can_steer(self._model, ~dead)
-
-
-class _Stop:
-    """Stop at once, but keep the spin, which costs thrust and stays on the spot; a `Reference`."""
-
-    def __init__(self, state: Float[np.ndarray, " 6"]) -> None:
-        self._target = Target(state * [1, 1, 1, 0, 0, 1], np.zeros(3))
-
-    def at(self, now: float, ahead: float) -> Target:
-        """Return the target; see `Reference.at`."""
-        return self._target
 
 
 def can_steer(model: Model, running: Bool[np.ndarray, " n"]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Protocol, runtime_checkable
 
@@ -81,6 +81,20 @@ class Reference(Protocol):
             Desired state and acceleration.
         """
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Unturned:
+    """A reference with the yaw and the spin of a state, the craft's own: all thrust can push."""
+
+    reference: Reference
+    state: Float[np.ndarray, " 6"]
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target; see `Reference.at`."""
+        target = self.reference.at(now, ahead)
+        turns = np.array([False, False, True] * 2)
+        return replace(target, state=np.where(turns, self.state, target.state))
 
 
 @dataclass(frozen=True)

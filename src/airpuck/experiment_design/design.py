@@ -53,8 +53,6 @@ class CandidateFlight:
     #: Relative standard errors after the flight, including prior knowledge; infinite where a
     #: quantity stays undetermined.
     relative: Float[np.ndarray, " K"]
-    #: The same from this flight alone, on the twin.
-    relative_alone: Float[np.ndarray, " K"]
     #: The criterion, smaller is better; infinite for rejected candidates.
     score: float
     #: Reason for rejection; empty if it may be proposed.
@@ -99,7 +97,6 @@ class Design:
                 "score": plain(candidate.score),
                 "refused": candidate.refused,
                 "relative_error": by_label(candidate.relative),
-                "relative_error_alone": by_label(candidate.relative_alone),
             }
 
         sizes = zip(q.labels, q.units, q.scales.tolist(), strict=True)
@@ -318,14 +315,13 @@ class _Search:
         refused = ""
         if clearance < self.margin:
             refused = "meets a rail" if clearance == 0 else f"{1e3 * clearance:.0f} mm from a rail"
-        relative = alone = np.full(len(self.quantities.labels), np.inf)
+        relative = np.full(len(self.quantities.labels), np.inf)
         flights = _informations(self._trials[plan])
         if flights:
-            after, errors = partial(forecast.of, joined(flights), plan.duration_s), self.quantities
-            relative = errors.relative_errors(after())
-            alone = errors.relative_errors(after(alone=True))
+            after = forecast.of(joined(flights), plan.duration_s)
+            relative = self.quantities.relative_errors(after)
         score = math.inf if refused else self._score(relative)
-        return CandidateFlight(plan, clearance, relative, alone, score, refused)
+        return CandidateFlight(plan, clearance, relative, score, refused)
 
     def _score(self, relative: Float[np.ndarray, " K"]) -> float:
         """Compute the criterion from quantities that have a scale and no active constraint."""

@@ -160,14 +160,10 @@ class Forecast:
         blocks = sum(trial.blocks - 1 for trial in compress(trials, used))
         self._shape = _shrunk(shape, rank, blocks)
 
-    def of(self, flight: Information, duration: float, *, alone: bool = False) -> Uncertainty:
-        """Predict the uncertainty after a flight of a given length.
-
-        `alone`: from this flight only, with residuals as on the twin.
-        """
-        level, prior = (1.0, 0.0) if alone else (self.level, self._prior())
-        precision = self._precision(flight) * duration / level
-        precision = self._less_certain(precision, flight.packets / duration) + prior
+    def of(self, flight: Information, duration: float) -> Uncertainty:
+        """Predict the uncertainty after a flight of a given length."""
+        precision = self._precision(flight) * duration / self.level
+        precision = self._less_certain(precision, flight.packets / duration) + self._prior()
         covariance = self._basis @ _pseudo_inverse(precision) @ self._basis.T
         whole = self._basis @ precision @ self._basis.T
         space = subspace(whole, self.model.free, self._constraints)

@@ -396,22 +396,16 @@ def packet_delay_figure(
 
 
 @style.styled
-def design_figure(found: Design, *, alone: bool = False) -> Figure:
-    """Draw the relative standard errors of all quantities: now, usual, proposed.
-
-    Those of a flight `alone` exclude earlier data.
-    """
+def design_figure(found: Design) -> Figure:
+    """Draw the relative standard errors of all quantities: now, usual, proposed."""
     figure = style.new_figure(style.PAGE_WIDTH, 1.0 + 0.24 * len(found.quantities.labels))
     axes = figure.add_subplot()
     rows = style.label_rows(axes, found.quantities.labels)
-    usual, proposal = (
-        100 * (one.relative_alone if alone else one.relative)
-        for one in (found.usual, found.proposal)
-    )
+    usual, proposal = 100 * found.usual.relative, 100 * found.proposal.relative
     axes.hlines(rows, usual, proposal, color=style.LIGHT, lw=2.5)
     dots: dict[str, Any] = {"ls": "", "ms": 5.5}
     handles = []
-    if not alone and np.isfinite(found.relative_before).any():
+    if np.isfinite(found.relative_before).any():
         now = 100 * found.relative_before
         handles += axes.plot(now, rows, marker="s", color=style.GREY, label="now", **dots)
     dots["marker"] = "o"
