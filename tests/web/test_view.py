@@ -10,6 +10,7 @@ import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from threading import Thread
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,10 @@ from PIL import Image
 import airpuck
 from airpuck.craft.table import Table
 from airpuck.deviation.model_errors import ModelError
+from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.health import Health
+from airpuck.live.fly import NAME as FLY
+from airpuck.live.watch import Observer
 from airpuck.web.messages import Wish, packed_state
 from airpuck.web.server import SCENE, STATE
 from airpuck.web.view import (
@@ -53,6 +57,16 @@ def test_the_plan_is_shown_while_it_is_news():
     assert shown == [Gauge("plan", "softened"), Gauge("limits ahead", "motor, rail")]
     assert plan_gauges(10.0, "optimal", {"limits": ""}, 11.0)[1].value == "none"
     assert plan_gauges(10.0, "softened", figures, 13.0) == []
+
+
+def test_what_the_controller_has_learned_is_shown_while_it_flies():
+    found = ActuationEstimate(np.array([0.62, 1.0]), np.array([0.03, 0.1]), {}, 0.0124, 0.001)
+    beat = 10.0, "exact", {"missed_deadlines": "0", **found.figures(["left", "right"])}
+    observer = SimpleNamespace(beats={FLY: beat}, clock=SimpleNamespace(now=11.0))
+    learned = {"left": "62 ± 3 %", "right": "100 ± 10 %", "delay": "+12.4 ± 1.0 ms"}
+    assert Observer.learned(observer, FLY) == learned
+    observer.clock.now = 13.0
+    assert Observer.learned(observer, FLY) == {}
 
 
 def test_each_channel_and_each_motor_has_a_gauge():
