@@ -65,8 +65,8 @@ class Excitation(Pilot):
         Distance from the rails at which the craft must be able to stop [m].
     reaction : float, default 0
         Time for which the present commands still accelerate the craft before its brakes act [s].
-        The signals also pause while the craft turns too far in this time. With a reaction time the
-        craft returns from a rail without regard to its yaw.
+        The signals also pause while the craft turns too far in this time, and a craft that could
+        not stop before a rail returns without regard to its yaw.
 
     Raises
     ------
@@ -126,13 +126,12 @@ class Excitation(Pilot):
         self._rng = np.random.Generator(self._bits)
         self._signed, self._mixer = _mixing(model)
         self._amplitude = _amplitudes(amplitude, self._mixer.shape[1])
-        self._reach = np.array((table or Table()).reach(model.vehicle.radius_m)) - margin
-        if not (margin >= 0 and (self._reach > 0).all()):
+        self._reach = np.array((table or Table()).reach(model.vehicle.radius_m))
+        if not (margin >= 0 and (self._reach > margin).all()):
             raise InputError(
                 "must not be negative, and leave room between the rails", field="margin"
             )
-        self._braking = _BRAKING * weakest
-        self._reaction = reaction
+        self._braking, self._reaction, self._margin = _BRAKING * weakest, reaction, margin
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])
@@ -160,22 +159,24 @@ class Excitation(Pilot):
         if not step.flies or step.estimate is None:
             return step
         self._change(time)
-        if not self._can_stop(step.estimate):
+        turned = abs(step.estimate.state[5]) * self._reaction
+        if turned > _TURNED or not self._can_stop(step.estimate, self._margin):
             self.pauses += 1
-            return self._brake(time, step.estimate) if self._reaction else step
+            late = self._reaction and not self._can_stop(step.estimate, 0.0)
+            return self._brake(time, step.estimate, turned) if late else step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
         command = np.clip(signed, *vehicle.command_range)
         return replace(step, command=vehicle.actuation.possible(command))
 
-    def _brake(self, time: float, estimate: Estimate) -> Step:
+    def _brake(self, time: float, estimate: Estimate, turned: float) -> Step:
         """Return the controller's step with the thrust for the way back, not for the yaw.
 
         The less the craft turns until its brakes act, the more of its spin is left alone.
         """
-        spin = estimate.state[5] * max(0.0, 1 - abs(estimate.state[5]) * self._reaction / _TURNED)
-        free = np.append(estimate.state[:5], spin)
-        self.controller.reference = Unturned(self.reference, free)
+        spin = estimate.state[5] * max(0.0, 1 - turned / _TURNED)
+        now = np.append(estimate.state[:5], spin)
+        self.controller.reference = Unturned(self.reference, now)
         step = self.controller.step(time)
         self.controller.reference = self.reference
         return step
@@ -192,11 +193,9 @@ class Excitation(Pilot):
         self._signal = self._rng.uniform(-self._amplitude, self._amplitude)
         self._changes = due
 
-    def _can_stop(self, estimate: Estimate) -> bool:
-        """Return whether the craft can brake before the rails, and turns slowly enough for it."""
+    def _can_stop(self, estimate: Estimate, margin: float) -> bool:
+        """Return whether the craft can brake so far from the rails."""
         position, velocity = estimate.state[:2], estimate.state[3:5]
-        if abs(estimate.state[5]) * self._reaction > _TURNED:
-            return False
         if self._reaction:
             # The present commands may act until the brakes do, or end at once.
             dynamics = self.controller.model.dynamics
@@ -206,7 +205,8 @@ class Excitation(Pilot):
             position = position + (velocity + gained / 2) * self._reaction
             velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
-        return bool((np.abs(position) < self._reach).all() and (np.abs(stop) < self._reach).all())
+        farthest = np.maximum(np.abs(position), np.abs(stop))
+        return bool((farthest < self._reach - margin).all())
 
 
 def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.ndarray, " signals"]:
