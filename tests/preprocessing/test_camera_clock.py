@@ -1,5 +1,7 @@
 """The cameras' clock behind stamps made on arrival: frames of a known clock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -157,6 +159,37 @@ def test_the_cameras_own_stamps_are_left_alone(stamps):
 def test_stamps_that_are_stated_to_be_exact_are_left_alone():
     stream = stamped(polled(exposures(120.0)), exact=True)
     assert at_exposure(stream) == (stream, ())
+
+
+@pytest.mark.parametrize(("count", "stated"), [(150, {}), (2400, {"exact": True})])
+def test_repeats_stay_in_short_recordings_and_between_exact_stamps(count, stated):
+    time = exposures(120.0)[:count]
+    held = np.arange(count) // 2 * 2
+    stream = stamped(time, moving(time)[held], **stated)
+    assert at_exposure(stream) == (stream, ())
+
+
+def test_poses_may_share_a_stamp_while_a_few_of_them_repeat():
+    time = exposures(240.0)
+    values = moving(time)
+    values[50::100] = values[49::100]
+    arrival = np.ceil(240 / 3 * (time + 1e-3)) * 3 / 240
+    stamp = np.rint(1e9 * arrival).astype(np.int64)
+    found, warnings = at_exposure(Stream(stamp, stamp, values, COLUMNS["pose"]))
+    assert rate_found(warnings[-1]) == pytest.approx(240.0, rel=2e-4)
+    assert np.abs(off(found, time)).max() < 1e-4
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_exposures_do_not_depend_on_the_clocks_epoch(repeats):
+    time = exposures(120.0, 0.02, seconds=3.0)
+    held = np.repeat(np.arange(len(time)), repeats)
+    early = stamped(polled(time)[held] + 4e-3 * (np.arange(len(held)) % repeats), moving(time)[held])
+    later = 1_700_000_000 * 10**9
+    late = replace(early, stamp_ns=early.stamp_ns + later, received_ns=early.received_ns + later)
+    (expected, warnings), (found, same) = at_exposure(early), at_exposure(late)
+    assert len(warnings) == repeats and same == warnings
+    np.testing.assert_allclose(found.stamp_ns - later, expected.stamp_ns, atol=1)
 
 
 def test_arrivals_that_reveal_no_rate_are_said_to():

@@ -44,6 +44,16 @@ def test_a_short_stretch_gets_the_longest_odd_window(count, window):
     np.testing.assert_allclose(smoothed, savgol_filter(values, window, 3, axis=0), atol=1e-12)
 
 
+@pytest.mark.parametrize(("count", "window"), [(12, 11), (13, 13), (200, 25)])
+@pytest.mark.parametrize(("order", "derive"), [(1, velocity), (2, acceleration)])
+def test_longer_smoothing_gives_the_derivatives_of_scipys_filter(order, derive, count, window):
+    values = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0)
+    velocities = 25 / 240 * (1 if order == 1 else VELOCITY_TIME / ACCELERATION_TIME)
+    found = derive(times(count, 0.0), values, duration=velocities)
+    expected = savgol_filter(values, window, 3, deriv=order, delta=1 / 240, axis=0)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize(
     ("rate", "windows"),
     [(50, (3, 3)), (100, (5, 7)), (120, (5, 7)), (240, (11, 15)), (360, (17, 23))],

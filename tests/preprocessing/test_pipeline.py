@@ -100,6 +100,33 @@ def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
         assert np.abs(expected).min() > 0
 
 
+def test_poses_between_two_gaps_are_left_out_if_too_few_to_differentiate(recording):
+    def edit(stamp, received, values):
+        time = (stamp - stamp[0]) / 1e9
+        kept = (np.abs(time - 3.0) > 0.2) | (np.abs(time - 3.0) < 0.02)
+        return stamp[kept], received[kept], values[kept]
+
+    trajectory = preprocess(edited(recording, "pose", edit))
+    assert [span.cause for span in trajectory.excluded].count("gap") == 2
+    (span,) = (span for span in trajectory.excluded if span.cause == "too short to smooth")
+    assert span.stop - span.start == pytest.approx(0.04, abs=2 / RATE)
+    inside = (trajectory.time >= span.start) & (trajectory.time <= span.stop)
+    assert 8 < inside.sum() < 12
+    assert not trajectory.usable[inside].any()
+
+
+@pytest.mark.parametrize("logged", [False, True])
+def test_a_clock_that_steps_is_told_by_the_motion_only_without_times_of_arrival(logged):
+    def edit(stamp, received, values):
+        stamp = stamp + 30_000_000 * (np.arange(len(stamp)) > len(stamp) // 2)
+        return stamp, stamp + 1_000_000 * logged, values
+
+    trajectory = preprocess(edited(record(noise=5e-5), "pose", edit))
+    told = [text for text in trajectory.warnings if "the cameras' clock steps by 30 ms" in text]
+    assert len(told) == (not logged)
+    assert ("clock step" in {span.cause for span in trajectory.excluded}) == (not logged)
+
+
 def test_duplicates_and_backward_stamps_are_dropped_and_said(recording):
     def edit(stamp, received, values):
         stamp = stamp.copy()
