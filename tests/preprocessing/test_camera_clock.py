@@ -105,6 +105,22 @@ def test_a_beat_of_the_clients_rate_with_the_cameras_is_no_lost_frame(rate, poll
     assert np.abs(off(found, time)).max() < 1e-3
 
 
+@pytest.mark.parametrize(("rate", "polls"), [(120.0, 59.5), (240.0, 119.3)])
+def test_twice_the_clients_rate_is_not_the_cameras_although_frames_are_lost(rate, polls):
+    time = exposures(rate, 0.01, seconds=3.0)
+    found, warnings = at_exposure(stamped(in_bursts(time, polls), moving(time)))
+    assert rate_found(warnings[0]) == pytest.approx(rate, rel=1e-3)
+    assert np.abs(off(found, time)).max() < 1e-3
+
+
+def test_a_jerk_moves_no_pose_while_no_frame_is_lost():
+    time = exposures(120.0)
+    values = moving(time)
+    values[-1] = moving(time + 1 / 120)[-1]
+    found, _ = at_exposure(stamped(polled(time), values))
+    assert np.abs(off(found, time)).max() < 1e-4
+
+
 @pytest.mark.parametrize("stated", [None, 240.0])
 def test_bursts_of_six_poses_with_lost_frames_are_placed(stated):
     time = exposures(240.0, 0.03)
@@ -184,7 +200,9 @@ def test_poses_may_share_a_stamp_while_a_few_of_them_repeat():
 def test_exposures_do_not_depend_on_the_clocks_epoch(repeats):
     time = exposures(120.0, 0.02, seconds=3.0)
     held = np.repeat(np.arange(len(time)), repeats)
-    early = stamped(polled(time)[held] + 4e-3 * (np.arange(len(held)) % repeats), moving(time)[held])
+    early = stamped(
+        polled(time)[held] + 4e-3 * (np.arange(len(held)) % repeats), moving(time)[held]
+    )
     later = 1_700_000_000 * 10**9
     late = replace(early, stamp_ns=early.stamp_ns + later, received_ns=early.received_ns + later)
     (expected, warnings), (found, same) = at_exposure(early), at_exposure(late)

@@ -175,12 +175,11 @@ def _chosen_period(
     """Return the cameras' period: the longest that fits, since shorter ones need more losses."""
     line, spread = _earliest(time, np.arange(len(time)), mean)
     periods, fits = [float(line[0])], [spread < _NONE_LOST * mean]
-    count = min(_COUNTED, len(time) - 1)
-    counted = float(np.quantile((time[count:] - time[:-count]) / count, _QUANTILE))
+    counted = float(np.quantile((time[_COUNTED:] - time[:-_COUNTED]) / _COUNTED, _QUANTILE))
     nominal = sorted(1 / one for one in _RATES if _KEPT * mean < 1 / one < 1.005 * mean)
     begin, seen = time[:_JUDGED], values[:_JUDGED]
     for period in (*reversed(nominal), *([counted] if counted > _KEPT * mean else [])):
-        within = _CLOCKS if period in nominal else 1 / count
+        within = _CLOCKS if period in nominal else 1 / _COUNTED
         period, at_phase = _refined(begin, period, within)
         nearest = min((abs(period / one - 1) for one in nominal), default=1.0)
         if period < mean and not _CLOCKS * 1.001 < nearest < _BEAT:
