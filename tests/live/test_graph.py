@@ -28,6 +28,19 @@ def test_bytes_arrive_as_they_were_sent_and_wake_who_waits(pair):
     assert time.monotonic() - started < 1.0
 
 
+def test_a_message_wakes_only_who_asked_for_that(pair):
+    first, second = pair
+    heard = second.subscription("/pose", POSE.msgtype, POSE.types, SENSOR)
+    says = first.publisher("/pose", POSE.msgtype, POSE.types, SENSOR)
+    message = POSE.encode(0, (0.0, 0.0, 0.0))
+    until(lambda: says.send(message) or heard.take())
+    says.send(message)
+    started = time.monotonic()
+    second.wait(0.2)
+    assert time.monotonic() - started > 0.15
+    assert heard.take()
+
+
 def test_others_are_seen_come_and_go_with_their_names(pair, domain):
     first, second = pair
     first.publisher("/drone/control", POSE.msgtype, POSE.types, SENSOR)

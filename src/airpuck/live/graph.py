@@ -122,7 +122,7 @@ class Graph:
         config = dds.domain_config(interface)
         try:
             from cyclonedds import builtin
-            from cyclonedds.core import DDSException, Policy, Qos, WaitSet
+            from cyclonedds.core import DDSException, GuardCondition, Policy, Qos, WaitSet
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
             raise InputError("flying live needs Cyclone DDS: pip install cyclonedds") from error
@@ -143,6 +143,8 @@ class Graph:
             ) from error
         self._entered = time.monotonic()
         self._waitset = WaitSet(self._participant)
+        # Never triggers: Cyclone does not wait for an empty set.
+        self._waitset.attach(GuardCondition(self._participant))
         self._kinds: dict[str, Any] = {}
         self._structs: dict[str, Any] = {}
         self._topics: dict[str, tuple[str, Any]] = {}
