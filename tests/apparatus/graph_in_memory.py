@@ -10,7 +10,7 @@ import pytest
 
 from airpuck.flight.clock import Clock
 from airpuck.live import process
-from airpuck.live.graph import Graph, Sample
+from airpuck.live.graph import Endpoint, Graph, Sample
 from airpuck.live.process import EVENTS, HEARTBEAT, HEARTBEAT_TYPE
 from airpuck.recording.message import MessageCodec, StreamCodec
 
@@ -56,6 +56,8 @@ class GraphInMemory(Graph):
         self.clock, self.domain = PacedClock(), 0
         self.sent: dict[str, list[bytes]] = defaultdict(list)
         self.waiting: dict[str, list[Sample]] = defaultdict(list)
+        #: Publishers of other processes.
+        self.others: list[Endpoint] = []
 
     def publisher(self, topic, *_):
         class Publisher:
@@ -72,8 +74,11 @@ class GraphInMemory(Graph):
 
         return Subscription()
 
-    def publishers(self, *_, **__):
-        return []
+    def publishers(self, topic=None, **_):
+        return [other for other in self.others if topic in (None, other.topic)]
+
+    def describe(self, endpoint):
+        return "somebody"
 
     def wait(self, seconds):
         self.clock.sleep_until(self.clock.now + seconds)

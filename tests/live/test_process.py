@@ -19,6 +19,7 @@ from airpuck.live.settings import LiveSettings
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import StreamCodec
 
+from ..apparatus.graph_in_memory import GraphInMemory, joined
 from ..apparatus.processes import CODECS, COMMANDS, EVENT
 
 
@@ -110,6 +111,24 @@ def test_no_cause_is_told_more_than_twice_a_second_however_long_it_goes_on(clock
             log.heartbeat("info", "exact", {})
     assert len(graph.said) <= 2 * 2 * 10
     assert log.counts["error"] == 1000
+
+
+def test_a_heartbeat_has_a_name_a_state_and_figures():
+    graph = GraphInMemory()
+    EventLog(graph, "fly", quiet=True).heartbeat("info", "exact", {"poses": 12})
+    assert graph.states == [("fly", "exact", {"poses": "12"})]
+
+
+@pytest.mark.parametrize(
+    ("options", "printed"), [({}, "fly: on domain 0\n"), ({"quiet": True}, "")]
+)
+def test_a_process_prints_its_events_unless_it_is_to_be_quiet(
+    monkeypatch, capsys, options, printed
+):
+    joined(monkeypatch)
+    with Process("fly", LiveSettings(**options)) as made:
+        made.start("")
+    assert capsys.readouterr().err == printed
 
 
 COMMAND = CODECS[COMMANDS]
@@ -260,6 +279,14 @@ def test_commands_act_on_arrival_whatever_the_clock_of_their_sender_says(box, ah
     (values,) = box.take_commands()
     np.testing.assert_allclose(values, (0.5, 0.0, 0.0))
     assert [text for _, text in box.logged] == ["numbers on /pose that are not finite"]
+
+
+def test_a_command_that_the_craft_rejects_counts_as_unusable(box):
+    box.graph.waiting = [pose(0), pose(0)]
+    assert len(box.take_commands()) == 2
+    box.reject("a command that no motor has")
+    assert (box.good, box.bad) == (1, 1)
+    assert box.logged == [("warning", "refused on /pose: a command that no motor has")]
 
 
 def test_finite_numbers_that_overflow_are_refused(box):

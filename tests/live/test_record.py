@@ -1,14 +1,18 @@
 from __future__ import annotations
 
 import time
+from uuid import uuid4
 
 import pytest
 
-from airpuck.live.graph import LOG, SENSOR, STATE
-from airpuck.live.record import Listener
+from airpuck import read_recording
+from airpuck.live.graph import LOG, SENSOR, STATE, Endpoint
+from airpuck.live.record import Listener, record
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import StreamCodec
 
-from ..apparatus.processes import until
+from ..apparatus.graph_in_memory import joined
+from ..apparatus.processes import CODECS, COMMANDS, POSES, until
 
 POSE = StreamCodec("pose")
 FIRST, SECOND = "/a/pose", "/b/pose"
@@ -81,3 +85,20 @@ def test_who_offers_less_than_the_first_is_heard_too_and_everybody_once(pair, mo
     started = time.monotonic()
     assert not list(listener.listen(0.08))
     assert time.monotonic() - started > 0.05
+
+
+def test_a_topic_of_an_unknown_type_is_told_and_all_others_are_recorded(monkeypatch, tmp_path):
+    graph = joined(monkeypatch)
+    kinds = {topic: CODECS[topic].msgtype for topic in (POSES, COMMANDS)} | {"/scan": "a/msg/B"}
+    graph.others = [Endpoint(uuid4(), uuid4(), *one, True, False) for one in kinds.items()]
+    for at in (0.1, 0.2, 0.3):
+        graph.publish(at, POSES, (at, 0.0, 0.0))
+        graph.publish(at, COMMANDS, [at] * 6)
+    folder = tmp_path / "monday" / "bag"
+    found = record(folder, LiveSettings(duration=0.5, quiet=True))
+    (note,) = found["notes"]
+    assert note.startswith("/scan of somebody, a/msg/B, is not recorded")
+    assert note in graph.events
+    recording = read_recording(folder)
+    assert recording["pose"].values[:, 0].tolist() == [0.1, 0.2, 0.3]
+    assert recording["command"].values[:, 5].tolist() == [0.1, 0.2, 0.3]
