@@ -18,7 +18,7 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.flight.track import Track
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.twin import experiments as module
-from airpuck.twin.experiments import COURSES, course_plan, excite, race, track
+from airpuck.twin.experiments import COURSES, course_plan, excite, passes, race, track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Radio, Stall, default_twin_settings
 from airpuck.twin.tracking_study import SET_POINTS, tracking_study
@@ -61,6 +61,12 @@ def test_courses_are_on_the_table():
         for point in (start, goal, *via):
             assert abs(point[0]) < reach[0] - 0.02
             assert abs(point[1]) < reach[1] - 0.02
+
+
+def test_whoever_is_near_a_point_passes_it_at_any_yaw_and_speed():
+    point = (0.3, -0.2)
+    states = np.array([[0.3, 0.3, 0, 0, 0, 0], [0.301, -0.2, 3, 5, 5, 9], [-0.3, -0.2, 0, 0, 0, 0]])
+    assert passes(states, np.array(point)).tolist() == [False, True, False]
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from airpuck.physics.puck import PuckState
 from airpuck.recording.bag import write_bag
 from airpuck.recording.csv_folder import write_csv
 from airpuck.recording.read import read_recording
-from airpuck.twin.plant import build_plant
+from airpuck.twin.plant import LONGEST_STEP, build_plant
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
@@ -48,6 +48,38 @@ def test_a_shot_moves_the_craft_and_keeps_momentum_and_energy_in_bounds(plant):
     np.testing.assert_allclose(disc.mass * centre, given, rtol=1e-3)
     energy = disc.mass / 2 * centre @ centre + disc.inertia / 2 * spin**2
     assert 0 < energy < puck_mass / 2 * (before @ before - after @ after)
+
+
+@pytest.mark.parametrize("speed", [0.5, 3.0])
+def test_a_craft_that_strikes_a_puck_keeps_momentum(plant, speed):
+    twin = Twin(MODEL, plant=plant, puck=PuckState(0.1, 0.005))
+    twin.craft.state = np.concatenate([[-0.2, 0.0, 0.3], [speed, 0, 0], twin.state[6:]])
+    before = momentum(plant, twin)[:2]
+    twin.wait_until(0.3 / speed)
+    puck = twin.world.puck
+    assert puck is not None and [touch.met for touch in puck.touches] == ["craft"]
+    left = math.exp(-0.2 * (0.3 / speed - puck.touches[0].time))  # drag
+    given = 0.010 * np.array([puck.state.vx, puck.state.vy]) / left
+    assert given[0] > 0.009 * speed
+    kept = momentum(plant, twin)[:2]
+    np.testing.assert_allclose(kept + given, before, atol=3e-4 * before[0])
+
+
+def test_steps_are_short_where_a_craft_may_hit_the_puck():
+    """Beside the puck, the path of full thrust, 10 m/s², is straight to two micrometres."""
+    plant = build_plant(MODEL, compiled=False)
+
+    def step(gap, speed=0.0):
+        x = 0.3 + plant.disc.radius + QUIET.puck.radius_m + gap
+        twin = Twin(MODEL, plant=plant, pose=(0.3, 0.1, 0.0), puck=PuckState(x, 0.1, 0.0, -speed))
+        assert twin.world.puck is not None
+        return twin.craft.longest_step(twin.world.puck)
+
+    assert 10.0 * step(0.003) ** 2 / 8 < 2e-6
+    assert step(0.05) == LONGEST_STEP
+    assert step(0.05, 3.0) == LONGEST_STEP
+    # It would be there within a long step.
+    assert step(0.05, 12.5) == step(0.003)
 
 
 def test_a_puck_that_nobody_touches_changes_nothing(plant):
@@ -167,6 +199,13 @@ def test_a_hand_keeps_to_its_limits_and_arrives(target):
     assert peak > 2.0
 
 
+def test_a_hand_without_a_target_keeps_its_place():
+    hand = HandMallet(Mallet(), Table(), 0.7, 0.1)
+    assert hand.target == (0.7, 0.1)
+    way = hand.moving(0.01)
+    assert (way.to_x, way.to_y) == (0.7, 0.1)
+
+
 @pytest.mark.parametrize(
     ("given", "field"),
     [
@@ -241,6 +280,14 @@ def test_a_puck_between_two_craft_conserves_momentum(plant):
     way = np.array([world.puck.state.x, world.puck.state.y - 0.001])
     taken = np.array([0.04, 0.0]) - 0.010 * 0.2 * way
     np.testing.assert_allclose(given + kept, taken, atol=2e-5)
+
+
+def test_craft_at_one_place_are_left_there(plant):
+    world, twins = two_crafts(plant, [(-0.5, 0.1, 0.3), (-0.5, 0.1, 0.3)])
+    world.run(0.02)
+    assert world.met == []
+    for twin in twins:
+        np.testing.assert_allclose(twin.state[:3], [-0.5, 0.1, 0.3], atol=1e-9)
 
 
 def test_each_craft_sees_the_other_as_mallet(plant):

@@ -9,6 +9,7 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.cli.output import write_json
+from airpuck.control.laws import PAPERS
 from airpuck.control.reference import SetPoints
 from airpuck.model.model_file import published_model
 from airpuck.report.tables import tracking_tables
@@ -128,6 +129,13 @@ def test_figures_of_a_comparison_are_those_of_single_flights():
     (flown,) = tracking_study([M4], M4, set_points=points, dwell=1.5, controller="full")
     assert found.figures["settling_time_s"][0, 0] == flown.results[-1].settling_time
     assert found.figures["effort"][0, 0] == flown.results[-1].effort
+
+
+def test_file_names_of_flights_distinguish_laws():
+    points = SetPoints([0.0, 0.1], [(0.0, 0.0, 0.0)] * 2)
+    (flown,) = tracking_study([M4], M4, set_points=points, dwell=0.2, controller="full")
+    names = [replace(flown, law=law).file_name for law in (None, PAPERS, "mpc")]
+    assert names == ["M4", "M4", "M4_mpc"]
 
 
 @pytest.mark.slow

@@ -196,9 +196,17 @@ def test_a_radio_clips_commands_and_rejects_nan(plant):
     )
     twin.wait_until(0.5)
     assert twin.state[6:].min() >= 0
-    for bad in (np.full(6, np.nan), np.full(6, np.inf), np.zeros(4)):
+    one = np.where(np.arange(6) == 2, np.nan, 0.3)
+    for bad in (one, np.full(6, np.nan), np.full(6, np.inf), np.zeros(4)):
         with pytest.raises(InputError, match="command: needs 6 finite"):
             twin.send(bad)
+
+
+@pytest.mark.parametrize(("value", "span"), [(30.0, "0.2 to 30"), (-5.0, "-5 to 0.2")])
+def test_one_command_in_another_unit_is_refused(plant, value, span):
+    command = np.where(np.arange(6) == 2, value, 0.2)
+    with pytest.raises(InputError, match=f"command: goes from {span}, but motors take 0 to 1"):
+        Twin(MODEL, QUIET, plant=plant).send(command)
 
 
 def test_without_noise_poses_are_the_truth_and_other_sensors_its_derivatives(quiet):
