@@ -39,6 +39,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
+from importlib.util import find_spec
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -549,7 +550,10 @@ def dependents(module: str) -> set[str]:
 
 def forget(module: str) -> None:
     """Reimport everything that depends on a module."""
-    for name in dependents(module):
+    changed, public = dependents(module), vars(sys.modules["airpuck"])
+    for name in [k for k, v in public.items() if getattr(v, "__module__", "") in changed]:
+        del public[name]
+    for name in changed:
         parent, _, last = name.rpartition(".")
         sys.modules.pop(name, None)
         with suppress(AttributeError, KeyError):
@@ -571,6 +575,7 @@ def codes(scope: CodeType, functions: dict[tuple[str, int], CodeType], rest: lis
 def functions_of(folder: Path) -> dict[tuple[str, str, int], list[FunctionType]]:
     """Return all functions that are loaded from a folder: by file, name and first line."""
     found = defaultdict(list)
+    gc.unfreeze()  # the tests freeze all objects, which hides them
     for one in gc.get_objects():
         if isinstance(one, FunctionType) and one.__code__.co_filename.startswith(
             f"{folder}{os.sep}"
@@ -585,7 +590,7 @@ def changed_in_place(
 ) -> bool:
     """Give functions the code with a mistake; return whether nothing else must change."""
     path = SOURCES / mutant.path
-    loader: Any = sys.modules[mutant.module].__loader__
+    loader: Any = find_spec(mutant.module).loader  # type: ignore[union-attr]
     old: dict[tuple[str, int], CodeType] = {}
     new: dict[tuple[str, int], CodeType] = {}
     before: list[Any] = []
