@@ -12,23 +12,28 @@ from airpuck.flight.clock import Clock
 from airpuck.live import process
 from airpuck.live.graph import Endpoint, Graph, Sample
 from airpuck.live.process import EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.message import MessageCodec, StreamCodec
 
 from .processes import CODECS, EVENT
 
+#: When clocks start [ns].
+_EPOCH_NS = 1_700_000_000 * SECOND_NS
 STATES = MessageCodec(HEARTBEAT_TYPE)
 
 
 class PacedClock(Clock):
-    """Goes on while the process waits; whatever is due meanwhile happens."""
+    """Goes on while the process waits; whatever is due meanwhile happens.
 
-    def __init__(self) -> None:
-        self._now, self._due = 0.0, list[tuple[float, Callable[[], None]]]()
+    It starts so much later than other clocks [s].
+    """
+
+    def __init__(self, later: float) -> None:
+        self._due, self._later = list[tuple[float, Callable[[], None]]](), later
         super().__init__()
 
     def restart(self) -> None:
-        super().restart()
-        self._now = 0.0
+        self._now, self._epoch_ns = 0.0, _EPOCH_NS + round(self._later * SECOND_NS)
 
     @property
     def now(self) -> float:
@@ -52,16 +57,22 @@ class GraphInMemory(Graph):
 
     age = 1e9
 
-    def __init__(self) -> None:
-        self.clock, self.domain = PacedClock(), 0
+    def __init__(self, later: float = 0.0) -> None:
+        self.clock, self.domain = PacedClock(later), 0
         self.sent: dict[str, list[bytes]] = defaultdict(list)
+        #: Times at which they were sent [s].
+        self.times: dict[str, list[float]] = defaultdict(list)
         self.waiting: dict[str, list[Sample]] = defaultdict(list)
         #: Publishers of other processes.
         self.others: list[Endpoint] = []
 
     def publisher(self, topic, *_):
+        graph = self
+
         class Publisher:
-            send = self.sent[topic].append
+            def send(self, data):
+                graph.sent[topic].append(data)
+                graph.times[topic].append(graph.clock.now)
 
         return Publisher()
 
@@ -95,6 +106,15 @@ class GraphInMemory(Graph):
 
         self.clock.at(time, act)
 
+    def replay(self, other: GraphInMemory, topic: str) -> None:
+        """Let another process publish what it published on its graph, at the same times."""
+        for time, data in zip(other.times[topic], other.sent[topic], strict=True):
+            sample = Sample(other.clock.stamp_ns(time), data)
+            self.clock.at(
+                self.clock.of(sample.sent_ns),
+                lambda one=sample: self.waiting[topic].append(one),
+            )
+
     def values(self, topic: str, stream: str = "") -> list:
         """The numbers of each message that the process published on a topic."""
         codec = StreamCodec(stream) if stream else CODECS[topic]
@@ -111,9 +131,9 @@ class GraphInMemory(Graph):
         return [(s.name, s.message, {pair.key: pair.value for pair in s.values}) for s in found]
 
 
-def joined(monkeypatch: pytest.MonkeyPatch) -> GraphInMemory:
-    """Let the next process join a graph in memory."""
-    graph = GraphInMemory()
+def joined(monkeypatch: pytest.MonkeyPatch, later: float = 0.0) -> GraphInMemory:
+    """Let the next process join a graph in memory, with a clock that starts later [s]."""
+    graph = GraphInMemory(later)
     monkeypatch.setattr(process, "Graph", lambda *_, **__: graph)
     monkeypatch.setattr(process, "Clock", lambda: graph.clock)
     return graph

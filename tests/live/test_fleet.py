@@ -11,9 +11,14 @@ import pytest
 
 import airpuck
 from airpuck.compute.process import prioritize
+from airpuck.fleet.scenario import Fleet, FleetCraft, Scenario
+from airpuck.live import fly
+from airpuck.live.fleet import TOPIC, fly_in_fleet
 from airpuck.live.graph import SENSOR, Graph
+from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import StreamCodec
 
+from ..apparatus.graph_in_memory import joined
 from ..apparatus.processes import POSES, Process, until
 
 #: Three craft cross below; the fourth flies along a rail, where it may coast.
@@ -94,8 +99,6 @@ def test_four_processes_fly_and_nobody_touches_though_one_is_killed(scenario, do
 
 
 def test_a_craft_that_is_not_in_the_scenario_is_named_in_one_line(scenario):
-    from airpuck.live.fleet import fly_in_fleet
-
     with pytest.raises(airpuck.InputError, match="h9") as caught:
         fly_in_fleet(airpuck.read_fleet(scenario), "h9")
     assert "\n" not in str(caught.value)
@@ -108,3 +111,50 @@ def test_each_craft_has_its_topics_in_its_own_namespace():
     for one, other in itertools.combinations(names, 2):
         assert not one & other
     assert Topics().within("h0").pose == f"/h0{POSES}"
+
+
+# On a graph in memory -----------------------------------------------------------------------------
+
+TWO = {"h0": (-0.5, 0.2, 0.0), "h1": (0.5, -0.2, 0.0)}
+
+
+@pytest.fixture
+def pair_of_craft():
+    craft = tuple(FleetCraft(name=n, start=s, goal=(-s[0], s[1], 0.0)) for n, s in TWO.items())
+    return Fleet(Scenario(craft=craft, speed_m_s=0.2))
+
+
+def flown(monkeypatch, fleet, name, *, others=(), places=TWO, later=0.0, seconds=1.3):
+    """Fly one craft whose poses say that it stays where it is; return its graph and results."""
+    monkeypatch.setattr(fly, "prioritize", lambda **_: None)
+    graph, rng = joined(monkeypatch, later), np.random.default_rng(0)
+    for at in np.arange(0.005, seconds, 0.01):
+        for one, place in places.items():
+            graph.publish(at, POSES, place + rng.normal(0, 5e-5, 3), f"/{one}")
+    for other, its_graph in others:
+        graph.replay(its_graph, f"/{other}/{TOPIC}")
+    return graph, fly_in_fleet(fleet, name, LiveSettings(duration=seconds, quiet=True))
+
+
+def test_all_craft_begin_at_one_moment_although_their_clocks_differ(monkeypatch, pair_of_craft):
+    ready, found = flown(monkeypatch, pair_of_craft, "h1")
+    assert (found["start_s"], found["messages"]) == (None, 0)
+    assert "waits for h0" in ready.events[-2]
+    first, found = flown(monkeypatch, pair_of_craft, "h0", others=[("h1", ready)], later=-0.2)
+    assert found["messages"] > 10
+    begins = first.clock.stamp_ns(found["start_s"])
+    # A second after the last was ready: half a second after it flew, at 0.31 s of its clock.
+    assert ready.clock.of(begins) == pytest.approx(1.81, abs=0.05)
+    second, found = flown(monkeypatch, pair_of_craft, "h1", others=[("h0", first)])
+    assert second.clock.stamp_ns(found["start_s"]) == pytest.approx(begins, abs=1e3)
+    late, found = flown(monkeypatch, pair_of_craft, "h1", others=[("h0", first)], later=3.0)
+    assert "the others have begun without this craft" in late.events
+    assert found["start_s"] is None
+
+
+def test_a_craft_beside_its_start_lets_the_others_wait(monkeypatch, pair_of_craft):
+    ready, _ = flown(monkeypatch, pair_of_craft, "h1")
+    beside = TWO | {"h0": (-0.4, 0.2, 0.0)}
+    away, found = flown(monkeypatch, pair_of_craft, "h0", others=[("h1", ready)], places=beside)
+    assert found["start_s"] is None
+    assert "waits for h0" in away.events[-2] and "h1" not in away.events[-2]
