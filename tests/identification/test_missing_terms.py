@@ -148,6 +148,15 @@ def friction_labels() -> list[str]:
     return loss.labels
 
 
+@pytest.mark.parametrize(
+    ("term", "held_out", "expected"),
+    [("drag", 0.3, True), ("drag", 0.0, False), ("change of inertia", 0.3, False)],
+)
+def test_a_term_joins_the_model_if_it_predicts_better_and_is_no_change(term, held_out, expected):
+    found = MissingTerm(term, 1e-9, 0.3, held_out, (1.0,), np.zeros(len(OWN)))
+    assert found.worthwhile == expected
+
+
 @pytest.mark.parametrize("size", [1e-4, 1e9])
 def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
     direction = size * MODEL.parameters.mask(frozenset({"motor_time_constant"}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import casadi
 import jax.numpy as jnp
@@ -13,9 +14,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.export import write
 from airpuck.identification.fit import identify
+from airpuck.identification.fit_result import Fit
+from airpuck.identification.objective import Quadratic
 from airpuck.identification.residual import first_weights, with_residual
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import named_rung
+from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.effects import BodyMotion, Envelope, Residual
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.pipeline import preprocess
@@ -144,6 +148,51 @@ def flown(seed: int, effects: Effects | None = None):
         settings = settings.model_copy(update={"effects": effects})
     recording = excite(BASE, 20.0, seed, settings=settings)
     return preprocess(recording, BASE.vehicle)
+
+
+class LinearInWeights:
+    """A loss of 16 blocks of time whose errors are linear in the network's weights."""
+
+    def __init__(self, mine, noise: float) -> None:
+        rng = np.random.default_rng(0)
+        self.mine, self.truth = mine, rng.normal(size=mine.sum())
+        self.rows = rng.normal(size=(16, 40, mine.sum()))
+        self.seen = self.rows @ self.truth + rng.normal(0, noise, (16, 40))
+
+    def errors(self, weights):
+        return self.rows @ weights - self.seen
+
+    def quadratic(self, parameters) -> Quadratic:
+        errors = self.errors(parameters.to_vector()[self.mine])
+        scores = np.zeros((16, len(self.mine)))
+        scores[:, self.mine] = 2 * np.einsum("grw,gr->gw", self.rows, errors)
+        informations = np.zeros((16, len(self.mine), len(self.mine)))
+        informations[:, *np.ix_(self.mine, self.mine)] = (
+            2 * np.swapaxes(self.rows, 1, 2) @ self.rows
+        )
+        return Quadratic((errors**2).sum(axis=1), scores, informations)
+
+
+def test_training_finds_the_least_squares_of_three_blocks_in_four():
+    mine = neural().parameters.mask(frozenset({"residual"}))
+    loss = LinearInWeights(mine, 2.0)
+    vector, spread = BASE.parameters.to_vector(), 0.01 * np.ones(len(BASE.free))
+    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 12, 2.0)
+    fit = Fit(
+        replace(BASE, uncertainty=known), 1.0, (), True, "", 1, 0.0, (), objective=cast(Any, loss)
+    )
+    found = with_residual(fit).model
+    held = np.arange(16) % 4 == 3
+    rows, seen = loss.rows[~held].reshape(-1, mine.sum()), loss.seen[~held].ravel()
+    expected = np.linalg.lstsq(rows, seen, rcond=None)[0]
+    # It stops before the last step; noise alone moves a weight by 0.09.
+    np.testing.assert_allclose(found.parameters.residual, expected, atol=0.05)
+    before, after = (
+        (loss.errors(weights)[held] ** 2).sum()
+        for weights in (first_weights(BASE.vehicle), found.parameters.residual)
+    )
+    assert found.known is not None
+    assert found.known.notes[-1].endswith(f"not trained on by {100 * (1 - after / before):.0f} %")
 
 
 @pytest.mark.slow

@@ -42,6 +42,7 @@ def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
     for kind, numbers in (
         ("quaternion", rotations.as_quat()),
         ("quaternion", 3.7 * rotations.as_quat()),
+        ("quaternion", 0.4 * rotations.as_quat()),
         ("matrix", rotations.as_matrix().reshape(-1, 9)),
         ("XYZ", rotations.as_euler("XYZ")),
         ("zyx", rotations.as_euler("zyx")),

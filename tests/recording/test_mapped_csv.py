@@ -7,6 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.preprocessing.quality import drop_disorder
+from airpuck.recording.csv_table import read_rows
 from airpuck.recording.mapping import CommandMapping, RecordingMapping, read_mapping
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
@@ -522,6 +523,21 @@ def test_a_column_that_is_always_blank_is_named(tmp_path: Path):
     text = "frame,t,x,y,theta\n" + text + "\n"
     with pytest.raises(InputError, match="no row has numbers in all of x, y, theta"):
         read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+def test_motion_along_a_diagonal_shows_that_times_lost_their_digits(tmp_path: Path):
+    """Both steps are exact in binary, and cancel each other."""
+    steps = 0.125 * np.arange(N)
+    text = csv("t,x,y,theta", 1e3 * np.round(TIME, 1), steps, -steps, np.zeros(N))
+    with pytest.raises(InputError, match="the times have lost digits"):
+        read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+@pytest.mark.parametrize(("text", "ends"), [("a", False), ("a\n", True), ("a\n\0", True)])
+def test_the_shortest_files_are_split_into_cells(tmp_path: Path, text: str, ends: bool):
+    (tmp_path / "a.csv").write_text(text)
+    rows = read_rows(tmp_path / "a.csv")
+    assert (rows.cells[0], rows.ends) == (["a"], ends)
 
 
 @pytest.mark.parametrize("form", ["%.9g", "%.10g", "%.11g"])
