@@ -5,7 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airpuck.recording.message import HOLOHOVER_CONTROL, HOLOHOVER_MOTORS, MessageCodec, StreamCodec
+from airpuck.recording.message import (
+    HOLOHOVER_CONTROL,
+    HOLOHOVER_MOTORS,
+    MessageCodec,
+    StreamCodec,
+    definitions,
+)
 
 from ..apparatus.bags import stamped
 from ..apparatus.examples import examples
@@ -67,3 +73,10 @@ def test_messages_with_sequences():
 def test_a_type_that_nobody_knows_is_a_value_error():
     with pytest.raises(ValueError, match="nobody_msgs/msg/Thing is missing"):
         MessageCodec("nobody_msgs/msg/Thing")
+
+
+@pytest.mark.parametrize("kind", ["string", "std_msgs/Header"])
+def test_arrays_that_would_become_code_line_by_line_are_refused(kind):
+    assert definitions("a/msg/B", f"{kind}[9] names") and definitions("a/msg/B", "float64[9999] x")
+    with pytest.raises(ValueError, match="is defined with more than 2,000 elements"):
+        definitions("a/msg/B", f"{kind}[1001] names")

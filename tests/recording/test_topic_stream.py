@@ -9,7 +9,9 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.recording.mapping import PoseMapping, RecordingMapping, Topics
+from airpuck.recording.message import definitions
 from airpuck.recording.read import read_recording
+from airpuck.recording.topic_stream import body_array
 
 from ..apparatus.bags import START_NS, foreign_topics, ros_header, ros_topic, write_mcap
 
@@ -152,6 +154,15 @@ def test_a_body_is_refused_where_messages_name_none(tmp_path: Path):
     named = RecordingMapping(pose=PoseMapping(body="craft"))
     with pytest.raises(InputError, match=r"pose\.body: names no rigid bodies; leave out body"):
         read_recording(path, mapping=named)
+
+
+def test_the_first_text_of_an_entry_is_its_name():
+    text = NAMED_POSES.replace("string name", "std_msgs/Header header\nstring name\nstring owner")
+    kind = "motion_capture_tracking_interfaces/msg/NamedPoseArray"
+    found = body_array({**definitions(), **definitions(kind, text)}, kind)
+    assert found is not None
+    assert (found.path, found.name) == ("poses", "name")
+    assert found.pose[0] == "pose.position.x"
 
 
 def test_two_streams_of_one_topic_need_two_bodies():
