@@ -60,7 +60,7 @@ def main() -> None:
         "--solver", default="daqp", choices=("daqp", "piqp"), help="of the allocation"
     )
     parser.add_argument("--law", default="lqr", choices=LAWS)
-    parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation"))
+    parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation", "learning"))
     parser.add_argument("--processor", action="store_true", help="measure processor time")
     options = parser.parse_args()
     clock = time.process_time_ns if options.processor else time.perf_counter_ns
