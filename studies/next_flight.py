@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.settings import ExcitationPlan
-from airpuck.control.tuning import Tuning
+from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.experiment_design.design import Design, design
 from airpuck.experiment_design.forecast import ComparedQuantities, fly, loss_of, on_processes
 from airpuck.identification.fit import identify
@@ -27,7 +27,7 @@ from airpuck.model.model_file import Model, published_model
 from airpuck.report.fit_figures import design_figure
 from airpuck.report.style import VERMILLION, label_rows, write_png
 from airpuck.twin.radio import as_received
-from airpuck.twin.settings import TwinSettings
+from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: First seed of the flights that check a proposal; far from the seeds of the trials.
 CHECK_SEED = 1_000_000
@@ -67,7 +67,9 @@ def check_design(
     seeds = [*range(CHECK_SEED, CHECK_SEED + flights)] * len(candidates)
     results = []
     with on_processes(processes) as run:
-        act = partial(_fly_and_identify, found.model, found.settings, found.tuning)
+        act = partial(
+            _fly_and_identify, found.model, default_twin_settings(), tuning_for(found.model)
+        )
         for result in run(act, plans, seeds):
             results.append(result)
             show_progress(len(results), len(plans))

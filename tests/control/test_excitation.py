@@ -273,10 +273,13 @@ def test_the_braking_distance_agrees_with_a_hand_calculation():
 def test_near_a_rail_a_craft_that_answers_late_pushes_back_and_lets_its_yaw_be(late):
     excitation = pilot(seed=1, reaction=late)
     # Turned by 1 rad, which the regulator corrects unless the craft answers late.
-    excitation.pose(0.0, np.array([1.05, 0.0, 1.0]))
-    step = excitation.step(0.0)
+    for now in (0.0, PERIOD):
+        excitation.pose(now, np.array([1.05, 0.0, 1.0]))
+        step = excitation.step(now)
     assert step.request[0] < -0.5
     assert (abs(step.request[2]) < 1e-6) == (late > 0)
+    excitation.pose(0.5, np.array([0.3, 0.0, 1.0]))
+    excitation.step(0.5)
     assert excitation.controller.reference is excitation.reference
 
 

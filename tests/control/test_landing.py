@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from airpuck.control.authority import control_authority
-from airpuck.control.landing import Landing, can_steer
+from airpuck.control.authority import LEAST_EFFORT, control_authority, weakest_effort
+from airpuck.control.landing import Landing
 from airpuck.control.law import Step
 from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
@@ -44,20 +44,26 @@ def test_a_craft_flies_on_while_its_motors_can_push_and_turn_everywhere():
         running = ~np.isin(np.arange(8), dead)
         thrust = TWICE.parameters.thrust * running[:, None]
         left = replace(TWICE, parameters=replace(TWICE.parameters, thrust=thrust))
-        assert can_steer(TWICE, running) == (not control_authority(left).missing), dead
+        steers = weakest_effort(TWICE, running) >= LEAST_EFFORT
+        assert steers == (not control_authority(left).missing), dead
 
 
-def step(*dead, speed=0.5, deviation=0.02):
+def step(*dead, speed=0.5, deviation=0.02, turning=0.0):
     """A step of a law on a craft that moves along x, with the motors that do not run."""
     effectiveness = np.where(np.isin(np.arange(8), dead), 0.0, 1.0)
     found = ActuationEstimate(effectiveness, np.full(8, deviation))
     state = np.array([0.1, 0.2, 0.3, speed, 0.0, 0.4])
-    estimate = Estimate(0.0, state, np.zeros(8), np.zeros(3), found)
+    estimate = Estimate(0.0, state, np.full(8, turning), np.zeros(3), found)
     return Step(np.full(8, 0.5), "nearest", estimate=estimate)
 
 
-@pytest.mark.parametrize("sent", [step(), step(0), step(0, 4, deviation=0.2)])
-def test_a_law_that_can_steer_is_obeyed(sent):
+UNKNOWN = replace(step(), estimate=replace(step().estimate, actuation=None))
+
+
+@pytest.mark.parametrize(
+    "sent", [step(), step(0), step(0, 4, deviation=0.2), step(*range(8)), UNKNOWN, Step(IDLE)]
+)
+def test_a_law_is_obeyed_if_it_can_steer_or_no_motor_runs_at_all(sent):
     landing = Landing(TWICE)
     assert landing.land(1.0, sent, IDLE) is sent
     assert landing.reference(REFERENCE) is REFERENCE
@@ -82,6 +88,42 @@ def test_braking_ends_after_three_seconds():
     assert flying[-1] == pytest.approx(3.0)
 
 
+def test_the_craft_has_stopped_once_its_motors_have():
+    # Motors 1 and 5 push with 0.3 N each, along 45° + 0.3 rad, and fade with the lag.
+    curves = np.tile([0.0, 1.0], (8, 1))
+    lagging = replace(
+        TWICE, parameters=replace(TWICE.parameters, thrust=curves, motor_time_constant=0.1)
+    )
+    running, speed = np.isin(np.arange(8), [1, 5]), np.sqrt(0.3)
+    # The thrust falls with the square of the speed: half of the lag at its first value.
+    gained = 2 * 0.3 / 0.2 * 0.1 / 2 * np.array([np.cos(np.pi / 4 + 0.3), np.sin(np.pi / 4 + 0.3)])
+    for off, lands in ((0.04, True), (0.06, False)):
+        landing, moving = Landing(lagging), step(0, 4)
+        landing.land(1.0, moving, IDLE)
+        state = moving.estimate.state.copy()
+        state[3:5] = off * gained / np.linalg.norm(gained) - gained
+        estimate = replace(moving.estimate, state=state, motor_speed=running * speed)
+        assert landing.land(1.1, replace(moving, estimate=estimate), IDLE).flies != lands
+
+
+def test_a_landing_ends_when_the_clock_is_set_back_or_the_estimate_is_lost():
+    landing = Landing(TWICE)
+    landing.land(100.0, step(0, 4, speed=0.0), IDLE)
+    assert landing.land(1.0, step(), IDLE).flies
+    lost = replace(step(0, 4).estimate, state=np.full(6, np.nan))
+    landing.land(2.0, step(0, 4), IDLE)
+    landing.land(2.1, replace(step(0, 4), estimate=lost), IDLE)
+    assert landing.reference(REFERENCE).at(2.1, 0.0).state.shape == (6,)
+
+
+def test_a_long_flight_forgives_the_landings_before():
+    landing, down, later = Landing(TWICE), step(0, 4, speed=0.0), 0.0
+    for _ in range(5):
+        landing.land(later, down, IDLE)
+        assert landing.retries(later + 2.5)
+        later += 40.0
+
+
 def test_motors_are_tried_again_twice():
     landing, tried = Landing(TWICE), []
     for now in np.arange(0, 30, 0.01):
@@ -90,6 +132,18 @@ def test_motors_are_tried_again_twice():
             tried.append(now)
             assert landing.reference(REFERENCE) is REFERENCE
     assert tried == pytest.approx([2.0, 4.01])
+
+
+def test_a_craft_that_is_held_flies_once_it_is_released():
+    model = replace(published_model("M3"), frame="body", indexing="start")
+    tuning = default_tuning().with_law("lqr").with_estimator("learning")
+    controller = TrackingController(model, SetPoint(0.3, 0.2, 0.0), tuning)
+    for k in range(200):
+        for frame in range(2):
+            controller.pose((2 * k + frame) * 0.005, np.zeros(3))
+        sent = controller.step(0.01 * k + 0.005)
+        controller.sent(0.01 * k + 0.005, sent.command)
+        assert sent.status != "cannot steer"
 
 
 def test_a_regulated_craft_with_a_dead_motor_comes_to_rest_instead_of_rails():

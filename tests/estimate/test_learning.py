@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.control.reference import SetPoints
+from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import ActuationFilter
-from airpuck.model.model_file import published_model
+from airpuck.flight.loop import fly
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.twin.twin import Twin
 
 from ..apparatus.random_flights import random_flight
+from ..apparatus.two_way_craft import triangle
 
 M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
 QUIET = Noise(
@@ -95,19 +98,22 @@ def test_a_motor_that_dies_is_found_at_once_and_remembered(learning):
     np.testing.assert_allclose(found.effectiveness, share, atol=0.2)
 
 
-def test_a_craft_that_rests_can_be_forgotten_but_for_its_pose(learning):
+def test_motors_are_forgotten_but_not_the_motion_or_the_delay_in_use(learning):
     new = copy(learning)
     new.pose(0.0, np.zeros(3))
     unknown = new.predict(0.0).actuation
     flight = taught(learning, [0.8, 0.8, 0.0, 0.8, 0.8, 0.8], later=0.012)
-    assert learning.predict(5.0).actuation.delay > 0.005
+    later = learning.later
+    assert later > 0.005
     learning.forget()
-    forgotten = learning.predict(5.0)
+    forgotten = learning.predict(learning.time - later)
     np.testing.assert_allclose(forgotten.actuation.effectiveness, 1.0, atol=1e-9)
     np.testing.assert_allclose(forgotten.actuation.deviation, unknown.deviation)
-    assert forgotten.actuation.delay == learning.later == 0.0
-    last = flight.state[flight.time <= 5.0][-1, :3]
-    np.testing.assert_allclose(forgotten.state[:3], last, atol=2e-3)
+    assert forgotten.actuation.delay == learning.later == later
+    last = flight.state[flight.time <= 5.0][-1]
+    near = [2e-3, 2e-3, 1e-2, 0.02, 0.02, 0.5]
+    assert (np.abs(forgotten.state - last) < near).all()
+    assert np.abs(last[3:]).max() > 0.05
 
 
 @pytest.mark.parametrize("later", [0.005, 0.015])
@@ -138,3 +144,13 @@ def test_the_tuning_names_it():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
     assert isinstance(controller.filter, ActuationFilter)
+
+
+def test_a_craft_with_two_way_propellers_and_a_wheel_learns(tmp_path):
+    model = nominal_model(triangle(tmp_path)).with_delay(0.02)
+    tuning = default_tuning().with_law("lqr").with_estimator("learning")
+    controller = TrackingController(model, SetPoint(0.2, 0.1, 0.5), tuning)
+    fly(controller, Twin(model), 1.0)
+    found = controller.predict(1.0).actuation
+    names = [f"found: {name}" for name in model.vehicle.propeller_names]
+    assert list(found.figures(model.vehicle.propeller_names)) == [*names, "found: delay"]

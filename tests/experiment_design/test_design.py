@@ -13,6 +13,7 @@ from airpuck.cli.app import app
 from airpuck.cli.output import console
 from airpuck.cli.planning import error_table, summary
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
+from airpuck.control.tuning import tuning_for
 from airpuck.experiment_design.design import design
 from airpuck.experiment_design.forecast import (
     ComparedQuantities,
@@ -27,6 +28,7 @@ from airpuck.experiment_design.forecast import (
 from airpuck.model.model_file import published_model
 from airpuck.report.fit_figures import design_figure
 from airpuck.twin.radio import as_received
+from airpuck.twin.settings import default_twin_settings
 
 PUBLISHED = published_model("M3")
 #: The model with the entries that the next fit will learn.
@@ -35,6 +37,7 @@ MODEL = replace(
     free=PUBLISHED.free | PUBLISHED.parameters.mask(frozenset({"transport_delay"})),
 )
 SIZE = len(MODEL.free)
+SETTINGS, TUNING = default_twin_settings(), tuning_for(MODEL)
 
 
 #: Function that the search calls for each flight.
@@ -236,9 +239,7 @@ def test_numbers_out_of_range_are_refused(field, value):
 @pytest.mark.study
 def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     plan = ExcitationPlan(duration_s=8.0)
-    *flights, again = (
-        fly_trial(MODEL, found.settings, found.tuning, plan, seed) for seed in (1, 2, 1)
-    )
+    *flights, again = (fly_trial(MODEL, SETTINGS, TUNING, plan, seed) for seed in (1, 2, 1))
     assert again.clearance == flights[0].clearance != flights[1].clearance
     assert 0.05 < again.clearance < 0.48
     both = [one.information for one in flights if one.information is not None]
@@ -247,11 +248,11 @@ def test_flights_of_the_twin_give_errors_of_the_size_that_is_predicted(found):
     expected = Forecast(MODEL, both).of(joined(both), 8.0)
     quantities = ComparedQuantities(MODEL)
     predicted = quantities.relative_errors(expected)
-    trajectory, _ = fly(MODEL, found.settings, found.tuning, plan, 3)
+    trajectory, _ = fly(MODEL, SETTINGS, TUNING, plan, 3)
     fit = airpuck.identify(
         trajectory, "M3", vehicle=MODEL.vehicle, initial=MODEL.parameters, loss=loss_of(MODEL)
     ).model
-    truth = as_received(MODEL, found.settings, 0.01)
+    truth = as_received(MODEL, SETTINGS, 0.01)
     stated = quantities.relative_errors_of(fit)
     # Three blocks of time determine no more than a factor.
     assert 0.4 < np.median(stated / predicted) < 2.5

@@ -47,6 +47,14 @@ def test_fly_refuses_in_one_line(arguments, problem):
         run("fly", MODEL, *arguments)
 
 
+def test_an_estimator_is_refused_for_a_pilot_that_needs_none(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        "import airpuck\n\nclass Mine(airpuck.Pilot):\n    def step(self, time): ...\n"
+    )
+    with pytest.raises(InputError, match="--estimator: .*mine.py:Mine has its own estimator"):
+        run("fly", MODEL, "--law", f"{tmp_path / 'mine.py'}:Mine", "--estimator", "learning")
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [

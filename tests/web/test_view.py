@@ -22,7 +22,6 @@ from airpuck.craft.table import Table
 from airpuck.deviation.model_errors import ModelError
 from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.health import Health
-from airpuck.live.fly import NAME as FLY
 from airpuck.live.watch import Observer
 from airpuck.web.messages import Wish, packed_state
 from airpuck.web.server import SCENE, STATE
@@ -59,14 +58,15 @@ def test_the_plan_is_shown_while_it_is_news():
     assert plan_gauges(10.0, "softened", figures, 13.0) == []
 
 
-def test_what_the_controller_has_learned_is_shown_while_it_flies():
+def test_what_a_controller_finds_is_shown_while_it_flies():
     found = ActuationEstimate(np.array([0.62, 1.0]), np.array([0.03, 0.1]), {}, 0.0124, 0.001)
     beat = 10.0, "exact", {"missed_deadlines": "0", **found.figures(["left", "right"])}
-    observer = SimpleNamespace(beats={FLY: beat}, clock=SimpleNamespace(now=11.0))
-    learned = {"left": "62 ± 3 %", "right": "100 ± 10 %", "delay": "+12.4 ± 1.0 ms"}
-    assert Observer.learned(observer, FLY) == learned
+    beats = {"airpuck fly craft_2": beat, "airpuck record": (10.9, "info", {"poses": "3"})}
+    observer = SimpleNamespace(beats=beats, clock=SimpleNamespace(now=11.0))
+    found = {"left": "62 ± 3 %", "right": "100 ± 10 %", "delay": "+12.4 ± 1.0 ms"}
+    assert Observer.found.fget(observer) == found
     observer.clock.now = 13.0
-    assert Observer.learned(observer, FLY) == {}
+    assert Observer.found.fget(observer) == {}
 
 
 def test_each_channel_and_each_motor_has_a_gauge():

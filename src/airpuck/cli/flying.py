@@ -136,7 +136,8 @@ def track(
 
     plant = airpuck.read_model(truth)
     controls = inputs.read_controls(tuning, None, plant)
-    controls = controls.with_estimator(estimator or controls.estimation.estimator)
+    if estimator is not None:
+        controls = controls.with_estimator(estimator)
     if flights and (setpoints is not None or dwell is not None):
         raise InputError(
             "sets the set points and times; leave out --setpoints and --dwell", field="flights"

@@ -185,7 +185,8 @@ def fly(
     controls = inputs.read_controls(guarded.tuning, None if own else law, craft)
     if own is not None and estimator is not None:
         raise InputError(f"{law} has its own estimator", field="--estimator")
-    controls = controls.with_estimator(estimator or controls.estimation.estimator)
+    if estimator is not None:
+        controls = controls.with_estimator(estimator)
     fence, rails = guarded.bounds(craft)
     if plan is not None:
         optimal = _time_optimal(plan, craft, fence)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool
 
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import thrust
@@ -104,12 +105,12 @@ def control_authority(model: Model) -> Authority:
     return Authority(alone, together)
 
 
-def weakest_effort(model: Model) -> float:
+def weakest_effort(model: Model, running: Bool[np.ndarray, " n"] | bool = True) -> float:
     """Return the largest acceleration in the weakest combination of push and turn [m/s²].
 
-    Angular accelerations are multiplied by the radius of gyration.
+    Angular accelerations are multiplied by the radius of gyration. Some motors may not run.
     """
-    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1)
+    each = model.propeller_effects * model.dynamics.thrust.sum(axis=1) * running
     # Between two directions that are each perpendicular to a propeller, the total is concave. The
     # minimum therefore lies where two propellers are perpendicular.
     first, second = np.triu_indices(each.shape[1], 1)

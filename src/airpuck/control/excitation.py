@@ -160,26 +160,20 @@ class Excitation(Pilot):
             return step
         self._change(time)
         turned = abs(step.estimate.state[5]) * self._reaction
+        if self._reaction:
+            # A craft that could not stop before a rail leaves its yaw alone in the next step, and
+            # the more of its spin, the less it turns until its brakes act.
+            spin = step.estimate.state[5] * max(0.0, 1 - turned / _TURNED)
+            free = Unturned(self.reference, np.append(step.estimate.state[:5], spin))
+            stops = self._can_stop(step.estimate, 0.0)
+            self.controller.reference = self.reference if stops else free
         if turned > _TURNED or not self._can_stop(step.estimate, self._margin):
             self.pauses += 1
-            late = self._reaction and not self._can_stop(step.estimate, 0.0)
-            return self._brake(time, step.estimate, turned) if late else step
+            return step
         vehicle = self.controller.model.vehicle
         signed = self._signed @ step.command + self._mixer @ self._signal
         command = np.clip(signed, *vehicle.command_range)
         return replace(step, command=vehicle.actuation.possible(command))
-
-    def _brake(self, time: float, estimate: Estimate, turned: float) -> Step:
-        """Return the controller's step with the thrust for the way back, not for the yaw.
-
-        The less the craft turns until its brakes act, the more of its spin is left alone.
-        """
-        spin = estimate.state[5] * max(0.0, 1 - turned / _TURNED)
-        now = np.append(estimate.state[:5], spin)
-        self.controller.reference = Unturned(self.reference, now)
-        step = self.controller.step(time)
-        self.controller.reference = self.reference
-        return step
 
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, even if earlier steps were skipped."""

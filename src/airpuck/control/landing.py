@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from airpuck.control.authority import LEAST_EFFORT, weakest_effort
 from airpuck.control.law import Step
-from airpuck.control.reference import Reference, SetPoint, Unturned
+from airpuck.control.reference import Reference, Target
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
-#: A motor is dead if its effectiveness is below this, with a margin of so many standard deviations.
-_DEAD, _CERTAIN = 0.3, 2.0
+#: A motor is dead if its effectiveness plus two standard deviations is below this, and runs if its
+#: effectiveness minus two is above it.
+_DEAD, _SURE = 0.3, 2.0
 #: Speed at which the craft has landed [m/s], and the longest time that braking may take [s].
 _STOPPED, _LONGEST = 0.05, 3.0
 #: Time after which the motors are tried again [s], and landings after which they stay idle: a motor
-#: that failed to start may run the next time.
-_REST, _LANDINGS = 2.0, 3
+#: that failed to start may run the next time. A flight of the last duration forgives all landings.
+_REST, _LANDINGS, _FORGIVEN = 2.0, 3, 30.0
 
 
 class Landing:
-    """Brakes and idles a craft when too few of its motors run, and then tries them again, twice.
+    """Brakes and idles a craft when too few of its motors run.
+
+    It retries the motors after each of the first landings. Where no motor runs at all, there is
+    nothing to land with: the craft is held, the air is off, or the motors are not armed.
 
     Parameters
     ----------
@@ -41,22 +44,27 @@ class Landing:
         #: When braking began, and when the motors became idle [s]; None: not yet.
         self._brakes: float | None = None
         self._rests: float | None = None
-        self._landings = 0
+        #: Landings, and when the last one ended [s].
+        self._landings, self._flies = 0, -math.inf
 
     def reference(self, given: Reference) -> Reference:
-        """Return the reference of the next step: while landing, to stop at once."""
-        if self._brakes is None:
-            return given
-        x, y = self._state[:2].tolist()
-        return Unturned(SetPoint(x, y, 0.0), self._state)
+        """Return the reference of the next step."""
+        return given if self._brakes is None else self
+
+    def at(self, now: float, ahead: float) -> Target:
+        """Return the target while landing: to stop at once, whatever the spin; a `Reference`."""
+        return Target(self._state * [1, 1, 1, 0, 0, 1], np.zeros(3))
 
     def land(self, now: float, step: Step, idle: Float[np.ndarray, " n"]) -> Step:
         """Return the step to send, which idles the motors once the craft has stopped."""
         estimate = step.estimate
+        if self._brakes is not None and now < (self._rests or self._brakes):
+            self._brakes = self._rests = None  # the clock was set back
         if estimate is None or (self._brakes is None and self._steers(estimate)):
             return step
         if self._brakes is None:
-            self._brakes, self._landings = now, self._landings + 1
+            before = self._landings if now < self._flies + _FORGIVEN else 0
+            self._brakes, self._landings = now, before + 1
         self._state = estimate.state
         slow = math.hypot(*self._coasting(estimate)) < _STOPPED
         if self._rests is None and (slow or now > self._brakes + _LONGEST):
@@ -70,6 +78,7 @@ class Landing:
         if self._rests is None or now < self._rests + _REST or self._landings == _LANDINGS:
             return False
         self._brakes = self._rests = None
+        self._flies = now
         return True
 
     def _coasting(self, estimate: Estimate) -> list[float]:
@@ -85,13 +94,7 @@ class Landing:
     def _steers(self, estimate: Estimate) -> bool:
         """Return whether the motors that may run can push and turn in all directions."""
         found = estimate.actuation
-        assert found is not None
-        dead = found.effectiveness + _CERTAIN * found.deviation < _DEAD
-        return not dead.any() or can_steer(self._model, ~dead)
-
-
-def can_steer(model: Model, running: Bool[np.ndarray, " n"]) -> bool:
-    """Return whether some of the motors can push and turn a craft in every direction."""
-    curves = model.parameters.thrust * running[:, None]
-    left = replace(model, parameters=replace(model.parameters, thrust=curves))
-    return weakest_effort(left) >= LEAST_EFFORT
+        if found is None or not (found.effectiveness - _SURE * found.deviation > _DEAD).any():
+            return True
+        dead = found.effectiveness + _SURE * found.deviation < _DEAD
+        return weakest_effort(self._model, ~dead) >= LEAST_EFFORT

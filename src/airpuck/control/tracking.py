@@ -29,6 +29,9 @@ from airpuck.estimate.estimator import Estimate
 from airpuck.estimate.kalman import ActuationFilter, KalmanFilter
 from airpuck.model.model_file import Model, nominal_model
 
+#: Predicts the craft, and evaluates a law's stage there; see `Moment`.
+_Foresee = Callable[..., tuple[Estimate, Sequence[Any]]]
+
 
 @checked_class
 class TrackingController(Pilot):
@@ -120,8 +123,10 @@ class TrackingController(Pilot):
         self.filter = _estimator(model, tuning.estimation, compiled)
         self._compiled, self._programs = compiled, {}
         self._program(self.law.inputs)
-        lands = tuning.estimation.estimator == "learning" and not self.law.looks_ahead
-        self._landing = Landing(model) if lands else None
+        # Without compensation it flies like the paper's controller, or below an excitation.
+        lands = compensate_delay and not self.law.looks_ahead
+        learns = tuning.estimation.estimator == "learning"
+        self._landing = Landing(model) if lands and learns else None
         self._gate = PoseGate(longest_pause(model, tuning))
         #: Speed of the craft in the last step [m/s].
         self._speed = 0.0
@@ -239,7 +244,16 @@ class TrackingController(Pilot):
             self._modulator.reset()
             self._speed = 0.0
             return Step(self._idle.copy(), refusal, np.zeros(3), None)
-        return self._act(time, partial(self._foresee, time))
+        landing, foresee = self._landing, partial(self._foresee, time)
+        if landing is None:
+            return self._act(time, foresee, self.reference)
+        step = self._act(time, foresee, landing.reference(self.reference))
+        step = landing.land(time, step, self._idle)
+        if step.status == "cannot steer":
+            self._modulator.reset()
+        if landing.retries(time):
+            self.filter.forget()
+        return step
 
     def _foresee(self, time: float, *inputs: Any) -> tuple[Estimate, Sequence[Any]]:
         """Predict the craft and evaluate the law's stage there; see `Moment`."""
@@ -264,17 +278,11 @@ class TrackingController(Pilot):
             self._programs[shapes] = alone, composed
         return self._programs[shapes]
 
-    def _act(self, now: float, foresee: Callable[..., tuple[Estimate, Sequence[Any]]]) -> Step:
+    def _act(self, now: float, foresee: _Foresee, reference: Reference) -> Step:
         """Let the law compute the command, and store its state."""
         delay = self.model.transport_delay + self.filter.later
-        landing = self._landing
-        reference = self.reference if landing is None else landing.reference(self.reference)
         moment = Moment(reference, now, delay, foresee, self.limits)
         step, self.state = self.law.step(self.state, moment)
-        if landing is not None:
-            step = landing.land(now, step, self._idle)
-            if landing.retries(now):
-                self.filter.forget()
         self._speed = 0.0 if step.estimate is None else math.hypot(*step.estimate.state[3:5])
         return replace(step, command=self._modulator.command(now, step.command))
 
@@ -319,7 +327,8 @@ class TrackingController(Pilot):
         Step
             The command.
         """
-        return self._act(now, lambda *inputs: self._program(inputs)[0](estimate, *inputs))
+        foresee = lambda *inputs: self._program(inputs)[0](estimate, *inputs)  # noqa: E731
+        return self._act(now, foresee, self.reference)
 
     def refusal(self, time: float) -> Status | None:
         """Return why the craft cannot be steered now.

@@ -13,8 +13,8 @@ from jaxtyping import Float
 from airpuck.craft.wheel import Spinning
 from airpuck.model.model_file import Model
 
-#: What the names of a controller's figures about its craft begin with.
-LEARNED = "learned: "
+#: How the names of a controller's figures about its motors begin.
+FOUND = "found: "
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +33,12 @@ class ActuationEstimate:
     #: Fraction that control uses, if not the estimated one: it ignores changes that may be none.
     used: Float[np.ndarray, " n"] | None = None
 
-    def figures(self, motors: Sequence[str]) -> dict[str, str]:
-        """Return what was found in words: the thrust of each motor, and the delay."""
-        thrusts = zip(motors, 100 * self.effectiveness, 100 * self.deviation, strict=True)
-        found = {f"{LEARNED}{name}": f"{e:.0f} ± {sd:.0f} %" for name, e, sd in thrusts}
-        delay, deviation = 1e3 * self.delay, 1e3 * self.delay_deviation
-        return found | {f"{LEARNED}delay": f"{delay:+.1f} ± {deviation:.1f} ms"}
+    def figures(self, propellers: Sequence[str]) -> dict[str, str]:
+        """Return what was found in words: the thrust of each propeller, and the delay."""
+        thrusts = zip(propellers, 100 * self.effectiveness, 100 * self.deviation, strict=True)
+        found = {f"{FOUND}{name}": f"{e:.0f} ± {sd:.0f} %" for name, e, sd in thrusts}
+        later = f"{1e3 * self.delay:+.1f} ± {1e3 * self.delay_deviation:.1f} ms"
+        return found | {f"{FOUND}delay": later}
 
 
 @dataclass(frozen=True, eq=False)

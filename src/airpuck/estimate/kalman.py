@@ -242,7 +242,8 @@ class KalmanFilter:
         assert self._time is not None
         [(_, command)] = self._commands.cut(self._time, self._time)[-1:]
         speed = motor_step(np, self._motor_speed, command, -change, tau, idle)
-        self._motor_speed = np.clip(speed, *self.model.vehicle.command_range)
+        vehicle = self.model.vehicle
+        self._motor_speed = np.clip(speed, vehicle.command_min, vehicle.command_max)
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands reported to the filter, without changing its state.
@@ -341,12 +342,12 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def forget(self) -> None:
-        """Forget what is known about motors and delay, of a craft at rest."""
+        """Forget what is known about the motors; the motion and the delay in use stay."""
         assert self._time is not None
-        pose = self.predict_with(self._predict, self._time - self.later)[0].state[:3]
-        self._commands.later = 0.0
+        last, _ = self.predict_with(self._predict, self._time - self.later)
         self._history.clear()
-        self._belief = self._equations.begin(pose, None, 0.0)
+        self._belief = self._equations.begin(last.state[:3], None, 0.0)
+        self._belief[0][:, :9] = np.append(last.state, last.disturbance)
 
     def _advance(self, time: float, sensor: str, given: tuple[Any, ...]) -> bool:
         """Advance to a measurement of an on-board sensor; return whether to use it now.

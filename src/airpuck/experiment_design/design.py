@@ -79,9 +79,6 @@ class Design:
     criterion: Criterion
     #: Variance of the residuals of the model's fit, relative to the twin's.
     residual_level: float
-    #: Settings of the twin and tuning of the controller in the trials.
-    settings: TwinSettings
-    tuning: Tuning
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields for ``--json``."""
@@ -216,8 +213,6 @@ def design(
         candidates=tuple(ranked),
         criterion=criterion,
         residual_level=search.residual_level(),
-        settings=settings,
-        tuning=tuning,
     )
 
 

@@ -279,7 +279,7 @@ class _Flight:
         self._inboxes += [self._wishes] if self._wishes else []
         self._estimates, self._plans = Outbox(process, "estimate"), PlanOutbox(process)
         self._until_plan = 0
-        self._motors = vehicle.columns
+        self._propellers = vehicle.propeller_names
         #: What the estimator last found about the motors.
         self._actuation: ActuationEstimate | None = None
         self._guard = Guard(limits)
@@ -390,7 +390,7 @@ class _Flight:
             for name, value in self._recent.to_json().items()
         }
         if self._actuation is not None:
-            figures |= self._actuation.figures(self._motors)
+            figures |= self._actuation.figures(self._propellers)
         self._process.events.heartbeat("warning" if warning else "info", status, figures)
         self._recent = LoopTiming(self._period)
 
@@ -398,7 +398,8 @@ class _Flight:
 def rehearse_steps(pilot: Pilot, idle: Float[np.ndarray, " n"], period: float) -> None:
     """Rehearse steps with the craft at rest before time starts, so that all is compiled.
 
-    The motors idle: a pilot that learns would take motors for dead that do not move the craft.
+    The motors idle: otherwise a pilot that learns would take them for dead, since the craft does
+    not move.
     """
     pose = np.zeros(3)
     for k in range(-_WARM_UP_STEPS, -_FORGOTTEN_STEPS):

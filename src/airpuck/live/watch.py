@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.estimate.estimator import LEARNED
+from airpuck.estimate.estimator import FOUND
 from airpuck.flight.health import Health, HealthMonitor
-from airpuck.live.fly import NAME as FLY
 from airpuck.live.graph import LOG, SENSOR, STATE, Quality
 from airpuck.live.plan import PLAN, PLAN_TYPE, positions
 from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE, Inbox, Process
@@ -97,11 +96,12 @@ class Observer:
             self._counted = now
         return poses
 
-    def learned(self, controller: str) -> dict[str, str]:
-        """Return what a controller says that it has learned about its craft."""
-        came, _, figures = self.beats.get(controller, (-math.inf, "", {}))
-        told = {key.removeprefix(LEARNED): text for key, text in figures.items() if LEARNED in key}
-        return told if self.clock.now - came < GONE else {}
+    @property
+    def found(self) -> dict[str, str]:
+        """What controllers say that they have found about motors and delay."""
+        recent = [f for came, _, f in self.beats.values() if self.clock.now - came < GONE]
+        told = [item for figures in recent for item in figures.items()]
+        return {key.removeprefix(FOUND): text for key, text in told if key.startswith(FOUND)}
 
     def age(self, stream: str) -> float:
         """Return the age of a stream's newest numbers [s]."""
@@ -163,9 +163,8 @@ def watch_live(
                 continue
             health = observer.health
             report(str(health))
-            learned = ", ".join(" ".join(one) for one in observer.learned(FLY).items())
-            if learned:
-                report(f"the controller has learned: {learned}")
+            if found := observer.found:
+                report(f"the controller finds: {', '.join(map(' '.join, found.items()))}")
             level = "warning" if health.findings else "info"
             if health.names != named:
                 named = health.names

@@ -56,7 +56,7 @@ def panel(observer: Observer) -> dict[str, Any]:
     if now - came < GONE:
         gauges += [Gauge("controller", status), *timing_gauges(figures)]
         gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
-        gauges += [Gauge(f"learned: {name}", text) for name, text in observer.learned(FLY).items()]
+        gauges += [Gauge(f"found: {name}", text) for name, text in observer.found.items()]
     else:
         gauges.append(Gauge("controller", "none"))
     newest = list(observer.events)[: -_SHOWN - 1 : -1]
