@@ -174,6 +174,7 @@ def test_times_in_every_unit():
         (np.array([np.inf, 0.0]), "row 1 has no time"),
         (np.array(["2024-01-01", "NaT"], dtype="datetime64[s]"), "row 2 has no time"),
         (np.array([1.7e18]), "name its unit"),
+        (np.array([-1e12, 0.0]), r"reaches 1e\+12 s, which no clock shows"),
         (np.array([2**62]), "name its unit"),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.preprocessing.quality import drop_disorder
-from airpuck.recording.csv_table import read_rows
+from airpuck.recording.csv_table import CsvTable, read_rows
 from airpuck.recording.mapping import CommandMapping, RecordingMapping, read_mapping
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording
@@ -531,6 +531,14 @@ def test_motion_along_a_diagonal_shows_that_times_lost_their_digits(tmp_path: Pa
     text = csv("t,x,y,theta", 1e3 * np.round(TIME, 1), steps, -steps, np.zeros(N))
     with pytest.raises(InputError, match="the times have lost digits"):
         read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
+
+
+@pytest.mark.filterwarnings("error")
+def test_dates_may_have_an_offset_from_universal_time(tmp_path: Path):
+    texts = ["2024-03-05T16:00:00.5+02:00", "2024-03-05T14:00:01Z"]
+    found = CsvTable(tmp_path / "a.csv", {"t": texts}, [2, 3], ()).times("t", exact=True)
+    since = found - np.datetime64("2024-03-05T14:00:00", "ns")
+    assert (since / np.timedelta64(1, "ms")).tolist() == [500.0, 1000.0]
 
 
 @pytest.mark.parametrize(("text", "ends"), [("a", False), ("a\n", True), ("a\n\0", True)])
