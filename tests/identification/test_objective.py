@@ -166,6 +166,22 @@ def test_one_window_over_the_whole_flight():
     assert result.loss == pytest.approx(np.mean(expected**2), rel=1e-9)
 
 
+def test_only_frames_that_were_lost_do_not_count():
+    flight, parameters = fly(published_model("M3"), duration=0.5), moved("M3")
+    flight = replace(flight, lost=flight.time[[30]])
+
+    def loss(sample, shift):
+        state = flight.state.copy()
+        state[sample, :3] += shift
+        windows = make_windows(replace(flight, state=state), 20, 20, stride=1000)
+        assert windows.starts.tolist() == [0]
+        return PredictionLoss(windows, VEHICLE, PaperEncoder(), WEIGHTS).quadratic(parameters).loss
+
+    assert loss(30, 1.0) == loss(30, 0.0)
+    for neighbour in (29, 31):
+        assert loss(neighbour, 1.0) > 2 * loss(neighbour, 0.0)
+
+
 @dataclass(frozen=True, eq=False)
 class PlainNumpy(Effect):
     """Written without the array namespace, so that nothing can differentiate it."""
