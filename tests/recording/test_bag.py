@@ -66,6 +66,13 @@ def assert_is_foreign(recording, topics):
     assert recording["command"].stamp_ns[3] == START_NS + 3 * 10**7
 
 
+@pytest.mark.parametrize("suffix", [".mcap", ".db3", ".bag"])
+def test_an_empty_file_is_called_empty(tmp_path: Path, suffix: str):
+    (tmp_path / f"a{suffix}").touch()
+    with pytest.raises(InputError, match=rf"a{suffix}: is empty"):
+        read_recording(tmp_path / f"a{suffix}")
+
+
 def test_a_bare_mcap_of_another_writer(tmp_path: Path, topics):
     path = write_mcap(tmp_path / "flight.mcap", topics)
     recording = read_recording(path)

@@ -36,6 +36,12 @@ def test_leaves_come_in_the_order_of_the_wire():
     assert covariance == Field("twist.covariance", "36<f8")
 
 
+def test_only_single_texts_and_sequences_of_them_are_read():
+    text = "string one\nstring[3] three\nstring[] any\nfloat64[3] numbers\n"
+    found = flatten(get_types_from_msg(text, "a/msg/B"), "a/msg/B")
+    assert [leaf.code for leaf in found] == ["string", "", "*string", "3<f8"]
+
+
 def test_a_missing_or_recursive_definition_is_a_value_error():
     with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
         flatten(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")

@@ -99,6 +99,21 @@ def test_references_without_stamps(tmp_path: Path):
     assert reference.stamp_ns.tolist() == reference.received_ns.tolist() == [1700589581517869741]
 
 
+def test_the_quaternion_that_is_written_has_the_yaw(tmp_path: Path):
+    recording = flight()
+    write_csv(recording, tmp_path / "out")
+    file = tmp_path / "out" / POSE
+    names = file.read_text().partition("\n")[0].split(",")
+    rows = np.loadtxt(
+        file,
+        delimiter=",",
+        skiprows=1,
+        usecols=[names.index(f"pose.orientation.{axis}") for axis in ("x", "y", "z", "w")],
+    )
+    turned = np.angle(np.exp(1j * (yaw_of(*rows.T) - recording["pose"].values[:, 2])))
+    assert np.abs(turned).max() < 1e-12
+
+
 def test_a_quaternion_where_there_is_no_yaw(tmp_path: Path):
     header = POSE_LINES[0].replace("pose.orientation.yaw", "pose.orientation.w")
     pose = [

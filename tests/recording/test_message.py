@@ -80,3 +80,10 @@ def test_arrays_that_would_become_code_line_by_line_are_refused(kind):
     assert definitions("a/msg/B", f"{kind}[9] names") and definitions("a/msg/B", "float64[9999] x")
     with pytest.raises(ValueError, match="is defined with more than 2,000 elements"):
         definitions("a/msg/B", f"{kind}[1001] names")
+
+
+def test_a_type_with_thousands_of_fields_is_refused():
+    fields = [f"float64 a{k}\n" for k in range(2001)]
+    assert definitions("a/msg/B", "".join(fields[:1900]))
+    with pytest.raises(ValueError, match="is defined with more than 2,000 elements"):
+        definitions("a/msg/B", "".join(fields))

@@ -60,14 +60,18 @@ def chunk(size: int, data: bytes) -> bytes:
     return record({"op": b"\x05", "compression": b"bz2", "size": number}, data)
 
 
+#: A long record of the index, which is passed over.
+INDEX = record({"op": b"\x04"}, bytes(8_000_000))
+
+
 @pytest.mark.parametrize(
     ("body", "says"),
     [
         (lambda: chunk(2**31, bz2.compress(b"")), "unpacks to too much"),
         (lambda: chunk(1000, bz2.compress(bytes(10**7))), "damaged record"),
         (
-            lambda: chunk(8_000_000, bz2.compress(bytes(8_000_000))) * 40,
-            "unpacks to more than|damaged",
+            lambda: chunk(len(INDEX), bz2.compress(INDEX)) * 40,
+            "unpacks to more than",
         ),
         (lambda: struct.pack("<I", 2**32 - 1), "cut short"),
         (lambda: record({"op": b"\x07"}, b""), "damaged record"),
