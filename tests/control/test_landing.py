@@ -65,26 +65,26 @@ UNKNOWN = replace(step(), estimate=replace(step().estimate, actuation=None))
 )
 def test_a_law_is_obeyed_if_it_can_steer_or_no_motor_runs_at_all(sent):
     landing = Landing(TWICE)
-    assert landing.land(1.0, sent, IDLE) is sent
+    assert landing.land(1.0, sent) is sent
     assert landing.reference(REFERENCE) is REFERENCE
     assert not landing.retries(100.0)
 
 
 def test_a_craft_without_a_corner_brakes_and_then_rests():
     landing, moving = Landing(TWICE), step(0, 4)
-    assert landing.land(1.0, moving, IDLE) is moving
+    assert landing.land(1.0, moving) is moving
     target = landing.reference(REFERENCE).at(1.0, 0.0)
     np.testing.assert_array_equal(target.state, [0.1, 0.2, 0.3, 0, 0, 0.4])
-    landed = landing.land(1.5, step(0, 4, speed=0.02), IDLE)
+    landed = landing.land(1.5, step(0, 4, speed=0.02))
     assert (landed.status, landed.flies) == ("cannot steer", False)
     np.testing.assert_array_equal(landed.command, IDLE)
     # A craft that coasts on does not run its motors again.
-    assert not landing.land(1.6, step(0, 4), IDLE).flies
+    assert not landing.land(1.6, step(0, 4)).flies
 
 
 def test_braking_ends_after_three_seconds():
     landing = Landing(TWICE)
-    flying = [time for time in np.arange(0, 5, 0.1) if landing.land(time, step(0, 4), IDLE).flies]
+    flying = [time for time in np.arange(0, 5, 0.1) if landing.land(time, step(0, 4)).flies]
     assert flying[-1] == pytest.approx(3.0)
 
 
@@ -99,27 +99,27 @@ def test_the_craft_has_stopped_once_its_motors_have():
     gained = 2 * 0.3 / 0.2 * 0.1 / 2 * np.array([np.cos(np.pi / 4 + 0.3), np.sin(np.pi / 4 + 0.3)])
     for off, lands in ((0.04, True), (0.06, False)):
         landing, moving = Landing(lagging), step(0, 4)
-        landing.land(1.0, moving, IDLE)
+        landing.land(1.0, moving)
         state = moving.estimate.state.copy()
         state[3:5] = off * gained / np.linalg.norm(gained) - gained
         estimate = replace(moving.estimate, state=state, motor_speed=running * speed)
-        assert landing.land(1.1, replace(moving, estimate=estimate), IDLE).flies != lands
+        assert landing.land(1.1, replace(moving, estimate=estimate)).flies != lands
 
 
 def test_a_landing_ends_when_the_clock_is_set_back_or_the_estimate_is_lost():
     landing = Landing(TWICE)
-    landing.land(100.0, step(0, 4, speed=0.0), IDLE)
-    assert landing.land(1.0, step(), IDLE).flies
+    landing.land(100.0, step(0, 4, speed=0.0))
+    assert landing.land(1.0, step()).flies
     lost = replace(step(0, 4).estimate, state=np.full(6, np.nan))
-    landing.land(2.0, step(0, 4), IDLE)
-    landing.land(2.1, replace(step(0, 4), estimate=lost), IDLE)
+    landing.land(2.0, step(0, 4))
+    landing.land(2.1, replace(step(0, 4), estimate=lost))
     assert landing.reference(REFERENCE).at(2.1, 0.0).state.shape == (6,)
 
 
 def test_a_long_flight_forgives_the_landings_before():
     landing, down, later = Landing(TWICE), step(0, 4, speed=0.0), 0.0
     for _ in range(5):
-        landing.land(later, down, IDLE)
+        landing.land(later, down)
         assert landing.retries(later + 2.5)
         later += 40.0
 
@@ -127,7 +127,7 @@ def test_a_long_flight_forgives_the_landings_before():
 def test_motors_are_tried_again_twice():
     landing, tried = Landing(TWICE), []
     for now in np.arange(0, 30, 0.01):
-        landing.land(now, step(0, 4, speed=0.0), IDLE)
+        landing.land(now, step(0, 4, speed=0.0))
         if landing.retries(now):
             tried.append(now)
             assert landing.reference(REFERENCE) is REFERENCE

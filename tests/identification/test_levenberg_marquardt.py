@@ -89,6 +89,22 @@ def test_bounds_hold():
     assert 1e-4 <= outcome.parameters.motor_time_constant < 3e-3
 
 
+@pytest.mark.parametrize("factor", [0.05, 20.0])
+def test_a_step_changes_the_lag_at_most_threefold_and_the_last_one_finds_it(factor):
+    truth = published_model("M3")
+    loss, rung = noisy_loss(truth, noise=1e-4), named_rung("M3")
+    lag = truth.parameters.motor_time_constant
+    start = replace(rung.initial(VEHICLE), motor_time_constant=factor * lag)
+    free, lags = rung.mask(start), [factor * lag]
+    for _ in range(3):
+        once = LevenbergMarquardt(max_iterations=1).minimize(loss, start, free)
+        start = once.parameters
+        lags.append(start.motor_time_constant)
+    assert np.abs(np.diff(np.log(lags))).max() <= np.log(3) + 1e-9
+    found = LevenbergMarquardt().minimize(loss, start, free).parameters
+    assert found.motor_time_constant == pytest.approx(lag, rel=0.05)
+
+
 @pytest.mark.slow
 def test_a_bound_that_holds_is_met_exactly():
     # A craft that something pushes along has negative drag.

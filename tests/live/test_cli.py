@@ -51,7 +51,7 @@ def test_an_estimator_is_refused_for_a_pilot_that_needs_none(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import airpuck\n\nclass Mine(airpuck.Pilot):\n    def step(self, time): ...\n"
     )
-    with pytest.raises(InputError, match="--estimator: .*mine.py:Mine has its own estimator"):
+    with pytest.raises(InputError, match=r"--estimator: .*mine.py:Mine has its own estimator"):
         run("fly", MODEL, "--law", f"{tmp_path / 'mine.py'}:Mine", "--estimator", "learning")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Float
 
 from airpuck.control.authority import LEAST_EFFORT, weakest_effort
 from airpuck.control.law import Step
@@ -16,7 +15,7 @@ from airpuck.physics.rigid_body import acceleration_map
 from airpuck.physics.thrust import thrust
 
 #: A motor is dead if its effectiveness plus two standard deviations is below this, and runs if its
-#: effectiveness minus two is above it.
+#: effectiveness minus one is above it.
 _DEAD, _SURE = 0.3, 2.0
 #: Speed at which the craft has landed [m/s], and the longest time that braking may take [s].
 _STOPPED, _LONGEST = 0.05, 3.0
@@ -55,7 +54,7 @@ class Landing:
         """Return the target while landing: to stop at once, whatever the spin; a `Reference`."""
         return Target(self._state * [1, 1, 1, 0, 0, 1], np.zeros(3))
 
-    def land(self, now: float, step: Step, idle: Float[np.ndarray, " n"]) -> Step:
+    def land(self, now: float, step: Step) -> Step:
         """Return the step to send, which idles the motors once the craft has stopped."""
         estimate = step.estimate
         if self._brakes is not None and now < (self._rests or self._brakes):
@@ -71,14 +70,13 @@ class Landing:
             self._rests = now
         if self._rests is None:
             return step
-        return Step(idle.copy(), "cannot steer", estimate=estimate)
+        return Step(self._model.vehicle.idle.copy(), "cannot steer", estimate=estimate)
 
     def retries(self, now: float) -> bool:
         """Return whether the motors are to be tried again, with nothing known about them."""
         if self._rests is None or now < self._rests + _REST or self._landings == _LANDINGS:
             return False
-        self._brakes = self._rests = None
-        self._flies = now
+        self._brakes, self._rests, self._flies = None, None, now
         return True
 
     def _coasting(self, estimate: Estimate) -> list[float]:
@@ -94,7 +92,7 @@ class Landing:
     def _steers(self, estimate: Estimate) -> bool:
         """Return whether the motors that may run can push and turn in all directions."""
         found = estimate.actuation
-        if found is None or not (found.effectiveness - _SURE * found.deviation > _DEAD).any():
+        if found is None or not (found.effectiveness - found.deviation > _DEAD).any():
             return True
         dead = found.effectiveness + _SURE * found.deviation < _DEAD
         return weakest_effort(self._model, ~dead) >= LEAST_EFFORT

@@ -28,12 +28,10 @@ from airpuck.model.model_file import Model
 #: craft's motion by as little as possible. ``iteration limit``: the solver found no solution; the
 #: plan of the previous step continues. ``fallback``: there is no plan; an LQR steers.
 Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
-_Refused = Literal[
-    "no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe", "cannot steer"
-]
+_Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
 #: Status of a control step. With an outcome of allocation or prediction the craft flies; all others
-#: idle the motors. A guard around the controller sets ``unsafe``.
-Status = Outcome | Predicted | _Refused
+#: idle the motors. A guard around the controller sets ``unsafe``, a landing ``cannot steer``.
+Status = Outcome | Predicted | _Refused | Literal["cannot steer"]
 #: Kinds of limits of a plan.
 Bound = Literal["nothing", "motor", "motion"]
 FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")

@@ -247,10 +247,7 @@ class TrackingController(Pilot):
         landing, foresee = self._landing, partial(self._foresee, time)
         if landing is None:
             return self._act(time, foresee, self.reference)
-        step = self._act(time, foresee, landing.reference(self.reference))
-        step = landing.land(time, step, self._idle)
-        if step.status == "cannot steer":
-            self._modulator.reset()
+        step = landing.land(time, self._act(time, foresee, landing.reference(self.reference)))
         if landing.retries(time):
             self.filter.forget()
         return step

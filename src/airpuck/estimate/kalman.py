@@ -242,8 +242,7 @@ class KalmanFilter:
         assert self._time is not None
         [(_, command)] = self._commands.cut(self._time, self._time)[-1:]
         speed = motor_step(np, self._motor_speed, command, -change, tau, idle)
-        vehicle = self.model.vehicle
-        self._motor_speed = np.clip(speed, vehicle.command_min, vehicle.command_max)
+        self._motor_speed = np.clip(speed, self._idle, self.model.vehicle.command_max)
 
     def predict(self, time: float) -> Estimate:
         """Predict with the commands reported to the filter, without changing its state.

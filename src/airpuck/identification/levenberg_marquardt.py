@@ -17,6 +17,8 @@ from airpuck.identification.uncertainty import scaling
 from airpuck.model.parameters import Parameters
 from airpuck.physics.thrust import lowest_slope, slope_rows
 
+#: Largest factor by which a step changes the motor lag.
+_MOST_LAG = 3.0
 #: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
 #: If a step promises less than this fraction of the loss and still fails, the loss has a kink:
@@ -126,6 +128,7 @@ class _StepProgram:
         self, parameters: Parameters, free: Bool[np.ndarray, " P"], *, monotone: bool
     ) -> None:
         self.free, self._bounds = free, parameters.bounds()
+        self._lag = parameters.mask(frozenset({"motor_time_constant"}))
         self._shape, self._n_thrust = np.shape(parameters.thrust), np.size(parameters.thrust)
         self._slopes = SlopeConstraints(free[: self._n_thrust].reshape(self._shape), monotone)
 
@@ -137,7 +140,10 @@ class _StepProgram:
         gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
         scale = scaling(here.hessian, free)[free]
         damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
-        lower, upper = ((bound - point)[free] for bound in self._bounds)
+        # Far from the optimum a step may end where the lag no longer matters, and stay there.
+        lower = np.maximum(self._bounds[0], np.where(self._lag, point / _MOST_LAG, -np.inf))
+        upper = np.minimum(self._bounds[1], np.where(self._lag, point * _MOST_LAG, np.inf))
+        lower, upper = (lower - point)[free], (upper - point)[free]
         step = np.zeros_like(point)
         while True:
             rows = self._slopes.rows()

@@ -313,7 +313,9 @@ def without_meaningless(uncertainty: Uncertainty, parameters: Parameters) -> Unc
     lower, upper = parameters.bounds()
     sizes = {q.name: np.max(np.abs(getattr(parameters, q.name))) for q in parameters.quantities}
     size = _HOPELESS * parameters.laid_out(sizes, 0.0)
-    extent = np.where(np.isfinite(upper - lower), upper - lower, size)
+    # Bounds of positive numbers only exclude nonsense.
+    known = np.isfinite(upper - lower) & (lower <= 0)
+    extent = np.where(known, upper - lower, size)
     meaningless = np.sqrt(np.diag(uncertainty.covariance)) > np.where(extent > 0, extent, np.inf)
     if not meaningless.any():
         return uncertainty
