@@ -83,6 +83,8 @@ def test_recordings_of_different_rates_are_refused():
     )
     with pytest.raises(InputError, match="120 Hz, the first recording at 240 Hz"):
         Loss().samples([flight, rare])
+    with pytest.raises(InputError, match="240 Hz, the first recording at 120 Hz"):
+        Loss().samples([rare, flight])
     assert Loss().samples([flight]) == (40, 50, 7)
     assert Loss().samples([rare]) == (20, 25, 4)
 
