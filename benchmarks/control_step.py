@@ -19,7 +19,7 @@ from airpuck.compute.process import low_latency
 from airpuck.control.laws import LAWS
 from airpuck.control.reference import SetPoints
 from airpuck.control.tracking import TrackingController
-from airpuck.control.tuning import default_tuning
+from airpuck.control.tuning import ESTIMATORS, default_tuning
 from airpuck.model.model_file import Model, read_model
 from airpuck.physics.rigid_body import step
 
@@ -60,7 +60,7 @@ def main() -> None:
         "--solver", default="daqp", choices=("daqp", "piqp"), help="of the allocation"
     )
     parser.add_argument("--law", default="lqr", choices=LAWS)
-    parser.add_argument("--estimator", default="kalman", choices=("kalman", "actuation", "learning"))
+    parser.add_argument("--estimator", default="kalman", choices=ESTIMATORS)
     parser.add_argument("--processor", action="store_true", help="measure processor time")
     options = parser.parse_args()
     clock = time.process_time_ns if options.processor else time.perf_counter_ns
