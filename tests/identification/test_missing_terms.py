@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from airpuck.identification.fit import identify
-from airpuck.identification.missing_terms import MissingTerm, missing_terms, with_shifts
+from airpuck.identification.missing_terms import (
+    MissingTerm,
+    missing_terms,
+    unseen_level,
+    with_shifts,
+)
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.model_file import published_model
+from airpuck.model.uncertainty import Uncertainty
 
 from ..apparatus.synthetic_flights import fly
 
@@ -164,6 +170,39 @@ def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
     (found,) = with_shifts(MODEL, [term])
     assert found.shift["τ"] == pytest.approx(-1e3 * size, rel=1e-6)  # stated in ms
     assert found.shift["I"] == 0
+
+
+def test_the_quantity_that_a_term_shifts_most_is_named_if_errors_are_known():
+    vector, mask = MODEL.parameters.to_vector(), MODEL.parameters.mask
+    spread = 0.01 * np.abs(vector) * MODEL.free
+    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 40, 2.0)
+    # Two standard errors of the lag, one of the inertia.
+    direction = spread * (
+        2.0 * mask(frozenset({"motor_time_constant"})) + mask(frozenset({"inertia"}))
+    )
+    term = MissingTerm("drag", 1e-9, 0.1, 0.1, (1.0,), direction)
+    (found,) = with_shifts(replace(MODEL, uncertainty=known), [term])
+    assert (found.largest, found.unit) == ("τ", "ms")
+    assert found.standard_errors == pytest.approx(2.0)
+    (unknown,) = with_shifts(MODEL, [term])
+    assert (unknown.largest, unknown.unit) == ("", "")
+
+
+def test_a_level_that_no_motion_shows_pushes_and_turns_nothing():
+    slowest = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    loss = LinearLoss({})
+    # A tenth of the samples is slower.
+    loss.windows = cast(Any, SimpleNamespace(input=np.linspace(slowest, 1.0, 1000)))
+    found = unseen_level(MODEL, loss)
+    curves = found[MODEL.parameters.mask(frozenset({"thrust"}))].reshape(6, 3)
+    assert np.count_nonzero(found) == np.count_nonzero(curves) == 18
+    speeds = np.linspace(0.0, 1.0, 101)
+    added = curves @ speeds ** np.array([[1], [2], [3]])
+    felt = np.asarray(MODEL.dynamics.configuration) @ added
+    assert np.abs(felt).max() < 1e-9 * np.abs(added).max()
+    # It is a level from the slowest speed of any motor on.
+    level = added[:, speeds > 0.2]
+    assert (np.ptp(level, axis=1) < 0.3 * np.abs(level).max(axis=1)).all()
 
 
 def test_a_higher_degree_counts_as_the_curve_that_resembles_it():
