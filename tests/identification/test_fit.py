@@ -7,6 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
+from airpuck.identification import fit as module
 from airpuck.identification.fit import identify
 from airpuck.identification.problem import Problem
 from airpuck.identification.settings import Loss
@@ -70,6 +71,28 @@ def test_the_craft_is_that_of_the_trajectory_unless_told_otherwise():
     assert Problem.of(remembered, "M3").vehicle == heavy
     assert Problem.of(remembered, "M3", vehicle=vehicle).vehicle == vehicle
     assert Problem.of(flight, "M3").vehicle == vehicle
+
+
+@pytest.mark.parametrize(
+    ("samples", "known", "says"),
+    [
+        (0, True, "^no optimum$"),
+        (12, True, "the motion begins 50 ms before the commands"),
+        (12, False, "^no optimum$"),
+    ],
+)
+def test_a_fit_that_fails_is_blamed_on_poses_stamped_early_if_they_are(
+    monkeypatch, samples, known, says
+):
+    def fails(_):
+        raise InputError("no optimum")
+
+    monkeypatch.setattr(module, "minimize", fails)
+    flight = fly(published_model("M3"), 6.0)
+    later = flight.command_time + samples / 240
+    flight = replace(flight, command_time=later, delay=0.0, delay_known=known)
+    with pytest.raises(InputError, match=says):
+        module.solved(flight, "M3")
 
 
 def test_recordings_of_different_rates_are_refused():
