@@ -1,12 +1,14 @@
 """Score tests of terms that a model lacks."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import read_vehicle
 from airpuck.identification.fit import identify
 from airpuck.identification.missing_terms import (
     MissingTerm,
@@ -15,7 +17,8 @@ from airpuck.identification.missing_terms import (
     with_shifts,
 )
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import nominal_model, published_model
+from airpuck.model.rungs import named_rung
 from airpuck.model.uncertainty import Uncertainty
 
 from ..apparatus.synthetic_flights import fly
@@ -57,6 +60,7 @@ class LinearLoss(PredictionLoss):
     """
 
     clusters = np.arange(40)
+    model = MODEL
     windows = cast(Any, SimpleNamespace(trajectories=[None, None]))
     __setattr__ = object.__setattr__
 
@@ -73,7 +77,8 @@ class LinearLoss(PredictionLoss):
     def quadratic(self, parameters: Any, **_: Any) -> Quadratic:
         """Draw design and data."""
         blocks, rows = 40, 30
-        self.labels = parameters.labels(MODEL.vehicle.propeller_names)
+        names, free = self.model.vehicle.propeller_names, self.model.free
+        self.labels = parameters.labels(names)
         design = self.rng.normal(size=(blocks, rows, len(self.labels)))
         at = self.labels.index
         if self.like is not None:
@@ -81,10 +86,15 @@ class LinearLoss(PredictionLoss):
             design[..., at(self.like[0])] += design[..., at(self.like[1])]
         values = self.rng.normal(size=(blocks, rows))
         for label, value in self.missing.items():
+            if label not in self.labels:
+                continue
             where = slice(None) if self.only is None else self.only
             values[where] += value * design[where][..., at(label)]
-        self.design, own = design.reshape(-1, len(self.labels)), [at(label) for label in OWN]
-        self.own = [k for k, free in zip(own, MODEL.free, strict=True) if free]
+        self.design, own = (
+            design.reshape(-1, len(self.labels)),
+            map(at, self.model.parameters.labels(names)),
+        )
+        self.own = [k for k, learned in zip(own, free, strict=True) if learned]
         self.values = values.ravel() - self.fitted(self.own, values.ravel())[1]
         left, scale = self.values.reshape(blocks, rows), 2 / self.values.size
         return Quadratic(
@@ -107,7 +117,7 @@ class LinearLoss(PredictionLoss):
 
 
 def told(loss: LinearLoss) -> dict[str, MissingTerm]:
-    return {one.term: one for one in missing_terms(MODEL, cast(Any, loss))}
+    return {one.term: one for one in missing_terms(loss.model, cast(Any, loss))}
 
 
 def test_a_missing_term_is_predicted_as_least_squares_with_it_would_find_it():
@@ -120,6 +130,23 @@ def test_a_missing_term_is_predicted_as_least_squares_with_it_would_find_it():
     np.testing.assert_allclose(found.direction[MODEL.free], own, atol=1e-10)
     assert found.gain == pytest.approx(gain, rel=1e-8)
     assert 0.7 * gain < found.held_out < gain
+
+
+def test_a_term_that_the_model_has_is_not_missing():
+    drag = replace(MODEL.parameters, drag=np.array([0.5, 0.0, 0.5, 0.0]))
+    loss = LinearLoss({"tilt x": 0.3})
+    loss.model = replace(MODEL, parameters=drag, free=drag.mask(named_rung("M3+drag").free))
+    assert list(told(loss)) == ["tilt"]
+
+
+def test_thrusters_that_are_on_or_off_have_no_curve_to_bend():
+    file = Path(__file__).parents[2] / "examples" / "free_flyers" / "atmos.toml"
+    model = nominal_model(read_vehicle(file))
+    model = replace(model, free=model.parameters.mask(frozenset({"thrust", "inertia"})))
+    labels = model.parameters.labels(model.vehicle.propeller_names)
+    loss = LinearLoss({one.replace("φ^1", "φ^2"): 0.5 for one in labels if "φ^1" in one})
+    loss.model = model
+    assert "degree" not in told(loss)
 
 
 @pytest.mark.slow
