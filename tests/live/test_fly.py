@@ -15,7 +15,7 @@ from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.estimate.estimator import Estimate
+from airpuck.estimate.estimator import ActuationEstimate, Estimate
 from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
@@ -154,6 +154,15 @@ def test_a_flight_ends_when_asked_and_idles_the_motors_five_times(graph, monkeyp
     np.testing.assert_array_equal(commands[-5:], np.full((5, 6), IDLE))
     assert (commands[-15:-5] == 0.2).all()
     assert graph.events[-1] == "landed: motors idle"
+
+
+def test_what_a_pilot_finds_about_its_motors_is_in_its_heartbeat(graph):
+    found = ActuationEstimate(np.full(6, 0.9), np.full(6, 0.05), delay=0.004, delay_deviation=0.001)
+    estimate = Estimate(0.0, np.zeros(6), np.zeros(6), np.zeros(3), found)
+    flown(Steady(step=Step(np.full(6, 0.2), "exact", estimate=estimate)), 1.2)
+    *_, figures = graph.states[-1]
+    assert figures["found: motor_a_1"] == "90 ± 5 %"
+    assert figures["found: delay"] == "+4.0 ± 1.0 ms"
 
 
 def test_every_tenth_plan_is_published(graph):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from airpuck.live.process import Process
+from airpuck.live.process import HEARTBEAT, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import Observer, watch_live
 from airpuck.model.model_file import published_model
@@ -39,6 +39,18 @@ def test_a_motor_that_gives_less_than_its_commands_is_named(monkeypatch):
     # The share of thrust, which is not linear in the command.
     assert 0.4 < found["propellers"][motor]["effectiveness"] < 0.7
     assert found["flying"]
+
+
+def test_what_a_controller_finds_is_told(monkeypatch):
+    flight, lines = joined(monkeypatch), []
+    with Process("airpuck fly", LiveSettings(quiet=True)) as process:
+        process.start("")
+        flight.clock.sleep_until(0.5)
+        process.events.heartbeat("info", "exact", {"found: left": "62 ± 3 %", "misses": 0})
+    graph = joined(monkeypatch)
+    graph.replay(flight, HEARTBEAT)
+    watch_live(MODEL, lines.append, LiveSettings(duration=1.2))
+    assert lines[1:] == ["the controller finds: left 62 ± 3 %"]
 
 
 def test_rates_and_newest_numbers_are_those_that_came(monkeypatch):
