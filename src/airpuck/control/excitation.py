@@ -159,15 +159,16 @@ class Excitation(Pilot):
         if not step.flies or step.estimate is None:
             return step
         self._change(time)
+        farthest = self._farthest(step.estimate)
         turned = abs(step.estimate.state[5]) * self._reaction
         if self._reaction:
             # A craft that could not stop before a rail leaves its yaw alone in the next step, and
             # the more of its spin, the less it turns until its brakes act.
             spin = step.estimate.state[5] * max(0.0, 1 - turned / _TURNED)
             free = Unturned(self.reference, np.append(step.estimate.state[:5], spin))
-            stops = self._can_stop(step.estimate, 0.0)
+            stops = (farthest < self._reach).all()
             self.controller.reference = self.reference if stops else free
-        if turned > _TURNED or not self._can_stop(step.estimate, self._margin):
+        if turned > _TURNED or not (farthest < self._reach - self._margin).all():
             self.pauses += 1
             return step
         vehicle = self.controller.model.vehicle
@@ -187,8 +188,8 @@ class Excitation(Pilot):
         self._signal = self._rng.uniform(-self._amplitude, self._amplitude)
         self._changes = due
 
-    def _can_stop(self, estimate: Estimate, margin: float) -> bool:
-        """Return whether the craft can brake so far from the rails."""
+    def _farthest(self, estimate: Estimate) -> Float[np.ndarray, "*cases 2"]:
+        """Return how far from the middle the craft may get until it has stopped [m]."""
         position, velocity = estimate.state[:2], estimate.state[3:5]
         if self._reaction:
             # The present commands may act until the brakes do, or end at once.
@@ -199,8 +200,7 @@ class Excitation(Pilot):
             position = position + (velocity + gained / 2) * self._reaction
             velocity = velocity + gained
         stop = position + velocity * np.abs(velocity) / (2 * self._braking)
-        farthest = np.maximum(np.abs(position), np.abs(stop))
-        return bool((farthest < self._reach - margin).all())
+        return np.maximum(np.abs(position), np.abs(stop))
 
 
 def _amplitudes(amplitude: float | Sequence[float], signals: int) -> Float[np.ndarray, " signals"]:

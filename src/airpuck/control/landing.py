@@ -95,4 +95,4 @@ class Landing:
         if found is None or not (found.effectiveness - found.deviation > _DEAD).any():
             return True
         dead = found.effectiveness + _SURE * found.deviation < _DEAD
-        return weakest_effort(self._model, ~dead) >= LEAST_EFFORT
+        return not dead.any() or weakest_effort(self._model, ~dead) >= LEAST_EFFORT

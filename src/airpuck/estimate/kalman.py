@@ -341,7 +341,7 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def forget(self) -> None:
-        """Forget what is known about the motors; the motion and the delay in use stay."""
+        """Forget estimates of the motors, with `states`; the motion and the delay in use stay."""
         assert self._time is not None
         last, _ = self.predict_with(self._predict, self._time - self.later)
         self._history.clear()
