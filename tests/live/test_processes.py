@@ -33,6 +33,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 TRUTH = published_model("M3")
 #: Room for a busy machine [s].
 SLACK = 0.1
+#: A gap in the messages of a process from which on the machine, not the controller, decides [s].
+STALL = 0.05
 
 
 class Table:
@@ -174,6 +176,8 @@ def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_pa
         watch.until(lambda: watch.heard[REFERENCES])
         watch.until(lambda: np.abs(watch.newest(REFERENCES)[:3] - goal).max() < 2e-3, 40.0)
         watch.run(1.0)
+        # After a pause of the machine in flight the craft may be elsewhere, but must come back.
+        table.stays(*goal, within=(0.03, 0.25))
     finally:
         pilot.press("q")
         status, _, err = pilot.end()
@@ -185,9 +189,13 @@ def test_a_plan_is_flown_from_its_start_once_the_craft_rests_there(table, tmp_pa
     assert ends - begins == pytest.approx(planned.duration, abs=SLACK)
     rests = (seen_at > begins - 0.8) & (seen_at < begins)
     assert np.abs(poses[rests, :2] - (0.2, 0)).max() < 0.01
-    there = seen_at > ends + 0.5
-    assert there.any()
-    assert np.abs(poses[there, :2] - (-0.2, 0)).max() < 0.03
+    gaps = []
+    for sent in (seen_at, np.array(watch.sent(COMMANDS))):
+        gaps += [np.diff(sent[(sent > begins) & (sent < ends)]).max()]
+    if max(gaps) < STALL:
+        there = seen_at > ends + 0.5
+        assert there.any()
+        assert np.abs(poses[there, :2] - (-0.2, 0)).max() < 0.03
 
 
 def assert_events_of_all_are_recorded(folder) -> None:
