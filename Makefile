@@ -88,7 +88,7 @@ dist: dev  ## wheels and sdists, the wheels tried in a fresh environment, and al
 	$(BIN)/python -m build --outdir dist
 	$(BIN)/python -m build --outdir dist $(HOCKEY)
 	$(BIN)/python -m venv build/dist
-	build/dist/bin/python -m pip install --quiet --disable-pip-version-check dist/airpuck_hockey-*.whl \
+	build/dist/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl \
 		"$$(ls dist/airpuck-*.whl)[$$(echo $(EXTRAS) | tr ' ' ,)]"
 	build/dist/bin/python studies/licences.py > dist/LICENCES.md
 	build/dist/bin/python -m pip install --quiet --disable-pip-version-check $(TEST_TOOLS)
