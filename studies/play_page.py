@@ -45,7 +45,7 @@ def play(port: int, duration: float, screenshot: str | None) -> dict[str, float]
         page.click("#go", timeout=120_000)
         if screenshot:
             page.keyboard.press("t")
-            page.evaluate("document.getElementById('figures').style.visibility = 'hidden'")
+            page.evaluate("document.getElementById('figures').style.display = 'none'")
         page.evaluate("airpuck.figures.latencies.length = airpuck.figures.frames.length = 0")
         frames, latencies = [], []
         begin = time.monotonic()
