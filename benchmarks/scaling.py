@@ -1,12 +1,19 @@
-"""Growth of cost with windows, horizon, parameters and recordings: a figure, and exponents.
+"""Growth of cost with windows, horizon, parameters, recordings, propellers and craft: a figure.
 
-AIRPUCK_DATA=... python -m benchmarks.scaling -o docs/images/scaling.png
+    AIRPUCK_DATA=... python -m benchmarks.scaling -o docs/images/scaling.png
+
+The upper row is one Gauss-Newton step (median of some). The lower row is the CPU time of `identify`
+on longer and longer bags, the wall time of a second of flight of many craft at once, in closed
+loop, and the CPU time of campaigns of more and more flights, each with a fit. Dashed: peak memory.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -17,63 +24,141 @@ import numpy as np
 
 from airpuck.report.style import write_png
 
-from .process import workload
+from .process import AIRPUCK, run, workload
 
-#: Swept quantity: option of the workload, its values, figure with the size (None: the value).
-AXES = {
-    "windows": ("--share", (0.0625, 0.125, 0.25, 0.5, 1.0), "windows"),
-    "horizon": ("--horizon", (12, 25, 50, 100, 200), None),
-    "parameters": ("--degree", (1, 2, 3, 5, 7, 9), "parameters"),
-    "recordings": ("--copies", (1, 2, 4, 8), None),
-}
-LABELS = {
-    "windows": "windows",
-    "horizon": "steps to predict",
-    "parameters": "free parameters",
-    "recordings": "recordings of 84 s",
-}
+#: Size, cost [s] and peak memory of the process [MiB].
+Measured = tuple[float, float, float]
+
+SPEC = """
+kind = "recovery"
+seeds = {count}
+[base]
+duration_s = 20.0
+"""
 
 
-def measured(axis: str, runs: int) -> tuple[list[float], list[float], list[float]]:
-    """Return sizes, times of a Gauss-Newton step [s], and peak memory of the process [MiB]."""
-    option, values, figure = AXES[axis]
-    # For several recordings, use every seventh window.
-    stride = 7 if axis == "recordings" else 1
-    sizes, times, peaks = [], [], []
-    for value in values:
-        done = workload("step", "--stride", stride, "--runs", runs, option, value)
-        sizes.append(float(done.figures[figure] if figure else value))
-        times.append(done.figures["wall_s"])
-        peaks.append(done.peak_mib)
-        print(
-            f"{axis:10s} {sizes[-1]:8g} {1e3 * times[-1]:9.1f} ms {peaks[-1]:7.0f} MiB", flush=True
-        )
-    return sizes, times, peaks
+@dataclass(frozen=True)
+class Axis:
+    """What grows, its values, and how one of them is measured."""
+
+    label: str
+    values: tuple[float, ...]
+    measure: Callable[[float, int], Measured]
+    #: Whether its label shows only powers of ten.
+    wide: bool = False
 
 
-def exponent(sizes: list[float], times: list[float]) -> float:
+def of_workload(name: str, option: str, size: str | None = None, *more: object):
+    """Return the measurement of a workload, with the figure that is its size (None: the value)."""
+
+    def measure(value: float, runs: int) -> Measured:
+        done = workload(name, "--runs", runs, option, value, *more)
+        found = done.figures
+        return float(found[size] if size else value), found["wall_s"], done.peak_mib
+
+    return measure
+
+
+def identified(minutes: float, _: int) -> Measured:
+    """Identify a bag of some minutes in a process."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder) / "bag"
+        workload("bag", "--seconds", 60 * minutes, "--output", bag)
+        done = run((*AIRPUCK, "identify", bag, "--model", "M3", "-o", Path(folder) / "m.toml"))
+    return minutes, done.cpu_s, done.peak_mib
+
+
+def campaign(flights: float, _: int) -> Measured:
+    """Fly and fit many times, in Dask's processes."""
+    with tempfile.TemporaryDirectory() as folder:
+        spec = Path(folder) / "spec.toml"
+        spec.write_text(SPEC.format(count=int(flights)), "utf-8")
+        command = (*AIRPUCK, "campaign", spec, "-o", Path(folder) / "out", "--workers", 1)
+        done = run(command)
+    return flights, done.cpu_s, done.peak_mib
+
+
+STEPS = (
+    Axis(
+        "windows",
+        (0.0625, 0.125, 0.25, 0.5, 1.0),
+        of_workload("step", "--share", "windows"),
+    ),
+    Axis("steps to predict", (12, 25, 50, 100, 200), of_workload("step", "--horizon")),
+    Axis(
+        "free parameters",
+        (1, 2, 3, 5, 7, 9),
+        of_workload("step", "--degree", "parameters"),
+    ),
+    # For several recordings, every seventh window.
+    Axis("recordings of 84 s", (1, 2, 4, 8), of_workload("step", "--copies", None, "--stride", 7)),
+    Axis("propellers", (3, 4, 6, 8, 12, 16), of_workload("propellers", "--propellers")),
+)
+WHOLE = (
+    Axis("minutes of one bag, identify", (1, 2, 5, 10, 20, 60), identified),
+    Axis(
+        "craft in the twin, 1 s",
+        (1, 10, 100, 1000, 10_000, 100_000),
+        of_workload("crowd", "--craft"),
+        wide=True,
+    ),
+    Axis("flights of 20 s in a campaign", (1, 10, 100, 1000), campaign, wide=True),
+)
+
+
+def measured(axis: Axis, runs: int, first: int) -> list[Measured]:
+    """Measure the first sizes."""
+    found = []
+    for value in axis.values[:first]:
+        found.append(axis.measure(value, runs))
+        size, cost, peak = found[-1]
+        print(f"{axis.label:30s} {size:8g} {cost:10.3f} s {peak:7.0f} MiB", flush=True)
+    return found
+
+
+def exponent(sizes: np.ndarray, costs: np.ndarray) -> float:
     """Return p of the least-squares line log t = p log n + c."""
-    return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
+    return float(np.polyfit(np.log(sizes), np.log(costs), 1)[0])
+
+
+def draw(panel: plt.Axes, axis: Axis, found: list[Measured], *, memory: bool) -> float:
+    """Draw cost against size; return the exponent."""
+    sizes, costs, peaks = np.array(found).T
+    # A wide range is constant, then linear: only its upper end tells how it grows.
+    upper = sizes >= sizes[-1] / 100 if axis.wide else sizes > 0
+    grows = exponent(sizes[upper], costs[upper])
+    panel.loglog(sizes, costs, "o-")
+    panel.loglog(sizes, costs[-1] * sizes / sizes[-1], ":", color="0.5", label="linear")
+    panel.set(xlabel=axis.label, title=f"∝ n^{grows:.2f}", ylim=(costs[0] / 3, costs[-1] * 2))
+    if not axis.wide:
+        panel.set_xticks(sizes, [f"{size:g}" for size in sizes])
+        panel.minorticks_off()
+    panel.grid(alpha=0.3)
+    if memory:
+        beside = panel.twinx()
+        beside.loglog(sizes, peaks / 1024, "s--", color="C1", markersize=3)
+        beside.set_ylabel("peak memory [GiB]", color="C1")
+    return grows
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path("out/scaling.png"))
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--first", type=int, default=9, help="number of sizes")
     options = parser.parse_args()
-    found = {axis: measured(axis, options.runs) for axis in AXES}
-    exponents = {axis: exponent(sizes, times) for axis, (sizes, times, _) in found.items()}
-    figure, panels = plt.subplots(1, 4, figsize=(11, 3), sharey=True, layout="constrained")
-    for panel, (axis, (sizes, times, _)) in zip(panels, found.items(), strict=True):
-        panel.loglog(sizes, times, "o-")
-        line = times[-1] * np.array(sizes) / sizes[-1]
-        panel.loglog(sizes, line, ":", color="0.5", label="linear")
-        panel.set(xlabel=LABELS[axis], title=f"∝ n^{exponents[axis]:.2f}")
-        panel.set_xticks(sizes, [f"{size:g}" for size in sizes])
-        panel.minorticks_off()
-        panel.grid(alpha=0.3)
-    panels[0].set_ylabel("one Gauss-Newton step [s]")
-    panels[0].legend()
+    figure = plt.figure(figsize=(11, 6), layout="constrained")
+    rows = figure.subfigures(2, 1)
+    exponents = {}
+    for row, axes, costs in zip(
+        rows, (STEPS, WHOLE), ("one Gauss-Newton step [s]", "time [s]"), strict=True
+    ):
+        panels = row.subplots(1, len(axes), sharey=axes is STEPS)
+        for panel, axis in zip(panels, axes, strict=True):
+            found = measured(axis, options.runs, options.first)
+            exponents[axis.label] = draw(panel, axis, found, memory=axes is WHOLE)
+        panels[0].set_ylabel(costs)
+        panels[0].legend()
     options.output.parent.mkdir(parents=True, exist_ok=True)
     write_png(figure, options.output)
     print(json.dumps({"exponents": exponents}))

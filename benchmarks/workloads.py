@@ -96,6 +96,69 @@ def step(options):
     }
 
 
+def ring(count: int, push_N: float = 0.4):
+    """Return a model of a craft with propellers on a circle, which push along it alternately."""
+    from airpuck import Vehicle
+    from airpuck.model.model_file import nominal_model
+
+    angles = np.arange(count) * 360 / count
+    turned = np.where(np.arange(count) % 2, 65.0, 295.0)
+    propellers = [
+        {
+            "name": f"m{k + 1}",
+            "position_m": (0.06 * np.cos(np.radians(angle)), 0.06 * np.sin(np.radians(angle))),
+            "direction_deg": float((angle + turned[k]) % 360),
+            # Three that push one way only cannot hold a craft.
+            **({"reverse": 0.8} if count < 4 else {}),
+        }
+        for k, angle in enumerate(angles)
+    ]
+    nominal = {"thrust_N": (0.0, push_N), "inertia_kg_m2": 6.6e-4}
+    nominal |= {"motor_time_constant_s": 0.04, "transport_delay_s": 0.02}
+    file = {"name": f"{count} propellers", "mass_kg": 0.2, "radius_m": 0.08, "pairs": []}
+    file |= {"command_min": 0.05, "propellers": propellers, "nominal": nominal}
+    return nominal_model(Vehicle.model_validate(file))
+
+
+def propellers(options):
+    """Time one Gauss-Newton step on a minute of flight of a craft with some propellers."""
+    from airpuck import excite, preprocess
+    from airpuck.data.windows import make_windows
+    from airpuck.estimate.encoder import PaperEncoder
+    from airpuck.identification.objective import PredictionLoss
+    from airpuck.model.rungs import named_rung
+
+    vehicle = ring(options.propellers).vehicle
+    flown = preprocess(excite(ring(options.propellers), 60.0, settings=None), vehicle)
+    loss = PredictionLoss(make_windows([flown], 40, 50, 1), vehicle, PaperEncoder())
+    start = named_rung("M3").initial(vehicle)
+    wall = statistics.median(repeated(lambda: loss.quadratic(start), options.runs))
+    return {"wall_s": wall}
+
+
+def crowd(options):
+    """Time a second of flight of many craft, steered towards the middle by what cameras see."""
+    from airpuck import TwinBatch, read_model
+
+    model, size, periods = read_model("paper:M3"), options.craft, 100
+    vehicle = model.vehicle
+    batch = TwinBatch(model, size, periods * 0.01)
+    # A wrench becomes commands by the pseudoinverse, around the middle of their range.
+    inverse = np.linalg.pinv(np.asarray(model.dynamics.configuration))
+    begins = np.random.default_rng(0).uniform(-0.3, 0.3, (size, 3))
+
+    def fly():
+        batch.reset(np.arange(size), begins, range(size))
+        before = begins
+        for _ in range(periods):
+            _, _, seen = batch.measured()
+            wanted = -4.0 * seen - 3.0 * (seen - before) / 0.01
+            before = seen
+            batch.step(np.clip(0.3 + wanted @ inverse.T, vehicle.command_min, 1.0))
+
+    return {"wall_s": statistics.median(repeated(fly, options.runs))}
+
+
 def peer(options):
     """Fit M3 by NumPy and SciPy to the windows of `identify`, and compare the losses."""
     from airpuck.model.rungs import named_rung
@@ -196,7 +259,8 @@ def _repeated(stream, repeats: int, lasting: int):
     return replace(stream, **changed)
 
 
-WORKLOADS = {f.__name__: f for f in (identify_again, step, peer, adam, bootstrap, bag)}
+_ALL = (identify_again, step, propellers, crowd, peer, adam, bootstrap, bag)
+WORKLOADS = {f.__name__: f for f in _ALL}
 
 
 def main() -> None:
@@ -209,6 +273,8 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="of the windows")
     parser.add_argument("--model", default="M3")
     parser.add_argument("--degree", type=int)
+    parser.add_argument("--propellers", type=int, default=6)
+    parser.add_argument("--craft", type=int, default=100)
     parser.add_argument("--epochs", type=int, default=200)
     parser.add_argument("--replicates", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=60.0)

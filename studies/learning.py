@@ -64,7 +64,7 @@ class Change(NamedTuple):
 def changes(motor: int) -> dict[str, Change]:
     """Return all changes; `motor` is the one that fails."""
     delay = MODEL.transport_delay
-    usual = default_twin_settings().with_delay(delay)
+    usual = default_twin_settings().with_usual_delay(delay)
     ones = np.ones(6)
     # Packets do not overtake each other, so jitter makes the mean delay longer.
     waits = as_received(MODEL, usual, default_tuning().period_s).transport_delay - delay
@@ -80,7 +80,7 @@ def changes(motor: int) -> dict[str, Change]:
     def thrust(factor: float, later: float = 0.0) -> Change:
         parameters = replace(MODEL.parameters, thrust=factor * MODEL.parameters.thrust)
         truth = replace(MODEL, parameters=parameters).with_delay(delay + later + waits)
-        settings = default_twin_settings().with_delay(delay + later)
+        settings = default_twin_settings().with_usual_delay(delay + later)
         return Change(truth, settings, factor * ones, later + waits)
 
     sag = 0.27 / 45

@@ -107,7 +107,7 @@ def main() -> None:
     options = parser.parse_args()
     keep_compiled_programs()
     model = airpuck.read_model("paper:M3")
-    settings = default_twin_settings().with_delay(model.transport_delay)
+    settings = default_twin_settings().with_usual_delay(model.transport_delay)
     stage = Stage(model, settings, build_plant(model, settings), pitch_of(model, settings))
     rows = []
     for speed in SPEEDS.tolist():

@@ -87,7 +87,7 @@ def test_recovery_errors_by_hand():
 @pytest.mark.slow
 def test_varied_craft_come_apart_as_much_as_they_differ():
     model, size = read_model("paper:M3"), 65
-    settings = default_twin_settings().with_delay(0.02)
+    settings = default_twin_settings().with_usual_delay(0.02)
     radio = settings.radio.model_copy(update={"jitter_s": 0.0})
     settings = settings.model_copy(update={"radio": radio})
     moved = []

@@ -23,6 +23,7 @@ def stated(vehicle: Vehicle, order: list[int], turned: int | None = None) -> Veh
     for k, (one, place) in enumerate(zip(vehicle.propellers, places, strict=True)):
         direction = (place.direction_deg + 180 * (k == turned)) % 360
         update = {"position_m": place.position_m, "direction_deg": direction}
+        update["reverse"] = place.reverse
         propellers.append(one.model_copy(update=update))
     return vehicle.model_copy(update={"propellers": tuple(propellers), "pairs": ()})
 
@@ -47,12 +48,16 @@ def test_swapped_and_turned_motors_are_put_where_they_act(name):
 
 def test_propellers_that_push_both_ways_are_put_where_they_act():
     one_way = VEHICLES["four"]()
-    both = tuple(one.model_copy(update={"reverse": 0.8}) for one in one_way.propellers)
-    true = one_way.model_copy(update={"propellers": both, "pairs": ()})
+    both = [
+        one.model_copy(update={"reverse": share})
+        for one, share in zip(one_way.propellers, (0.5, 0.6, 0.7, 0.8), strict=True)
+    ]
+    true = one_way.model_copy(update={"propellers": tuple(both), "pairs": ()})
     wrong = stated(true, [1, 0, 2, 3], turned=2)
     matches = matched(nominal_model(wrong), effects(true))
     right = corrected(wrong, matches)
     assert effects(right) == pytest.approx(effects(true), abs=1e-9)
+    assert [one.reverse for one in right.propellers] == [0.5, 0.6, 0.7, 0.8]
     causes = [finding.cause for finding in layout_findings(wrong, matches)]
     swapped = "front acts like left", "left acts like front"
     assert causes == [*swapped, "back pushes the other way"]

@@ -77,7 +77,7 @@ def test_jitter_of_a_fit_is_that_of_its_packets(flight, fit):
     own = flight.delay[fit.packet_delays[0].packet]
     # These packets are a sample; its spread is not an error of the estimate.
     assert jitter.standard_deviation_s == pytest.approx(own.std(), rel=0.08)
-    mean, spread = queued_delay(settings(0.007).with_delay(TRUTH.transport_delay).radio, 0.01)
+    mean, spread = queued_delay(settings(0.007).with_usual_delay(TRUTH.transport_delay).radio, 0.01)
     assert abs(jitter.standard_deviation_s - spread) < 3 * jitter.standard_error_s
     assert jitter.standard_error_s < 0.1 * spread
     assert fit.model.transport_delay == pytest.approx(mean, abs=2e-3)

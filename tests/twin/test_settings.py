@@ -147,8 +147,10 @@ def test_an_empty_file_is_the_packaged_one(tmp_path):
 def test_the_delay_is_that_of_the_model_unless_the_radio_has_its_own():
     settings = default_twin_settings()
     assert settings.radio.delay_s is None
-    assert settings.with_delay(0.05).radio == settings.radio.model_copy(update={"delay_s": 0.05})
-    assert EVERYTHING.with_delay(0.05) == EVERYTHING
+    assert settings.with_usual_delay(0.05).radio == settings.radio.model_copy(
+        update={"delay_s": 0.05}
+    )
+    assert EVERYTHING.with_usual_delay(0.05) == EVERYTHING
     # As measured on the paper's craft.
     assert published_model("M4").transport_delay == 0.0208
 

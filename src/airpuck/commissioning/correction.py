@@ -65,7 +65,8 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
             continue
         source = given[match.acts_as]
         turned = (source.direction_deg + 90 * (1 - match.sign)) % 360
-        there = {"position_m": source.position_m, "direction_deg": turned}
+        reverse = given[k].reverse and (source.reverse or given[k].reverse)
+        there = {"position_m": source.position_m, "direction_deg": turned, "reverse": reverse}
         propellers[k] = given[k].model_copy(update=there)
         curves[k] = vehicle.nominal_thrust[match.acts_as]
         if match.sign > 0:
@@ -108,11 +109,10 @@ def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> V
     usual = float(np.median(push[tried]))
     # What is not clear yet keeps a little thrust: a curve must rise.
     strength = np.maximum(np.where(tried, push, usual), _LEAST * abs(usual))
-    strength = strength[: len(vehicle.propellers)]
     nominal, curves = vehicle.nominal, vehicle.nominal_thrust[: len(vehicle.propellers)]
     return _copy(
         vehicle,
-        thrust_N=(strength[:, None] * curves).tolist(),
+        thrust_N=(strength[: len(curves), None] * curves).tolist(),
         inertia_kg_m2=inertia * nominal.inertia_kg_m2,
         motor_time_constant_s=float(np.max(model.dynamics.lag)),
         transport_delay_s=max(delay, 0.0),

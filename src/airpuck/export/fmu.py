@@ -113,7 +113,7 @@ def check(subject: Subject) -> None:
 def variables(subject: Subject) -> list[Variable]:
     """List the variables in the order of their value references, integers last."""
     names = subject.model.vehicle.propeller_names
-    twin = subject.twin.with_delay(radio_delay(subject.model))
+    twin = subject.twin.with_usual_delay(radio_delay(subject.model))
     lag = float(subject.model.dynamics.motor_time_constant)
     state = ("x", "y", "yaw", "vx", "vy", "yaw_rate")
     units = ("m", "m", "rad", "m/s", "m/s", "rad/s")

@@ -99,7 +99,7 @@ class TwinBatch:
         self.rng = rng or np.random.default_rng(0)
         vehicle, n = models[0].vehicle, models[0].vehicle.n_propellers
         self._names = vehicle.propeller_names
-        delays = [settings.with_delay(radio_delay(m)).radio.delay_s or 0.0 for m in models]
+        delays = [settings.with_usual_delay(radio_delay(m)).radio.delay_s or 0.0 for m in models]
         self._delays = np.broadcast_to(delays, size)
         self._period, self._rows, self._logs = period, np.arange(size), logs
         self._sent_at = period * np.arange(math.ceil(longest / period - _ROUNDING))

@@ -50,7 +50,7 @@ def queued_delay(
 
 def as_received(model: Model, settings: TwinSettings, period: float) -> Model:
     """Return a model with the mean delay of its packets, which is the delay that fits find."""
-    radio = settings.with_delay(radio_delay(model)).radio
+    radio = settings.with_usual_delay(radio_delay(model)).radio
     return model.with_delay(queued_delay(radio, period)[0] + model.vehicle.actuators.dead_time_s)
 
 

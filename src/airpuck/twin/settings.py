@@ -245,7 +245,7 @@ class TwinSettings(AirHockey):
         content = self.model_dump(mode="json", exclude_none=True)
         write_toml(path, content, header="Settings of an airpuck twin.")
 
-    def with_delay(self, transport_delay: float) -> TwinSettings:
+    def with_usual_delay(self, transport_delay: float) -> TwinSettings:
         """Return settings whose radio has a delay.
 
         Parameters

@@ -93,7 +93,7 @@ class Twin:
         check_seed(seed)
         self.model = model
         self._lowest = np.where(model.vehicle.actuation.two_way, -1.0, 0.0)
-        settings = (settings or default_twin_settings()).with_delay(radio_delay(model))
+        settings = (settings or default_twin_settings()).with_usual_delay(radio_delay(model))
         self.settings = settings
         self.plant = plant or build_plant(model, settings)
         check_pose(pose, settings.table, model.vehicle.radius_m)

@@ -17,7 +17,7 @@ from airpuck_hockey.player.player import pitch_of
 from airpuck_hockey.player.tactic import Intention
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
-SETTINGS = default_twin_settings().with_delay(MODEL.transport_delay)
+SETTINGS = default_twin_settings().with_usual_delay(MODEL.transport_delay)
 PLANT = build_plant(MODEL, SETTINGS)
 
 
