@@ -217,14 +217,14 @@ class Commissioned:
 
     @property
     def model(self) -> Model:
-        """The best model so far: identified, or the nominal one."""
+        """The best model at hand: the identified one, otherwise the nominal one."""
         if self.study is not None:
             return self.study.model
         return replace(nominal_model(self.vehicle), cameras=self.cameras)
 
     @property
     def flight_s(self) -> float:
-        """Seconds with motors on so far."""
+        """Seconds flown with motors on."""
         return self._log.flight_s
 
     @property

@@ -188,7 +188,7 @@ class Pulses:
         try:
             pilot = hovering(session)
         except InputError:
-            return False  # What is known so far steers no craft.
+            return False  # Too little is known to steer the craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
         # Long enough to know the drift, too.
         pause = max(2 * evidence.lag + evidence.delay + 0.05, 0.15)
@@ -280,9 +280,9 @@ def known_vehicle(given: Vehicle, cameras: Cameras | None, evidence: PulseEviden
 
 
 class _DriftingOff:
-    """Whether the craft has to be brought back now, lest it comes near a rail.
+    """Whether the craft must be brought back now to keep it away from a rail.
 
-    Until a time nothing can bring it back: then pulses go on until it is at the rail.
+    Early on nothing can bring it back; pulses then continue until it is at the rail.
     """
 
     def __init__(self, session: Commissioned, vehicle: Vehicle, steered: float) -> None:

@@ -49,7 +49,7 @@ _OPTIONS: dict[str, Any] = {
     "xla_cpu_scheduler_type": "CPU_SCHEDULER_TYPE_MEMORY_OPTIMIZED",
     "xla_cpu_prefer_vector_width": 512,
 }
-#: Those of a program that runs once: it compiles faster, and may run slower.
+#: Options for a program that runs once: it compiles faster, and may run slower.
 _OPTIONS_ONCE: dict[str, Any] = {**_OPTIONS, "xla_cpu_use_fusion_emitters": False}
 #: Programs by their computation, least recently used first; enough for a dozen craft.
 _kept: dict[Hashable, Callable[..., Any]] = {}

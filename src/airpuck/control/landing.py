@@ -73,7 +73,7 @@ class Landing:
         return Step(self._model.vehicle.idle.copy(), "cannot steer", estimate=estimate)
 
     def retries(self, now: float) -> bool:
-        """Return whether the motors are to be tried again, with nothing known about them."""
+        """Return whether to try the motors again, with nothing known about them."""
         if self._rests is None or now < self._rests + _REST or self._landings == _LANDINGS:
             return False
         self._brakes, self._rests, self._flies = None, None, now

@@ -63,7 +63,7 @@ class MPC(Law):
     model : Model
         The craft; its thrust curves must rise.
     tuning : Tuning
-        `PredictiveSettings`, and those of the LQR.
+        `PredictiveSettings`, and the LQR's settings.
     options : LawOptions, optional
         Options, including the table whose rails the law avoids, and the limits of the beginning;
         the gain is for the LQR.

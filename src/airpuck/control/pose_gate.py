@@ -25,8 +25,8 @@ _REMEMBERED = 0.5
 JUMP = (0.1, 0.1, 1.0)
 #: Number of directions, over half a turn, in which the largest acceleration is sought.
 _DIRECTIONS = 16
-#: Longest time for which a moving craft is steered by its prediction, lest it coasts into a rail
-#: [s], and the speed from which it counts as moving [m/s].
+#: Longest time for which a prediction steers a moving craft, which would coast into a rail [s], and
+#: the speed from which it counts as moving [m/s].
 BLIND, MOVES = 0.25, 0.1
 #: Rounding of stamps must not cost a frame [s].
 ROUNDING = 1e-6

@@ -15,7 +15,7 @@ _MOST_STEPS, _MOST_DISCS = 80, 8
 
 
 class PredictiveWeights(Weights):
-    """Weights of the predictive law: those of the LQR, and one for the commands."""
+    """Weights of the predictive law: the LQR's, and one for the commands."""
 
     #: Weight of commands above idle.
     command: PositiveWeight = 0.05

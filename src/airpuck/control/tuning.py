@@ -469,8 +469,8 @@ def default_tuning() -> Tuning:
 def tuning_for(model: Model) -> Tuning:
     """Return the packaged tuning, adapted to a craft and its cameras: every controller's default.
 
-    A craft that is much slower than the paper's gets a slower controller. One whose motors answer
-    late gets a slower filter: the controller predicts over the delay and inverts the lag, and both
+    A craft that is much slower than the paper's gets a slower controller. A craft with late motors
+    gets a slower filter: the controller predicts over the delay and inverts the lag, and both
     enlarge the noise of the poses. A craft that has its own PWM gets one duty cycle for each of its
     periods; the predictive law's steps are then no shorter, and as many. The estimator expects the
     noise that the model's recordings showed, if it is larger than the packaged noise.

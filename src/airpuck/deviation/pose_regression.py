@@ -148,7 +148,7 @@ def shortest_judged(vehicle: Vehicle, noise: float) -> float:
 def _parts(dynamics: Dynamics, windows: Windows) -> int:
     """Return the number of steps from one pose to the next that resolve the shortest lag.
 
-    If a valve's force settles within one step, its lag hardly changes the sampled forces, and the
+    If a valve's force settles within one step, its lag barely changes the sampled forces, and the
     regression reports many times the true error.
     """
     coarse = max(map(integration_parts, windows.trajectories))

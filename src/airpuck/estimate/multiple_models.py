@@ -245,7 +245,7 @@ class MultipleModels:
 
 
 def certain(xp: Any, value: Any, variance: Any) -> Any:
-    """Shrink an estimate to zero if it may be zero, and hardly if it cannot."""
+    """Shrink an estimate to zero if it may be zero; leave it nearly alone if it cannot."""
     square = value * value
     return value * xp.maximum(1 - (_CERTAIN**2 * variance / xp.maximum(square, 1e-30)) ** 2, 0.0)
 

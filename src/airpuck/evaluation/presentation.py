@@ -1,4 +1,4 @@
-"""A model as it is presented: the quantities people ask for first, and structure and parameters."""
+"""A model for presentation: what people ask for first, then its structure and parameters."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ KINDS: dict[str, ExportKind] = {
 
 
 def known_kinds() -> list[str]:
-    """Return the names of all kinds, those of other distributions last."""
+    """Return the names of all kinds; kinds from other distributions come last."""
     return [*KINDS, *(name for name in added("airpuck.exports") if name not in KINDS)]
 
 

@@ -165,7 +165,7 @@ class _OnTwin(Pilot):
 
     def note(self, now: float) -> None:
         """Take note of where the craft is, and where its path leads it."""
-        # The true pose is that of the twin's last event.
+        # The true pose dates from the twin's last event.
         place = self.reference.at(self.twin.world.time, 0.0).state[:2]
         self.noted.append((now, self.twin.state[:3].copy(), place))
 

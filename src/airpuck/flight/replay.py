@@ -186,7 +186,7 @@ def replay(
     """
     tuning = tuning or tuning_for(model)
     _, commands, aligned = clean_streams(recording, model.vehicle)
-    # Aligned times are those of the poses without repetitions.
+    # Aligned times belong to the poses without repetitions.
     pose, _ = at_exposure(recording["pose"])
     if not 0 <= span[0] < span[1] <= 1:
         raise InputError("must be two fractions of the length, 0 <= A < B <= 1", field="span")

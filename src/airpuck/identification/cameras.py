@@ -1,7 +1,7 @@
 """Rate, noise and stamp errors of the cameras, as a recording shows them.
 
 Third differences of the poses, minus the model's accelerations integrated twice, contain nothing
-but the noise of the poses: at rest that of the cameras, and in motion that of the stamps, too.
+but noise: the cameras' alone at rest, in motion also the stamps'.
 """
 
 from __future__ import annotations

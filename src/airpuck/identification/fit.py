@@ -226,7 +226,7 @@ def retime(solution: Solution) -> Solution:
 def hold_lag(solution: Solution) -> Solution:
     """Fit again with the vehicle file's lag if a fit knows the lag less accurately than the file.
 
-    Poses hardly distinguish a longer lag of a few milliseconds from a longer delay, and an error
+    Poses can barely tell a lag that is a few milliseconds longer from a longer delay, so an error
     of the lag would become the opposite error of the delay.
     """
     problem, (_, outcome, model) = solution.problem, solution.result

@@ -3,7 +3,7 @@
 If a term were added at zero, the loss would fall along its gradient; a significant gradient shows
 that the term is missing (Rao, Proceedings of the Cambridge Philosophical Society 44, 1948). One
 pass over the windows gives gradients and information of all terms at once: no term needs a fit. The
-gradient's covariance is that of blocks of time, as for standard errors. A Gauss-Newton step
+gradient's covariance comes from blocks of time, as for standard errors. A Gauss-Newton step
 predicts the term, and the shift of each parameter that its absence causes.
 """
 
@@ -48,7 +48,7 @@ DEGREE, _BEND = "degree", "common degree"
 #: ``delay``; and smallest changes over the recording that are reported, relative and in seconds.
 CHANGE, ALL, DELAY = "change of ", "all", "delay"
 _LEAST_CHANGE, _LEAST_LATER = 0.04, 3e-3
-#: Share of the commands below which a thrust curve is hardly seen; part of the thrust there that is
+#: Share of the commands below which a thrust curve is rarely seen; part of the thrust there that is
 #: uncertain if the curve is no cubic polynomial; and number of speeds that stand for a curve.
 _SLOW, _UNSEEN, _SPEEDS = 0.1, 0.5, 101
 #: Part of a term's information that the model's own parameters must leave.

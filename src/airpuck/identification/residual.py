@@ -2,7 +2,7 @@
 
 It adds accelerations, as a function of the velocities in the body frame and of the thrusts. The
 physics is frozen, so its parameters keep their meaning. Levenberg-Marquardt minimises the same
-multi-step loss on three of four blocks of time; the weights are those of the iteration that
+multi-step loss on three of four blocks of time; the weights come from the iteration that
 predicts the other blocks best.
 """
 

@@ -5,9 +5,9 @@ Windows that begin within one prediction length of each other share samples, and
 independent, and s²(JᵀJ)⁻¹ would be much too small. The sandwich estimator (White 1980; Liang and
 Zeger 1986) only needs blocks of time that are nearly independent of each other. Scores are
 corrected for the leverage of their block; with a few dozen blocks and two dozen parameters this is
-the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023). So few blocks hardly
-determine a covariance: it is shrunk towards that of equal, independent residuals, as far as its own
-scatter says (Ledoit and Wolf, Journal of Multivariate Analysis 88, 2004).
+the larger part (Bell and McCaffrey 2002; MacKinnon, Nielsen and Webb 2023). So few blocks cannot
+determine a covariance well: it is shrunk towards the covariance of equal, independent residuals, as
+far as its own scatter says (Ledoit and Wolf, Journal of Multivariate Analysis 88, 2004).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ _POOR = 1e6
 
 
 def cluster_windows(windows: Windows, fewest: int = 1) -> Int[np.ndarray, " W"]:
-    """Group windows into blocks of time: at least so many, but none shorter than a window."""
+    """Group windows into at least `fewest` blocks of time, none shorter than a window."""
     trajectory, stride = _steps(windows)
     period = float(np.median(np.diff(windows.time)))
     length = period * (windows.encoder_length + windows.prediction_length)

@@ -98,7 +98,7 @@ class Study(Result):
         Returns
         -------
         dict
-            Those of the fit, and ``verdict``, ``findings``, ``parameters``, ``controller``,
+            The fit's fields, and ``verdict``, ``findings``, ``parameters``, ``controller``,
             ``strengths`` and ``selection``; with another recording ``validation``.
         """
         said = self.verdict.to_json()

@@ -128,7 +128,7 @@ def set_stamp(stamp: Any, time_ns: int) -> None:
 _QUALITY = {"estimate": STATE, "reference": STATE}
 #: Time between heartbeats [s].
 _HEARTBEAT = 1.0
-#: Time for discovery to find other processes before concluding that there are none [s].
+#: Time allowed for the discovery of other processes [s].
 _LOOK_AROUND = 0.6
 #: Larger numbers are garbage: squares of some finite ones overflow. Commands go to 1, poses to
 #: metres and some turns.

@@ -84,8 +84,8 @@ class Model:
     cameras : Cameras or None
         Rate, noise and stamp errors of those poses; default tunings follow them.
     recordings : tuple of OfRecording
-        What each recording says, if some parameters are each recording's own; the model's values
-        are those of the last one.
+        What each recording says, if some parameters are each recording's own; the model takes its
+        values from the last one.
 
     Raises
     ------
@@ -398,8 +398,8 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
     name : str or path-like
         A model file, the authors' ``params.json``, the YAML of their ROS 2 controller, or
         ``paper:M0`` … ``paper:M4`` for the published parameters. A file with code of your own:
-        ``model.toml+FILE.py:NAME``. A file with values of several recordings: the last one's, or
-        those of the second with ``model.toml#2``.
+        ``model.toml+FILE.py:NAME``. A file with values of several recordings gives the last one's;
+        ``model.toml#2`` gives the second one's.
     effects : sequence of type, optional
         The classes of such effects, if their modules have not been imported.
 

@@ -96,7 +96,7 @@ class Rung:
         start : mapping, optional
             Where a fit starts, by coefficient; otherwise at the defaults.
         bounds : mapping, optional
-            Lowest and highest value, by coefficient; otherwise those of the class.
+            Lowest and highest value, by coefficient; otherwise the class's.
         term : str, optional
             The term in the rung's name: FILE.py:NAME, or by default MODULE:NAME.
 

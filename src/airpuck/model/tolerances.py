@@ -23,7 +23,7 @@ from airpuck.physics.rigid_body import turned
 _YAW = 0.1
 #: Mean and mean square of φ² at random speeds φ: thrusts relative to the full ones.
 _MEAN, _SQUARE = 1 / 3, 1 / 5
-#: Root mean square of the spin in an excitation flight, relative to that of its rate [s].
+#: Root mean square of the spin in an excitation flight, divided by its rate's [s].
 _TURNS = 0.1
 #: Relative step of difference quotients.
 _STEP = 1e-6

@@ -35,7 +35,7 @@ def puck_paths(
     states : array, shape (V, 6)
         States at time 0.
     numbers : array, shape (V, 4)
-        `PUCK_NUMBERS` of each puck, which replace those of the equipment.
+        `PUCK_NUMBERS` of each puck, instead of the equipment's.
     after : array, shape (T,)
         Times [s].
     """

@@ -198,8 +198,8 @@ def _with_added_mass(
         (1 + μ_y) a_y + rₓ ω'          = f_y + r_y ω² + (μ_y - μₓ) u ω
         rₓ a_y - r_y aₓ + (ρ² + r²) ω' = ρ² n + rₓ f_y - r_y fₓ - (μ_y - μₓ) u v
 
-    where f and n are the accelerations of the centre of mass without added mass, and a is that of
-    the geometric centre in the world, along the body's axes.
+    where f and n are the accelerations of the centre of mass without added mass, and a is the
+    acceleration of the geometric centre in the world, along the body's axes.
     """
     along, across, squared_gyration = added
     (rx, ry), (u, v, spin), (fx, fy, turn) = center, velocity, pushed

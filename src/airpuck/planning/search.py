@@ -26,7 +26,7 @@ _FURTHER = {
 }
 #: Starts if the yaw is free: the final turn, and how far the craft turns aside half way [rad]. The
 #: first seven cover the full circle. In two the craft first turns the other way, and in two it
-#: turns aside and back; each pair leads to flights more than 1 % faster than those of all others
+#: turns aside and back; each pair leads to flights more than 1 % faster than any other start
 #: (`studies/plan_search.py free-yaw`).
 _FREE = (
     (0.0, 0.0),

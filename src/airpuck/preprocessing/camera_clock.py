@@ -69,7 +69,7 @@ _REPEATS, _RUN_PERIODS, _RUN_S = 0.005, 3, 5 / 240
 def at_exposure(stream: Stream) -> tuple[Stream, tuple[str, ...]]:
     """Return poses with the times of their exposures, and what was wrong with their stamps.
 
-    Repeated poses are dropped. Good stamps are returned as they are.
+    Repeated poses are dropped. Good stamps are returned unchanged.
     """
     stream, warnings = _without_repeats(stream)
     time = (stream.stamp_ns - stream.stamp_ns[0]) / SECOND_NS
@@ -160,7 +160,7 @@ def _exposures(
     if rate is None:
         period = _chosen_period(time, values, mean)
     elif not 1 - _CLOCKS - 2 / len(time) < mean * rate < _THINNED:
-        return None  # there are more poses than frames, or hardly any
+        return None  # there are more poses than frames, or very few
     else:
         period = _refined(time, 1 / rate, _CLOCKS)[0]
     if period is None:

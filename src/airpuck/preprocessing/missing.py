@@ -50,7 +50,7 @@ def interpolated(
     rates: Float[np.ndarray, "N k"],
     known: Bool[np.ndarray, " N"],
 ) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k"]]:
-    """Replace unknown values and rates by those of cubics between their known neighbours."""
+    """Fill in unknown values and rates from cubics between their known neighbours."""
     places, unknown = np.flatnonzero(known), np.flatnonzero(~known)
     # Unknown samples beyond the first or the last known one keep what they have.
     unknown = unknown[(unknown > places[0]) & (unknown < places[-1])]

@@ -77,7 +77,7 @@ def load_trajectory(
     path : path-like, Recording or Trajectory
         Anything that `read_recording` reads, the authors' data.pt (or its folder), or an .npz
         written by `Trajectory.save`. What was read already is preprocessed; what was preprocessed
-        already is returned as it is.
+        already is returned unchanged.
     vehicle : Vehicle, optional
         The craft; by default the paper's.
     mapping : RecordingMapping, optional

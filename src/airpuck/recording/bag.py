@@ -1,4 +1,4 @@
-"""Bags: those of ROS 2 and ROS 1, a folder or a bare storage file, are read, ROS 2's written."""
+"""Read bags of ROS 2 and ROS 1, as a folder or a bare storage file; write bags of ROS 2."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def poses_of(
 ) -> Float[np.ndarray, "N 3"]:
     """Return x, y [m] and yaw [rad] in our axes; NaN for rotations of zero length.
 
-    `kind` is as in `Orientation`, or ``none``; `names` are those of the orientation in messages.
+    `kind` is as in `Orientation`, or ``none``; `names` are the orientation's fields in messages.
     """
     index, sign = mapping.permutation
     if kind in ("quaternion", "matrix"):

@@ -66,7 +66,7 @@ def read_sqlite(path: Path, wanted: Collection[str]) -> Log:
 
 @contextmanager
 def _opened(path: Path, left: Sequence[Path]) -> Iterator[sqlite3.Connection]:
-    """Open a database as it is, or a copy to which its journals are applied."""
+    """Open a database, or a copy to which its journals are applied."""
     if not left:
         uri = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(uri, uri=True)) as database:
