@@ -73,6 +73,19 @@ def test_a_dead_motor_ends_the_run_before_any_excitation():
     assert names.count("pulses") == 3 and "excitation" not in names
 
 
+def test_a_motor_that_a_slope_leaves_no_time_to_try_again_is_not_called_dead():
+    # Its first start fails; then the craft is at a rail before any further pulse.
+    late = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 3.0, "share": 0.0}
+    motors = TwinSettings(motors={"weak": [late]}).motors
+    tilt = TwinSettings(effects={"tilt_rad": (0.02, 0.0)}).effects
+    settings = QUIET.model_copy(update={"motors": motors, "effects": tilt})
+    twin = Twin(TRUTH, settings, seed=1, pose=(0.35, 0.0, 0.0))
+    found = commission(twin, default_vehicle(), steps=STEPS[1:3])
+    assert found.outcome == "table"
+    assert found.findings[0].cause == "The table slopes by 21 mrad"
+    assert "before motor_b_1 was tried often enough" in found.findings[0].evidence
+
+
 def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):
     gaps = TwinSettings(motion_capture={"gaps_s": [(5.9, 1e4)]}).motion_capture
     twin = Twin(TRUTH, QUIET.model_copy(update={"motion_capture": gaps}), seed=2)

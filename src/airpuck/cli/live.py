@@ -354,8 +354,7 @@ def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json 
 
     silent = live.quiet or is_stdout(json_file)
     tell = (lambda _: None) if silent else show
-    found = watch_live(inputs.read_belief(model), tell, live)
-    write_json(json_file, found)
+    write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
 
 
 @command(_PANEL)

@@ -59,6 +59,13 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
     if all(match.acts_as == k and match.sign > 0 for k, match in matches.items()):
         return vehicle
     given, propellers, place = vehicle.propellers, list(vehicle.propellers), dict[int, int]()
+    taken = {match.acts_as: k for k, match in matches.items()}
+    for k in set(range(len(given))) - set(matches):
+        # Two cables are exchanged, most likely: who lost its place has that of the other.
+        there = k
+        while there in taken:
+            there = taken[there]
+        matches[k] = EffectMatch(there, 1, 1.0)
     curves = vehicle.nominal_thrust[: len(given)].copy()
     for k, match in matches.items():
         if match.acts_as is None:
@@ -66,8 +73,8 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
         source = given[match.acts_as]
         turned = (source.direction_deg + 90 * (1 - match.sign)) % 360
         reverse = given[k].reverse and (source.reverse or given[k].reverse)
-        there = {"position_m": source.position_m, "direction_deg": turned, "reverse": reverse}
-        propellers[k] = given[k].model_copy(update=there)
+        update = {"position_m": source.position_m, "direction_deg": turned, "reverse": reverse}
+        propellers[k] = given[k].model_copy(update=update)
         curves[k] = vehicle.nominal_thrust[match.acts_as]
         if match.sign > 0:
             place[match.acts_as] = k

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from airpuck.commissioning.session import Commissioned
 from airpuck.craft.vehicle import Vehicle
@@ -102,6 +102,12 @@ class PulseEvidence:
             for one in pulse_responses(with_lag(self.model, lag), *log):
                 row += one.costs
         return replace(self, costs=costs, logs=(*self.logs, log))
+
+    @property
+    def tries(self) -> Int[np.ndarray, " n"]:
+        """Number of pulses that each motor has had."""
+        runs = [commands > self.model.vehicle.command_min for *_, commands in self.logs]
+        return sum(np.sum(on[1:] & ~on[:-1], axis=0) for on in runs)
 
     @cached_property
     def _weights(self) -> Float[np.ndarray, "L D"]:

@@ -49,9 +49,9 @@ _STEERED, _RETURN = 3, 6.0
 _CLEARANCE, _REACTION = 0.05, 0.4
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
-#: Further flights after which a motor without thrust counts as dead, once all were tried: starts
-#: may fail.
-_SILENT = 2
+#: Further flights after which a motor without thrust counts as dead, once all were tried, and
+#: pulses that it has had by then: starts may fail.
+_SILENT, _TRIES = 2, 2
 #: A table counts as level up to this slope [mrad].
 _LEVEL = 1.0
 
@@ -167,7 +167,7 @@ class Pulses:
             stop = _DriftingOff(session, given, begins)
             session.fly("pulses", pilot, pilot.duration, until=stop, guarded=False)
             evidence = evidence.after(pilot)
-            unclear, cause = _unclear(model, *evidence.effects)
+            unclear, cause = _unclear(evidence)
             untried = np.isnan(evidence.effects[0]).any()
             complete += not untried
             if not len(unclear) or complete > _SILENT:
@@ -210,10 +210,9 @@ class Pulses:
         session.note("pulses", f"{count} motors answer; lag about {lag}, delay about {delay}")
 
 
-def _unclear(
-    model: Model, effects: Effects, errors: Float[np.ndarray, " n"]
-) -> tuple[Int[np.ndarray, " k"], Finding | None]:
+def _unclear(evidence: PulseEvidence) -> tuple[Int[np.ndarray, " k"], Finding | None]:
     """Return the motors that have to be tried again, and what is wrong with the first one."""
+    model, (effects, errors) = evidence.model, evidence.effects
     names = model.vehicle.propeller_names
     untried = np.isnan(effects).any(axis=0)
     share, silent = _shares(model, effects), _silent(model, effects)
@@ -226,17 +225,18 @@ def _unclear(
     unclear = np.flatnonzero(untried | silent | odd | (errors > _VAGUE))
     if not (untried | silent | odd).any():
         return unclear, None
-    for k in np.flatnonzero(silent).tolist():
+    for k in np.flatnonzero(silent & (evidence.tries >= _TRIES)).tolist():
         remedy = "Check its cable, power and bearing, and start again."
-        evidence = f"at most {percent(float(share[k]))} of the usual effect"
-        cause = Finding("actuator", f"{names[k]} gives little or no thrust", evidence, remedy)
+        seen = f"at most {percent(float(share[k]))} of the usual effect"
+        cause = Finding("actuator", f"{names[k]} gives little or no thrust", seen, remedy)
         return unclear, cause
     for k in np.flatnonzero(odd).tolist():
         angle = math.degrees(math.acos(float(np.clip(matches[k].cosine, -1, 1))))
         cause = f"{names[k]} acts {angle:.0f}° off its place in the vehicle file"
         remedy = "Check its position_m and direction_deg, and the axes of the poses."
         return unclear, Finding("layout", cause, "", remedy)
-    cause = f"The craft came near a rail before {names[np.flatnonzero(untried)[0]]} was tried"
+    first = names[np.flatnonzero(untried | silent)[0]]
+    cause = f"The craft came near a rail before {first} was tried often enough"
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
 
 

@@ -246,8 +246,7 @@ class Letter:
 
 def digest(paths: Iterable[Route]) -> str:
     """Return a short digest of paths."""
-    said = hashlib.sha256(json.dumps(plain(list(paths))).encode())
-    return said.hexdigest()[:16]
+    return hashlib.sha256(json.dumps(plain(list(paths))).encode()).hexdigest()[:16]
 
 
 def on_clock(message: Message, later: float) -> Message:

@@ -212,8 +212,7 @@ def fly_together(
         twin = Twin(one.truth, fleet.settings, seed=own, pose=(x, y, yaw), world=world)
         flies = pilot(fleet, one.name, air.tell, seed=own)
         pilots.append(_OnTwin(flies, twin, air, seen, dies.get(one.name, math.inf)))
-    took = _flown(fleet, pilots)
-    return _flight(fleet, pilots, took, world)
+    return _flight(fleet, pilots, _flown(fleet, pilots), world)
 
 
 def _flown(fleet: Fleet, pilots: Sequence[_OnTwin]) -> list[float]:

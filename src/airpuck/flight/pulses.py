@@ -198,8 +198,7 @@ def pulse_responses(
     regression; d is the delay with the smallest residual. The poses are neither smoothed nor
     differentiated.
     """
-    idle = model.vehicle.command_min
-    pulses = find_pulses(command_time, command, idle)
+    pulses = find_pulses(command_time, command, model.vehicle.command_min)
     # Slow cameras need longer for the same number of poses.
     enough = (_FEWEST + 1) * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     before, after = max(_BEFORE, enough), max(_AFTER, enough)

@@ -123,8 +123,7 @@ def reweighted(
 def window_weights(loss: PredictionLoss, parameters: Parameters) -> Float[np.ndarray, " W"]:
     """Return the weight of each window, per count in the loss."""
     dynamics = replace(parameters.dynamics(np, loss.vehicle), frame=loss.frame)
-    windows = loss.windows_at(parameters)
-    errors = prediction_errors(dynamics, windows, loss.encoder)
+    errors = prediction_errors(dynamics, loss.windows_at(parameters), loss.encoder)
     scaled = np.array(loss.weights)[:, None] * errors
     return student_weights(np.nanmean(scaled**2, axis=(0, 1)), loss.multiplicity)
 

@@ -173,8 +173,7 @@ def varying(
 ) -> Subspace:
     """Find the directions in which an estimate can vary along its active constraints."""
     binding, gauge = binding_constraints(parameters, free), gauge_constraints(parameters, free)
-    finite = np.isfinite(hessian).all()
-    known = hessian if finite else np.zeros_like(hessian)
+    known = hessian if np.isfinite(hessian).all() else np.zeros_like(hessian)
     space = subspace(known, free, np.concatenate([binding, gauge]))
     return replace(space, binding=len(binding))
 

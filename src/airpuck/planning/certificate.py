@@ -226,8 +226,7 @@ def _of_leg(request: Request, to: Float[np.ndarray, " 2"], duration: float) -> f
     """Compute a bound for a leg with a free final velocity; the plan's leg may take much longer."""
     best = 0.0
     for time in duration * _SHARES_OF_LEG:
-        found = _refuted(request, _straight(request, to, time), time)
-        best = max(best, found)
+        best = max(best, _refuted(request, _straight(request, to, time), time))
         if best > _NEAR * time:
             break
     return best

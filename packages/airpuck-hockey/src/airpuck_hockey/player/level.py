@@ -69,8 +69,7 @@ def weakened(model: Model, share: float) -> Model:
         [np.sum(thrust(model.dynamics.thrust, np.full(vehicle.n_propellers, c))) for c in commands]
     )
     most = float(commands[np.searchsorted(given, share * given[-1])])
-    changed = vehicle.model_copy(update={"command_max": most})
-    return replace(model, vehicle=changed)
+    return replace(model, vehicle=vehicle.model_copy(update={"command_max": most}))
 
 
 def slower(times: MinimalTimes, share: float) -> MinimalTimes:

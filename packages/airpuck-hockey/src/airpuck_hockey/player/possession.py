@@ -123,8 +123,7 @@ def _aims_at_goal(
     if after[0] >= 0.0:
         return False
     ahead = (view.pitch.goal_line + puck[0]) / -after[0]
-    crosses = abs(float(puck[1] + after[1] * ahead))
-    return crosses < table.goal_width_m / 2 + _MISSES
+    return abs(float(puck[1] + after[1] * ahead)) < table.goal_width_m / 2 + _MISSES
 
 
 def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, " K"]:

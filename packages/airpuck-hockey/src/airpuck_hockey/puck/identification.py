@@ -252,8 +252,7 @@ def seen_poses(
     hidden.
     """
     logged = recording[stream]
-    first = recording["puck"].stamp_ns[0]
-    time = (logged.stamp_ns - first) / SECOND_NS
+    time = (logged.stamp_ns - recording["puck"].stamp_ns[0]) / SECOND_NS
     columns = slice(2) if np.isnan(logged.values[:, 2]).all() else slice(3)
     kept = np.isfinite(logged.values[:, columns]).all(axis=1)
     time, index = np.unique(time[kept], return_index=True)
