@@ -15,7 +15,7 @@ from airpuck.cli.app import known_commands
 
 DOCS = Path(__file__).parents[1] / "docs"
 #: Lines that people write in docs/; details belong beside the studies.
-MOST_LINES = 5_990
+MOST_LINES = 5_999
 
 
 @pytest.mark.slow
