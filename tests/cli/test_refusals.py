@@ -168,3 +168,10 @@ def test_options_of_laws_for_a_pilot(option, value):
     pilot = f"{EXAMPLES / 'own_pilot' / 'spring.py'}:Spring"
     done = airpuck("track", "--law", pilot, f"--{option}", value)
     assert refused(done, option, "no effect on a pilot")
+
+
+def test_a_truth_with_other_motors_than_the_craft_s_is_refused_before_any_flight(tmp_path):
+    vehicle = EXAMPLES / "four_propellers/vehicle.toml"
+    words = "commission", "--vehicle", vehicle, "--truth", "paper:M3", "-o", tmp_path / "box"
+    assert refused(airpuck(*words), "--truth: the controller's craft has 4 motors, the twin 6")
+    assert not (tmp_path / "box").exists()

@@ -90,6 +90,12 @@ def test_inverse_is_clipped_at_the_ends_of_the_image():
     )
 
 
+def test_a_thrust_that_is_no_number_gives_no_speed():
+    # Half thrust, as a bisection of nothing would give, is a command that flies.
+    speed = InverseThrust(np.array([[0.1, 1.0, -0.5]] * 2))(np.array([np.nan, 0.6]))
+    np.testing.assert_array_equal(speed, [np.nan, 1.0])
+
+
 def test_a_falling_curve_has_no_inverse():
     with pytest.raises(InputError, match=r"propeller 2 falls at φ = 1\.000"):
         InverseThrust(np.array([[1.0, 0.0, 0.0], [0.1, 1.6, -1.2]]))

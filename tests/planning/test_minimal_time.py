@@ -87,7 +87,7 @@ def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setitem(sys.modules, "casadi", None)
     assert minimal_times_of(airpuck.read_model("paper:M3")).margin == 0
-    with pytest.raises(InputError, match=r"cannot be planned: .*pip install casadi"):
+    with pytest.raises(InputError, match=r"cannot be planned: .*pip install 'airpuck\[plan\]'"):
         minimal_times_of(weak(0.43))
 
 

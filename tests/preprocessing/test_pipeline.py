@@ -52,6 +52,8 @@ def test_a_path_a_recording_and_a_trajectory_are_the_same_data(recording, tmp_pa
     assert load_all(trajectory) == [trajectory]
     assert len(load_all(recording)) == 1  # although a recording is an iterable of its streams
     assert len(load_all(tmp_path / "bag")) == 1
+    with pytest.raises(InputError, match=r"recordings: must be paths.*, not nothing"):
+        load_all([])
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ def test_plans_with_way_points_or_a_moving_start_have_no_set_point_flight(planne
 def test_a_twin_of_another_craft_is_refused(planned):
     examples = Path(__file__).parents[2] / "examples"
     other = nominal_model(airpuck.read_vehicle(examples / "free_flyers/atmos.toml"))
-    with pytest.raises(InputError, match="has 6 propellers, the twin 8"):
+    with pytest.raises(InputError, match="has 6 motors, the twin 8"):
         race(planned, other)
 
 
@@ -276,7 +276,7 @@ def test_another_number_of_propellers_is_refused():
     content = default_vehicle().model_dump()
     content |= {"propellers": content["propellers"][:4], "pairs": content["pairs"][:2]}
     four = nominal_model(Vehicle.model_validate(content))
-    with pytest.raises(InputError, match="4 propellers, the twin 6"):
+    with pytest.raises(InputError, match="4 motors, the twin 6"):
         track(four, SetPoint(0, 0, 0), 1.0, truth=M4)
 
 

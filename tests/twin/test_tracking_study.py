@@ -98,6 +98,16 @@ def test_both_laws_fly_the_same_and_the_predictive_one_is_faster():
     assert 0 < content["step_ms"]["p50"] <= content["step_ms"]["p99"]
 
 
+def test_a_larger_craft_is_not_sent_into_a_rail():
+    wide = replace(M4, vehicle=M4.vehicle.model_copy(update={"radius_m": 0.12}))
+    (flown,) = tracking_study([wide], wide, flights=(None,), dwell=0.1)
+    reach = np.array(default_twin_settings().table.reach(0.12))
+    places = np.abs(np.array(flown.twin.set_points.poses)[:, :2])
+    np.testing.assert_allclose(places.max(axis=0), np.minimum(reach - 0.03, [1.0, 0.3]))
+    (flown,) = tracking_study([M4], M4, flights=(None,), dwell=0.1)
+    np.testing.assert_array_equal(flown.twin.set_points.poses, SET_POINTS)
+
+
 def test_json_has_null_for_nan(capsys):
     from pathlib import Path
 

@@ -187,7 +187,7 @@ def _client(workers: int | str | None) -> Iterator[Any]:
         from dask import config
         from distributed import Client
     except ImportError:
-        needs = "campaigns need Dask: pip install distributed"
+        needs = "campaigns need Dask: pip install 'airpuck[campaign]'"
         raise InputError(f"{needs} (match and league: or use --workers 1)") from None
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     local |= {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}

@@ -48,7 +48,11 @@ def commission(
 
         if table is not None:
             raise InputError("comes with the twin's settings; leave it out", field="--table")
-        link = airpuck.Twin(airpuck.read_model(truth), twin, seed=seed)
+        from airpuck.twin.experiments import check_same_craft
+
+        true = airpuck.read_model(truth)
+        check_same_craft(craft, true.vehicle)
+        link = airpuck.Twin(true, twin, seed=seed)
         with keyboard() as pressed:
             given = {"tell": tell, "stopped": lambda: bool(pressed and pressed())}
             rails = link.settings.table

@@ -108,8 +108,10 @@ def check(
     result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
     report(result.to_json(), json_file, *result.lines)
     if not result.agrees:
-        reason = ", ".join(result.wrong) if result.conclusive else "no verdict is possible"
-        problem = f"does not agree with the vehicle {craft.name!r}: {reason}"
+        said = f"does not agree with the vehicle {craft.name!r}: {', '.join(result.wrong)}"
+        problem = (
+            said if result.conclusive else "is too short or too quiet to judge the vehicle file"
+        )
         raise InputError(problem, file=recording)
 
 
@@ -312,7 +314,7 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
     yield from presentation.structure
     headings = ("", "unit", "value", "95 % interval")
     parameters = map(value_texts, presentation.parameters)
-    yield table(headings, parameters, title="Parameters ± standard error")
+    yield table(headings, parameters, title="Parameters ± standard error (with tolerances)")
     derived = map(value_texts, presentation.derived)
     yield table(headings, derived, title="Derived quantities")
     yield from (f"{key}: {value}" for key, value in presentation.conditions)

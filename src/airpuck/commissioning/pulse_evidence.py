@@ -107,7 +107,7 @@ class PulseEvidence:
     def tries(self) -> Int[np.ndarray, " n"]:
         """Number of pulses that each motor has had."""
         runs = [commands > self.model.vehicle.command_min for *_, commands in self.logs]
-        return sum(np.sum(on[1:] & ~on[:-1], axis=0) for on in runs)
+        return np.sum([np.sum(on[1:] & ~on[:-1], axis=0) for on in runs], axis=0)
 
     @cached_property
     def _weights(self) -> Float[np.ndarray, "L D"]:

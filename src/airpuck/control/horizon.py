@@ -67,8 +67,7 @@ class Blocks:
         count = max(round(law.horizon_s / law.step_s), 1)
         given = law.block
         ends = np.cumsum([*given, *given[-1:] * count]).clip(max=count)
-        lengths = np.diff(np.unique(ends), prepend=0)
-        return cls(law.step_s, tuple(lengths.tolist()))
+        return cls(law.step_s, tuple(np.diff(np.unique(ends), prepend=0).tolist()))
 
     @property
     def owner(self) -> Int[np.ndarray, " N"]:

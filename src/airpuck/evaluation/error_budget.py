@@ -160,8 +160,7 @@ def error_budget(
     judged, spacing = every_start(trajectory, protocol)
     windows, past = judged_windows(model, trajectory, judged, encoder, 2 * spacing)
     hindsight = look_back(model, windows.trajectories[0], windows, faults)
-    again = _Again(model, windows, encoder, past, hindsight)
-    of = cache(again.predicted)
+    of = cache(_Again(model, windows, encoder, past, hindsight).predicted)
     drops = np.zeros((len(OWNERS), *of(frozenset()).shape))
     for order in (OWNERS, OWNERS[::-1]):
         known = frozenset[str]()

@@ -50,7 +50,7 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
     try:
         import casadi
     except ImportError:
-        raise InputError("an export to casadi needs CasADi: pip install casadi") from None
+        raise InputError("an export to casadi needs CasADi: pip install 'airpuck[plan]'") from None
     for name in free:
         if name not in (names := _arguments(model)):
             raise InputError(

@@ -24,7 +24,7 @@ from airpuck.twin.twin import check_pose
 try:
     from gymnasium import spaces
 except ImportError:
-    raise InputError("environments need Gymnasium: pip install gymnasium") from None
+    raise InputError("environments need Gymnasium: pip install 'airpuck[gym]'") from None
 
 #: Time between commands, and the usual time limit of an episode [s].
 PERIOD, LONGEST = 0.01, 10.0

@@ -230,8 +230,7 @@ class Fleet:
         if start is not None:
             paths = [path.later(start) for path in self.opening]
         parts = {one.name: (one.reach, path) for one, path in zip(self.members, paths, strict=True)}
-        own = parts.pop(self.member(name).name)
-        return Agreement(name, *own, parts)
+        return Agreement(name, *parts.pop(self.member(name).name), parts)
 
     @cached_property
     def opening(self) -> list[Route]:

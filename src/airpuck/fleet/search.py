@@ -302,8 +302,7 @@ class Search:
         place = _places(laid, np.maximum(elapsed, 0.0))
         early = elapsed < 0
         if early.any():
-            own = agreed.places(times)[:, None]
-            place = np.where(early[..., None], own, place)
+            place = np.where(early[..., None], agreed.places(times)[:, None], place)
         free = np.all(np.abs(place) <= self.border + 1e-6, axis=(0, 2))
         for k in range(others.places.shape[1]):
             apart = place - others.places[::_COARSE, None, k]

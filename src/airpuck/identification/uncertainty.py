@@ -408,8 +408,8 @@ def identifiability_of(
     if pairs:
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
         notes.append(
-            f"{len(pairs)} pairs of parameters correlate by more than {_ALIKE}, most {first} and "
-            f"{second} ({size:.3f}): judge their combination, such as a thrust curve"
+            f"pairs of parameters that correlate by more than {_ALIKE}: {len(pairs)}, most {first} "
+            f"and {second} ({size:.3f}); judge them together: by their sum, or as a curve"
         )
     return Identifiability(len(labels), rank, condition, weakest, tuple(pairs), tuple(notes))
 

@@ -358,7 +358,7 @@ def _errors_in_words(errors: dict[str, float]) -> list[str]:
         low, high = percent(min(thrusts)), percent(max(thrusts))
         words.append(f"thrusts at full speed {low if low == high else f'{low} to {high}'}")
     scale = " (α: of 1 rad; r: of the propellers' lever arm)" if "α" in listed else ""
-    return [f"Standard errors: {', '.join(words)}{scale}."] if words else []
+    return [f"Statistical errors: {', '.join(words)}{scale}."] if words else []
 
 
 def _learned(model: Model) -> list[MainQuantity]:

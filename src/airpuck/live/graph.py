@@ -125,7 +125,7 @@ class Graph:
             from cyclonedds.core import DDSException, GuardCondition, Policy, Qos, WaitSet
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
-            raise InputError("flying live needs Cyclone DDS: pip install cyclonedds") from error
+            raise InputError("a graph needs Cyclone DDS: pip install 'airpuck[ros2]'") from error
         try:
             if self.domain not in self._configured:
                 self._configured[self.domain] = config, Domain(self.domain, config)

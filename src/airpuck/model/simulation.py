@@ -221,7 +221,7 @@ def statespace(
     try:
         import control
     except ImportError:
-        raise InputError("to_statespace needs python-control: pip install control") from None
+        raise InputError("this needs python-control: pip install 'airpuck[control]'") from None
     command = trim(dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
     if command.shape != (len(propellers),):
         raise InputError(f"needs {len(propellers)} numbers, one for each motor", field="command")

@@ -252,8 +252,7 @@ class PuckOnTable:
         """Change the motion of the puck, and of the disc it meets."""
         body, state = self._body, self.state
         body.vx, body.vy, body.spin = state.vx, state.vy, state.spin
-        impulse = strike(body, other, nx, ny, law)
-        self._log(met, impulse, index)
+        self._log(met, strike(body, other, nx, ny, law), index)
         if self.time - self._counted_from > WITHIN:
             self._contacts, self._counted_from = 0, self.time
         self._contacts += 1

@@ -149,7 +149,7 @@ class InverseThrust:
     def __call__(self, force: Float[np.ndarray, "n *batch"]) -> Float[np.ndarray, "n *batch"]:
         """Invert the curves."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            return inverse_thrust(np, self._coefficients, force)
+            return np.where(np.isnan(force), np.nan, inverse_thrust(np, self._coefficients, force))
 
 
 def inverse_thrust(xp: Any, coefficients: Any, force: Any) -> Any:

@@ -217,8 +217,7 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
         motors = np.full(n, request.model.vehicle.command_max)
         state = np.concatenate([goal[:3], -goal[3:], motors])
         place = Goal(float(point[0]), float(point[1]), velocity=None)
-        backwards = replace(direct, start=state, goal=place)
-        last = _of_leg(backwards, point, time)
+        last = _of_leg(replace(direct, start=state, goal=place), point, time)
     return max(whole, first + last)
 
 

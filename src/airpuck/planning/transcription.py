@@ -265,5 +265,5 @@ def _casadi() -> Any:
     try:
         import casadi
     except ImportError:
-        raise InputError("planning needs CasADi: pip install casadi") from None
+        raise InputError("planning needs CasADi: pip install 'airpuck[plan]'") from None
     return casadi

@@ -133,8 +133,9 @@ def load_all(
     several = isinstance(recordings, Iterable) and not fits(recordings, Source)
     given: Any = recordings if several else [recordings]
     listed = list(given)
-    if strange := [one for one in listed if not fits(one, Source)]:
-        problem = f"must be paths, recordings or trajectories, not {type(strange[0]).__name__}"
+    strange = [type(one).__name__ for one in listed if not fits(one, Source)]
+    if strange or not listed:
+        problem = f"must be paths, recordings or trajectories, not {[*strange, 'nothing'][0]}"
         raise InputError(problem, field="recordings")
     return [load_trajectory(one, vehicle, mapping=mapping) for one in listed]
 

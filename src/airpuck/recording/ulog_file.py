@@ -54,7 +54,7 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
     try:
         from pyulog import ULog
     except ImportError:
-        raise InputError("PX4 logs need pyulog: pip install pyulog", file=path) from None
+        raise InputError("PX4 logs need pyulog: pip install 'airpuck[px4]'", file=path) from None
     refuse_csv_settings(mapping, path, "a PX4 log")
     content = path.read_bytes()
     _check_definitions(content, path)

@@ -40,7 +40,7 @@ def commissioning_report(
     folder = Path(out).name
     next_ = (
         f"Fly it: `airpuck fly {folder}/model.toml`. Race it on the twin: "
-        f"`airpuck plan {folder}/model.toml`."
+        f"`airpuck race {folder}/model.toml`."
         if found.trusted
         else f"{found.findings[0].remedy} Then run `airpuck commission` again."
     )

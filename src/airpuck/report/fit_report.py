@@ -56,7 +56,7 @@ _SHOWN = 8
 _INTERVALS = (
     " ±: standard error, with blocks of two seconds taken as independent. A learned value without "
     "one is held by a constraint, or known only as a factor of a product. Systematic errors common "
-    "to all the data are not included."
+    "to all the data, such as the tolerances of the vehicle file, are not included."
 )
 
 
@@ -165,8 +165,7 @@ def _optimiser_section(study: FitStudy) -> PageSection:
             "with their own conventions of encoder and frame. A fit minimises the loss on its "
             "data, so even the true parameters have a higher one."
         )
-    cells = [list(row.values()) for row in rows]
-    shown = PageTable(table, list(rows[0]), cells)
+    shown = PageTable(table, list(rows[0]), [list(row.values()) for row in rows])
     return PageSection("optimiser", "Convergence of the fits", (shown,))
 
 

@@ -18,6 +18,7 @@ from airpuck.control.reference import Reference, SetPoints
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
+from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import FlightLog, fly
 from airpuck.flight.pilot import PilotMaker, pilot_named
 from airpuck.model.model_file import Model, nominal_model
@@ -208,7 +209,7 @@ def track(
     """
     tuning, truth = tuning or tuning_for(model), truth or model
     _check_duration(duration, tuning)
-    _check_same_craft(model, truth)
+    check_same_craft(model.vehicle, truth.vehicle)
     twin = Twin(truth, settings, seed=seed, pose=pose, plant=plant)
     given: Any = {"law": law, "gain": gain}
     given |= {"compensate_delay": compensate_delay, "reject_disturbance": reject_disturbance}
@@ -367,7 +368,7 @@ def race(
             "--velocity)",
             field="plan",
         )
-    _check_same_craft(planned.model, truth)
+    check_same_craft(planned.model.vehicle, truth.vehicle)
     settings = settings or default_twin_settings()
     tuning = tuning or tuning_for(planned.model)
     plant, (x, y, yaw) = build_plant(truth, settings), planned.states[0, :3].tolist()
@@ -397,15 +398,12 @@ def race(
     )
 
 
-def _check_same_craft(model: Model, truth: Model) -> None:
-    """Raise InputError if the twin has other propellers than the controller's model."""
-    ours, theirs = (len(one.vehicle.columns) for one in (model, truth))
+def check_same_craft(own: Vehicle, true: Vehicle) -> None:
+    """Raise InputError if the twin has other motors than the controller's craft."""
+    ours, theirs = (len(one.columns) for one in (own, true))
     if ours != theirs:
-        raise InputError(
-            f"the controller's model has {ours} propellers, the twin {theirs}; name a truth of the "
-            "same craft",
-            field="truth",
-        )
+        words = f"the controller's craft has {ours} motors, the twin {theirs}"
+        raise InputError(f"{words}; name a truth of the same craft", field="truth")
 
 
 def _reached(twin: Twin, planned: Plan) -> float | None:

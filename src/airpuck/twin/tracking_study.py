@@ -34,6 +34,8 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from the centre and back.
 SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))
+#: Distance of the paper's craft from a rail there [m].
+_ROOM = 0.03
 #: Time before the first set point [s].
 _LEAD = 0.9
 
@@ -253,7 +255,7 @@ def tracking_study(
     found = []
     padded = [*flights, *[None] * (len(models) - len(flights))]
     for model, flight, tuned in zip(models, padded, tunings, strict=True):
-        task = _Task.planned(set_points, dwell)
+        task = _Task.planned(set_points, dwell, border)
         if flight is not None:
             task = _Task.flown(Track.of(flight, model.vehicle, f"{model.name}, real"), border)
         for kind in laws:
@@ -327,11 +329,18 @@ class _Task:
     real: Track | None
 
     @classmethod
-    def planned(cls, set_points: SetPoints | None, dwell: float) -> _Task:
-        """Return a flight from the centre through set points, by default the paper's."""
+    def planned(
+        cls, set_points: SetPoints | None, dwell: float, border: tuple[float, float]
+    ) -> _Task:
+        """Return a flight from the centre through set points, by default the paper's.
+
+        A larger craft than the paper's keeps the same distance from rails.
+        """
         if set_points is None:
             changes = _LEAD + dwell * np.arange(len(SET_POINTS) - 1)
-            set_points = SetPoints([0.0, *changes.tolist()], SET_POINTS)
+            room = np.array([*border, np.inf]) - _ROOM
+            points = np.clip(SET_POINTS, -room, room).tolist()
+            set_points = SetPoints([0.0, *changes.tolist()], points)
         return cls(set_points, float(set_points.times[-1]) + dwell, (0.0, 0.0, 0.0), None)
 
     @classmethod

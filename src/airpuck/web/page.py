@@ -113,7 +113,7 @@ def served(
     `without` explains how to run without pages if websockets is not installed.
     """
     if find_spec("websockets") is None:
-        raise InputError(f"the page needs websockets: pip install websockets{without}")
+        raise InputError(f"the page needs websockets: pip install 'airpuck[pages]'{without}")
     with listen(host, port) as listening:
         port = listening.getsockname()[1]
         context = multiprocessing.get_context("spawn")

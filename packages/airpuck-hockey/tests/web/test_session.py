@@ -288,6 +288,10 @@ def test_a_goal_is_called_and_counted(begun):
     assert ("goal", -1) in events
     assert begun.news[-1]["score"] == [1, 0]
     assert begun.states[-1].hidden
+    # The results are those of the last game that was played, not of one that waits.
+    begun.order("level", level="easy")
+    begun.run(0.1)
+    assert begun.session.run(0.0)["score"] == [1, 0]
 
 
 def test_a_flood_of_restarts_starts_few_games(begun):

@@ -160,8 +160,7 @@ class Blind:
     def seen(self, view: View, outlook: Outlook) -> None:
         """Remember where the puck will cross the line through the home position."""
         self._since = view.time
-        x = view.pitch.home[0]
-        before = outlook.places[:, 0] < x
+        before = outlook.places[:, 0] < view.pitch.home[0]
         half = view.pitch.equipment.table.goal_width_m / 2
         y = outlook.places[int(np.argmax(before)), 1] if before.any() else 0.0
         self._line = float(np.clip(y, -half, half))

@@ -136,8 +136,7 @@ def good_place(view: View, place: Float[np.ndarray, "K 2"]) -> Float[np.ndarray,
     across = np.clip((room - np.abs(place[:, 1])) / _ENOUGH, 0, 1)
     behind = place[:, 0] + pitch.goal_line - pitch.equipment.puck.radius_m - 2 * pitch.craft_radius
     before = -place[:, 0] - 2 * pitch.contact_distance
-    along = np.clip(np.minimum(behind, before) / _ENOUGH, 0, 1)
-    return across * along
+    return across * np.clip(np.minimum(behind, before) / _ENOUGH, 0, 1)
 
 
 class Free(Searcher):

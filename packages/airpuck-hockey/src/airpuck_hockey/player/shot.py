@@ -269,8 +269,7 @@ def chances(
     """
     drawn = _quantiles(count, _DIMENSIONS)
     # A covariance computed from differences may be rank deficient.
-    root = _root(covariance)
-    puck = np.einsum("nij,cj->nci", root, drawn[:, :6])
+    puck = np.einsum("nij,cj->nci", _root(covariance), drawn[:, :6])
     craft = drawn[:, 6:8] * error.place
     # The normal turns with the transverse part of the position difference.
     across = unit(contacts.normal + math.pi / 2)

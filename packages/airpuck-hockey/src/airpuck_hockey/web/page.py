@@ -278,7 +278,7 @@ class Session:
         self._pages, self._model, self._settings = pages, model, settings
         self._record = record
         self._level = self._first_level = level
-        self._seed, self._games = seed, 0
+        self._seed, self._games, self._score = seed, 0, (0, 0)
         #: When a game without a player is given up [s, monotonic].
         self._given_up = math.inf
         self._seated = self._runs = self._begun = False
@@ -302,7 +302,7 @@ class Session:
         return {
             "duration_s": self._clock.now,
             "games": self._games,
-            "score": list(self._game.score),
+            "score": list(self._score),
             "periods": self._took.count,
             "step_ms": self._took.to_json(),
             "behind_real_time_ms": self._behind.to_json(),
@@ -376,7 +376,8 @@ class Session:
             self._game.step()
 
     def _keep(self) -> None:
-        """Save a game that has begun, if games are recorded."""
+        """Remember the score of a game that has begun, and save it if games are recorded."""
+        self._score = self._game.score if self._begun else self._score
         if self._record is not None and self._begun:
             paths = (self._record / f"game-{number}" for number in count(1))
             write_bag(self._game.recording(), next(path for path in paths if not path.exists()))
