@@ -58,7 +58,8 @@ def test_a_craft_with_a_rough_file_earns_a_trusted_model(tmp_path):
     assert found.given == given == rough()
     assert sum("continuing with a corrected vehicle file" in line for line in said) == 1
     page = commissioning_report(found, tmp_path / "page").read_text("utf-8")
-    assert "Shrinking intervals" in page and "airpuck fly" in page
+    assert "Shrinking intervals" in page
+    assert "airpuck fly" in page and "airpuck race" in page
 
 
 def test_a_dead_motor_ends_the_run_before_any_excitation():

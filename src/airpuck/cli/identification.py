@@ -242,7 +242,7 @@ def _fit_summary(fit: Fit, verbose: bool) -> Iterator[str | Table]:
     yield table(
         headings,
         [row[: len(headings)] for row in _rows(fit.model)],
-        title=f"Learned values ± standard error (with tolerances), {uncertainty.clusters} blocks"
+        title=f"Learned values ± standard error, from {uncertainty.clusters} blocks and tolerances"
         + (f"; separate values are for {Path(own[-1].source).name}" if own else ""),
         left=("", "unit"),
     )

@@ -61,7 +61,7 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
     given, propellers, place = vehicle.propellers, list(vehicle.propellers), dict[int, int]()
     taken = {match.acts_as: k for k, match in matches.items()}
     for k in set(range(len(given))) - set(matches):
-        # Two cables are exchanged, most likely: who lost its place has that of the other.
+        # An untried motor whose place is taken most likely has the place of the one that took it.
         there = k
         while there in taken:
             there = taken[there]

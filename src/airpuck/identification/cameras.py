@@ -1,7 +1,7 @@
 """Rate, noise and stamp errors of the cameras, as a recording shows them.
 
 Third differences of the poses, minus the model's accelerations integrated twice, contain nothing
-but noise: the cameras' alone at rest, in motion also the stamps'.
+but noise: at rest only the cameras', in motion the stamps' as well.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ DEGREE, _BEND = "degree", "common degree"
 #: ``delay``; and smallest changes over the recording that are reported, relative and in seconds.
 CHANGE, ALL, DELAY = "change of ", "all", "delay"
 _LEAST_CHANGE, _LEAST_LATER = 0.04, 3e-3
-#: Share of the commands below which a thrust curve is rarely seen; part of the thrust there that is
+#: Share of the commands below which a thrust curve is barely seen; part of the thrust there that is
 #: uncertain if the curve is no cubic polynomial; and number of speeds that stand for a curve.
 _SLOW, _UNSEEN, _SPEEDS = 0.1, 0.5, 101
 #: Part of a term's information that the model's own parameters must leave.

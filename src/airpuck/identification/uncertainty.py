@@ -409,7 +409,7 @@ def identifiability_of(
         first, second, size = max(pairs, key=lambda pair: abs(pair[2]))
         notes.append(
             f"pairs of parameters that correlate by more than {_ALIKE}: {len(pairs)}, most {first} "
-            f"and {second} ({size:.3f}); judge them together: by their sum, or as a curve"
+            f"and {second} ({size:.3f}); a combination of both is known better than either"
         )
     return Identifiability(len(labels), rank, condition, weakest, tuple(pairs), tuple(notes))
 

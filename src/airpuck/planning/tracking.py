@@ -92,6 +92,8 @@ class PlanTracker(Law):
         high = thrust(curves, coasting + drive * vehicle.command_max)
         force = np.clip(planned[1] + lag * aside + drive * correction, low, high)
         command = (self._inverse(force) - coasting) / drive
+        if not np.isfinite(command).all():
+            return Step(vehicle.idle, "failed", np.zeros(3), None), state
         command = np.clip(command, vehicle.command_min, vehicle.command_max)
         return Step(command, "exact", np.zeros(3), estimate), state
 

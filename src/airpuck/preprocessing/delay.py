@@ -102,8 +102,7 @@ def _best_lag(
     # A circular correlation, padded so that no lag of interest wraps around.
     size = 1 << (len(measured) + limit).bit_length()
     spectrum = np.fft.rfft(measured, size) * np.fft.rfft(modelled, size).conj()
-    full = np.fft.irfft(spectrum, size)
-    window = full[np.arange(-limit, limit + 1)]
+    window = np.fft.irfft(spectrum, size)[np.arange(-limit, limit + 1)]
     best = int(np.argmax(window))
     norm = float(np.linalg.norm(measured) * np.linalg.norm(modelled))
     return best - limit, float(window[best]) / norm if norm > 0 else 0.0

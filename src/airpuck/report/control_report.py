@@ -242,7 +242,7 @@ def tracking_report(
     out: str | os.PathLike[str],
     origin: Origin | None = None,
     *,
-    set_points: str = "the paper",
+    set_points: str = "the paper, within reach",
 ) -> Path:
     """Write a page on a tracking study; `set_points` names the source of the set points."""
     names = " and ".join(flight.label for flight in flights)

@@ -25,6 +25,7 @@ from airpuck.evaluation.presentation import (
 from airpuck.experiment_design.design import Design
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import IN_MATRIX, QUANTITIES
+from airpuck.model.tolerances import bar
 from airpuck.physics.thrust import thrust
 from airpuck.report import style
 from airpuck.report.page import PageTable
@@ -150,7 +151,7 @@ def _cells(
         return [Cell()] * count
     free = bool(model.free[model.parameters.mask(frozenset({quantity}))].any())
     cells = []
-    errors = np.ravel(model.standard_error(values))
+    errors = np.ravel(bar(model, values))
     for value, error in zip(np.ravel(values(model)), errors, strict=True):
         known = np.isfinite(error) and error > 0
         if free and model.known is not None and not np.isfinite(error):

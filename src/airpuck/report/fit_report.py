@@ -55,8 +55,8 @@ _SHOWN = 8
 #: Footnote on the standard errors in tables of parameters.
 _INTERVALS = (
     " ±: standard error, with blocks of two seconds taken as independent. A learned value without "
-    "one is held by a constraint, or known only as a factor of a product. Systematic errors common "
-    "to all the data, such as the tolerances of the vehicle file, are not included."
+    "one is held by a constraint, or known only as a factor of a product. The tolerances of the "
+    "vehicle file are included, other systematic errors common to all the data are not."
 )
 
 

@@ -246,7 +246,7 @@ class TwinSettings(AirHockey):
         write_toml(path, content, header="Settings of an airpuck twin.")
 
     def with_usual_delay(self, transport_delay: float) -> TwinSettings:
-        """Return settings whose radio has a delay.
+        """Return settings whose radio has a delay: its own if it states one, or else this one.
 
         Parameters
         ----------

@@ -34,10 +34,9 @@ from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: The paper's set points (fig:control_lqr): x, y [m], yaw [rad]; from the centre and back.
 SET_POINTS = ((0.0, 0.0, 0.0), (1.0, 0.3, 1.5), (0.5, -0.3, -1.0), (0.0, 0.0, 0.0))
-#: Distance of the paper's craft from a rail there [m].
-_ROOM = 0.03
-#: Time before the first set point [s].
-_LEAD = 0.9
+#: Distance of the paper's craft from a rail there [m]; time before the first set point [s].
+_ROOM, _LEAD = 0.03, 0.9
+_Border = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,10 +198,9 @@ def tracking_study(
     flights : sequence of Recording or None, optional
         The real flight of each model, if there is one.
     set_points : SetPoints, optional
-        Set points if no flight is reproduced; by default the paper's.
+        Set points if no flight is reproduced; by default the paper's, moved inwards into reach.
     dwell : float, optional
-        Time between the paper's set points, and at the last one [s]; by default 2, and longer for
-        a slow craft.
+        Time at each of the paper's set points [s]; by default 2, and longer for a slow craft.
     seed : int, default 0
         Seed of noise and radio.
     controller : {"paper", "full"}, optional
@@ -329,22 +327,17 @@ class _Task:
     real: Track | None
 
     @classmethod
-    def planned(
-        cls, set_points: SetPoints | None, dwell: float, border: tuple[float, float]
-    ) -> _Task:
-        """Return a flight from the centre through set points, by default the paper's.
-
-        A larger craft than the paper's keeps the same distance from rails.
-        """
+    def planned(cls, set_points: SetPoints | None, dwell: float, border: _Border) -> _Task:
+        """Return a flight from the centre; the paper's set points move inwards to be in reach."""
         if set_points is None:
             changes = _LEAD + dwell * np.arange(len(SET_POINTS) - 1)
-            room = np.array([*border, np.inf]) - _ROOM
+            room = np.maximum(np.array([*border, np.inf]) - _ROOM, 0.0)
             points = np.clip(SET_POINTS, -room, room).tolist()
             set_points = SetPoints([0.0, *changes.tolist()], points)
         return cls(set_points, float(set_points.times[-1]) + dwell, (0.0, 0.0, 0.0), None)
 
     @classmethod
-    def flown(cls, real: Track, border: tuple[float, float]) -> _Task:
+    def flown(cls, real: Track, border: _Border) -> _Task:
         """Return a real flight's set points at its times, from the same start."""
         first = min(int(np.searchsorted(real.time, 0.0)), len(real.time) - 1)
         # Because of noise, or of another radius, a craft that touches a rail may seem to be beyond
