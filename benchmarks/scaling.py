@@ -2,7 +2,7 @@
 
     AIRPUCK_DATA=... python -m benchmarks.scaling -o docs/images/scaling.png
 
-The upper row is one Gauss-Newton step (median of some). The lower row is the CPU time of `identify`
+The upper row is one Gauss-Newton step (median). The lower row is the CPU time of `identify`
 on longer and longer bags, the wall time of a second of flight of many craft at once, in closed
 loop, and the CPU time of campaigns of more and more flights, each with a fit. Dashed: peak memory.
 """
@@ -44,7 +44,7 @@ class Axis:
     label: str
     values: tuple[float, ...]
     measure: Callable[[float, int], Measured]
-    #: Whether its label shows only powers of ten.
+    #: Whether it is constant at first, so that only its upper end tells how it grows.
     wide: bool = False
 
 
@@ -124,7 +124,6 @@ def exponent(sizes: np.ndarray, costs: np.ndarray) -> float:
 def draw(panel: plt.Axes, axis: Axis, found: list[Measured], *, memory: bool) -> float:
     """Draw cost against size; return the exponent."""
     sizes, costs, peaks = np.array(found).T
-    # A wide range is constant, then linear: only its upper end tells how it grows.
     upper = sizes >= sizes[-1] / 100 if axis.wide else sizes > 0
     grows = exponent(sizes[upper], costs[upper])
     panel.loglog(sizes, costs, "o-")

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.control.allocation import all_finite
 from airpuck.control.law import Law, LawOptions, Moment, Pilot, Step, staged
 from airpuck.control.laws import law_class
 from airpuck.control.lqr import LQR, motor_lag, point_mass
@@ -92,8 +93,8 @@ class PlanTracker(Law):
         high = thrust(curves, coasting + drive * vehicle.command_max)
         force = np.clip(planned[1] + lag * aside + drive * correction, low, high)
         command = (self._inverse(force) - coasting) / drive
-        if not np.isfinite(command).all():
-            return Step(vehicle.idle, "failed", np.zeros(3), None), state
+        if not all_finite(command):
+            return Step(vehicle.idle, "failed"), state
         command = np.clip(command, vehicle.command_min, vehicle.command_max)
         return Step(command, "exact", np.zeros(3), estimate), state
 

@@ -82,8 +82,7 @@ class Catch(Searcher):
         """Plan the contact with the most time to spare, at a good place."""
         motion, pucks, when = (x[_TRIED] for x in (outlook.motions, outlook.places, outlook.times))
         speed = np.hypot(motion[:, 0], motion[:, 1])
-        against = np.arctan2(-motion[:, 1], -motion[:, 0])
-        normal = against[:, None] + _BESIDE
+        normal = np.arctan2(-motion[:, 1], -motion[:, 0])[:, None] + _BESIDE
         recede = _receding(view, speed[:, None], _BESIDE)
         velocity = recede[..., None] * unit(normal)
         place = pucks[:, None] - view.pitch.contact_distance * unit(normal)
