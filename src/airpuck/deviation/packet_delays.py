@@ -7,7 +7,9 @@ packet.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -46,6 +48,8 @@ _MISFIT = 9.0
 _STEP, _PASSES = 1e-6, 3
 #: `_KNOWN`, `_SHARE` and `_PASSES` of a thorough search.
 _THOROUGH = 12e-3, 1.0, 8
+#: Most windows that are regressed together; each takes some 0.2 MB.
+_BATCH = 512
 #: Squared densities of the disturbance to try, per variance of the pose [1/s³].
 _RATIOS = np.concatenate([[0.0], np.logspace(2, 9, 57)])
 
@@ -126,9 +130,7 @@ def delay_response(
     found = _regressed(near, late)
     number = np.searchsorted(found.packet[:-1], delays.packet)
     seen = found.packet[number] == delays.packet
-    index = near.index[:, found.best[1][number]]
-    change = np.moveaxis(modelled[:, index], (1, 3, 0), (0, 1, 2))
-    return np.where(seen, found.response(number, near.components.of_accelerations(-change)), 0.0)
+    return np.where(seen, found.response(number, modelled), 0.0)
 
 
 def moved(
@@ -165,7 +167,7 @@ def _surroundings(trajectory: Trajectory, model: Model) -> _Surroundings | None:
 
 
 class _Surroundings:
-    """The samples around B switches, with the model's prediction and its m packets nearby."""
+    """The samples around B switches, and the m packets near each."""
 
     def __init__(
         self,
@@ -176,53 +178,59 @@ class _Surroundings:
         packet: Int[np.ndarray, " B"],
         first: Int[np.ndarray, " B"],
     ) -> None:
-        #: Indices of the samples, (E, B).
+        self._trajectory, self._dynamics = trajectory, model.dynamics
+        self._arrival, self._change = arrival, change
         length = trajectory.steps(_LENGTH)
-        self.index = index = first + np.arange(length)[:, None]
-        time = trajectory.time[index]
-        self._dynamics, self._duration = model.dynamics, np.diff(time, axis=0)
-        self._state = np.moveaxis(trajectory.state[index], -1, 1)
+        #: Indices of the samples, (E, B).
+        self.index = first + np.arange(length)[:, None]
         self.components = _Components(trajectory.sample_period, length)
         self._lag = float(model.dynamics.motor_time_constant)
         held, _ = mean_hold(arrival, trajectory.command, trajectory.time)
-        speed = motor_speeds(trajectory.time, held, model.dynamics.lag, model.dynamics.idle_lag)
-        self._speed = np.moveaxis(speed[index], -1, 1)
+        self._speed = motor_speeds(
+            trajectory.time, held, model.dynamics.lag, model.dynamics.idle_lag
+        )
         period = np.median(np.diff(arrival))
         before, after = (
             int(min(np.ceil(reach / period), _MOST)) for reach in (_LEAD + _BEFORE, _LENGTH - _LEAD)
         )
         near = packet + np.arange(-before, after + 1)[:, None]
-        there = (near >= 0) & (near < len(arrival))
+        self._there = (near >= 0) & (near < len(arrival))
         #: Indices of the packets nearby, (m, B).
         self.packet = np.clip(near, 0, len(arrival) - 1)
-        self._change = np.moveaxis(change[self.packet] * there[..., None], -1, 0)
-        self._since = time[:, None] - arrival[self.packet]
-        self._answered = self._answer(self._since)
 
     def linearised(
-        self, late: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "E 3 B"], Float[np.ndarray, "E 3 m B"]]:
-        """Return poses minus predicted ones, up to a line, and accelerations per unknown.
+        self, late: Float[np.ndarray, " K"], windows: Int[np.ndarray, " W"]
+    ) -> tuple[Float[np.ndarray, "k 3 W"], Float[np.ndarray, "k 3 u W"]]:
+        """Return components of poses minus predicted ones, and their derivatives.
 
-        The unknowns are each δ, and the relative excess strength of each motor and of all moments.
+        The u unknowns are each δ, and the relative excess strength of each motor and of all
+        moments.
         """
-        since = self._since - late[self.packet]
+        index, packet = self.index[:, windows], self.packet[:, windows]
+        time, state = self._trajectory.time[index], self._trajectory.state[index]
+        state, duration = np.moveaxis(state, -1, 1), np.diff(time, axis=0)
+        change = self._change[packet] * self._there[:, windows, None]
+        change = np.moveaxis(change, -1, 0)
+        planned = time[:, None] - self._arrival[packet]
+        since = planned - late[packet]
         answer = self._answer(since)
-        speed = self._speed + np.einsum("nmb,emb->enb", self._change, answer - self._answered)
-        modelled = accelerations_along(self._dynamics, self._state, speed)
-        predicted = twice_integrated(modelled, self._duration)
+        speed = np.moveaxis(self._speed[index], -1, 1)
+        speed = speed + np.einsum("nmb,emb->enb", change, answer - self._answer(planned))
+        modelled = accelerations_along(self._dynamics, state, speed)
         # A packet that arrives later removes what the motors gain at this moment.
         gain = np.where(since > 0, answer - 1, 0) / self._lag
         steps = _STEP * np.eye(speed.shape[1])[..., None]
         by_speed = [
-            (accelerations_along(self._dynamics, self._state, speed + step) - modelled) / _STEP
+            (accelerations_along(self._dynamics, state, speed + step) - modelled) / _STEP
             for step in steps
         ]
-        slope = np.einsum("necb,nmb->ecmb", by_speed, self._change) * gain[:, None]
-        by_motor, _ = accelerations_by_motor(self._dynamics, self._state, speed)
+        slope = np.einsum("necb,nmb->ecmb", by_speed, change) * gain[:, None]
+        by_motor, _ = accelerations_by_motor(self._dynamics, state, speed)
         turning = np.zeros_like(by_motor[:, :, :1])
         turning[:, 2, 0] = by_motor[:, 2].sum(axis=1)
-        return self._state[:, :3] - predicted, np.concatenate([slope, by_motor, turning], axis=2)
+        residual = state[:, :3] - twice_integrated(modelled, duration)
+        slope = np.concatenate([slope, by_motor, turning], axis=2)
+        return self.components.of_poses(residual), self.components.of_accelerations(slope)
 
     def _answer(self, since: Float[np.ndarray, "E m B"]) -> Float[np.ndarray, "E m B"]:
         """Speed of a motor after a unit step of its command."""
@@ -270,51 +278,72 @@ class _Regression:
 
     def __init__(
         self,
-        residual: Float[np.ndarray, "k 3 B"],
-        slope: Float[np.ndarray, "k 3 u B"],
+        near: _Surroundings,
+        late: Float[np.ndarray, " K"],
+        linearised: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
         variance: Float[np.ndarray, "k 3"],
-        packet: Int[np.ndarray, "m B"],
-        late: Float[np.ndarray, "m B"],
         share: float,
     ) -> None:
-        self._weight, self._m = 1 / np.sqrt(variance), len(packet)
-        unknowns, batch = slope.shape[2:]
-        weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
-        # Products of strided matrices take ten times as long.
-        self._rows = np.ascontiguousarray(weighted.reshape(batch, -1, unknowns))
-        precision = np.repeat([_USUAL**-2, share**-2], [self._m, unknowns - self._m])
-        aim = self._aim(residual[:, :, None])[..., 0]
-        information, score, _ = normal_equations(self._rows, aim)
-        score[:, : self._m] -= _USUAL**-2 * late.T
-        solution, self._covariance = solved(information, score, np.diag(precision))
-        step = solution.T
+        self._near, self._late, self._share = near, late, share
+        self._weight = 1 / np.sqrt(variance)
+        m, rest, steps, spreads = len(near.packet), [], [], []
+        for windows in _batches(near.packet.shape[1]):
+            residual, slope = linearised(windows[0], windows[-1] + 1)
+            _, step, covariance = self._solve(residual, slope, windows)
+            rest.append(residual - np.einsum("kcjb,jb->kcb", slope, step))
+            steps.append(step[:m])
+            spreads.append(np.diagonal(covariance, axis1=1, axis2=2).T[:m])
         #: Remaining residuals, (k, 3, B).
-        self.rest = residual - np.einsum("kcjb,jb->kcb", slope, step)
+        self.rest = np.concatenate(rest, axis=2)
         misfit = np.mean(self.rest**2 / variance[..., None], axis=(0, 1))
         #: Whether packet delays alone explain the poses, (B,).
         self.where_usual = misfit < _MISFIT * np.median(misfit)
-        spread = np.diagonal(self._covariance, axis1=1, axis2=2).T[: self._m]
+        step, spread = np.concatenate(steps, axis=1), np.concatenate(spreads, axis=1)
         order = np.argsort(spread, axis=None, kind="stable")
         #: Indices of the D packets, increasing.
-        self.packet, first = np.unique(packet.ravel()[order], return_index=True)
-        #: For each packet, its number in the window that determines it best, and this window.
-        self.best = row, column = np.unravel_index(order[first], spread.shape)
+        self.packet, first = np.unique(near.packet.ravel()[order], return_index=True)
+        # For each packet, its number in the window that determines it best, and this window.
+        self._best = row, column = np.unravel_index(order[first], spread.shape)
         #: For each packet: delay [s], its variance [s²], and whether the estimate is reliable.
-        self.late, self.variance = (late + step[: self._m])[row, column], spread[row, column]
+        self.late, self.variance = late[self.packet] + step[row, column], spread[row, column]
         self.usual = self.where_usual[column]
         #: Fraction of a delay that is recovered; the prior removes the rest.
         self.gain = 1 - self.variance / _USUAL**2
 
     def response(
-        self, number: Int[np.ndarray, " D"], residual: Float[np.ndarray, "k 3 P D"]
+        self, number: Int[np.ndarray, " D"], modelled: Float[np.ndarray, "P N 3"]
     ) -> Float[np.ndarray, "P D"]:
-        """Return the derivative of delays by their windows' residuals, without the prior."""
-        row, column = (part[number] for part in self.best)
-        score = np.swapaxes(self._rows[column], 1, 2) @ self._aim(residual)
-        change = (self._covariance[column, row][:, None] @ score)[:, 0]
-        return change.T / np.maximum(self.gain[number], 1e-12)
+        """Return the derivative of delays by the modelled accelerations, without the prior."""
+        found = np.zeros((len(modelled), len(number)))
+        for part in _batches(len(number)):
+            row, windows = (best[number[part]] for best in self._best)
+            change = np.moveaxis(modelled[:, self._near.index[:, windows]], (1, 3, 0), (0, 1, 2))
+            aim = self._aim(self._near.components.of_accelerations(-change))
+            given = self._near.linearised(self._late, windows)
+            rows, _, covariance = self._solve(*given, windows)
+            own = covariance[np.arange(len(row)), row]
+            found[:, part] = (own[:, None] @ np.swapaxes(rows, 1, 2) @ aim)[:, 0].T
+        return found / np.maximum(self.gain[number], 1e-12)
 
-    def _aim(self, residual: Float[np.ndarray, "k 3 P B"]) -> Float[np.ndarray, "B r P"]:
+    def _solve(
+        self,
+        residual: Float[np.ndarray, "k 3 W"],
+        slope: Float[np.ndarray, "k 3 u W"],
+        windows: Int[np.ndarray, " W"],
+    ) -> tuple[Float[np.ndarray, "W r u"], Float[np.ndarray, "u W"], Float[np.ndarray, "W u u"]]:
+        """Return the weighted rows of some windows, the unknowns, and their covariance."""
+        packet, unknowns = self._near.packet[:, windows], slope.shape[2]
+        m = len(packet)
+        weighted = np.moveaxis(slope * self._weight[..., None, None], -1, 0)
+        # Products of strided matrices take ten times as long.
+        rows = np.ascontiguousarray(weighted.reshape(len(windows), -1, unknowns))
+        precision = np.repeat([_USUAL**-2, self._share**-2], [m, unknowns - m])
+        information, score, _ = normal_equations(rows, self._aim(residual[:, :, None])[..., 0])
+        score[:, :m] -= _USUAL**-2 * self._late[packet].T
+        solution, covariance = solved(information, score, np.diag(precision))
+        return rows, solution.T, covariance
+
+    def _aim(self, residual: Float[np.ndarray, "k 3 P W"]) -> Float[np.ndarray, "W r P"]:
         """Return weighted residuals, row by row."""
         weighted = np.moveaxis(residual * self._weight[..., None, None], -1, 0)
         return weighted.reshape(len(weighted), -1, residual.shape[2])
@@ -327,14 +356,23 @@ def _regressed(
     share: float = _SHARE,
 ) -> _Regression:
     """Repeat the regression with other delays of all packets and the same noise."""
-    components = near.components
-    residual, slope = near.linearised(late)
-    residual, slope = components.of_poses(residual), components.of_accelerations(slope)
+
+    # A long recording is linearised again for each use, a short one once.
+    @lru_cache(maxsize=1)
+    def linearised(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        return near.linearised(late, np.arange(start, stop))
 
     def at(rest: Float[np.ndarray, "k 3 B"]) -> _Regression:
-        variance = components.variances(rest)
-        return _Regression(residual, slope, variance, near.packet, late[near.packet], share)
+        return _Regression(near, late, linearised, near.components.variances(rest), share)
 
-    # Noise and delays barely depend on each other.
-    before = before or at(residual)
+    if before is None:
+        parts = _batches(near.packet.shape[1])
+        residual = [linearised(part[0], part[-1] + 1)[0] for part in parts]
+        # Noise and delays barely depend on each other.
+        before = at(np.concatenate(residual, axis=2))
     return at(before.rest[..., before.where_usual])
+
+
+def _batches(count: int) -> list[Int[np.ndarray, " W"]]:
+    """Return the numbers of windows that are regressed together."""
+    return np.array_split(np.arange(count), -(-count // _BATCH))

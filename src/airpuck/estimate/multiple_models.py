@@ -8,6 +8,8 @@ linear:
     p' = v,   v' = a + d + Σᵢ eᵢ aᵢ + w₁,   d' = w₂,
 
 where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
+Every packet has its own delay, too: that is white noise along da/dt. Without it one large change of
+the commands would determine the delay, which only many packets can.
 Several states of the craft with different priors of e compete, each with its own Kalman filter: an
 interacting multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
 33, 1988).
@@ -71,6 +73,8 @@ class States:
     #: Time over which what was learned about the first state's e becomes uncertain again [s]; None:
     #: nothing is learned, and e is drawn around zero.
     learned_s: float | None = None
+    #: Standard deviation of a packet's own delay [s].
+    jitter_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +150,17 @@ class MultipleModels:
         path = xp.sum(weights[:, None] * means, axis=0)
         learns = self.states.learned_s is not None
         given = self.dynamics, path, speed, durations, commands
-        transition, offset, speed = drift(xp, *given, learns=learns)
+        transition, offset, speed, slopes = drift(xp, *given, learns=learns)
         half = small_product(xp, transition, covariances)
         moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         densities = np.square(self.noise.acceleration), np.square(self.noise.disturbance)
         added = process_noise(xp, total, *densities)
         # From a matrix for each axis to a single one: the axis is the inner index.
         by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
-        by_axis = xp.reshape(by_axis, (9, 9))
+        # A late packet changes the velocity by its delay times the change of acceleration: so does,
+        # over the motors' lag, white noise along da/dt of this squared density.
+        density = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
+        by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(density * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
         means = xp.sum(transition * means[:, None, :], axis=2) + offset
         return means, covariances, weights, speed
@@ -279,12 +286,13 @@ def drift(
     commands: Any,
     *,
     learns: bool = False,
-) -> tuple[Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any]:
     """Integrate the accelerations over intervals with one command each.
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
-    matrix and the offset that advance any x, and the motor speeds. If the craft `learns`, the delay
-    acts on the thrusts found in flight, otherwise on the modelled ones.
+    matrix and the offset that advance any x, the motor speeds, and the integral of da/dt (da/dt)ᵀ.
+    If the craft `learns`, the delay acts on the thrusts found in flight, otherwise on the modelled
+    ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -292,7 +300,7 @@ def drift(
     # Effects of e on v and p, and contributions of a itself.
     v_by_e, p_by_e = xp.zeros((3, size)), xp.zeros((3, size))
     v_by_a, p_by_a = xp.zeros(3), xp.zeros(3)
-    total = 0.0
+    total, slopes = 0.0, xp.zeros((3, 3))
     for k in range(len(durations)):
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau, idle)
@@ -304,6 +312,7 @@ def drift(
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
         p, v = p + h * v + h * h / 2 * rate, v + h * rate
         speed = motor_step(xp, speed, command, h, tau, idle)
+        slopes = slopes + h * by_e[:, None, -1] * by_e[None, :, -1]
         total = total + h
     eye, none = xp.eye(3), xp.zeros((3, 3))
     transition = xp.concatenate(
@@ -313,7 +322,7 @@ def drift(
             xp.eye(9 + size)[6:],
         ]
     )
-    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed
+    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed, slopes
 
 
 def sensitivity(
