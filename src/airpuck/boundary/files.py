@@ -218,8 +218,7 @@ def checked(
         # Validate as JSON: there, strict mode concerns types (booleans and strings are not numbers)
         # instead of Python's containers.
         # Keys in YAML can be dates or lists.
-        text = json.dumps(content, default=str, skipkeys=True)
-        return adapter.validate_json(text, strict=True)
+        return adapter.validate_json(json.dumps(content, default=str, skipkeys=True), strict=True)
     except pydantic.ValidationError as error:
         raise _explained(error, schema, content, file) from error
 

@@ -82,8 +82,7 @@ class Command(_PlainHelp, TyperCommand):
             view = self.declared.get(parameter.name)
             if view and view.row:  # Typer does not know options of several numbers that repeat
                 parameter.nargs = view.row
-                kind = replace(parameter.type_descriptor, annotation=view.kind)
-                parameter.type_descriptor = kind
+                parameter.type_descriptor = replace(parameter.type_descriptor, annotation=view.kind)
         super().__init__(*args, params=params, callback=callback, **options)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:

@@ -352,8 +352,7 @@ def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json 
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    silent = live.quiet or is_stdout(json_file)
-    tell = (lambda _: None) if silent else show
+    tell = (lambda _: None) if (live.quiet or is_stdout(json_file)) else show
     write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
 
 
@@ -370,8 +369,7 @@ def view(
     """Show the table in the browser, live; drag the set point of `airpuck fly --follow`."""
     from airpuck.web.view import view_live
 
-    belief = inputs.read_belief(model)
-    write_json(json_file, view_live(belief, live, host=host, port=port))
+    write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
 
 
 def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:

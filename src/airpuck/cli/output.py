@@ -90,8 +90,7 @@ def console(error: bool = False) -> Console:
     from rich.console import Console
 
     file = sys.stderr if error else sys.stdout
-    width = None if file.isatty() else 160
-    return Console(file=file, width=width, markup=False, emoji=False)
+    return Console(file=file, width=None if file.isatty() else 160, markup=False, emoji=False)
 
 
 def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:

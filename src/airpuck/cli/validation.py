@@ -313,8 +313,7 @@ def _presented(presentation: Presentation) -> Iterator[str | Table]:
     headings = ("", "unit", "value", "95 % interval")
     parameters = map(value_texts, presentation.parameters)
     yield table(headings, parameters, title="Parameters ± standard error (with tolerances)")
-    derived = map(value_texts, presentation.derived)
-    yield table(headings, derived, title="Derived quantities")
+    yield table(headings, map(value_texts, presentation.derived), title="Derived quantities")
     yield from (f"{key}: {value}" for key, value in presentation.conditions)
     yield from (f"note: {note}" for note in presentation.notes)
 

@@ -259,8 +259,7 @@ def _stage(
 
     def stage(xp: Any, *given: Any) -> tuple[Any, ...]:
         problem = posed(xp, *given)
-        formed = form(xp, problem)
-        return *formed, problem.states, problem.accelerations[0], problem.way
+        return *form(xp, problem), problem.states, problem.accelerations[0], problem.way
 
     return stage
 

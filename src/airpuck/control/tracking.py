@@ -257,8 +257,7 @@ class TrackingController(Pilot):
         alone, composed = self._program(inputs)
         if composed is None:
             return alone(self.predict(time), *inputs)
-        acting = time + self.model.transport_delay
-        return self.filter.predict_with(composed, acting, *inputs)
+        return self.filter.predict_with(composed, time + self.model.transport_delay, *inputs)
 
     def _program(self, inputs: Sequence[Any]) -> tuple[Any, Any]:
         """Return the law's stage alone, and with the prediction, for the shapes of its inputs.

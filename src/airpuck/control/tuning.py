@@ -381,8 +381,7 @@ class Tuning(Section):
             A copy.
         """
         changed = {"camera_hz": self.estimation.camera_hz or rate_hz}
-        estimation = self.estimation.model_copy(update=changed)
-        return self.model_copy(update={"estimation": estimation})
+        return self.model_copy(update={"estimation": self.estimation.model_copy(update=changed)})
 
     def with_noise_of(self, cameras: Cameras) -> Tuning:
         """Return the tuning for the noise of some cameras, if it exceeds the tuning's own.

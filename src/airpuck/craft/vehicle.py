@@ -240,8 +240,7 @@ class Vehicle(Section):
             replace(one, name=f"{one.name}{_BACKWARDS}", sign=-1, couple=-one.couple)
             for one in wheels
         ]
-        channels = (*forwards, *wheels, *backwards, *against)
-        return ActuatorSet(self.actuators, self.wheels, channels)
+        return ActuatorSet(self.actuators, self.wheels, (*forwards, *wheels, *backwards, *against))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -277,8 +276,7 @@ class Vehicle(Section):
     @cached_property
     def directions(self) -> Float[np.ndarray, "n 2"]:
         """Unit vectors of thrust in the body frame; zero for wheels."""
-        channels = self.actuation.channels
-        angles = np.deg2rad([channel.direction_deg for channel in channels])
+        angles = np.deg2rad([channel.direction_deg for channel in self.actuation.channels])
         vectors = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         return np.where(self.is_wheel[:, None], 0.0, vectors)
 

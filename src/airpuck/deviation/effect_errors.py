@@ -208,7 +208,7 @@ def _columns(
     bent = np.einsum("new,eikw,kn,n->einw", speed * (1 - speed), turn, matrix, full)
     free = each.reshape(*turn.shape[:2], -1, turn.shape[3])
     others = other_accelerations(design.state)
-    return design.columns(np.concatenate([free, design.timing(), bent, others], axis=2))
+    return design.columns(free, design.timing(), bent, others)
 
 
 def _graded(windows: Windows) -> Bool[np.ndarray, " n"]:

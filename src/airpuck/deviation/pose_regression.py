@@ -76,10 +76,14 @@ class PoseRegression:
         self._spread = np.maximum(np.sqrt(np.mean(left**2, axis=0)), 1e-12)
         self.values = left / self._spread
 
-    def columns(self, accelerations: Float[np.ndarray, "E 3 m W"]) -> Float[np.ndarray, "M 3 m"]:
+    def columns(self, *accelerations: Float[np.ndarray, "E 3 _ W"]) -> Float[np.ndarray, "M 3 m"]:
         """Return the effects of accelerations on the poses."""
-        driven = twice_integrated(accelerations, np.diff(self.time, axis=0))
-        return self._of_poses(driven) / self._spread[:, None]
+        # One error after the other: together they take several times the memory.
+        each = (one for some in accelerations for one in np.moveaxis(some, 2, 0)[..., None, :])
+        steps = np.diff(self.time, axis=0)
+        found = np.concatenate([self._of_poses(twice_integrated(one, steps)) for one in each], 2)
+        found /= self._spread[:, None]
+        return found
 
     def timing(self) -> Float[np.ndarray, "E 3 2 W"]:
         """Return the accelerations that later commands add, and slower motors, per second."""

@@ -216,8 +216,7 @@ def _held_notes(changes: Sequence[Change]) -> list[str]:
 
 def _degrees(errors: np.ndarray, *models: Model) -> float:
     """Return the degrees of freedom of a difference (Welch 1947)."""
-    clusters = [m.known.clusters if m.known else 2 for m in models]
-    degrees = np.maximum(np.array(clusters) - 1, 1)
+    degrees = np.maximum(np.array([m.known.clusters if m.known else 2 for m in models]) - 1, 1)
     variance = errors**2
     return float(variance.sum() ** 2 / np.sum(variance**2 / degrees))
 

@@ -362,8 +362,7 @@ class _Lacks:
         self._other = _others(matrix)
         force = thrust(dynamics.thrust, design.speed.T)
         aside = np.einsum("tij,jdk,kt->tidk", turn, self._other, force).reshape(len(time), 3, -1)
-        bend = design.speed * (1 - design.speed) * full
-        bent = np.einsum("tij,jk,tk->tik", turn, matrix, bend)
+        bent = np.einsum("tij,jk,tk->tik", turn, matrix, design.speed * (1 - design.speed) * full)
         slow = replace(dynamics, motor_time_constant=dynamics.motor_time_constant + _TIME_STEP)
         later = Increments(dynamics, trajectory, heard(_TIME_STEP)).by_motor.sum(axis=2)
         slower = Increments(slow, trajectory, design.held).by_motor.sum(axis=2)

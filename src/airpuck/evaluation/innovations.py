@@ -188,8 +188,7 @@ def _compiled() -> Any:
         gain = measured * covariance[:, :, 0] / variance[:, None]
         mean = mean + gain[:, None] * innovation[..., None]
         covariance = covariance - gain[:, :, None] * covariance[:, None, :, 0]
-        fresh = jnp.zeros_like(mean).at[..., 0].set(pose)
-        mean = jnp.where(restart, fresh, mean)
+        mean = jnp.where(restart, jnp.zeros_like(mean).at[..., 0].set(pose), mean)
         covariance = jnp.where(restart, start, covariance)
         # A search needs only the sums.
         scaled = innovation / jnp.sqrt(variance)[:, None] if count == 3 else None
@@ -244,8 +243,7 @@ class Innovations:
     def log_likelihood(self) -> float:
         """Gaussian log-likelihood of the used innovations, all three channels."""
         scaled = self.standardised[self.used]
-        logs = np.log(2 * np.pi * self.deviation[self.used] ** 2)
-        return float(-0.5 * np.sum(logs + scaled**2))
+        return float(-0.5 * np.sum(np.log(2 * np.pi * self.deviation[self.used] ** 2) + scaled**2))
 
     def starts(self, ahead: int, apart: int) -> Int[np.ndarray, " M"]:
         """Choose samples to predict from, each after 0.25 s of used poses.

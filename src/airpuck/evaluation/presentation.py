@@ -314,8 +314,7 @@ def largest_acceleration(model: Model) -> Float[np.ndarray, " 6"]:
     coefficients = np.asarray(model.parameters.thrust)
     ends = np.array([[vehicle.command_min], [vehicle.command_max]]) * np.ones(len(coefficients))
     forces = np.array([thrust(coefficients, command) for command in ends])
-    pushes = [(sign * matrix[row] * forces).max(axis=0).sum() for _, row, sign, _ in WAYS]
-    return np.array(pushes)
+    return np.array([(sign * matrix[row] * forces).max(axis=0).sum() for _, row, sign, _ in WAYS])
 
 
 def _derived(model: Model) -> list[Value]:

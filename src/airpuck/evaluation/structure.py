@@ -135,8 +135,7 @@ def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
     values = *to_body(before[:, :, 1], yaw).T, speeds, trajectory.time, x, y
     bins = []
     for (name, unit, frame), value in zip(REGRESSORS, values, strict=True):
-        used = value[found.used]
-        edges = np.unique(np.quantile(used, np.linspace(0, 1, BINS + 1)))
+        edges = np.unique(np.quantile(value[found.used], np.linspace(0, 1, BINS + 1)))
         if len(edges) < 3:
             continue
         which = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)

@@ -147,8 +147,7 @@ class HealthMonitor:
 
     def __init__(self, model: Model, *, memory: float = 5.0, compiled: bool = True) -> None:
         self.model, self._memory = model, memory
-        noise = tuning_for(model).estimation.noise
-        self._filter = KalmanFilter(model, noise, compiled=compiled)
+        self._filter = KalmanFilter(model, tuning_for(model).estimation.noise, compiled=compiled)
         self._free = np.array(Table().reach(model.vehicle.radius_m)) - _AT_RAIL
         n = model.vehicle.n_propellers
         #: Commands back to the first prediction's beginning.
@@ -195,8 +194,7 @@ class HealthMonitor:
             if ends:
                 self._judge(time, estimate.state)
             if begins:
-                state = np.concatenate([estimate.state, estimate.motor_speed])
-                self._begun.append((time, state))
+                self._begun.append((time, np.concatenate([estimate.state, estimate.motor_speed])))
         self._forget(time)
 
     def health(self) -> Health:

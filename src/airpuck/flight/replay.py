@@ -209,8 +209,7 @@ def replay(
     )
     share = np.arange(len(time)) / len(time)
     inside = (share >= span[0]) & (share < span[1])
-    known = np.array([isinstance(estimate, Estimate) for estimate in estimates])
-    compared = inside & known
+    compared = inside & np.array([isinstance(estimate, Estimate) for estimate in estimates])
     if not compared.any():
         raise InputError(
             "the pose was not known at any command in the span; use a longer span, or a recording "

@@ -126,8 +126,7 @@ class Track:
 
         Half a second before the first set point that differs from the start, if there are poses.
         """
-        begin = float(self.set_points.times[self.first_move]) - _LEAD_S
-        return max(begin, float(self.time[0]))
+        return max(float(self.set_points.times[self.first_move]) - _LEAD_S, float(self.time[0]))
 
     @property
     def errors(self) -> Float[np.ndarray, "N 3"]:

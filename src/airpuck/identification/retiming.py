@@ -13,7 +13,7 @@ all cases (studies/coverage.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -257,12 +257,13 @@ def _sparse(starts: Int[np.ndarray, " W"], length: int) -> Int[np.ndarray, " V"]
 
 def _prepared(
     trajectory: Trajectory, models: Sequence[Model], delays: PacketDelays, jitter: float
-) -> list[Trajectory]:
+) -> Iterator[Trajectory]:
     """Prepare a recording with the first model, and to first order with models close to it."""
     arrived = retimed(trajectory, delays, jitter)
-    modelled = np.array([modelled_acceleration(arrived, model) for model in models])
-    later = delay_response(trajectory, models[0], delays, modelled - modelled[0])
-    return [
+    first = modelled_acceleration(arrived, models[0])
+    moved = np.array([modelled_acceleration(arrived, model) - first for model in models])
+    later = delay_response(trajectory, models[0], delays, moved)
+    return (
         smoothed_along(retimed(trajectory, replace(delays, deviation=late), jitter), model)
         for model, late in zip(models, delays.deviation + later, strict=True)
-    ]
+    )

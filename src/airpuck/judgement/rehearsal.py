@@ -100,8 +100,7 @@ def _margin(model: Model, craft: Model, settings: TwinSettings, tuning: Tuning, 
     pilot = TrackingController(
         model, SetPoint(*GOAL), tuning, table=settings.table, compiled=compiled
     )
-    plant = build_plant(craft, settings, compiled=False)
-    twin = Twin(craft, settings, plant=plant, seed=seed)
+    twin = Twin(craft, settings, plant=build_plant(craft, settings, compiled=False), seed=seed)
     arrives = time_there(model)
     with np.errstate(all="ignore"):  # as compiled programs compute
         fly(pilot, twin, arrives + _STAYS, tuning.period_s)

@@ -61,8 +61,7 @@ def within_rails(table: Table, radius: float) -> tuple[float, float]:
 
 def half_of(table: Table, radius: float, side: int) -> SafetyLimits:
     """Return the limits of a craft that plays on one half of a table, by the sign of its x."""
-    fence = within_rails(table, radius)
-    return SafetyLimits(geofence=fence, half=side, line=radius - _OVER_LINE)
+    return SafetyLimits(geofence=within_rails(table, radius), half=side, line=radius - _OVER_LINE)
 
 
 class Guard:

@@ -194,8 +194,7 @@ class _Table(Result):
         kinds = ["pose", "imu", "mouse"] + ["puck"] * (puck is not None)
         kinds += ["mallet"] * (human is not None)
         self._sensors = {kind: Outbox(process, kind) for kind in kinds}
-        motors = twin.model.vehicle.columns
-        self._commands = Inbox(process, "command", motors, wakes=True)
+        self._commands = Inbox(process, "command", twin.model.vehicle.columns, wakes=True)
         self._poses = self._stops = 0
         self._running = False
         process.events.state("info", "starting", {}, name=self._name)

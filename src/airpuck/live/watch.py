@@ -168,7 +168,6 @@ def watch_live(
             level = "warning" if health.findings else "info"
             if health.names != named:
                 named = health.names
-                text = ", ".join(health.findings) or "no more deviations from the model"
-                events.log(level, text)
+                events.log(level, ", ".join(health.findings) or "no more deviations from the model")
             events.heartbeat(level, str(health), {})
         return observer.to_json()

@@ -433,8 +433,7 @@ def read_model(name: str | os.PathLike[str], effects: Sequence[type[Effect]] = (
         content = load_toml(name)
         # Older files have the transport delay beside the parameters.
         if "transport_delay_s" in content and isinstance(content.get("parameters"), dict):
-            delay = content.pop("transport_delay_s")
-            content["parameters"].setdefault("transport_delay_s", delay)
+            content["parameters"].setdefault("transport_delay_s", content.pop("transport_delay_s"))
         return Model(**read_fields(checked(content, ModelFile, file=name), (*effects, *named)))
     except InputError as error:
         if str(name) in _published() and not Path(name).exists():

@@ -83,8 +83,7 @@ def model_content(model: Any) -> dict[str, Any]:
     if model.parameters.own:
         content["effects"] = {q.name: _declaration(q) for q in model.parameters.own}
     if model.known is not None:
-        known = uncertainty_content(model.known, model.parameters, model.vehicle)
-        content["uncertainty"] = known
+        content["uncertainty"] = uncertainty_content(model.known, model.parameters, model.vehicle)
     for name in ("delay_jitter", "cameras"):
         if (section := getattr(model, name)) is not None:
             content[name] = section.model_dump()
@@ -98,8 +97,7 @@ def _recording_content(one: Any, model: Any) -> dict[str, Any]:
     """Return what a model file holds of one of several recordings."""
     content = {"source": one.source, "parameters": parameters_content(one.parameters)}
     if one.uncertainty is not None:
-        known = uncertainty_content(one.uncertainty, one.parameters, model.vehicle)
-        content["uncertainty"] = known
+        content["uncertainty"] = uncertainty_content(one.uncertainty, one.parameters, model.vehicle)
     return content
 
 

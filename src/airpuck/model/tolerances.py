@@ -55,8 +55,7 @@ def geometry_shifts(
     for entry in np.flatnonzero(free & parameters.mask(IN_MATRIX)):
         unit = np.eye(len(vector))[entry]
         step = _STEP * max(abs(vector[entry]), _STEP)
-        moved = parameters.with_vector(vector + step * unit)
-        slopes.append((_seen(moved, vehicle) - now) / step)
+        slopes.append((_seen(parameters.with_vector(vector + step * unit), vehicle) - now) / step)
         steps = np.vstack([steps, unit])
     errors = [matrix - now for matrix in _wrong(parameters, vehicle)]
     full = np.abs(np.asarray(parameters.thrust).sum(axis=1))

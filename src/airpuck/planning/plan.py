@@ -154,8 +154,7 @@ class Plan(Result):
         if legs < 1 or len(self.commands) % legs:
             problem = f"must divide the plan's {len(self.commands)} intervals, but is {legs}"
             raise InputError(problem, field="legs")
-        ends = self.time[:: (len(self.time) - 1) // legs]
-        return Path(np.diff(ends), self.states, self.commands)
+        return Path(np.diff(self.time[:: (len(self.time) - 1) // legs]), self.states, self.commands)
 
     @property
     def spread(self) -> float:

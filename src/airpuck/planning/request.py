@@ -109,8 +109,7 @@ class Request:
     @property
     def strongest_push(self) -> float:
         """Bound on the acceleration of the centre at any yaw and with any motor speeds [m/s²]."""
-        always = np.array([np.inf])
-        return float(strongest_push(self.model, self.limits, self.start[6:], always)[0])
+        return float(strongest_push(self.model, self.limits, self.start[6:], np.array([np.inf]))[0])
 
     def goal_yaws(self) -> tuple[float, ...]:
         """Return the final yaws worth trying, as continuous angles; the nearest first."""
@@ -197,8 +196,7 @@ def _rows(values: Sequence[Numbers], field: str, width: int) -> Float[np.ndarray
     """Return rows of finite numbers, or raise InputError."""
     if len(values) > _MOST_POINTS:
         raise InputError(f"must be at most {_MOST_POINTS} entries", field=field)
-    rows = [_numbers(row, field, (width,)) for row in values]
-    return np.array(rows).reshape(-1, width)
+    return np.array([_numbers(row, field, (width,)) for row in values]).reshape(-1, width)
 
 
 def _check_motion(request: Request, motion: Float[np.ndarray, " 4"], field: str) -> None:

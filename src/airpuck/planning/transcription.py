@@ -65,8 +65,7 @@ class Path:
     def times(self) -> Float[np.ndarray, " nodes"]:
         """Times of the nodes [s]."""
         intervals = len(self.commands) // len(self.durations)
-        steps = np.repeat(self.durations / intervals, intervals)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        return np.concatenate([[0.0], np.cumsum(np.repeat(self.durations / intervals, intervals))])
 
     def simulated(
         self, model: Model, times: Float[np.ndarray, " nodes"], parts: int

@@ -66,8 +66,7 @@ def commissioning_report(
     if found.findings:
         texts = [finding.sentence for finding in found.findings]
         sections.append(PageSection("findings", "Findings", [Text(texts, bullets=True)]))
-    title = "From the box to a trusted flight"
-    return write_page(out, title, lead, sections, origin)
+    return write_page(out, "From the box to a trusted flight", lead, sections, origin)
 
 
 @style.styled

@@ -89,8 +89,7 @@ def craft_figure(vehicle: Vehicle) -> Figure:
     axes.set(ylim=(-reach, reach), ylabel="$y^b$, left [mm]", aspect="equal")
     mass = vehicle.mass_kg
     weight = f"{1e3 * mass:.4g} g" if mass < _GRAMS_BELOW_KG else f"{mass:.4g} kg"
-    what = f"{actuator_words(vehicle)}, {weight}, seen from above"
-    axes.set_title(f"{vehicle.name}: {what}")
+    axes.set_title(f"{vehicle.name}: {actuator_words(vehicle)}, {weight}, seen from above")
     return figure
 
 

@@ -215,8 +215,7 @@ def _timeline_section(judged: JudgedModels) -> PageSection:
             f"account for {squares_held(best.at_horizon, touched)} % and are not excluded."
         )
     figure = error_timeline_figure(best, judged.faults)
-    picture = Picture("error_timeline", figure, caption)
-    return PageSection("time", "Errors over time", (picture,))
+    return PageSection("time", "Errors over time", (Picture("error_timeline", figure, caption),))
 
 
 def _protocol_words(evaluation: Evaluation) -> str:
@@ -351,8 +350,7 @@ def fault_section(trajectory: Trajectory, faults: Sequence[Span], model: Model) 
         f"{len(touched)} windows overlap a fault; they account for "
         f"{squares_held(evaluation.at_horizon, touched)} % of the squared error (x / y / yaw)."
     )
-    figure = error_timeline_figure(evaluation, spans)
-    picture = Picture("fault_timeline", figure, words)
+    picture = Picture("fault_timeline", error_timeline_figure(evaluation, spans), words)
     return PageSection("faults", "Faults", (picture, span_table(spans)))
 
 

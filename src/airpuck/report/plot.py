@@ -161,8 +161,7 @@ def _axes(given: Any, count: int) -> list[Axes]:
         from matplotlib import pyplot
 
         size = (style.PAGE_WIDTH, 3.4) if count > 1 else (6.4, 4.4)
-        figure = pyplot.figure(figsize=size, layout="constrained")
-        return style.panels(figure, count, count)
+        return style.panels(pyplot.figure(figsize=size, layout="constrained"), count, count)
     axes = np.ravel(given).tolist()
     if len(axes) != count or not all(isinstance(one, Axes) for one in axes):
         raise InputError(f"needs {count} matplotlib axes, not {len(axes)} objects", field="axes")

@@ -72,8 +72,7 @@ def horizon_figure(
     line marks the horizon reported in tables.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)
-    handles = draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label)
-    style.top_legend(figure, handles)
+    style.top_legend(figure, draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label))
     return figure
 
 

@@ -222,8 +222,7 @@ def _drawn_windows(
     """Return the shorter predictions within a typical simulation, and that simulation."""
     whole = typical_window(simulated)
     begin, end = simulated.start[whole], simulated.time[-1, whole]
-    within = (ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)
-    return np.flatnonzero(within).tolist(), [whole]
+    return np.flatnonzero((ahead.start >= begin) & (ahead.time[-1] <= end + 1e-9)).tolist(), [whole]
 
 
 def _cut_at(bands: PredictionBands, windows: list[int], channel: int) -> float | None:

@@ -341,8 +341,7 @@ def arrow_scale(vehicle: Vehicle) -> float:
 
 def _largest_thrust(vehicle: Vehicle) -> float:
     """Return the largest nominal thrust at full command [N]."""
-    full = thrust(vehicle.nominal_thrust, np.ones(vehicle.n_propellers))
-    return float(np.abs(full).max())
+    return float(np.abs(thrust(vehicle.nominal_thrust, np.ones(vehicle.n_propellers))).max())
 
 
 def thrust_arrows(

@@ -218,8 +218,7 @@ def track(
     log, words = _fly(model, reference, duration, twin, tuning, pilot, on_board, **given)
     goal = "set points" if isinstance(reference, SetPoints) else "its target"
     source = f"flying to {goal} with {words} ({model.name} on a twin of {truth.name}, seed {seed})"
-    recording = replace(twin.recording(), source=source)
-    return replace(log, recorded=recording, vehicle=truth.vehicle)
+    return replace(log, recorded=replace(twin.recording(), source=source), vehicle=truth.vehicle)
 
 
 def _fly(
@@ -382,8 +381,7 @@ def race(
         twins.append([])
         for reference, patience in flights:
             twin = Twin(truth, settings, seed=seed, pose=(x, y, yaw), plant=plant)
-            duration = _LEAD + planned.duration + patience
-            _fly(planned.model, reference, duration, twin, tuning)
+            _fly(planned.model, reference, _LEAD + planned.duration + patience, twin, tuning)
             twins[-1].append(twin)
         progress(seed + 1, seeds)
     raced, *alone = zip(*twins, strict=True)

@@ -157,8 +157,7 @@ def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> An
     back = -side * depth * (1 + table.restitution)
     along = (back, zero) if axis == 0 else (zero, back)
     change = [*along, zero, gained_x, gained_y, turned]
-    moved = state[:6] + xp.where(meets, xp.stack(change), 0.0)
-    return xp.concatenate([moved, state[6:]])
+    return xp.concatenate([state[:6] + xp.where(meets, xp.stack(change), 0.0), state[6:]])
 
 
 def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:

@@ -72,8 +72,7 @@ class RadioLink:
     def send(self, time: float, command: Float[np.ndarray, " n"]) -> None:
         """Send a packet."""
         chance = self._rng.random((1, 2))
-        delay = self._settings.delay_s
-        alone = float(passage(self._settings, delay, np.array([time]), chance)[0])
+        alone = float(passage(self._settings, self._settings.delay_s, np.array([time]), chance)[0])
         if math.isinf(alone):
             return
         arrival = max(alone, self._last_arrival)

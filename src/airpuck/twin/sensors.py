@@ -170,8 +170,7 @@ def build_sensors(
         rng = np.random.default_rng([seed, number])
         sensors.append(Sensor(kind, rate=rate, noise=noise, latency=latency, rng=rng, logs=logs))
     for number, kind in enumerate(played, start=4):
-        sensor = pose_sensor(settings.motion_capture, seed, logs, kind=kind, number=number)
-        sensors.append(sensor)
+        sensors.append(pose_sensor(settings.motion_capture, seed, logs, kind=kind, number=number))
     return sensors
 
 

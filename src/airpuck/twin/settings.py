@@ -112,8 +112,7 @@ def _effect_fields() -> dict[str, Any]:
     entries: dict[str, Any] = {}
     for q in _EFFECTS.values():
         several = {Pair: (Pair, (0.0, 0.0)), Triple: (Triple, (0.0, 0.0, 0.0))}
-        field = several.get(q.toml, (NonNegative, 0.0))
-        entries |= dict.fromkeys(q.settings or (q.key,), field)
+        entries |= dict.fromkeys(q.settings or (q.key,), several.get(q.toml, (NonNegative, 0.0)))
     return entries
 
 
