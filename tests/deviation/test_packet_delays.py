@@ -1,5 +1,6 @@
 """Delays of single packets, against the twin's radio."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +41,36 @@ def test_every_packet_is_found_within_its_error(flight):
     score = wrong / found.standard_error
     assert 0.8 < score.std() < 1.25
     assert np.mean(np.abs(score) < 3) > 0.98
+
+
+def test_a_long_recording_needs_little_more_memory_than_a_short_one(flight):
+    """Eight times the packets: their own results, but not eight times the regressions."""
+
+    def peak(repeats):
+        short = flight.trajectory
+        both = np.concatenate([short.time, short.command_time])
+        shift = (np.ptp(both) + short.sample_period) * np.arange(repeats)[:, None]
+        long = replace(
+            short,
+            time=np.ravel(short.time + shift),
+            state=np.tile(short.state, (repeats, 1)),
+            acceleration=np.tile(short.acceleration, (repeats, 1)),
+            command_time=np.ravel(short.command_time + shift),
+            command=np.tile(short.command, (repeats, 1)),
+        )
+        tracemalloc.start()
+        found = packet_delays(long, TRUTH)
+        return tracemalloc.get_traced_memory()[1], found, tracemalloc.stop()
+
+    (little, once, _), (much, often, _) = peak(1), peak(8)
+    assert len(often) > 7 * len(once)
+    _, one, other = np.intersect1d(once.packet, often.packet, return_indices=True)
+    assert len(one) > 0.95 * len(once)
+    # The noise is fitted to the whole recording.
+    moved = np.abs(often.deviation[other] - once.deviation[one]) / once.standard_error[one]
+    assert np.median(moved) < 0.1
+    assert moved.max() < 2
+    assert much < 3 * little
 
 
 def test_delays_answer_to_a_model_that_expects_packets_later(flight, fit):

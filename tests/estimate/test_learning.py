@@ -15,7 +15,7 @@ from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.twin.twin import Twin
 
-from ..apparatus.random_flights import random_flight
+from ..apparatus.random_flights import HOLD, POSE_RATE, random_flight
 from ..apparatus.two_way_craft import triangle
 
 M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
@@ -70,6 +70,30 @@ def test_motors_and_delay_are_learned_together(learning, seed):
     assert abs(off[-1]) < 0.003
     known = np.append(found.deviation, found.delay_deviation)
     assert np.abs(off / known).max() < 3.5
+
+
+def test_packets_with_their_own_delays_leave_the_mean_delay_as_uncertain_as_their_number_allows(
+    compiled,
+):
+    """Of N packets the mean delay is known to σ/√N, however hard each of them pushes."""
+    own, packets, scores = 6.3e-3, 20, []
+    for seed in range(6):
+        learning, random = copy(compiled), np.random.default_rng([seed, 2])
+        learning.reset()
+        flight = random_flight(M3, packets * HOLD, seed)
+        poses = flight.state[:, :3] + random.normal(size=(len(flight.time), 3)) * QUIET.pose
+        switched = np.arange(0, len(flight.time), round(HOLD * POSE_RATE))
+        sent = flight.time[switched] - random.normal(0, own, packets)
+        events = [(*one, learning.pose) for one in zip(flight.time, poses, strict=True)]
+        events += [
+            (*one, learning.command) for one in zip(sent, flight.command[switched], strict=True)
+        ]
+        for time, values, use in sorted(events, key=lambda one: one[0]):
+            use(float(time), values)
+        found = learning.predict(flight.time[-1]).actuation
+        scores.append(found.delay / found.delay_deviation)
+        assert own / np.sqrt(packets) < found.delay_deviation < 2 * own / np.sqrt(packets)
+    assert np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
 def test_what_was_learned_stays_while_nothing_moves_but_becomes_uncertain(learning):
