@@ -202,6 +202,20 @@ def test_flipped_axes_are_named_with_what_mends_them(recorded, signs):
         assert all(p.verdict == "agrees" for p in check.propellers)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sign", [1, -1])
+def test_exchanged_columns_of_x_and_y_are_one_cause(recorded, sign):
+    recording, vehicle = recorded
+    logged = edited_poses(recording, (sign, sign, 1))
+    pose = logged["pose"]
+    exchanged = replace(pose, values=pose.values[:, [1, 0, *range(2, pose.values.shape[1])]])
+    logged = replace(logged, streams={**logged.streams, "pose": exchanged})
+    check = check_layout(preprocess(logged, vehicle), vehicle)
+    assert check.wrong == ("the order of x and y",)
+    (remark,) = check.remarks
+    assert f"axes = {'[-y, -x, z]' if sign < 0 else '[y, x, z]'}" in remark.replace('"', "")
+
+
 def edited_poses(recording, signs):
     def edit(stamp, received, values):
         return stamp, received, values * signs

@@ -173,6 +173,12 @@ class LayoutCheck(Result):
         return bool(self.signs.flipped)
 
     @property
+    def exchanged(self) -> bool:
+        """Whether x and y stand in each other's place: one is flipped, and all turned by 90°."""
+        quarter = abs(abs(self.rotation) - np.pi / 2) < TURNED
+        return self.signs.flipped == ("y",) and quarter
+
+    @property
     def conclusive(self) -> bool:
         """Whether the commands explain enough of the motion for a verdict."""
         return bool(self.p_value < LEVEL and self.usable >= _SHORTEST)
@@ -205,10 +211,14 @@ class LayoutCheck(Result):
     def wrong(self) -> tuple[str, ...]:
         """Items that disagree: axes, the unit of length, names of propellers."""
         return (
-            *self.signs.names,
+            *(("the order of x and y",) if self.exchanged else self.signs.names),
             *(("the unit of length",) if self.length_ratio != 1 else ()),
             *(("all directions",) if self.reversed else ()),
-            *(("the yaw's zero",) if any(p.verdict == TURNS for p in self.propellers) else ()),
+            *(
+                ("the yaw's zero",)
+                if not self.exchanged and any(p.verdict == TURNS for p in self.propellers)
+                else ()
+            ),
             *(p.name for p in self.propellers if p.verdict not in HARMLESS),
         )
 
@@ -281,7 +291,9 @@ def propeller_findings(check: LayoutCheck) -> tuple[Finding, ...]:
 def _poses(check: LayoutCheck) -> list[Finding]:
     """Describe wrong signs, units and axes of the poses."""
     found = []
-    if check.mirrored:
+    if check.exchanged:
+        found.append(_exchanged(check))
+    elif check.mirrored:
         found.append(_flipped(check, check.signs))
     if check.length_ratio != 1:
         ratio = f"the craft moves {check.length_ratio:g} times as far as its turns imply"
@@ -290,7 +302,7 @@ def _poses(check: LayoutCheck) -> list[Finding]:
     verdicts = {one.verdict for one in check.propellers}
     # Swapped motors can look like a rotation, but the others would be turned, too.
     swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
-    if abs(check.rotation) > TURNED and not swapped and not check.reversed:
+    if abs(check.rotation) > TURNED and not (swapped or check.reversed or check.exchanged):
         cause = f"The whole layout is turned by {np.rad2deg(check.rotation):.0f} degrees"
         remedy = "Align the rigid body of the motion capture with the craft."
         found.append(Finding("axes", cause, "against the measured yaw", remedy))
@@ -298,6 +310,16 @@ def _poses(check: LayoutCheck) -> list[Finding]:
             signs = check.signs
             found.append(_flipped(check, AxisSigns(-signs.x, -signs.y, signs.yaw), "or "))
     return found
+
+
+def _exchanged(check: LayoutCheck) -> Finding:
+    """Describe x and y that stand in each other's place."""
+    x, y, z = check.axes
+    if check.rotation > 0:
+        x, y = _turned(x), _turned(y)
+    explained = f"the commands then explain {100 * check.explained:.0f} % of the acceleration"
+    remedy = f'Correct the mapping file, under [pose]: axes = ["{y}", "{x}", "{z}"]'
+    return Finding("signs", "The x axis and the y axis are exchanged", explained, remedy)
 
 
 def _flipped(check: LayoutCheck, signs: AxisSigns, before: str = "") -> Finding:

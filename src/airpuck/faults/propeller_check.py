@@ -238,7 +238,9 @@ def _explained(
     if abs(angle) <= TURNED:
         return plain
     upright = read(TURNS, turned(measured, -angle))
-    return upright if _worth(*upright[2:]) > _worth(*plain[2:]) + _BETTER else plain
+    # On a symmetric craft a turned layout also looks as if every motor were another's.
+    alone = all(match.acts_as == k and match.sign > 0 for k, match in upright[3].items())
+    return upright if alone or _worth(*upright[2:]) > _worth(*plain[2:]) + _BETTER else plain
 
 
 def _unclear(

@@ -68,9 +68,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     position, yaw = pose.values[:, :2], pose.values[:, 2]
     if np.abs(position).max() > 50:
         raise InputError(
-            f"positions reach {np.abs(position).max():.0f}, which is too large for an air-hockey "
-            "table in "
-            'metres; for millimetres, use a mapping: pose = {units = ["mm"]}',
+            f"positions reach {np.abs(position).max():.4g}, which is too large for an air-hockey "
+            'table in metres; if all are, name the mapping\'s units: pose = {units = ["mm"]}',
             file=source,
             field="pose.position",
         )
@@ -89,8 +88,8 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     spins_too_fast = len(jumps) > 0 and period > 0 and np.quantile(jumps, 0.9) / period > 100
     if np.abs(yaw).max() > 2 * np.pi and (wraps_at_360 or spins_too_fast):
         raise InputError(
-            f"yaw reaches {np.abs(yaw).max():.0f} and looks like degrees; "
-            'use a mapping: pose = {units = ["deg"]}',
+            f"yaw reaches {np.abs(yaw).max():.4g} and looks like degrees; "
+            'name them among the mapping\'s units: pose = {units = ["deg"]}',
             file=source,
             field="pose.orientation.yaw",
         )
@@ -134,8 +133,9 @@ def check_commands(
         row, column = np.argwhere(outside)[0]
         raise InputError(
             f"command {command.values[row, column]:g} at {time[row]:.3f} s is outside "
-            f"[{least[column]:.0f}, 1]; set its scale in a mapping file, "
-            "for percent command = {scale = 0.01}; `disarmed` is a value that means stopped",
+            f"[{least[column]:.0f}, 1]; set its scale in a mapping file: "
+            "command = {scale = 0.01} for percent, {neutral = 1000, span = 1000} for pulses of 1 "
+            "to 2 ms; `disarmed` is a value that means stopped",
             file=source,
             field=command.columns[column],
         )
