@@ -76,6 +76,23 @@ def test_another_axis_that_is_up_is_told_by_the_positions(up: str):
     assert np.abs(np.angle(np.exp(1j * (mended[:, 2] - yaw)))).max() < 1e-9
 
 
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_column_of_heights_among_two_coordinates_is_told(level: int):
+    """The mapping named two of a program's three columns, and one of them is the height."""
+    t = np.linspace(0, 20, 500)
+    logged = np.column_stack([np.sin(t), 0.02 + 1e-4 * np.random.default_rng(4).normal(size=500)])
+    logged = logged[:, [1, 0]] if level == 0 else logged
+    with pytest.raises(InputError, match=f"{'XY'[level]} seems to be up; name the columns of all"):
+        poses_of(logged, t[:, None], "yaw", mapping())
+
+
+def test_a_narrow_motion_is_no_height():
+    """A controller that moves the craft along x holds y to millimetres."""
+    t = np.linspace(0, 20, 500)
+    logged = np.column_stack([np.sin(t), 2e-3 * np.sin(3 * t)])
+    np.testing.assert_array_equal(poses_of(logged, t[:, None], "yaw", mapping())[:, :2], logged)
+
+
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
 def test_euler_angles_in_every_order_in_degrees(order: str):
     rotations = random_rotations()

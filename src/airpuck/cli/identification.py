@@ -59,8 +59,7 @@ def preprocess(
 
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
-    silent = quiet or is_stdout(json_file)
-    trajectory = load(recording, vehicle, mapping, delay=delay, quiet=silent)
+    trajectory = load(recording, vehicle, mapping, delay=delay, quiet=quiet or is_stdout(json_file))
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),

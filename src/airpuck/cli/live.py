@@ -295,8 +295,7 @@ def record(
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
-    motors = () if vehicle is None else vehicle.columns
-    figures = record(output, live, motors=motors)
+    figures = record(output, live, motors=() if vehicle is None else vehicle.columns)
     counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
     report(figures, json_file, *counts, output, quiet=live.quiet)
 

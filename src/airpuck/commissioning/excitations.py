@@ -28,8 +28,9 @@ from airpuck.twin.settings import MotionCapture, TwinSettings
 
 #: Longest time for a study while the craft holds its place [s].
 _LONGEST_STUDY = 300.0
-#: Time for which poses are counted [s].
-_LISTENED = 0.3
+#: Time for which poses are counted [s], and number of them that is enough to know their rate: on a
+#: slope the craft drifts meanwhile.
+_LISTENED, _COUNTED = 0.3, 8
 #: Longest excitation [s].
 _LONGEST = 20.0
 #: Hold times of the signals: for effects, and for timing [s].
@@ -42,7 +43,7 @@ class WarmUp:
 
     def run(self, session: Commissioned) -> None:
         """Study simulated flights; see `CommissioningStep`."""
-        heard, work = session.listen(_LISTENED), session.work
+        heard, work = session.listen(_LISTENED, _COUNTED), session.work
         if len(heard) < 3:
             return  # The next step tells what is wrong with the poses.
         session.tell("compiling the programs of the first study")

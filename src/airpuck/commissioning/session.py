@@ -282,11 +282,11 @@ class Commissioned:
             log.send(self.vehicle.idle)
         return self.flights[-1].recording
 
-    def listen(self, duration: float) -> list[float]:
-        """Let time pass without a command; return the stamps of the poses that come."""
+    def listen(self, duration: float, enough: float = math.inf) -> list[float]:
+        """Let time pass without a command until poses are enough; return their stamps."""
         self._log.clear()
         until = self.link.now + duration
-        while self.link.now < until:
+        while self.link.now < until and len(self._log.poses) < enough:
             # A pose that waits too long in the link counts as late.
             self._log.wait_until(min(self.link.now + _POLL, until))
             self.check_operator()

@@ -314,8 +314,7 @@ def command_stage(model: Model, period: float) -> Callable[..., tuple[Any]]:
 
     def command(xp: Any, solution: Any, lower: Any, upper: Any, coasting: Any) -> tuple[Any]:
         # Solvers satisfy bounds to their tolerance; the result satisfies them exactly.
-        force = xp.clip(solution[:n], lower[:n], upper[:n])
-        speed = inverse_thrust(xp, dynamics.thrust, force)
+        speed = inverse_thrust(xp, dynamics.thrust, xp.clip(solution[:n], lower[:n], upper[:n]))
         return (xp.clip((speed - coasting) / drive, least, most),)
 
     return command

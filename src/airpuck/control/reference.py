@@ -139,8 +139,7 @@ class SetPoint:
 
     def at(self, now: float, ahead: float) -> Target:
         """Return the pose, at rest; see `Reference.at`."""
-        state = np.array([self.x, self.y, self.yaw, 0.0, 0.0, 0.0])
-        return Target(state, np.zeros(3))
+        return Target(np.array([self.x, self.y, self.yaw, 0.0, 0.0, 0.0]), np.zeros(3))
 
     def over(self, now: float, ahead: Float[np.ndarray, " N"]) -> Preview:
         """Return the pose, at rest, for all times; see `preview`."""

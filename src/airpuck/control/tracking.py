@@ -270,8 +270,7 @@ class TrackingController(Pilot):
             fast = not self._compiled or large_programs_are_fast()
             if self.compensate_delay and stage and fast:
                 composed = self.filter.composed(stage, *inputs)
-            alone = staged(self.law, self.model, self._compiled, inputs)
-            self._programs[shapes] = alone, composed
+            self._programs[shapes] = staged(self.law, self.model, self._compiled, inputs), composed
         return self._programs[shapes]
 
     def _act(self, now: float, foresee: _Foresee, reference: Reference) -> Step:

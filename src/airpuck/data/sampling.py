@@ -82,8 +82,7 @@ def hold(
     array of float64, shape (N, n)
         Values in force; before the first event, the first value.
     """
-    index = np.searchsorted(event_time, time, side="right") - 1
-    return values[np.clip(index, 0, None)]
+    return values[np.clip(np.searchsorted(event_time, time, side="right") - 1, 0, None)]
 
 
 def mean_hold(

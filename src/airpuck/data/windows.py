@@ -114,8 +114,7 @@ class Windows:
     ) -> tuple[Float[np.ndarray, "T n B"], Float[np.ndarray, "T B"], Float[np.ndarray, "T 6 B"]]:
         """Gather commands, durations and measured states after the present."""
         starts = self.starts if starts is None else starts
-        present = starts + self.encoder_length - 1
-        index = present + np.arange(self.prediction_length + 1)[:, None]
+        index = starts + self.encoder_length - 1 + np.arange(self.prediction_length + 1)[:, None]
         return (
             np.moveaxis(self.input[index[:-1]], -1, 1),
             np.diff(self.time[index], axis=0),

@@ -207,8 +207,7 @@ def _columns(
     full = full * _graded(design.windows)
     bent = np.einsum("new,eikw,kn,n->einw", speed * (1 - speed), turn, matrix, full)
     free = each.reshape(*turn.shape[:2], -1, turn.shape[3])
-    others = other_accelerations(design.state)
-    return design.columns(free, design.timing(), bent, others)
+    return design.columns(free, design.timing(), bent, other_accelerations(design.state))
 
 
 def _graded(windows: Windows) -> Bool[np.ndarray, " n"]:

@@ -319,8 +319,7 @@ class _Regression:
             row, windows = (best[number[part]] for best in self._best)
             change = np.moveaxis(modelled[:, self._near.index[:, windows]], (1, 3, 0), (0, 1, 2))
             aim = self._aim(self._near.components.of_accelerations(-change))
-            given = self._near.linearised(self._late, windows)
-            rows, _, covariance = self._solve(*given, windows)
+            rows, _, covariance = self._solve(*self._near.linearised(self._late, windows), windows)
             own = covariance[np.arange(len(row)), row]
             found[:, part] = (own[:, None] @ np.swapaxes(rows, 1, 2) @ aim)[:, 0].T
         return found / np.maximum(self.gain[number], 1e-12)
@@ -366,8 +365,7 @@ def _regressed(
         return _Regression(near, late, linearised, near.components.variances(rest), share)
 
     if before is None:
-        parts = _batches(near.packet.shape[1])
-        residual = [linearised(part[0], part[-1] + 1)[0] for part in parts]
+        residual = [linearised(part[0], part[-1] + 1)[0] for part in _batches(near.packet.shape[1])]
         # Noise and delays barely depend on each other.
         before = at(np.concatenate(residual, axis=2))
     return at(before.rest[..., before.where_usual])

@@ -192,8 +192,7 @@ def replay(
         raise InputError("must be two fractions of the length, 0 <= A < B <= 1", field="span")
     time, sent = commands.time, commands.values
     # The recorder may have been busy; the controller got the poses after their usual latency.
-    arrivals = seconds(pose.received_ns) - aligned.recorder_epoch
-    latency = np.median(arrivals - aligned.pose_time)
+    latency = np.median(seconds(pose.received_ns) - aligned.recorder_epoch - aligned.pose_time)
     controller = TrackingController(
         model,
         recorded_set_points(recording, aligned.recorder_epoch),
@@ -255,8 +254,7 @@ def _fly_through(
         while following < len(arrivals) and arrivals[following] <= time:
             controller.pose(float(stamps[following]), poses[following])
             following += 1
-        refusal = controller.refusal(float(time))
-        estimates.append(refusal or controller.predict(float(time)))
+        estimates.append(controller.refusal(float(time)) or controller.predict(float(time)))
         controller.sent(float(time), command)
     return estimates
 
@@ -333,8 +331,7 @@ def _regression(
             np, dynamics, period, estimate.state, speed, np.zeros(3), np.ones(len(speed))
         )
         given = matrix @ thrust(dynamics.thrust, lag * speed + drive * command) + offset
-        error = pose_difference(np, following, target.state)
-        rows.append(np.concatenate([error, given]))
+        rows.append(np.concatenate([pose_difference(np, following, target.state), given]))
     x, y, yaw, vx, vy, spin, ax, ay, turn = np.array(rows).T
     linear = np.stack([np.append(x, y), np.append(vx, vy)], axis=1), -np.append(ax, ay)
     return linear, (np.stack([yaw, spin], axis=1), -turn)

@@ -138,8 +138,7 @@ def identifiability(
         trajectories, model, vehicle=vehicle, initial=initial, loss=loss, preparation=preparation
     )
     hessian = problem.loss_on(problem.trajectories).quadratic(problem.start).hessian
-    names = problem.vehicle.propeller_names
-    return identifiability_of(hessian, problem.start, problem.free, names)
+    return identifiability_of(hessian, problem.start, problem.free, problem.vehicle.propeller_names)
 
 
 @dataclass(frozen=True, eq=False)

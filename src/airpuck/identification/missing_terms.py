@@ -306,8 +306,7 @@ def _changes(
     rows = np.zeros((size[0], len(vector)))
     for row, unit in zip(rows, np.eye(size[0]), strict=True):
         row[thrusts] = np.repeat(unit, size[1]) * vector[thrusts]
-    names = model.vehicle.propeller_names
-    found = {ALL: rows.sum(axis=0), **dict(zip(names, rows, strict=True))}
+    found = {ALL: rows.sum(axis=0), **dict(zip(model.vehicle.propeller_names, rows, strict=True))}
     if model.delay_learned:
         found[DELAY] = whole.mask(frozenset({"transport_delay"})).astype(float)
     return {CHANGE + name: direction for name, direction in found.items()}

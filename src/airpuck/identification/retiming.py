@@ -105,8 +105,7 @@ def modelled_acceleration(trajectory: Trajectory, model: Model) -> Float[np.ndar
     """Compute the accelerations of a model along the measured motion."""
     assumed = model.vehicle.nominal.transport_delay_s
     held, _ = trajectory.delayed_input(model.transport_delay, assumed)
-    lag = model.dynamics.lag, model.dynamics.idle_lag
-    speed = motor_speeds(trajectory.time, held, *lag)
+    speed = motor_speeds(trajectory.time, held, model.dynamics.lag, model.dynamics.idle_lag)
     return accelerations_along(model.dynamics, trajectory.state, speed)
 
 

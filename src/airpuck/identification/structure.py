@@ -183,8 +183,7 @@ def structured(
     found = missing_terms(simple, loss) if usual else []
     # Uncertainties take a third of a fit, and the first of two fits needs none.
     if added := with_shifts(simple, [one for one in found if one.worthwhile]):
-        bent = np.shape(simple.parameters.thrust)[1]
-        chosen = _richer(rung, [one.term for one in added], bent)
+        chosen = _richer(rung, [one.term for one in added], np.shape(simple.parameters.thrust)[1])
         simple, loss, judge = solved(chosen)
     fit = judge()
     if added or not usual:

@@ -174,8 +174,7 @@ def varying(
     """Find the directions in which an estimate can vary along its active constraints."""
     binding, gauge = binding_constraints(parameters, free), gauge_constraints(parameters, free)
     known = hessian if np.isfinite(hessian).all() else np.zeros_like(hessian)
-    space = subspace(known, free, np.concatenate([binding, gauge]))
-    return replace(space, binding=len(binding))
+    return replace(subspace(known, free, np.concatenate([binding, gauge])), binding=len(binding))
 
 
 def _flat_speeds(curve: Float[np.ndarray, "1 degree"]) -> list[float]:

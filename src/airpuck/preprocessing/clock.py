@@ -139,8 +139,7 @@ def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]
             "times of arrival show; the step was removed"
         )
     if steps:
-        edges = [0, *(k for k, _ in steps), len(stream)]
-        parts = [slice(*ends) for ends in pairwise(edges)]
+        parts = [slice(*ends) for ends in pairwise([0, *(k for k, _ in steps), len(stream)])]
         right = min(parts, key=lambda part: abs(_lowest(offset[part]) - usual))
         late -= late[right.start]
     first, *_, last = np.array_split(offset - late, 4)
@@ -171,8 +170,7 @@ def _steady(stream: Stream, name: str, usual: float) -> tuple[Stream, list[str]]
 
 def _moved(stream: Stream, late: Float[np.ndarray, " N"]) -> Stream:
     """Return a stream with later stamps [s]."""
-    moved = np.rint(late * SECOND_NS).astype(np.int64)
-    return replace(stream, stamp_ns=stream.stamp_ns + moved)
+    return replace(stream, stamp_ns=stream.stamp_ns + np.rint(late * SECOND_NS).astype(np.int64))
 
 
 def _without_recorder_steps(pose: Stream, command: Stream) -> tuple[Stream, Stream, list[str]]:

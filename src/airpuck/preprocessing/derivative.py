@@ -132,8 +132,7 @@ def velocity(
     """
     if duration > VELOCITY_TIME:
         return _local_derivative(time, values, duration, period, 1, measured)
-    smoothed = smooth(time, values, period, duration, measured)
-    return np.gradient(smoothed, time, axis=0, edge_order=2)
+    return np.gradient(smooth(time, values, period, duration, measured), time, axis=0, edge_order=2)
 
 
 def acceleration(

@@ -225,8 +225,7 @@ def preprocess(
         lost=time[~measured],
     )
     nominal = nominal or nominal_parameters(vehicle).dynamics(np, vehicle)
-    usual = vehicle.nominal.transport_delay_s
-    return _compensate_delay(trajectory, delay, nominal, usual)
+    return _compensate_delay(trajectory, delay, nominal, vehicle.nominal.transport_delay_s)
 
 
 def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samples, Aligned]:

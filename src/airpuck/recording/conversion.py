@@ -21,6 +21,8 @@ _ORTHOGONAL = 1e-2
 #: first number is no height [m]; the true height varies by at most the second, as a fraction of
 #: that coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
+#: Without a third coordinate: no craft that moves along x stays on a line as straight as this [m].
+_STILL = 1e-3
 #: Problem of a number that is not a bit mask.
 NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
 #: A planar craft rolls less, apart from noise and a tilted body frame, which is constant [rad].
@@ -102,13 +104,23 @@ def poses_of(
 
 
 def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
-    """Raise InputError if the third coordinate varies while x or y is constant."""
+    """Raise InputError if x or y is constant while another coordinate varies."""
     finite = position[np.isfinite(position).all(axis=1)]
-    if position.shape[1] < 3 or len(finite) == 0:
+    if len(finite) == 0:
         return
-    index, _ = mapping.permutation
-    x, y, z = np.ptp(np.quantile(finite[:, index], (0.01, 0.99), axis=0), axis=0)
-    size = mapping.size("length")
+    index, size = mapping.permutation[0][: position.shape[1]], mapping.size("length")
+    x, y, *others = np.ptp(np.quantile(finite[:, index], (0.01, 0.99), axis=0), axis=0)
+    if not others:
+        if max(x, y) * size > _TABLE and min(x, y) * size < _STILL:
+            level = "y" if y < x else "x"
+            raise InputError(
+                f"the craft moves, while {level} stays within {1e3 * min(x, y) * size:.1f} mm: "
+                f"{level.upper()} seems to be up; name the columns of all three coordinates, and "
+                "airpuck says which axes to use",
+                field="pose.position",
+            )
+        return
+    (z,) = others
     if z * size < _TABLE or min(x, y) > _LEVEL * z:
         return
     first, second, third = mapping.axes

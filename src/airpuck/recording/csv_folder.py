@@ -206,8 +206,7 @@ def _stream(stream: str, path: Path, mapping: RecordingMapping) -> tuple[Stream,
         own = own.model_copy(update={"values": _values(table, own)})
         groups = (tuple(place_of(name, table.columns).path for name in own.values),)
     else:
-        types = PATHS[stream].items()
-        fits = (kind for kind, names in types if set(names) <= set(table.columns))
+        fits = (kind for kind, names in PATHS[stream].items() if set(names) <= set(table.columns))
         msgtype = next(fits, next(iter(PATHS[stream])))
     names = tuple(itertools.chain(*groups))
     if groups:

@@ -412,8 +412,7 @@ class RecordingMapping(Section):
     @property
     def sections(self) -> dict[str, PoseMapping | CommandMapping]:
         """Stream name -> its section."""
-        streams = ("pose", "puck", "command", "wheels")
-        return {name: getattr(self, name) for name in streams}
+        return {name: getattr(self, name) for name in ("pose", "puck", "command", "wheels")}
 
     def of_poses(self, stream: str) -> PoseMapping:
         """Return the section that applies to poses of a stream.

@@ -311,8 +311,7 @@ def stream_of(
             values[~seen] = np.nan
     stamp = _stamps([_at(found, place_of(name, found)) for name in times], own)
     if stamp is None:
-        arrived = received + round(own.start_s * SECOND_NS)
-        return Stream(arrived, received, values, columns), False
+        return Stream(received + round(own.start_s * SECOND_NS), received, values, columns), False
     return Stream(stamp, received, values, columns), True
 
 
