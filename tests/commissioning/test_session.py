@@ -127,6 +127,20 @@ def test_poses_that_come_while_programs_compile_are_heard():
     assert not found.findings
 
 
+@pytest.mark.parametrize("rate", [60.0, 240.0])
+def test_the_rate_is_known_before_a_craft_on_a_slope_has_drifted_far(rate):
+    """Half g times 20 mrad times 0.15 s squared: 2 mm."""
+
+    class Noting(SlowWork):
+        def start(self, now, function, *arguments):
+            self.began, self.rate = now, arguments[-1]
+
+    work = Noting()
+    commission(Still(rate=rate), VEHICLE, steps=[WarmUp()], work=work)
+    assert work.rate == pytest.approx(rate, rel=0.05)
+    assert work.began < 0.15
+
+
 class Pushing(Pilot):
     """Runs all motors at half speed."""
 
