@@ -13,6 +13,7 @@ from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import ActuationFilter
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
+from airpuck.model.uncertainty import DelayJitter
 from airpuck.twin.twin import Twin
 
 from ..apparatus.random_flights import HOLD, POSE_RATE, random_flight
@@ -72,11 +73,15 @@ def test_motors_and_delay_are_learned_together(learning, seed):
     assert np.abs(off / known).max() < 3.5
 
 
+@pytest.mark.parametrize(("stated", "own"), [(None, 6.3e-3), (3e-3, 3e-3)])
 def test_packets_with_their_own_delays_leave_the_mean_delay_as_uncertain_as_their_number_allows(
-    compiled,
+    compiled, stated, own
 ):
     """Of N packets the mean delay is known to σ/√N, however hard each of them pushes."""
-    own, packets, scores = 6.3e-3, 20, []
+    if stated:
+        known = DelayJitter(standard_deviation_s=stated, standard_error_s=1e-4, packets=100)
+        compiled = ActuationFilter(replace(M3, delay_jitter=known), QUIET, learned=30.0)
+    packets, scores = 20, []
     for seed in range(6):
         learning, random = copy(compiled), np.random.default_rng([seed, 2])
         learning.reset()

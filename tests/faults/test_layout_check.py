@@ -214,6 +214,14 @@ def test_exchanged_columns_of_x_and_y_are_one_cause(recorded, sign):
     assert check.wrong == ("the order of x and y",)
     (remark,) = check.remarks
     assert f"axes = {'[-y, -x, z]' if sign < 0 else '[y, x, z]'}" in remark.replace('"', "")
+    assert {one.verdict for one in check.propellers} == {"agrees once x and y are exchanged"}
+    assert check.to_json()["exchanged"]
+
+
+def test_without_a_clear_propeller_the_layout_is_not_called_turned(flight):
+    """Rotations of vague effects mean nothing."""
+    quiet = replace(flight, command=np.full_like(flight.command, 0.3))
+    assert "the yaw's zero" not in check_layout(quiet, default_vehicle()).wrong
 
 
 def edited_poses(recording, signs):

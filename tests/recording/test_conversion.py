@@ -82,8 +82,23 @@ def test_a_column_of_heights_among_two_coordinates_is_told(level: int):
     t = np.linspace(0, 20, 500)
     logged = np.column_stack([np.sin(t), 0.02 + 1e-4 * np.random.default_rng(4).normal(size=500)])
     logged = logged[:, [1, 0]] if level == 0 else logged
-    with pytest.raises(InputError, match=f"{'XY'[level]} seems to be up; name the columns of all"):
+    names = f"its {['first', 'second'][level]} coordinate stays within 0.. mm, like a height"
+    with pytest.raises(InputError, match=names) as caught:
         poses_of(logged, t[:, None], "yaw", mapping())
+    axes = tuple(json.loads(re.search(r"axes = (\[.*?\])", str(caught.value))[1]))
+    whole = np.insert(logged, 2, np.cos(t), axis=1)
+    moving = poses_of(whole, t[:, None], "yaw", mapping(axes=axes))[:, :2]
+    assert np.ptp(moving, axis=0).min() > 1
+
+
+def test_a_puck_and_a_craft_without_noise_may_move_along_a_line():
+    t = np.linspace(0, 1, 500)
+    line = np.column_stack([t, np.full(500, 0.1)])
+    np.testing.assert_array_equal(poses_of(line, t[:, None], "yaw", mapping())[:, :2], line)
+    line[:, 1] += 1e-4 * np.random.default_rng(4).normal(size=500)
+    np.testing.assert_array_equal(
+        poses_of(line, np.zeros((500, 0)), "none", mapping())[:, :2], line
+    )
 
 
 def test_a_narrow_motion_is_no_height():

@@ -28,7 +28,7 @@ from airpuck.twin.settings import MotionCapture, TwinSettings
 
 #: Longest time for a study while the craft holds its place [s].
 _LONGEST_STUDY = 300.0
-#: Time for which poses are counted [s], and number of them that is enough to know their rate: on a
+#: Longest time to listen for poses [s], and number of poses from which their rate is known: on a
 #: slope the craft drifts meanwhile.
 _LISTENED, _COUNTED = 0.3, 8
 #: Longest excitation [s].
@@ -47,7 +47,8 @@ class WarmUp:
         if len(heard) < 3:
             return  # The next step tells what is wrong with the poses.
         session.tell("compiling the programs of the first study")
-        rate = 1 / float(np.median(np.diff(heard)))
+        lasted = heard[-1] - heard[0]
+        rate = round(lasted / float(np.median(np.diff(heard)))) / lasted
         work.start(session.link.now, prepare, session.vehicle, rate)
         while not work.done(math.inf):
             session.listen(_LISTENED)

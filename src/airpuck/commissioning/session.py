@@ -283,7 +283,7 @@ class Commissioned:
         return self.flights[-1].recording
 
     def listen(self, duration: float, enough: float = math.inf) -> list[float]:
-        """Let time pass without a command until poses are enough; return their stamps."""
+        """Listen for a time, or until enough poses have come; return their stamps."""
         self._log.clear()
         until = self.link.now + duration
         while self.link.now < until and len(self._log.poses) < enough:

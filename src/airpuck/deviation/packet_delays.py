@@ -284,7 +284,7 @@ class _Regression:
         variance: Float[np.ndarray, "k 3"],
         share: float,
     ) -> None:
-        self._near, self._late, self._share = near, late, share
+        self._near, self._late, self._share = near, late.copy(), share
         self._weight = 1 / np.sqrt(variance)
         m, rest, steps, spreads = len(near.packet), [], [], []
         for windows in _batches(near.packet.shape[1]):

@@ -29,8 +29,8 @@ from airpuck.physics.motor import motor_step
 _PIECES_TO_PREDICT, _PIECES_TO_MEASURE = 3, 2
 #: Standard deviation of a delay that is learned [s].
 _LEARNED_DELAY = 8e-3
-#: Standard deviation of a packet's delay if the model does not tell it: of packets that do not
-#: overtake each other (studies/likeness.md) [s].
+#: Standard deviation of a packet's delay if the model has none, for packets that do not overtake
+#: each other (studies/coverage.md) [s].
 _JITTER = 6.3e-3
 #: Bounds of a learned delay beyond the model's [s], and its largest change from pose to pose.
 _LATER, _CHANGE = (-0.02, 0.05), 1e-3
@@ -468,6 +468,6 @@ class ActuationFilter(KalmanFilter):
             encoder.tail,
             encoder.tempering,
             learned,
-            jitter if learned is not None else 0.0,
+            jitter_s=jitter if learned is not None else 0.0,
         )
         super().__init__(model, noise, states=states, compiled=compiled)

@@ -8,8 +8,8 @@ linear:
     p' = v,   v' = a + d + Σᵢ eᵢ aᵢ + w₁,   d' = w₂,
 
 where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
-Every packet has its own delay, too: that is white noise along da/dt. Without it one large change of
-the commands would determine the delay, which only many packets can.
+Every packet has its own delay, too, modelled as white noise along da/dt. Without it one large
+change of the commands would determine the delay, which only many packets can.
 Several states of the craft with different priors of e compete, each with its own Kalman filter: an
 interacting multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
 33, 1988).
@@ -157,8 +157,9 @@ class MultipleModels:
         added = process_noise(xp, total, *densities)
         # From a matrix for each axis to a single one: the axis is the inner index.
         by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
-        # A late packet changes the velocity by its delay times the change of acceleration: so does,
-        # over the motors' lag, white noise along da/dt of this squared density.
+        # A packet that is late by δ changes the velocity by δ times the step of acceleration. White
+        # noise along da/dt of this squared density gives the same variance over one lag, and more
+        # for smooth commands, whose packets add up.
         density = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
         by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(density * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))

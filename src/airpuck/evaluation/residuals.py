@@ -317,7 +317,8 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     motors, used = trajectory.propellers, found.used
     # A delay that the model did not learn comes from the recording, in whole samples.
     period = trajectory.sample_period
-    errors = model_errors(motors, late, used, period, 0.0 if model.delay_learned else period)
+    known = 0.0 if model.delay_learned else period
+    errors = model_errors(motors, late, used, period, known)
     told = {error.name for error in errors if error.tested}
     # The mean delay of the packets is judged separately.
     late_by = errors[0].value

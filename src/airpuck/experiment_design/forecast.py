@@ -406,7 +406,8 @@ def fly(
     flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning)
     reach = np.array(settings.table.reach(model.vehicle.radius_m))
     free = float((reach - np.abs(flown.recording["pose"].values[:, :2])).min())
-    return preprocess(flown.recording, model.vehicle), (0.0 if flown.contacts else max(free, 0.0))
+    clearance = 0.0 if flown.contacts else max(free, 0.0)
+    return preprocess(flown.recording, model.vehicle), clearance
 
 
 @contextmanager

@@ -21,6 +21,8 @@ from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.deviation.window_regression import LEVEL, WindowRegression, regress_windows
 from airpuck.faults.layout_findings import AXES, AxisSigns, LayoutCheck, find_axis_signs
 from airpuck.faults.propeller_check import (
+    EXCHANGED,
+    TURNS,
     PropellerCheck,
     force_to_moment,
     judge_propellers,
@@ -144,6 +146,9 @@ def _with_signs(
     check = replace(check, **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
     layout = check.rotation, check.inertia_ratio
     checks = judge_propellers(measured, error, stated, names, found.independent, layout)
+    if check.exchanged:
+        turned = {TURNS: EXCHANGED}
+        checks = tuple(replace(p, verdict=turned.get(p.verdict, p.verdict)) for p in checks)
     if not check.conclusive:
         checks = tuple(replace(one, verdict="not judged") for one in checks)
     return replace(check, propellers=checks)

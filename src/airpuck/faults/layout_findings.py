@@ -12,7 +12,14 @@ from jaxtyping import Float
 from airpuck.boundary.results import Finding, Kind, Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.window_regression import LEVEL
-from airpuck.faults.propeller_check import HARMLESS, REVERSED, TURNED, TURNS, PropellerCheck
+from airpuck.faults.propeller_check import (
+    EXCHANGED,
+    HARMLESS,
+    REVERSED,
+    TURNED,
+    TURNS,
+    PropellerCheck,
+)
 from airpuck.physics.angle import to_body
 
 #: If the forces are turned by 180 degrees to within this angle, two more flips are assumed.
@@ -115,8 +122,8 @@ class LayoutCheck(Result):
 
     JSON = (
         "agrees conclusive explained p_value delay_s=delay rotation_rad=rotation length_ratio "
-        "inertia_ratio mirrored flipped=signs.flipped tilt_rad=tilt tilt_error_rad=tilt_error "
-        "dish_rad_m=dish friction_m_s2=friction propellers"
+        "inertia_ratio mirrored flipped=signs.flipped exchanged tilt_rad=tilt "
+        "tilt_error_rad=tilt_error dish_rad_m=dish friction_m_s2=friction propellers"
     )
 
     #: One for each propeller.
@@ -196,7 +203,7 @@ class LayoutCheck(Result):
     @property
     def untouched(self) -> int:
         """Number of propellers that agree, less the number of axes with the wrong sign."""
-        fine = sum(one.verdict in ("agrees", TURNS, REVERSED) for one in self.propellers)
+        fine = sum(one.verdict in ("agrees", TURNS, EXCHANGED, REVERSED) for one in self.propellers)
         return fine - len(self.signs.flipped) - self.reversed
 
     @property
@@ -214,11 +221,7 @@ class LayoutCheck(Result):
             *(("the order of x and y",) if self.exchanged else self.signs.names),
             *(("the unit of length",) if self.length_ratio != 1 else ()),
             *(("all directions",) if self.reversed else ()),
-            *(
-                ("the yaw's zero",)
-                if not self.exchanged and any(p.verdict == TURNS for p in self.propellers)
-                else ()
-            ),
+            *(("the yaw's zero",) if any(p.verdict == TURNS for p in self.propellers) else ()),
             *(p.name for p in self.propellers if p.verdict not in HARMLESS),
         )
 
@@ -304,7 +307,10 @@ def _poses(check: LayoutCheck) -> list[Finding]:
     swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
     if abs(check.rotation) > TURNED and not (swapped or check.reversed or check.exchanged):
         cause = f"The whole layout is turned by {np.rad2deg(check.rotation):.0f} degrees"
-        remedy = "Align the rigid body of the motion capture with the craft."
+        remedy = (
+            "Align the rigid body of the motion capture with the craft, or, if motors that lie "
+        )
+        remedy += "alike were plugged in a circle, correct their order."
         found.append(Finding("axes", cause, "against the measured yaw", remedy))
         if np.pi - abs(check.rotation) < TURNED:
             signs = check.signs

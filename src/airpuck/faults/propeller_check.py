@@ -138,6 +138,7 @@ def unit_columns(columns: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3 n"]:
 _BETTER = 0.02
 #: Verdict on a propeller that agrees once the layout is rotated back.
 TURNS = "turned with the whole layout"
+EXCHANGED = "agrees once x and y are exchanged"
 #: Verdict on a propeller that pushes the other way, as all others do, and the fewest of them.
 REVERSED, _ALL = "pushes the other way, as all others do", 3
 #: Effect, relative to the others, above which a propeller's direction is judged, and standard error
@@ -152,7 +153,7 @@ DEAD, UNCLEAR = "gives no thrust", "not clear yet: fly longer"
 #: Verdict on propellers whose thrust never changes on its own.
 UNDETERMINED = "undetermined: change its command independently of the others and of the motion"
 #: Verdicts that accuse no propeller.
-HARMLESS = "agrees", TURNS, REVERSED, UNCLEAR, UNDETERMINED
+HARMLESS = "agrees", TURNS, EXCHANGED, REVERSED, UNCLEAR, UNDETERMINED
 #: Rotation of the whole layout that is worth mentioning [rad].
 TURNED = 0.3
 
@@ -238,8 +239,9 @@ def _explained(
     if abs(angle) <= TURNED:
         return plain
     upright = read(TURNS, turned(measured, -angle))
-    # On a symmetric craft a turned layout also looks as if every motor were another's.
-    alone = all(match.acts_as == k and match.sign > 0 for k, match in upright[3].items())
+    # On a symmetric craft every motor then also acts like another: one cause is likelier than many.
+    alone = len(clear) >= _ALL
+    alone &= all(match.acts_as == k and match.sign > 0 for k, match in upright[3].items())
     return upright if alone or _worth(*upright[2:]) > _worth(*plain[2:]) + _BETTER else plain
 
 

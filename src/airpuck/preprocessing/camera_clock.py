@@ -197,7 +197,8 @@ def _chosen_period(
 
 def _early(time: Float[np.ndarray, " N"], period: float) -> Float[np.ndarray, " N"]:
     """Return how far a pose is behind its number at most, as later ones show [periods]."""
-    return np.minimum.accumulate((time / period - np.arange(len(time)))[::-1])[::-1]
+    ahead = time / period - np.arange(len(time))
+    return np.minimum.accumulate(ahead[::-1])[::-1]
 
 
 def _refined(time: Float[np.ndarray, " N"], period: float, within: float) -> tuple[float, float]:

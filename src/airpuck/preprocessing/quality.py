@@ -69,7 +69,7 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
     if np.abs(position).max() > 50:
         raise InputError(
             f"positions reach {np.abs(position).max():.4g}, which is too large for an air-hockey "
-            'table in metres; if all are, name the mapping\'s units: pose = {units = ["mm"]}',
+            'table in metres; for millimetres, name the mapping\'s unit: pose = {units = ["mm"]}',
             file=source,
             field="pose.position",
         )

@@ -21,7 +21,8 @@ _ORTHOGONAL = 1e-2
 #: first number is no height [m]; the true height varies by at most the second, as a fraction of
 #: that coordinate.
 _TABLE, _LEVEL = 0.2, 0.02
-#: Without a third coordinate: no craft that moves along x stays on a line as straight as this [m].
+#: A height without a third coordinate: the cameras' noise, at most this large [m], above the origin
+#: by more than it varies.
 _STILL = 1e-3
 #: Problem of a number that is not a bit mask.
 NO_MASK = f"is not a bit mask (a whole number below 2^{MASK_BITS})"
@@ -82,7 +83,8 @@ def poses_of(
         raise InputError(
             "has two coordinates, and axes needs the third; name three", field="pose.position"
         )
-    _check_vertical(position, mapping)
+    if kind != "none":
+        _check_vertical(position, mapping)
     horizontal = position[:, index[:2]] * sign[:2] * mapping.size("length") - mapping.origin_m
     # Renaming the axes of table and craft rotates the axis of a rotation, but not its angle.
     if kind == "none":
@@ -108,15 +110,18 @@ def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) ->
     finite = position[np.isfinite(position).all(axis=1)]
     if len(finite) == 0:
         return
-    index, size = mapping.permutation[0][: position.shape[1]], mapping.size("length")
+    size = mapping.size("length")
+    index = mapping.permutation[0] if position.shape[1] > 2 else np.arange(2)
     x, y, *others = np.ptp(np.quantile(finite[:, index], (0.01, 0.99), axis=0), axis=0)
     if not others:
-        if max(x, y) * size > _TABLE and min(x, y) * size < _STILL:
-            level = "y" if y < x else "x"
+        height = finite[:, int(y < x)]
+        noisy = np.var(np.diff(height)) > np.var(height) > 0 and abs(height.mean()) > min(x, y)
+        if max(x, y) * size > _TABLE and min(x, y) * size < _STILL and noisy:
+            which, axes = ("second", '"x", "-z", "y"') if y < x else ("first", '"y", "z", "x"')
             raise InputError(
-                f"the craft moves, while {level} stays within {1e3 * min(x, y) * size:.1f} mm: "
-                f"{level.upper()} seems to be up; name the columns of all three coordinates, and "
-                "airpuck says which axes to use",
+                f"the craft moves, while its {which} coordinate stays within "
+                f"{1e3 * min(x, y) * size:.1f} mm, like a height; name the columns of all three, "
+                f"and pose = {{axes = [{axes}]}}",
                 field="pose.position",
             )
         return

@@ -72,7 +72,8 @@ def horizon_figure(
     line marks the horizon reported in tables.
     """
     figure = style.new_figure(style.PAGE_WIDTH, 3.5)
-    style.top_legend(figure, draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label))
+    handles = draw_horizon(list(figure.subplots(1, 3)), fitted, reference, label)
+    style.top_legend(figure, handles)
     return figure
 
 
