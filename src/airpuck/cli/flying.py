@@ -171,8 +171,7 @@ def track(
         tuning=controls,
     )
     of = "the paper" if setpoints is None else setpoints.name
-    content = tracked, plant.name
-    written = page(output, "control_report.tracking_report", *content, set_points=of)
+    written = page(output, "control_report.tracking_report", tracked, plant.name, set_points=of)
     for flight in tracked:
         warn(flight.warnings)
     # The top level holds the last model's keys, too: with one model there is nothing to look up.

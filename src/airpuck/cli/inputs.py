@@ -88,8 +88,7 @@ def model_or_nominal(
     """Read a model, or make the nominal one of a vehicle, by default the paper's."""
     from airpuck.model.model_file import nominal_model
 
-    given = read_given(model, vehicle, read)
-    return given or nominal_model(vehicle or airpuck.default_vehicle())
+    return read_given(model, vehicle, read) or nominal_model(vehicle or airpuck.default_vehicle())
 
 
 def read_controls(path: Path | None, kind: str | None = None, *models: Model) -> Tuning:

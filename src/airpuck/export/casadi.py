@@ -116,8 +116,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
         "theta": dict(zip(labels.tolist(), model.parameters.to_vector()[mask], strict=True)),
         "transport_delay_s": model.transport_delay,
     }
-    text = json.dumps(content, indent=2)
-    (folder / "arguments.json").write_text(text + "\n", encoding="utf-8")
+    (folder / "arguments.json").write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
     return {
         "state": ", ".join(f"{name} [{unit}]" for name, unit in units.items()),
         "command": f"{vehicle.command_min:g} to {vehicle.command_max:g}, "

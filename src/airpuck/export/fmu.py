@@ -70,8 +70,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     table = _variable_table(listed)
     craft = _craft(plant.disc)
     numbers = constant("airpuck_model", "", coefficients(model, plant.dynamics))
-    known = f"{airpuck.__version__}{numbers}{craft}{listed}"
-    token = str(uuid.uuid5(uuid.NAMESPACE_OID, known))
+    token = str(uuid.uuid5(uuid.NAMESPACE_OID, f"{airpuck.__version__}{numbers}{craft}{listed}"))
     with tempfile.TemporaryDirectory() as made:
         unit = Path(made)
         sources = unit / "sources"

@@ -155,8 +155,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write both files."""
     text = json.dumps(params_json(subject.model), indent=4)
     (folder / "params.json").write_text(text + "\n", encoding="utf-8")
-    properties = params_yaml(subject.model)
-    (folder / "holohover_params.yaml").write_text(properties, encoding="utf-8")
+    (folder / "holohover_params.yaml").write_text(params_yaml(subject.model), encoding="utf-8")
     return {
         "params.json": "without data and learning_params, which describe a training",
         "radius, pairs and names": "not in the files; read_model assumes the paper's craft",

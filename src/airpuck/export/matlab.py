@@ -86,6 +86,5 @@ def _literal(value: Any) -> str:
     """Return a number, a column or a matrix that is read back bit for bit."""
     if np.ndim(value) == 0:
         return repr(value if isinstance(value, int) else float(value))
-    rows = [" ".join(map(repr, row)) for row in np.atleast_2d(value).tolist()]
-    inside = "\n        ".join(rows)
+    inside = "\n        ".join(" ".join(map(repr, row)) for row in np.atleast_2d(value).tolist())
     return f"[{inside}]" if np.ndim(value) > 1 else f"[{inside}]'"

@@ -95,8 +95,7 @@ def predict_faults(trajectory: Trajectory, dynamics: Dynamics) -> Predicted:
     held = np.zeros((round(LONGEST_HOLD / length), *total.shape))
     for age in range(max(len(held), stopping - 1)):
         begin = knots[np.maximum(np.arange(len(total)) - age, 0)]
-        elapsed = time[index] - time[begin][:, None]
-        left = lag_decay(np, elapsed[..., None], np.ravel(lag))
+        left = lag_decay(np, (time[index] - time[begin][:, None])[..., None], np.ravel(lag))
         before = speed[begin][:, None]
         if age < stopping - 1:
             standing[age], _ = means(index, before * left)

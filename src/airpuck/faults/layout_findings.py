@@ -182,8 +182,7 @@ class LayoutCheck(Result):
     @property
     def exchanged(self) -> bool:
         """Whether x and y stand in each other's place: one is flipped, and all turned by 90°."""
-        quarter = abs(abs(self.rotation) - np.pi / 2) < TURNED
-        return self.signs.flipped == ("y",) and quarter
+        return self.signs.flipped == ("y",) and abs(abs(self.rotation) - np.pi / 2) < TURNED
 
     @property
     def conclusive(self) -> bool:

@@ -214,8 +214,7 @@ def lower_bound_through(request: Request, durations: Float[np.ndarray, " legs"])
     if not np.isnan(goal).any():
         # In reversed time, velocities change their sign and accelerations do not; motors are free.
         n, point, time = len(request.start) - 6, request.via[-1], float(durations[-1])
-        motors = np.full(n, request.model.vehicle.command_max)
-        state = np.concatenate([goal[:3], -goal[3:], motors])
+        state = np.concatenate([goal[:3], -goal[3:], np.full(n, request.model.vehicle.command_max)])
         place = Goal(float(point[0]), float(point[1]), velocity=None)
         last = _of_leg(replace(direct, start=state, goal=place), point, time)
     return max(whole, first + last)

@@ -100,8 +100,7 @@ def further_starts(request: Request, intervals: int) -> Iterator[tuple[str, Path
     """Yield other starts, for plans that may not be the best."""
     yaw = request.goal_yaws()[0]
     for name, aside in _FURTHER.items():
-        path = guess(request, intervals, yaw, aside, ways=request.via, turning=not aside)
-        yield name, path, yaw
+        yield name, guess(request, intervals, yaw, aside, ways=request.via, turning=not aside), yaw
 
 
 def guess(
@@ -261,8 +260,7 @@ def further(
         time, status = one.time if one.converged else None, one.status
         if not one.converged or one.time < _WORTH * best:
             path = one.path if one.converged else guess
-            guessed = not one.converged
-            solved, status = refined(request, path, yaw, intervals, guessed=guessed)
+            solved, status = refined(request, path, yaw, intervals, guessed=not one.converged)
             time = time if solved is None else solved.time
         yield Start(name, time, status), solved
 

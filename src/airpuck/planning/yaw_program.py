@@ -333,8 +333,7 @@ def _pushed(
 
 def _steepest(gains: Float[np.ndarray, "Y M"], yaws: Float[np.ndarray, " Y"]) -> float:
     """Return how much the difference of neighbouring moments' gains can change with the yaw."""
-    inside = gains[:, gains[0] > _IMPOSSIBLE]
-    differences = np.diff(inside, axis=1)
+    differences = np.diff(gains[:, gains[0] > _IMPOSSIBLE], axis=1)
     changes: Any = differences - np.roll(differences, 1, axis=0)
     return float(np.abs(changes).max(initial=0.0)) / float(yaws[1] - yaws[0])
 

@@ -145,8 +145,7 @@ def _cells(
     model: Model, count: int, quantity: str, values: Callable[[Model], Any], form: str
 ) -> list[Cell]:
     """Format the values of one model, with standard errors if known."""
-    direct = model.parameters.configuration_matrix is not None
-    unused = direct and quantity in IN_MATRIX
+    unused = model.parameters.configuration_matrix is not None and quantity in IN_MATRIX
     if unused or getattr(model.parameters, quantity) is None:
         return [Cell()] * count
     free = bool(model.free[model.parameters.mask(frozenset({quantity}))].any())

@@ -44,8 +44,7 @@ def plan_figure(plan: Plan, table: Table | None = None) -> Figure:
         held = np.append(plan.commands[:, number], plan.commands[-1, number])
         axes.step(plan.time, 100 * held, where="post", color=style.BLACK, lw=0.8, ls=style.DASHED)
         axes.set(ylim=(-5, 109), xlim=(0, plan.duration), yticks=(0, 100))
-        name = vehicle.propeller_names[number]
-        axes.set_ylabel(name, rotation=0, ha="right", va="center")
+        axes.set_ylabel(vehicle.propeller_names[number], rotation=0, ha="right", va="center")
         axes.label_outer()
     panels[-1].set_xlabel("time [s]")
     handles = [

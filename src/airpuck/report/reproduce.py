@@ -371,8 +371,7 @@ def demo(
         list(run(fly_experiment, map(bags.joinpath, _SEEDS), _SEEDS.values(), repeat(duration)))
     trajectories = {name: load_trajectory(bags / name) for name in _SEEDS}
     for name, trajectory in trajectories.items():
-        delay = 1e3 * trajectory.delay
-        progress(f"preprocessed {bags / name}: transport delay {delay:.1f} ms")
+        progress(f"preprocessed {bags / name}: transport delay {1e3 * trajectory.delay:.1f} ms")
     progress(f"identifying {', '.join(_MODELS)} in parallel")
     fits = _identified(trajectories["training"])
     for fit in fits:

@@ -197,5 +197,4 @@ def _plan(plan: PlannedPath) -> dict[str, Any]:
 
 def _changes(values: Float[np.ndarray, " N"], unit: str) -> list[int]:
     """Encode numbers as differences of rounded multiples, so rounding errors do not add up."""
-    whole = np.rint(values / _UNITS[unit]).astype(np.int64)
-    return np.diff(whole, prepend=0).tolist()
+    return np.diff(np.rint(values / _UNITS[unit]).astype(np.int64), prepend=0).tolist()

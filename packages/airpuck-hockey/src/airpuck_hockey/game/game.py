@@ -380,8 +380,7 @@ class Game:
         assert contestant.player is not None
         twin = Twin(model, settings, seed=seed, pose=pose, logs=self._logs, world=self.world)
         side = Side(sign, contestant.name, twin.craft)
-        player = contestant.player(model, self._believed, sign, seed, opponent)
-        side.fly(player, twin)
+        side.fly(contestant.player(model, self._believed, sign, seed, opponent), twin)
         return side
 
     def _pose(self, kind: MeasurementKind) -> np.ndarray:

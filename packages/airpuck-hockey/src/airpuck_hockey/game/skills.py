@@ -194,8 +194,7 @@ def opening(stage: Stage, name: SkillName, rng: np.random.Generator) -> tuple[Pu
 def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]:
     """Play one episode; return whether it succeeded, and whether it ended with a stopped puck."""
     puck, players, twins = opening(stage, name, np.random.default_rng(seed))
-    tactic = (stage.tactic or TACTICS[name])()
-    player = Player(stage.model, stage.settings, tactic, seed=players)
+    player = Player(stage.model, stage.settings, (stage.tactic or TACTICS[name])(), seed=players)
     twin = stage.twin(puck, twins)
     assert twin.play is not None
     body = twin.play.puck

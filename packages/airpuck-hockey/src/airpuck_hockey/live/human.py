@@ -51,8 +51,7 @@ class Human:
         """Observe puck and craft, move the mallet, and serve the puck."""
         self._follow(now)
         puck, craft = self._puck, self._twin.state
-        seen = None if puck.goal else puck.state
-        self._side.act(now, seen, (float(craft[0]), float(craft[1])))
+        self._side.act(now, None if puck.goal else puck.state, (float(craft[0]), float(craft[1])))
         speed = math.hypot(puck.state.vx, puck.state.vy)
         for kind, side in self._referee.judge(now, puck.state.x, speed, puck.goal):
             if kind == "serve":

@@ -83,8 +83,7 @@ def block(view: View, outlook: Outlook) -> Intention:
     places[:, 0] = np.maximum(places[:, 0], np.minimum(pitch.fence[0, 0] + room, pitch.home[0]))
     apart = lengths(places - pucks)
     spare = slack(view, times, places, np.zeros_like(places))
-    away = lengths(places - view.craft[:2])
-    value = np.minimum(spare, _SPARE) - _AWAY * away
+    value = np.minimum(spare, _SPARE) - _AWAY * lengths(places - view.craft[:2])
     # A craft that the fence keeps off the puck's path covers less of the goal.
     value -= _OFF_PATH * np.maximum(apart - pitch.contact_distance, 0)
     # Behind the fence the craft would push the puck on, or come after the puck has passed.

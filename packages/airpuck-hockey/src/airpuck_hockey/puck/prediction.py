@@ -194,8 +194,7 @@ def drawn_path(equipment: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N
     while not puck.goal and (bounce := puck.next_meeting) < _DRAWN[-1]:
         bounces.append(bounce)
         puck.run(bounce + _BEYOND)
-    now = replace(belief, time=0.0)
-    return predict_path(equipment, now, np.union1d(_DRAWN, bounces))[:, :2]
+    return predict_path(equipment, replace(belief, time=0.0), np.union1d(_DRAWN, bounces))[:, :2]
 
 
 def _untouched(equipment: AirHockey, belief: PuckBelief) -> PuckOnTable:

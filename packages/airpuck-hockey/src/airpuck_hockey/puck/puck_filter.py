@@ -387,5 +387,4 @@ class PuckFilter:
         left = np.eye(6)
         left[:, :3] -= gain
         corrected = left @ belief.covariance @ left.T + gain @ self._noise @ gain.T
-        mean = belief.mean + gain @ innovation
-        return PuckBelief(belief.time, mean, corrected)
+        return PuckBelief(belief.time, belief.mean + gain @ innovation, corrected)
