@@ -30,13 +30,13 @@ class Still:
         stamps=0.0,
     ):
         self.now, self.sent, self._stamps = 0.0, [], stamps
-        self._rate, self._noise, self._place, self._until = rate, noise, np.array(place), until
+        self.rate, self._noise, self._place, self._until = rate, noise, np.array(place), until
         self._push, self._count = push, 0
         self._rng = np.random.default_rng(0)
 
     def wait_until(self, time):
         arrived = []
-        while self._rate and (stamp := self._count / self._rate) <= min(time, self._until):
+        while self.rate and (stamp := self._count / self.rate) <= min(time, self._until):
             self._count += 1
             moved = np.array([0.5 * self._push * stamp**2, 0.0, 0.0])
             pose = self._place + moved + self._noise * self._rng.normal(size=3)
@@ -136,16 +136,29 @@ def test_poses_that_come_while_programs_compile_are_heard():
     assert not found.findings
 
 
-@pytest.mark.parametrize("rate", [60.0, 240.0])
-def test_the_rate_is_known_before_a_craft_on_a_slope_has_drifted_far(rate):
+class Noting(SlowWork):
+    """Notes when the work begins, and the rate that it is for."""
+
+    looks = 10
+
+    def start(self, now, function, *arguments):
+        self.began, self.rate = now, arguments[-1]
+
+
+class Repeating(Still):
+    """A logger faster than the cameras: each pose three times."""
+
+    def wait_until(self, time):
+        return [one for one in super().wait_until(time) for _ in range(3)]
+
+
+@pytest.mark.parametrize(
+    "link", [Still(rate=60.0, stamps=3e-4), Still(rate=240.0, stamps=3e-4), Repeating(rate=120.0)]
+)
+def test_the_rate_is_known_before_a_craft_on_a_slope_has_drifted_far(link):
     """Half g times 20 mrad times 0.15 s squared: 2 mm."""
-
-    class Noting(SlowWork):
-        def start(self, now, function, *arguments):
-            self.began, self.rate = now, arguments[-1]
-
-    work = Noting()
-    commission(Still(rate=rate, stamps=3e-4), VEHICLE, steps=[WarmUp()], work=work)
+    work, rate = Noting(), link.rate
+    commission(link, VEHICLE, steps=[WarmUp()], work=work)
     assert work.rate == pytest.approx(rate, rel=0.025)
     assert work.began < 0.15
 
