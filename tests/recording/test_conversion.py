@@ -101,6 +101,11 @@ def test_a_puck_and_a_craft_without_noise_may_move_along_a_line():
     )
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_single_pose_tells_no_height():
+    np.testing.assert_array_equal(poses_of(np.ones((1, 2)), np.ones((1, 1)), "yaw", mapping()), 1)
+
+
 def test_a_narrow_motion_is_no_height():
     """A controller that moves the craft along x holds y to millimetres."""
     t = np.linspace(0, 20, 500)

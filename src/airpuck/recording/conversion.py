@@ -108,7 +108,7 @@ def poses_of(
 def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) -> None:
     """Raise InputError if x or y is constant while another coordinate varies."""
     finite = position[np.isfinite(position).all(axis=1)]
-    if len(finite) == 0:
+    if len(finite) < 2:
         return
     size = mapping.size("length")
     index = mapping.permutation[0] if position.shape[1] > 2 else np.arange(2)
