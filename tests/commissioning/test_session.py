@@ -97,6 +97,11 @@ def test_any_key_ends_the_run_with_idle_motors(tmp_path):
     assert (tmp_path / "vehicle.toml").exists()
 
 
+def test_rest_sees_each_pose_of_a_logger_that_repeats_them_once():
+    found = commission(Repeating(rate=120.0), VEHICLE, steps=[Rest()])
+    assert found.steps[0].words.startswith("poses at 120 Hz")
+
+
 def test_rest_sees_rate_noise_and_slope():
     link = Still(rate=100.0, noise=2e-4, push=0.1)
     found = commission(link, VEHICLE, steps=[Rest(duration_s=1.0)])

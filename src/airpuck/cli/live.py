@@ -351,7 +351,7 @@ def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json 
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    tell = (lambda _: None) if (live.quiet or is_stdout(json_file)) else show
+    tell = (lambda _: None) if live.quiet or is_stdout(json_file) else show
     write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
 
 

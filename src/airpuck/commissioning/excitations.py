@@ -43,11 +43,11 @@ class WarmUp:
 
     def run(self, session: Commissioned) -> None:
         """Study simulated flights; see `CommissioningStep`."""
-        heard, work = np.unique(session.listen(_LISTENED, _COUNTED)), session.work
+        heard, work = session.listen(_LISTENED, _COUNTED), session.work
         if len(heard) < 3:
             return  # The next step tells what is wrong with the poses.
         session.tell("compiling the programs of the first study")
-        lasted = float(heard[-1] - heard[0])
+        lasted = heard[-1] - heard[0]
         rate = round(lasted / float(np.median(np.diff(heard)))) / lasted
         work.start(session.link.now, prepare, session.vehicle, rate)
         while not work.done(math.inf):

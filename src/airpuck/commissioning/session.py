@@ -136,9 +136,11 @@ class _LoggedLink:
     def wait_until(self, time: float) -> list[Measurement]:
         """Let time pass; see `Link`."""
         arrived = self._link.wait_until(time)
-        poses = [(one.stamp, one.values) for one in arrived if one.kind == "pose"]
-        self.heard = self._link.now if poses else self.heard
-        self.poses += poses
+        for one in arrived:
+            # A logger faster than the cameras repeats poses.
+            if one.kind == "pose" and (not self.poses or one.stamp != self.poses[-1][0]):
+                self.poses.append((one.stamp, one.values))
+                self.heard = self._link.now
         return arrived
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:

@@ -320,9 +320,8 @@ def _exchanged(check: LayoutCheck) -> Finding:
     x, y, z = check.axes
     if check.rotation > 0:
         x, y = _turned(x), _turned(y)
-    explained = f"the commands then explain {100 * check.explained:.0f} % of the acceleration"
-    remedy = f'Correct the mapping file, under [pose]: axes = ["{y}", "{x}", "{z}"]'
-    return Finding("signs", "The x axis and the y axis are exchanged", explained, remedy)
+    cause = "The x axis and the y axis are exchanged"
+    return _mended(check, cause, f'axes = ["{y}", "{x}", "{z}"]')
 
 
 def _flipped(check: LayoutCheck, signs: AxisSigns, before: str = "") -> Finding:
@@ -330,9 +329,13 @@ def _flipped(check: LayoutCheck, signs: AxisSigns, before: str = "") -> Finding:
     what, one = " and ".join(signs.names), len(signs.names) == 1
     cause = f"{before}{what} {'is' if one else 'are'} flipped: "
     cause += f"{'counts' if one else 'count'} the wrong way"
+    return _mended(check, cause[0].upper() + cause[1:], signs.line(check.axes))
+
+
+def _mended(check: LayoutCheck, cause: str, line: str) -> Finding:
+    """Describe axes that a line of the mapping file mends."""
     explained = f"the commands then explain {100 * check.explained:.0f} % of the acceleration"
-    remedy = f"Correct the mapping file, under [pose]: {signs.line(check.axes)}"
-    return Finding("signs", cause[0].upper() + cause[1:], explained, remedy)
+    return Finding("signs", cause, explained, f"Correct the mapping file, under [pose]: {line}")
 
 
 def _layout(check: LayoutCheck) -> list[Finding]:

@@ -40,7 +40,8 @@ def thrust_range(
     """Return the lowest and highest thrusts over a range of speeds, effects included."""
     curves = np.asarray(model.dynamics.thrust)
     # A polynomial is extreme at the ends of the range, or at a stationary point within it.
-    stationary = [np.roots((row * np.arange(1, curves.shape[1] + 1))[::-1]).real for row in curves]
+    powers = np.arange(1, curves.shape[1] + 1)
+    stationary = [np.roots((row * powers)[::-1]).real for row in curves]
     longest = max(map(len, stationary))
     points = np.array([np.resize(np.append(one, 0.0), longest + 1) for one in stationary])
     inside = np.clip(points.T[:, :, None], *speeds)

@@ -110,32 +110,30 @@ def _check_vertical(position: Float[np.ndarray, "N d"], mapping: PoseMapping) ->
     finite = position[np.isfinite(position).all(axis=1)]
     if len(finite) < 2:
         return
-    size = mapping.size("length")
-    index = mapping.permutation[0] if position.shape[1] > 2 else np.arange(2)
-    x, y, *others = np.ptp(np.quantile(finite[:, index], (0.01, 0.99), axis=0), axis=0)
-    if not others:
-        height = finite[:, int(y < x)]
-        noisy = np.var(np.diff(height)) > np.var(height) > 0 and abs(height.mean()) > min(x, y)
-        if max(x, y) * size > _TABLE and min(x, y) * size < _STILL and noisy:
-            which, axes = ("second", '"x", "-z", "y"') if y < x else ("first", '"y", "z", "x"')
-            raise InputError(
-                f"the craft moves, while its {which} coordinate stays within "
-                f"{1e3 * min(x, y) * size:.1f} mm, like a height; name the columns of all three, "
-                f"and pose = {{axes = [{axes}]}}",
-                field="pose.position",
-            )
-        return
-    (z,) = others
-    if z * size < _TABLE or min(x, y) > _LEVEL * z:
-        return
+    index = mapping.permutation[0][: position.shape[1]]
+    moved = mapping.size("length") * finite[:, index]
+    x, y, *others = np.ptp(np.quantile(moved, (0.01, 0.99), axis=0), axis=0)
+    flat, least, most = int(y < x), min(x, y), max(x, y)
+    if others:
+        if others[0] < _TABLE or least > _LEVEL * others[0]:
+            return
+    else:
+        height = moved[:, flat]
+        noisy = np.var(np.diff(height)) > np.var(height) > 0 and abs(height.mean()) > least
+        if most <= _TABLE or least >= _STILL or not noisy:
+            return
     first, second, third = mapping.axes
     opposite = third.removeprefix("-") if third.startswith("-") else f"-{third}"
-    axes = [first, opposite, second] if y < x else [second, third, first]
-    level, table = ("y", "x and z") if y < x else ("x", "y and z")
+    axes = [first, opposite, second] if flat else [second, third, first]
     listed = ", ".join(f'"{axis}"' for axis in axes)
+    level, table = ("y", "x and z") if flat else ("x", "y and z")
+    which, stays = ("first", "second", "third")[index[flat]], f"stays within {1e3 * least:.1f} mm"
     raise InputError(
-        f"the craft moves along {table}, while {level} stays within {1e3 * min(x, y) * size:.1f} "
-        f"mm: {level.upper()} is up; say so in a file for --mapping: pose = {{axes = [{listed}]}}",
+        f"the craft moves along {table}, while {level} {stays}: {level.upper()} is up; say so in a "
+        f"file for --mapping: pose = {{axes = [{listed}]}}"
+        if others
+        else f"the craft moves, while its {which} coordinate {stays}, like a height; name the "
+        f"columns of all three, and pose = {{axes = [{listed}]}}",
         field="pose.position",
     )
 
