@@ -327,7 +327,7 @@ def race() -> Figure:
 
 def tracking() -> Figure:
     """Compare flights of the twin with the paper's, to the same set points."""
-    from airpuck.cli.inputs import published_flights
+    from airpuck.cli.options import published_flights
     from airpuck.report.control_report import tracking_figure
 
     names = ["paper:M0", "paper:M4"]

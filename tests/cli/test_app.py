@@ -16,7 +16,7 @@ import airpuck as package
 from airpuck import write_bag, write_csv
 from airpuck.boundary.extensions import added
 from airpuck.cli.app import known_commands, main
-from airpuck.cli.inputs import published_flights
+from airpuck.cli.options import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import reproduce as paper
 
