@@ -34,7 +34,7 @@ class Paper(Graph):
 
         class Pen:
             def send(self, data: bytes) -> None:
-                if topic == EVENTS:
+                if topic == EVENTS.name:
                     graph.said.append(EVENT.decode(data).msg)
 
         return Pen()

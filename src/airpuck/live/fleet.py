@@ -18,16 +18,14 @@ from airpuck.fleet.scenario import Fleet
 from airpuck.flight.loop import Action
 from airpuck.live.fly import fly_live
 from airpuck.live.graph import SENSOR
-from airpuck.live.process import Inbox, Process
+from airpuck.live.process import Inbox, MessageOutbox, MessageTopic, Process, well_formed
 from airpuck.live.safety import SafetyLimits, within_rails
 from airpuck.live.settings import LiveSettings
-from airpuck.live.watch import well_formed
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.mapping import Topics
-from airpuck.recording.message import MessageCodec, definitions
 
-#: Topic of messages in the namespace of their sender, and its type.
-TOPIC, TYPE = "fleet/message", "std_msgs/msg/String"
+#: Topic of messages in the namespace of their sender.
+TOPIC = "fleet/message"
 #: Time from when all are ready to the start [s]; the announcement reaches all craft meanwhile.
 _NOTICE = 1.0
 #: A craft is ready once it has flown this close to its start [m] for this time without a break [s].
@@ -61,11 +59,9 @@ class FleetOnGraph(Result):
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Join the topics of all craft; see `airpuck.live.fly.Spectator`."""
         self._events, self._clock = process.events, process.clock
-        types = definitions("")
-        self._codec = MessageCodec(TYPE, types)
-        self._publisher = process.graph.publisher(f"/{self._name}/{TOPIC}", TYPE, types, SENSOR)
+        self._outbox = MessageOutbox(process.graph, _topic_of(self._name))
         self._arriving = {
-            name: well_formed(process, f"/{name}/{TOPIC}", TYPE, SENSOR) for name in self._others
+            name: well_formed(process.graph, _topic_of(name)) for name in self._others
         }
         self._poses = {
             name: Inbox(process.with_topics(self._topics.within(name)), "pose", quiet=True)
@@ -150,7 +146,11 @@ class FleetOnGraph(Result):
         """Send a message to the others."""
         start_ns = None if self._start is None else self._clock.stamp_ns(self._start)
         letter = Letter(message, self._clock.stamp_ns(0.0), start_ns, self._ready, self._opening)
-        self._publisher.send(self._codec.encode(self._codec.message(data=letter.text())))
+        self._outbox.send(self._outbox.make(data=letter.text()))
+
+
+def _topic_of(name: str) -> MessageTopic:
+    return MessageTopic(f"/{name}/{TOPIC}", "std_msgs/msg/String", SENSOR)
 
 
 def fly_in_fleet(fleet: Fleet, name: str, settings: LiveSettings | None = None) -> dict[str, Any]:

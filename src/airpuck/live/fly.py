@@ -28,8 +28,7 @@ from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
 from airpuck.flight.pilot import check_pilot, checked_step
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.live.plan import PlanOutbox
-from airpuck.live.process import Inbox, Outbox, Process
+from airpuck.live.process import Inbox, Outbox, PlanOutbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
