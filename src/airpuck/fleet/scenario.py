@@ -18,9 +18,8 @@ from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.fleet.agreement import Agreement
-from airpuck.fleet.margin import reach_of
-from airpuck.fleet.path import Route
-from airpuck.fleet.search import Journey, Reach, Taken, opening
+from airpuck.fleet.path import Reach, Route, reach_of
+from airpuck.fleet.search import Journey, Taken, opening
 from airpuck.model.model_file import Model, read_model
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 
