@@ -24,7 +24,7 @@ from PIL import Image, ImageSequence
 
 import airpuck
 from airpuck.control.tuning import tuning_for
-from airpuck.flight.pilot import pilot_named
+from airpuck.flight.loop import pilot_named
 from airpuck.report import style
 from airpuck.report.commissioning_report import flights_figure, interval_figure
 from airpuck.twin.experiments import course_plan

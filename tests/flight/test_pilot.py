@@ -10,7 +10,7 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Target
-from airpuck.flight.pilot import check_pilot, pilot_maker
+from airpuck.flight.loop import check_pilot, pilot_maker
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import track
 from tests.apparatus import commands as command_line

@@ -9,8 +9,7 @@ from airpuck.control.law import Moment
 from airpuck.control.tuning import default_tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
-from airpuck.flight.loop import fly
-from airpuck.flight.pilot import check_pilot
+from airpuck.flight.loop import check_pilot, fly
 from airpuck.planning.settings import Limits
 from airpuck.planning.tracking import Departing, PlanTracker, least_correction, plan_tracker, rests
 from airpuck.twin.settings import default_twin_settings

@@ -132,7 +132,7 @@ def track(
     With --law lqr --law mpc both laws fly the same task, and the page compares them.
     """
     from airpuck.control.reference import read_setpoints
-    from airpuck.flight.pilot import pilot_named
+    from airpuck.flight.loop import pilot_named
     from airpuck.report.tables import tracking_tables
 
     plant = airpuck.read_model(truth)

@@ -169,7 +169,7 @@ def fly(
     json_file: options.Json = None,
 ) -> None:
     """Fly a craft on the graph, real or a twin, to set points or on a path; Ctrl-C lands it."""
-    from airpuck.flight.pilot import pilot_named
+    from airpuck.flight.loop import pilot_named
     from airpuck.live.fly import FollowedSetPoint
     from airpuck.planning.tracking import Departing, plan_tracker
 

@@ -44,17 +44,14 @@ class FleetOnGraph(Result):
         self._fleet, self._name, self._topics = fleet, name, topics
         self._others = [other for other in fleet.names if other != name]
         self._opening = digest(fleet.opening)
-        self._pilot = FleetPilot(fleet, name, self._tell, seed=fleet.names.index(name), start=None)
+        #: Flies the craft.
+        self.pilot = FleetPilot(fleet, name, self._tell, seed=fleet.names.index(name), start=None)
         self._letters: dict[str, tuple[float, Letter]] = {}
         self._seen: dict[str, Sighting] = {}
         self._start: float | None = None
         #: Since when it has flown at its start [s], if it does.
         self._steady = math.inf
         self._ready, self._heard = False, 0
-
-    def pilot(self) -> FleetPilot:
-        """Return the pilot."""
-        return self._pilot
 
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Join the topics of all craft; see `airpuck.live.fly.Spectator`."""
@@ -78,20 +75,20 @@ class FleetOnGraph(Result):
             for stamp, pose in inbox.take():
                 if np.isfinite(pose).all():
                     self._seen[name] = sighted(self._seen.get(name), stamp, pose)
-        self._pilot.saw(self._seen)
+        self.pilot.saw(self._seen)
         letters = [
             self._read(name, one.data) for name in self._others for one in self._arriving[name]()
         ]
         for letter in filter(None, letters):
             self._letters[letter.message.sender] = now, letter
         if self._start is None:
-            estimate, start = action.step.estimate, self._pilot.member.start.pose
+            estimate, start = action.step.estimate, self.pilot.member.start.pose
             there = estimate is not None and math.dist(estimate.state[:2], start[:2]) < _AT_START
             self._steady = min(self._steady, now) if action.step.flies and there else math.inf
             self._ready = now - self._steady >= _STEADY
             self._await(now)
         epoch_ns = self._clock.stamp_ns(0.0)
-        self._pilot.heard(
+        self.pilot.heard(
             (
                 on_clock(one.message, (one.epoch_ns - epoch_ns) / SECOND_NS)
                 for one in filter(None, letters)
@@ -139,7 +136,7 @@ class FleetOnGraph(Result):
     def _begin(self, start: float) -> None:
         """Let the flight begin at a time [s]."""
         self._start = start
-        self._pilot.begin(start)
+        self.pilot.begin(start)
         self._events.log("info", f"all are ready, begins in {start - self._clock.now:.1f} s")
 
     def _tell(self, message: Message) -> None:
@@ -182,7 +179,7 @@ def fly_in_fleet(fleet: Fleet, name: str, settings: LiveSettings | None = None) 
     fence = within_rails(fleet.settings.table, member.reach.radius)
     pause = longest_pause(member.model, member.tuning)
     return fly_live(
-        link.pilot,
+        lambda: link.pilot,
         member.model.vehicle,
         SafetyLimits(geofence=fence, pose_timeout=pause),
         replace(settings, topics=topics.within(name)),

@@ -24,8 +24,7 @@ from airpuck.craft.vehicle import Vehicle
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.clock import LoopTiming
-from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
-from airpuck.flight.pilot import check_pilot, checked_step
+from airpuck.flight.loop import PREDICTIONS_EVERY, Action, check_pilot, checked_step, control
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
 from airpuck.live.process import Inbox, Outbox, PlanOutbox, Process
