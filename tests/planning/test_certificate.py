@@ -11,9 +11,8 @@ import airpuck
 from airpuck.craft.table import Table
 from airpuck.physics.effects import Drag, Effect, Tilt
 from airpuck.planning import plan as planning
-from airpuck.planning.attainable import motor_range
 from airpuck.planning.certificate import lower_bound, lower_bound_through, unavoidable_rail
-from airpuck.planning.request import Goal, Request, checked_request
+from airpuck.planning.request import Goal, Request, checked_request, motor_range
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
 from airpuck.planning.yaw_program import Fineness, Weight, YawProgram, frontier

@@ -16,8 +16,7 @@ from jaxtyping import Float
 
 from airpuck.data.sampling import runs
 from airpuck.physics.angle import wrapped
-from airpuck.planning.attainable import gravity, has_bounds, largest_moment
-from airpuck.planning.request import Goal, Request
+from airpuck.planning.request import Goal, Request, gravity, has_bounds, largest_moment
 from airpuck.planning.yaw_program import LEAST_MOMENT, Fineness, Weight, YawProgram
 
 #: The search begins with coarse grids; a fine grid pays off only near the bound.

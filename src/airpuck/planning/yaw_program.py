@@ -14,7 +14,8 @@ from jaxtyping import Complex, Float, Int
 
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
-from airpuck.planning.attainable import (
+from airpuck.planning.request import (
+    Request,
     added_accelerations,
     largest_moment,
     moment_range,
@@ -22,7 +23,6 @@ from airpuck.planning.attainable import (
     strongest_thrust,
     thrust_range,
 )
-from airpuck.planning.request import Request
 
 #: Curvature of the penalty on other yaws at the start, relative to the strongest push times ∫|w|.
 #: The bounds of three plans are highest between 1 and 4.
