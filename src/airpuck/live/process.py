@@ -19,9 +19,8 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.signals import SIGNALS
 from airpuck.flight.clock import Clock, Every, StampClock
-from airpuck.live.dds import LEASE
 from airpuck.live.graph import LOG, SENSOR, STATE, Endpoint, Graph, Quality
-from airpuck.live.settings import LiveSettings
+from airpuck.live.settings import LEASE, LiveSettings
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import MessageCodec, StreamCodec, definitions
