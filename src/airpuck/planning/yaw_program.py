@@ -6,7 +6,7 @@ docs/planning.md has the proof, with every term that is added to round values up
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -56,8 +56,8 @@ class Weight:
 
     alpha: complex
     beta: complex
-    kink_times: Float[np.ndarray, " J"]
-    kinks: Complex[np.ndarray, " J"]
+    kink_times: Float[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0))
+    kinks: Complex[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0, complex))
     #: Value of another radian of yaw at the start: the slope of the penalty on other initial yaws.
     yaw_price: float = 0.0
 
