@@ -78,8 +78,7 @@ def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
     assert "windows overlap a fault" in (tmp_path / "r" / "index.html").read_text()
 
 
-def test_wrong_options_are_refused(bag, tmp_path):
+def test_a_model_and_a_vehicle_are_refused(bag, tmp_path):
     vehicle = tmp_path / "v.toml"
     default_vehicle().save(vehicle)
     refused(airpuck("faults", bag, "--model", "paper:M3", "--vehicle", vehicle), "--vehicle")
-    refused(airpuck("identify", bag, "--faults", "perhaps"), "--faults", "keep")

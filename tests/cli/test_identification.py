@@ -8,7 +8,7 @@ import pytest
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag import write_bag
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck
 from ..apparatus.synthetic_flights import record
 
 MODEL = published_model("M3")
@@ -50,18 +50,3 @@ def test_identify_prints_and_writes_standard_errors(bag, tmp_path, undrawn):
     assert (tmp_path / "r" / "figures" / "prediction.pdf").read_bytes() == b"drawn"
     assert figures["verdict"]["sentences"][0] in process.stdout
     assert figures["validation"]["rmse"]["x_m"] > 0
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--bootstrap", 3), ("--bootstrap",)),
-        (("--model", "M4", "--com-frame", "world"), ("--com-frame: has no effect on M4",)),
-        (("--seed", 1), ("--seed: has no effect without --bootstrap",)),
-        (("-v", "-q"), ("--verbose: has no effect with --quiet",)),
-    ],
-)
-def test_options_that_would_do_nothing_are_refused(bag, tmp_path, options, words):
-    process = airpuck("identify", bag, "-o", tmp_path / "m.toml", *options)
-    assert process.returncode == 2
-    assert refused(process, *words) or words

@@ -65,14 +65,6 @@ def test_what_toggles_is_counted_and_the_last_is_told_last(clock):
     assert len(graph.said) == 4
 
 
-@pytest.mark.parametrize("quiet", [True, False])
-def test_events_are_printed_unless_the_log_is_quiet(quiet, clock, capsys):
-    EventLog(Paper(), "fly", quiet=quiet).log("error", "motors idle: no pose")
-    printed = capsys.readouterr()
-    assert printed.err == ("" if quiet else "fly: motors idle: no pose\n")
-    assert printed.out == ""
-
-
 def test_one_repetition_is_told_in_its_own_words_and_after_a_second_at_once(clock):
     graph = Paper()
     log = EventLog(graph, "fly", quiet=True)
