@@ -145,11 +145,15 @@ def test_an_interface_that_is_not_there_is_refused():
     ("given", "environment", "number"),
     [(None, {}, 0), (None, {"ROS_DOMAIN_ID": "42"}, 42), (7, {"ROS_DOMAIN_ID": "42"}, 7)],
 )
-def test_the_domain_is_that_of_the_option_or_of_ros(given, environment, number):
-    assert settings.domain_id(given, environment) == number
+def test_the_domain_is_that_of_the_option_or_of_ros(monkeypatch, given, environment, number):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert settings.domain_id(given) == number
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "four"])
-def test_a_domain_that_does_not_exist_is_refused(text):
+def test_a_domain_that_does_not_exist_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be from 0 to 232"):
-        settings.domain_id(None, {"ROS_DOMAIN_ID": text})
+        settings.domain_id(None)

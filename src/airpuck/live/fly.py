@@ -19,7 +19,6 @@ from airpuck.boundary.numbers import COORDINATE
 from airpuck.compute.process import prioritize
 from airpuck.control.law import Pilot
 from airpuck.control.reference import SetPoint, SetPoints, Target
-from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import ActuationEstimate
@@ -157,11 +156,9 @@ def preflight_live(
     model: Model,
     plan: PulsePlan | None = None,
     settings: LiveSettings | None = None,
-    *,
-    table: Table | None = None,
 ) -> Preflight:
     """Give each motor of a craft on the graph short pulses, and judge the response."""
-    pilot = PulseTest(model.vehicle, plan, table)
+    pilot = PulseTest(model.vehicle, plan)
     settings = replace(settings or LiveSettings(), duration=pilot.duration + _PATIENCE)
     fly_live(
         lambda: pilot,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -258,12 +259,10 @@ class Graph:
         list of Endpoint
             Those alive.
         """
-        from cyclonedds.core import InstanceState, Policy
+        from cyclonedds.core import Policy
 
-        for item in self._publications.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._endpoints.pop(item.key, None)
-            elif (name := ros_topic(item.topic_name)) is not None:
+        for item in _present(self._publications, self._endpoints):
+            if (name := ros_topic(item.topic_name)) is not None:
                 self._endpoints[item.key] = Endpoint(
                     item.key,
                     item.participant_key,
@@ -292,13 +291,8 @@ class Graph:
         set of UUID
             DDS keys of the processes, as `Endpoint.participant`.
         """
-        from cyclonedds.core import InstanceState
-
-        for item in self._subscriptions.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._hearers.pop(item.key, None)
-            else:
-                self._hearers[item.key] = item.participant_key, ros_topic(item.topic_name)
+        for item in _present(self._subscriptions, self._hearers):
+            self._hearers[item.key] = item.participant_key, ros_topic(item.topic_name)
         own = self._participant.get_guid()
         return {who for who, one in self._hearers.values() if who != own and one == topic}
 
@@ -320,11 +314,9 @@ class Graph:
         str
             Name, process and machine, as far as the other side reports them.
         """
-        from cyclonedds.core import InstanceState, Policy
+        from cyclonedds.core import Policy
 
-        for item in self._participants.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                continue
+        for item in _present(self._participants, {}):  # names of those who have left stay known
             properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
             name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
             # For foreign processes, the information from Cyclone, if they run it.
@@ -356,6 +348,17 @@ class Graph:
         made = Topic(self._participant, dds_topic(topic), self._kinds[msgtype])
         self._topics[topic] = msgtype, made
         return made
+
+
+def _present(reader: Any, known: dict[UUID, Any]) -> Iterator[Any]:
+    """Yield what discovery has found since the last call; forget the known that have left."""
+    from cyclonedds.core import InstanceState
+
+    for item in reader.take(_BATCH):
+        if item.sample_info.instance_state == InstanceState.Alive:
+            yield item
+        else:
+            known.pop(item.key, None)
 
 
 def _qos(quality: Quality) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import socket
-from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -30,11 +29,11 @@ _LOCAL_PEERS = (
 )
 
 
-def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
+def domain_id(given: int | None) -> int:
     """Return the number of the DDS domain: as given, from the environment, or 0."""
     field, number = "--domain", given
     if number is None:
-        field, text = _DOMAIN_VARIABLE, environment.get(_DOMAIN_VARIABLE, "").strip() or "0"
+        field, text = _DOMAIN_VARIABLE, os.environ.get(_DOMAIN_VARIABLE, "").strip() or "0"
         number = int(text) if text.isdecimal() else -1
     numbers.DOMAIN.check(number, field)
     return number
