@@ -20,7 +20,7 @@ from airpuck.cli.options import published_flights
 from airpuck.model.model_file import read_model
 from airpuck.report import reproduce as paper
 
-from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.synthetic_flights import record
 
 
@@ -34,8 +34,7 @@ def bag(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def identified(bag) -> Path:
     path = bag.parent / "model.toml"
-    process = airpuck("identify", bag, "-o", path, "--json", bag.parent / "fit.json")
-    assert process.returncode == 0, process.stderr
+    ran("identify", bag, "-o", path, "--json", bag.parent / "fit.json")
     return path
 
 
@@ -96,8 +95,7 @@ def test_version():
 
 
 def test_preprocess_writes_the_arrays(bag, tmp_path):
-    process = airpuck("preprocess", bag, "-o", tmp_path / "traj.npz", "--json", "-")
-    assert process.returncode == 0, process.stderr
+    process = ran("preprocess", bag, "-o", tmp_path / "traj.npz", "--json", "-")
     assert json.loads(process.stdout)["samples"] > 1800
     with np.load(tmp_path / "traj.npz") as archive:
         assert archive["state"].shape == (len(archive["t"]), 6)
@@ -150,8 +148,7 @@ def test_excite_says_how_often_a_rail_was_met(tmp_path):
     tilted = tmp_path / "tilted.toml"
     tilted.write_text("[effects]\ntilt_rad = [0.0, 0.1]\n[radio]\nloss = 1.0")
     arguments = ("excite", "--duration", "3", "--twin", tilted, "--json", tmp_path / "f.json")
-    process = airpuck(*arguments, "-o", tmp_path / "bag")
-    assert process.returncode == 0, process.stderr
+    process = ran(*arguments, "-o", tmp_path / "bag")
     figures = json.loads((tmp_path / "f.json").read_text())
     contacts = figures["rail_contacts_s"]
     # 0.48 m downhill, without a command that arrives.
@@ -191,8 +188,7 @@ def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
     monkeypatch.setattr("airpuck.report.reproduce.demo", partial(paper.demo, duration=14.0))
     monkeypatch.setattr("airpuck.report.reproduce._MODELS", ("M0", "M3"))
     monkeypatch.setattr("airpuck.report.reproduce._PILOTS", ("M3",))
-    process = airpuck("demo", "--out", tmp_path / "demo", "--quiet")
-    assert process.returncode == 0, process.stderr
+    process = ran("demo", "--out", tmp_path / "demo", "--quiet")
     page = Path(process.stdout.strip())
     assert page.read_text().startswith("<!DOCTYPE html>")
     found, truth = (read_model(m) for m in (tmp_path / "demo/models/M3.toml", "paper:M3"))
@@ -201,8 +197,7 @@ def test_the_demo_walks_the_whole_way(tmp_path, undrawn, monkeypatch):
 
 
 def test_datasets_are_listed_with_their_licences():
-    listed = airpuck("fetch", "--list")
-    assert listed.returncode == 0
+    listed = ran("fetch", "--list")
     names = {"holohover": "BSD 2-Clause", "air-bearing-satellite": "MIT"}
     for name, licence in {**names, "cybership-enterprise": "MIT"}.items():
         assert any(name in line and licence in line for line in listed.stdout.splitlines())

@@ -10,7 +10,7 @@ import airpuck as package
 from airpuck.model.model_file import published_model
 from airpuck.planning.plan import Plan, Start, read_plan
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck, ran, refused
 
 FROM, TO = ("--from", 0, 0, 0), ("--to", 0.3, 0, 0)
 
@@ -112,8 +112,7 @@ def planned(tmp_path_factory):
     path, figures = folder / "plan.toml", folder / "plan.json"
     asks = "plan --from -0.2 0 0 --to 0.2 0 0.5 --reserve 0.02 --intervals 20"
     written = "-o", path, "--figure", folder / "plan.png", "--json", figures
-    ended = airpuck(*asks.split(), *written)
-    assert ended.returncode == 0
+    ended = ran(*asks.split(), *written)
     assert (folder / "plan.png").stat().st_size > 10_000
     return path, json.loads(figures.read_text()), ended.stdout
 
@@ -133,10 +132,7 @@ def test_a_plan_is_said_and_written(planned):
 def test_a_plan_is_raced(planned, tmp_path):
     path, figures, _ = planned
     out, picture = tmp_path / "race.json", tmp_path / "race.png"
-    ended = airpuck(
-        "race", "paper:M3", path, "--seeds", 1, "--json", out, "--figure", picture, "-q"
-    )
-    assert ended.returncode == 0
+    ran("race", "paper:M3", path, "--seeds", 1, "--json", out, "--figure", picture, "-q")
     raced = json.loads(out.read_text())
     assert raced["planned_s"] == figures["time_s"]
     assert len(raced["flown_s"]) == 1

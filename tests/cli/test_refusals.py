@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.recording.bag import write_bag
 
-from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.export_crafts import EXAMPLES
 from ..apparatus.synthetic_flights import record
 
@@ -178,8 +178,7 @@ def test_motors_that_never_move_are_named(tmp_path):
     command = recording.streams["command"]
     command.values[:, 2] = 0.3
     write_bag(recording, tmp_path / "bag")
-    process = airpuck("identify", tmp_path / "bag", "-o", tmp_path / "m.toml", "--json", "-")
-    assert process.returncode == 0, process.stderr
+    process = ran("identify", tmp_path / "bag", "-o", tmp_path / "m.toml", "--json", "-")
     assert any("motor_b_1" in w for w in json.loads(process.stdout)["warnings"])
 
 
