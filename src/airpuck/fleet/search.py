@@ -226,12 +226,8 @@ class Search:
         at_goal = np.hypot(*(own.target - goal[:2]).T) < 0.05
         target[at_goal] = goal[:2]
         varied = Recipe(later, pushes, lasting, np.clip(target, -self.border, self.border))
-        return Recipe(
-            *(
-                np.concatenate([old[:-_VARIED], new])
-                for old, new in zip(recipe, varied, strict=True)
-            )
-        )
+        pairs = zip(recipe, varied, strict=True)
+        return Recipe(*(np.concatenate([old[:-_VARIED], new]) for old, new in pairs))
 
     def _laid(self, agreed: Route, begin: float, recipe: Recipe) -> _Laid:
         """Return the pieces of all candidates, in x and y, from the time at which they leave."""
