@@ -24,7 +24,7 @@ from PIL import Image, ImageSequence
 
 import airpuck
 from airpuck.control.tuning import tuning_for
-from airpuck.flight.pilot import pilot_named
+from airpuck.flight.loop import pilot_named
 from airpuck.report import style
 from airpuck.report.commissioning_report import flights_figure, interval_figure
 from airpuck.twin.experiments import course_plan
@@ -327,7 +327,7 @@ def race() -> Figure:
 
 def tracking() -> Figure:
     """Compare flights of the twin with the paper's, to the same set points."""
-    from airpuck.cli.inputs import published_flights
+    from airpuck.cli.options import published_flights
     from airpuck.report.control_report import tracking_figure
 
     names = ["paper:M0", "paper:M4"]

@@ -149,8 +149,7 @@ def flown(random, model: Model, limits: Limits) -> tuple[np.ndarray, Weight]:
     direction = np.exp(1j * random.uniform(0, 2 * np.pi))
     turning = direction * 1j * random.normal() * 0.3
     switch = duration * random.uniform(0.3, 1.2)
-    none = np.zeros(0)
-    weight = Weight(direction * switch, -direction + turning, none, none.astype(complex))
+    weight = Weight(direction * switch, -direction + turning)
     held = random.uniform(-1, 1) * min(limits.spin, 5.0) * (random.random() < 0.5)
     forward, left, turn = np.asarray(model.dynamics.configuration)
     states = [np.concatenate([start, motors])]
@@ -251,13 +250,7 @@ def sharp(seed: int) -> tuple[dict, Request, Weight, float]:
     if max(abs(state[5]) for state in states) > limits.spin:
         return sharp(seed + SEEDS)
     end, direction = states[-1], np.exp(1j * ahead)
-    none = np.zeros(0)
-    weight = Weight(
-        direction * slope[0],
-        direction * (slope[1] - slope[0]) / time,
-        none,
-        none.astype(complex),
-    )
+    weight = Weight(direction * slope[0], direction * (slope[1] - slope[0]) / time)
     goal = Goal(*end[:3], velocity=tuple(end[3:6]), turn="exact")
     everywhere = np.zeros((0, 2)), (np.inf, np.inf), np.zeros((0, 3))
     request = Request(model, states[0], goal, *everywhere, limits)

@@ -36,7 +36,7 @@ from verdicts import drawn
 from airpuck import identify, preprocess
 from airpuck.control.tuning import tuning_for
 from airpuck.fleet.flight import FleetFlight, fly_together
-from airpuck.fleet.margin import reach_of
+from airpuck.fleet.path import reach_of
 from airpuck.fleet.scenario import (
     Death,
     Fleet,

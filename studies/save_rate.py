@@ -23,7 +23,7 @@ import airpuck
 from airpuck.compute.process import keep_compiled_programs
 from airpuck.flight.loop import control
 from airpuck.physics.puck import PuckState
-from airpuck.planning.attainable import strongest_push
+from airpuck.planning.request import strongest_push
 from airpuck.planning.settings import Limits
 from airpuck.report.style import drawn, new_figure, styled
 from airpuck.twin.plant import build_plant

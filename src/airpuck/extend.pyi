@@ -17,7 +17,7 @@ from airpuck.boundary.public import public_names as public_names
 # Commands: options, tables for the terminal, progress, signals.
 from airpuck.cli.app import command as command
 from airpuck.cli import options as options
-from airpuck.cli.inputs import about as about, read_belief as read_belief
+from airpuck.cli.options import about as about, read_belief as read_belief
 from airpuck.cli.live import report_flight as report_flight
 from airpuck.cli.output import (
     console as console,

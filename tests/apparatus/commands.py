@@ -35,6 +35,13 @@ def airpuck(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
     return CompletedProcess(words, status, out.getvalue(), err.getvalue())
 
 
+def ran(*arguments, cwd=None) -> CompletedProcess[str]:
+    """Run a command that must succeed."""
+    process = airpuck(*arguments, cwd=cwd)
+    assert process.returncode == 0, process.stderr
+    return process
+
+
 def airpuck_process(*arguments, cwd=None, env=None) -> CompletedProcess[str]:
     """Run a command in a separate process."""
     return subprocess.run(

@@ -11,7 +11,7 @@ import pytest
 from airpuck.flight.clock import Clock
 from airpuck.live import process
 from airpuck.live.graph import Endpoint, Graph, Sample
-from airpuck.live.process import EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.live.process import EVENTS, HEARTBEATS
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.message import MessageCodec, StreamCodec
 
@@ -19,7 +19,7 @@ from .processes import CODECS, EVENT
 
 #: When clocks start [ns].
 _EPOCH_NS = 1_700_000_000 * SECOND_NS
-STATES = MessageCodec(HEARTBEAT_TYPE)
+STATES = MessageCodec(HEARTBEATS.msgtype)
 
 
 class PacedClock(Clock):
@@ -122,12 +122,12 @@ class GraphInMemory(Graph):
 
     @property
     def events(self) -> list[str]:
-        return [EVENT.decode(data).msg for data in self.sent[EVENTS]]
+        return [EVENT.decode(data).msg for data in self.sent[EVENTS.name]]
 
     @property
     def states(self) -> list[tuple[str, str, dict[str, str]]]:
         """Name, state and figures of each heartbeat."""
-        found = [STATES.decode(data).status[0] for data in self.sent[HEARTBEAT]]
+        found = [STATES.decode(data).status[0] for data in self.sent[HEARTBEATS.name]]
         return [(s.name, s.message, {pair.key: pair.value for pair in s.values}) for s in found]
 
 

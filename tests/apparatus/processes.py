@@ -12,7 +12,7 @@ from collections import defaultdict
 from typing import Any
 
 from airpuck.live.graph import Graph
-from airpuck.live.process import EVENT_TYPE, EVENTS
+from airpuck.live.process import EVENTS
 from airpuck.live.record import Heard, Listener
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec
 
@@ -22,7 +22,7 @@ CODECS = {
     COMMANDS: StreamCodec("command", HOLOHOVER_MOTORS),
     REFERENCES: StreamCodec("reference"),
 }
-EVENT = MessageCodec(EVENT_TYPE)
+EVENT = MessageCodec(EVENTS.msgtype)
 IDLE = 0.03
 _MAIN = "from airpuck.cli import main; main()"
 #: Makes the terminal on standard input the session's controlling terminal.
@@ -88,7 +88,7 @@ class Watch:
         while (left := stop - time.monotonic()) > 0:
             for message in self._listener.listen(min(left, 0.02)):
                 self.heard[message.topic].append(message)
-                if message.topic == EVENTS:
+                if message.topic == EVENTS.name:
                     self._told.append(EVENT.decode(message.data))
 
     def until(self, condition, timeout: float = 30.0):

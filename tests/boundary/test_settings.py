@@ -7,7 +7,7 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.laws import check_law
-from airpuck.live.dds import check_interface
+from airpuck.live.settings import check_interface
 from airpuck.model.model_file import published_model
 from airpuck.recording.dataset import dataset
 

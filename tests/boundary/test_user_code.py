@@ -9,7 +9,7 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.user_code import UserCode
 from airpuck.control.law import Moment, law_named
-from airpuck.flight.pilot import pilot_maker
+from airpuck.flight.loop import pilot_maker
 from tests.apparatus import typechecker
 from tests.apparatus.misdeeds import MISDEEDS, one_line, written
 

@@ -11,7 +11,7 @@ from airpuck.data.trajectory import Span
 from airpuck.recording.bag import write_bag
 from airpuck.recording.stream import Recording, Stream
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck, ran, refused
 from ..apparatus.synthetic_flights import record
 
 pytestmark = pytest.mark.slow
@@ -35,8 +35,7 @@ def bag(tmp_path_factory):
 
 
 def test_faults_are_printed_written_and_drawn(bag, tmp_path, undrawn):
-    process = airpuck("faults", bag, "-o", tmp_path / "r", "--json", tmp_path / "f.json")
-    assert process.returncode == 0, process.stderr
+    process = ran("faults", bag, "-o", tmp_path / "r", "--json", tmp_path / "f.json")
     assert "jumping pose" in process.stdout
     assert "without any fault" in process.stdout
     assert "left out: " in process.stdout
@@ -61,8 +60,7 @@ def test_a_full_table_lists_faults_before_drop_outs_and_long_ones_before_short_o
 
 
 def test_with_a_model_nothing_is_fitted(bag):
-    process = airpuck("faults", bag, "--model", "paper:M3", "--json", "-")
-    assert process.returncode == 0, process.stderr
+    process = ran("faults", bag, "--model", "paper:M3", "--json", "-")
     assert json.loads(process.stdout)["model"] == "M3"
 
 
@@ -78,8 +76,7 @@ def test_identify_tells_what_it_left_out(bag, tmp_path, undrawn):
     assert "windows overlap a fault" in (tmp_path / "r" / "index.html").read_text()
 
 
-def test_wrong_options_are_refused(bag, tmp_path):
+def test_a_model_and_a_vehicle_are_refused(bag, tmp_path):
     vehicle = tmp_path / "v.toml"
     default_vehicle().save(vehicle)
     refused(airpuck("faults", bag, "--model", "paper:M3", "--vehicle", vehicle), "--vehicle")
-    refused(airpuck("identify", bag, "--faults", "perhaps"), "--faults", "keep")

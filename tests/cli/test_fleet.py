@@ -6,7 +6,7 @@ import re
 import pytest
 from PIL import Image
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck, ran, refused
 
 SCENARIO = """
 duration_s = 1.5
@@ -28,8 +28,7 @@ def test_a_flight_is_told_drawn_and_written(tmp_path):
     path = tmp_path / "two.toml"
     path.write_text(SCENARIO)
     gif, page = tmp_path / "two.gif", tmp_path / "page"
-    ended = airpuck("fleet", path, "-o", page, "--animation", gif, "--json", tmp_path / "two.json")
-    assert ended.returncode == 0
+    ended = ran("fleet", path, "-o", page, "--animation", gif, "--json", tmp_path / "two.json")
     figures = json.loads((tmp_path / "two.json").read_text())
     assert figures["names"] == ["left", "right"]
     assert figures["died_s"] == {"right": 0.0}

@@ -15,7 +15,7 @@ from airpuck.cli.output import origin, report, show_time_left, table
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag import write_bag
 
-from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.synthetic_flights import record
 
 KINDS = {"FILE": "file", "DIR": "folder", "BAG": "new folder"}
@@ -98,8 +98,7 @@ def test_names_that_are_too_long_or_empty(tmp_path):
 @pytest.mark.slow
 def test_an_empty_folder_counts_as_new(tmp_path):
     (tmp_path / "bag").mkdir()
-    process = airpuck("excite", "--duration", "0.05", "-o", "bag", cwd=tmp_path)
-    assert process.returncode == 0, process.stderr
+    ran("excite", "--duration", "0.05", "-o", "bag", cwd=tmp_path)
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
 
 
@@ -131,8 +130,7 @@ def test_names_of_propellers_topics_and_files(tmp_path):
     published_model("M3").save(path)
     path.write_text(path.read_text().replace("motor_a_1", "\\u001b[31m[red]"))
     assert read_model(path).vehicle.propeller_names[0] == evil
-    process = airpuck("present", "model.toml", cwd=tmp_path)
-    assert process.returncode == 0, process.stderr
+    process = ran("present", "model.toml", cwd=tmp_path)
     assert "F(1) \\x1b[31m[red]" in process.stdout and "\x1b" not in process.stdout
     (tmp_path / "topics.toml").write_text('[topics]\npose = "/\\u001b[31m[red]"\n')
     write_bag(record(duration=4.0), tmp_path / "bag")

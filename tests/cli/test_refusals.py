@@ -8,9 +8,12 @@ import pytest
 
 from airpuck.recording.bag import write_bag
 
-from ..apparatus.commands import airpuck, airpuck_process, refused
+from ..apparatus.commands import airpuck, airpuck_process, ran, refused
 from ..apparatus.export_crafts import EXAMPLES
 from ..apparatus.synthetic_flights import record
+
+PILOT = f"{EXAMPLES / 'own_pilot' / 'spring.py'}:Spring"
+FOUR = str(EXAMPLES / "four_propellers" / "vehicle.toml")
 
 
 @pytest.fixture(scope="module")
@@ -67,9 +70,29 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (("nonsense",), ("nonsense",)),
+        (("evaluate",), ("MODEL",)),
+        (("evaluate", "paper:M9", "{bag}"), ("paper:M0",)),
+        (("evaluate", "none.toml", "{bag}"), ("none.toml", "no such file")),
+        (("evaluate", "paper:M3", "nowhere"), ("nowhere",)),
+        (("evaluate", "paper:M3", "{bag}", "--span", "0.9", "0.1"), ("span",)),
+        (("evaluate", "paper:M3", "{bag}", "--span", "0", "0.001"), ("fewer than two samples",)),
+        (("evaluate", "paper:M3", "{bag}", "--span", "0", "0.03"), ("70 samples",)),
+        (("evaluate", "paper:M3", "{bag}", "--protocol", "nonsense"), ("--protocol",)),
+        (("evaluate", "paper:M3", "{bag}", "--wrong"), ("--wrong",)),
+        (("compare", "paper:M3"), ("RECORDING",)),
+        (("preprocess", "{bag}", "-o", "x.txt"), (".npz",)),
         (("preprocess", "{bag}", "-o", "t.npz", "--delay", "-1"), ("delay",)),
         (("preprocess", "{bag}", "-o", "t.npz", "--delay", "nan"), ("delay",)),
         (("preprocess", "{archive}", "-o", "t.npz", "--delay", "0.02"), ("delay", "already")),
+        (("identify",), ("RECORDING",)),
+        (("identify", "{bag}", "--model", "M77"), ("M77",)),
+        (("identify", "{bag}", "--faults", "magic"), ("--faults", "keep")),
+        (("identify", "{bag}", "--vehicle", "none.toml"), ("none.toml",)),
+        (("identify", "{bag}", "--bootstrap", "3"), ("--bootstrap",)),
+        (("identify", "{bag}", "--model", "M4", "--com-frame", "world"), ("no effect on M4",)),
+        (("identify", "{bag}", "--seed", "1"), ("--seed: has no effect without --bootstrap",)),
+        (("identify", "{bag}", "-v", "-q"), ("--verbose: has no effect with --quiet",)),
         (("identify", "{bag}", "{bag}", "-o", "m.toml"), ("twice",)),
         (("identify", "{bag}", "-o", "m.toml", "--json", "m.toml"), ("--json", "m.toml")),
         (("identify", "{bag}", "-o", "m.toml", "--json", "/proc/x.json"), ("--json",)),
@@ -87,6 +110,12 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
         (("track", "paper:M7"), ("M7",)),
         (("track", "--dwell", "0"), ("--dwell",)),
         (("track", "--controller", "none"), ("--controller",)),
+        (("track", "--law", PILOT, "--controller", "full"), ("controller", "no effect on a pilot")),
+        (("track", "--law", PILOT, "--estimator", "kalman"), ("estimator", "no effect on a pilot")),
+        (
+            ("commission", "--vehicle", FOUR, "--truth", "paper:M3", "-o", "box"),
+            ("--truth: the controller's craft has 4 motors, the twin 6",),
+        ),
         (("animate", "{bag}", "-o", "flight.mp4"), (".gif",)),
     ],
 )
@@ -149,8 +178,7 @@ def test_motors_that_never_move_are_named(tmp_path):
     command = recording.streams["command"]
     command.values[:, 2] = 0.3
     write_bag(recording, tmp_path / "bag")
-    process = airpuck("identify", tmp_path / "bag", "-o", tmp_path / "m.toml", "--json", "-")
-    assert process.returncode == 0, process.stderr
+    process = ran("identify", tmp_path / "bag", "-o", tmp_path / "m.toml", "--json", "-")
     assert any("motor_b_1" in w for w in json.loads(process.stdout)["warnings"])
 
 
@@ -161,17 +189,3 @@ def test_too_little_data_is_no_failure_of_ours(tmp_path):
     process = airpuck("identify", tmp_path / "bag", "-o", "m.toml", cwd=tmp_path)
     assert process.returncode in (0, 2), process.stderr
     assert "Traceback" not in process.stderr
-
-
-@pytest.mark.parametrize(("option", "value"), [("controller", "full"), ("estimator", "kalman")])
-def test_options_of_laws_for_a_pilot(option, value):
-    pilot = f"{EXAMPLES / 'own_pilot' / 'spring.py'}:Spring"
-    done = airpuck("track", "--law", pilot, f"--{option}", value)
-    assert refused(done, option, "no effect on a pilot")
-
-
-def test_a_truth_with_other_motors_than_the_craft_s_is_refused_before_any_flight(tmp_path):
-    vehicle = EXAMPLES / "four_propellers/vehicle.toml"
-    words = "commission", "--vehicle", vehicle, "--truth", "paper:M3", "-o", tmp_path / "box"
-    assert refused(airpuck(*words), "--truth: the controller's craft has 4 motors, the twin 6")
-    assert not (tmp_path / "box").exists()

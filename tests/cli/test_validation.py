@@ -10,7 +10,7 @@ from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import read_model
 from airpuck.recording.bag import write_bag
 
-from ..apparatus.commands import airpuck, refused
+from ..apparatus.commands import airpuck, ran, refused
 from ..apparatus.models import four_propellers
 from ..apparatus.synthetic_flights import record
 
@@ -23,8 +23,7 @@ def file(tmp_path):
 
 
 def test_propellers_and_motions_are_shown(file, tmp_path):
-    process = airpuck("vehicle", file, "--json", tmp_path / "v.json")
-    assert process.returncode == 0, process.stderr
+    process = ran("vehicle", file, "--json", tmp_path / "v.json")
     for words in ("137.7 g, radius 70 mm", "motor_b_2", "turn right"):
         assert words in process.stdout
     figures = json.loads((tmp_path / "v.json").read_text())
@@ -36,8 +35,7 @@ def test_propellers_and_motions_are_shown(file, tmp_path):
 
 def test_what_cannot_be_done_is_said(tmp_path):
     four_propellers().save(tmp_path / "craft.toml")
-    process = airpuck("vehicle", tmp_path / "craft.toml")
-    assert process.returncode == 0
+    process = ran("vehicle", tmp_path / "craft.toml")
     assert "no propeller turns it right (clockwise)" in process.stdout
 
 
@@ -65,14 +63,12 @@ def flown(tmp_path_factory):
     write_bag(record(duration=10.0, noise=1e-4), folder / "bag")
     for name, span in (("early", (0, 0.5)), ("late", (0.5, 1))):
         out = folder / f"{name}.toml"
-        process = airpuck("identify", folder / "bag", "--span", *span, "-o", out, "--model", "M2")
-        assert process.returncode == 0, process.stderr
+        ran("identify", folder / "bag", "--span", *span, "-o", out, "--model", "M2")
     return folder
 
 
 def test_present_prints_and_writes(flown):
-    process = airpuck("present", flown / "early.toml")
-    assert process.returncode == 0, process.stderr
+    process = ran("present", flown / "early.toml")
     assert "for control" in process.stdout.splitlines()[0]
     for words in ("free: first-order lag", "±", "bandwidth", "loss", "data "):
         assert words in process.stdout
@@ -84,8 +80,7 @@ def test_present_prints_and_writes(flown):
 
 def test_resid_prints_and_writes(flown, tmp_path, undrawn):
     out = ("-o", tmp_path / "page", "--json", tmp_path / "r.json")
-    process = airpuck("resid", flown / "early.toml", flown / "bag", "--lags", 10, *out)
-    assert process.returncode == 0, process.stderr
+    process = ran("resid", flown / "early.toml", flown / "bag", "--lags", 10, *out)
     assert "innovations are" in process.stdout
     assert "AIC" in process.stdout
     figures = json.loads((tmp_path / "r.json").read_text())
@@ -97,8 +92,7 @@ def test_resid_prints_and_writes(flown, tmp_path, undrawn):
 
 def test_evaluate_and_compare_write_pages(flown, tmp_path, undrawn, monkeypatch):
     early, late, bag = flown / "early.toml", flown / "late.toml", flown / "bag"
-    process = airpuck("compare", early, late, bag, "-o", tmp_path / "two")
-    assert process.returncode == 0, process.stderr
+    process = ran("compare", early, late, bag, "-o", tmp_path / "two")
     page = (tmp_path / "two" / "index.html").read_text()
     # Models have the same names on the terminal and on the page.
     for written in (process.stdout, page):
@@ -123,8 +117,7 @@ def test_evaluate_and_compare_write_pages(flown, tmp_path, undrawn, monkeypatch)
 
 def test_compare_of_two_models_tells_drift(flown):
     models = flown / "early.toml", flown / "late.toml"
-    process = airpuck("compare", *models)
-    assert process.returncode == 0, process.stderr
+    process = ran("compare", *models)
     assert "moved" in process.stdout or "fell" in process.stdout or "rose" in process.stdout
     assert "same files" in process.stdout
     figures = json.loads(airpuck("compare", *models, flown / "bag", "--json", "-").stdout)
@@ -141,8 +134,7 @@ def test_models_without_a_common_quantity_are_compared_on_the_recording(flown, t
     replace(late, uncertainty=blind).save(tmp_path / "blind.toml")
     models = flown / "early.toml", tmp_path / "blind.toml"
     assert refused(airpuck("compare", *models), "known errors")
-    process = airpuck("compare", *models, flown / "bag", "--json", tmp_path / "c.json")
-    assert process.returncode == 0, process.stderr
+    process = ran("compare", *models, flown / "bag", "--json", tmp_path / "c.json")
     assert "drift is unknown: no learned quantity" in process.stdout
     figures = json.loads((tmp_path / "c.json").read_text())
     assert figures["drift"]["changes"] == figures["drift"]["verdicts"] == []

@@ -8,8 +8,8 @@ import pytest
 
 import airpuck
 from airpuck.fleet.agreement import SILENT, Agreement, Letter, digest, on_clock
-from airpuck.fleet.path import Route, braked
-from airpuck.fleet.search import Reach, Search
+from airpuck.fleet.path import Reach, Route, braked
+from airpuck.fleet.search import Search
 
 REACH = Reach(push=2.0, turn=10.0, speed=1.0, spin=6.0, radius=0.07, margin=0.01)
 BORDER = np.array([0.5, 0.3])
@@ -174,6 +174,7 @@ def test_the_digest_tells_paths_of_other_models_apart():
         {"epoch_ns": "x"},
         {"message": {**FIELDS, "time": float("nan")}},
         {"message": {**FIELDS, "agreed": [0, {**PATH, "pose": [1.0]}]}},
+        {"message": {**FIELDS, "agreed": [0, {**PATH, "durations": 1.0}]}},
         {"message": {**FIELDS, "accepted": ["h1"]}},
         {
             "message": {

@@ -7,7 +7,7 @@ import pytest
 
 import airpuck
 from airpuck.control.tuning import tuning_for
-from airpuck.fleet.margin import responses, tracking_margin
+from airpuck.fleet.path import responses, tracking_margin
 from airpuck.fleet.scenario import Fleet, FleetCraft, Scenario
 
 MODEL = airpuck.read_model("paper:M3")

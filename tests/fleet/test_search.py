@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import Table
-from airpuck.fleet.path import Route
-from airpuck.fleet.search import Journey, Reach, Search, Taken, opening
+from airpuck.fleet.path import Reach, Route
+from airpuck.fleet.search import Journey, Search, Taken, opening
 
 SLOW = Reach(push=2.4, turn=36.0, speed=0.1, spin=6.0, radius=0.07, margin=0.03)
 FROM, TO = np.array([-0.9, 0.0, 0.0]), np.array([0.9, 0.0, 1.0])

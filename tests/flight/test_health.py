@@ -99,21 +99,16 @@ def test_little_excitation_is_no_evidence():
         ModelError("b", -0.06, 0.01, 0.05, True, 0.2, 0.1),
         ModelError("c", -0.2, 0.01, 0.05, True, 1e-9, 0.3),
     )
-    health = Health(True, 40, np.full(3, 1e-3), errors)
+    health = Health(True, 40, np.full(3, 1e-3), errors, ("a", "c"))
     assert health.findings == ("c gives 20.0 % ± 1.0 % less than modelled",)
     said = str(health)
     assert "not known: delay, a (little excitation)" in said
-    assert said.endswith("shares of the error: c 30 %")
+    assert said.endswith("shares of the error: c 30 %; did not start: a, c")
     figures = health.to_json()
+    assert figures["failed_starts"] == ["a", "c"]
     assert figures["propellers"]["a"]["known"] is False
     assert figures["propellers"]["c"]["interval_95"] == pytest.approx([0.7804, 0.8196])
     assert figures["delay"]["interval_95_s"] == pytest.approx([-0.0098, 0.0098])
-
-
-def test_motors_that_did_not_start_are_named():
-    health = Health(True, 40, np.full(3, 1e-3), (), ("a", "c"))
-    assert str(health).endswith("did not start: a, c")
-    assert health.to_json()["failed_starts"] == ["a", "c"]
 
 
 @pytest.mark.slow

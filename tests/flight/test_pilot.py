@@ -10,9 +10,8 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Target
-from airpuck.flight.pilot import check_pilot, pilot_maker
+from airpuck.flight.loop import check_pilot, pilot_maker
 from airpuck.model.model_file import published_model
-from airpuck.twin.experiments import track
 from tests.apparatus import commands as command_line
 from tests.apparatus import typechecker
 
@@ -32,14 +31,6 @@ def file(tmp_path):
 def test_the_example_is_short():
     code = SPRING.partition("\n\n")[2]
     assert len([line for line in code.splitlines() if line.strip()]) <= 25
-
-
-@pytest.mark.slow
-def test_a_pilot_of_ones_own_reaches_its_set_point_on_the_twin(file):
-    log = track(M3, airpuck.SetPoint(0.4, -0.1, 0.5), 6.0, law=f"{file}:Spring")
-    recording = log.recording
-    assert set(log.status) == {"open loop"}
-    np.testing.assert_allclose(recording["pose"].values[-1], [0.4, -0.1, 0.5], atol=0.1)
 
 
 @pytest.mark.slow
@@ -192,8 +183,3 @@ def test_a_wrong_file_is_refused(tmp_path, text, name, problem):
     with pytest.raises(InputError) as refused:
         pilot_maker(name.format(path))(M3, airpuck.SetPoint(0, 0, 0))
     assert problem in str(refused.value) and "--law" in str(refused.value)
-
-
-def test_a_file_that_is_not_there_is_refused():
-    with pytest.raises(InputError, match="no such file"):
-        pilot_maker("nowhere.py:Spring")

@@ -220,13 +220,12 @@ def made_up() -> Replay:
     random = np.random.default_rng(0)
     sent = random.uniform(0, 1, (20, 2))
     computed = np.column_stack([0.5 * sent[:, 0] + 0.2 * random.uniform(size=20), np.full(20, 0.4)])
-    exact: tuple[Status, ...] = ("exact",)
-    scaled: tuple[Status, ...] = ("scaled",)
+    status: list[Status] = ["no pose", *["exact"] * 12, *["scaled"] * 7]
     return Replay(
         time=np.arange(20) / 100,
         sent=sent,
         computed=computed,
-        status=("no pose", *exact * 12, *scaled * 7),
+        status=tuple(status),
         reference=np.zeros((20, 3)),
         pose=np.zeros((20, 3)),
         gains=Gains(1.0, 2.0, 3.0, 4.0),

@@ -33,13 +33,8 @@ def run(*arguments: str) -> None:
         (("--plan", "p.toml", "--setpoint", "0", "0", "0"), "--plan: cannot be combined with"),
         (("--law", "nowhere.py:Mine"), "nowhere.py: --law: there is no such file"),
         (("--geofence", "1", "-1"), "--geofence: must be above 0, at most 100 m"),
-        (("--geofence", "0.5", "nan"), "--geofence: must be above 0, at most 100 m"),
-        (("--geofence", "inf", "1"), "--geofence: must be above 0, at most 100 m"),
-        (("--setpoint", "0", "0", "1e308"), "--setpoint: must be from -100 to 100"),
-        (("--setpoint", "0", "nan", "0"), "--setpoint: must be from -100 to 100"),
-        (("--duration", "-3"), "--duration: must be from 0.01 to 604800 s"),
         (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
-        (("--domain", "500"), "--domain: must be from 0 to 232"),
+        (("--amplitude", "0.5"), "--amplitude: no such option"),
     ],
 )
 def test_fly_refuses_in_one_line(arguments, problem):
@@ -59,20 +54,13 @@ def test_an_estimator_is_refused_for_a_pilot_that_needs_none(tmp_path):
     ("arguments", "problem"),
     [
         (("--hold", "0.001"), "hold: must be at least the controller's period"),
-        (("--amplitude", "2"), "--amplitude: must be from 0 to 1"),
         (("--plan", "nowhere.toml"), "nowhere.toml: there is no such file"),
         (("--vehicle", "v.toml"), "v.toml: there is no such file"),
-        (("--interface", "wifi7"), "--interface: there is no network interface 'wifi7'"),
     ],
 )
 def test_fly_excitation_refuses_in_one_line(arguments, problem):
     with pytest.raises(InputError, match=problem):
         run("fly-excitation", *arguments)
-
-
-def test_a_verb_has_only_its_own_options():
-    with pytest.raises(InputError, match="--amplitude: no such option"):
-        run("fly", MODEL, "--amplitude", "0.5")
 
 
 @pytest.mark.parametrize(
@@ -124,15 +112,7 @@ def test_plans_of_the_wrong_kind_are_refused(tmp_path):
 
 def test_a_plan_that_cannot_be_flown_from_rest_within_the_geofence_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"plan.toml: leaves the geofence, ±0.4 m by ±1 m"):
-        run(
-            "fly",
-            MODEL,
-            "--plan",
-            str(a_plan(tmp_path / "plan.toml")),
-            "--geofence",
-            "0.4",
-            "1",
-        )
+        run("fly", MODEL, "--plan", str(a_plan(tmp_path / "plan.toml")), "--geofence", "0.4", "1")
     moving = [0.0, 0.0, 0.0, 0.5, 0.0, 0.0, *[0.03] * 6]
     path = a_plan(tmp_path / "moving.toml", states=[moving, moving])
     with pytest.raises(InputError, match=r"moving.toml: begins in motion"):
@@ -145,12 +125,6 @@ def test_the_predictive_law_stays_within_the_geofence_or_the_rails():
     fenced = Guarded(geofence=(0.6, 0.3)).bounds(craft)[1]
     assert fenced.reach(radius) == pytest.approx((0.6, 0.3))
     assert Guarded().bounds(craft)[1] == Table()
-
-
-def test_a_recorder_does_not_write_over_anything(tmp_path):
-    (tmp_path / "mine").touch()
-    with pytest.raises(InputError, match="exists already"):
-        run("record", "-o", str(tmp_path))
 
 
 def test_a_model_has_its_vehicle(tmp_path):

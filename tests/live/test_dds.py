@@ -11,7 +11,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from airpuck.boundary.errors import InputError
-from airpuck.live import dds
+from airpuck.live import graph, settings
 from airpuck.recording.message import HOLOHOVER_CONTROL, command_type, definitions
 
 from ..apparatus.examples import examples
@@ -80,7 +80,7 @@ def build(given_values, node, description, make, array):
 def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
     plain = values(data.draw, Nodetype.NAME, msgtype)
     root = (Nodetype.NAME, msgtype)
-    ours = build(plain, *root, lambda name: dds.idl_struct(TYPES, name, STRUCTS), list)
+    ours = build(plain, *root, lambda name: graph.idl_struct(TYPES, name, STRUCTS), list)
     theirs = build(plain, *root, store.types.__getitem__, np.array)
     sent = ours.serialize(use_version_2=False)
     assert sent[:4] == b"\x00\x01\x00\x00"
@@ -90,30 +90,26 @@ def test_cyclone_writes_the_bytes_that_rosbags_writes(store, msgtype, data):
 
 def test_names_as_ros_2_mangles_them():
     # As `ddsls` lists the topics of the real table.
-    assert dds.dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
-    assert dds.dds_type("geometry_msgs/msg/PoseStamped") == "geometry_msgs::msg::dds_::PoseStamped_"
-    pose = dds.idl_struct(TYPES, "geometry_msgs/msg/PoseStamped", STRUCTS)
+    assert graph.dds_topic("/optitrack/drone/pose") == "rt/optitrack/drone/pose"
+    assert (
+        graph.dds_type("geometry_msgs/msg/PoseStamped") == "geometry_msgs::msg::dds_::PoseStamped_"
+    )
+    pose = graph.idl_struct(TYPES, "geometry_msgs/msg/PoseStamped", STRUCTS)
     assert pose.__idl_typename__ == "geometry_msgs::msg::dds_::PoseStamped_"
 
 
-@pytest.mark.parametrize("topic", ["/rosout", "/drone/control"])
-def test_names_come_back(topic):
-    assert dds.ros_topic(dds.dds_topic(topic)) == topic
-    assert dds.ros_type(dds.dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
-
-
-@pytest.mark.parametrize("name", ["rq/add_two_intsRequest", "DCPSParticipant", "rtx/pose"])
-def test_what_is_no_ros_topic(name):
-    assert dds.ros_topic(name) is None
-
-
-def test_a_foreign_type_keeps_its_name():
-    assert dds.ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
+def test_names_come_back_and_those_of_others_stay_what_they_are():
+    for topic in ("/rosout", "/drone/control"):
+        assert graph.ros_topic(graph.dds_topic(topic)) == topic
+    assert graph.ros_type(graph.dds_type(HOLOHOVER_CONTROL)) == HOLOHOVER_CONTROL
+    for name in ("rq/add_two_intsRequest", "DCPSParticipant", "rtx/pose"):
+        assert graph.ros_topic(name) is None
+    assert graph.ros_type("HelloWorldData::Msg") == "HelloWorldData::Msg"
 
 
 def test_a_missing_definition_is_a_value_error():
     with pytest.raises(ValueError, match="other_msgs/msg/Thing is missing"):
-        dds.idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
+        graph.idl_struct(get_types_from_msg("other_msgs/Thing thing", "a/msg/A"), "a/msg/A")
 
 
 # Domains ------------------------------------------------------------------------------------------
@@ -122,7 +118,7 @@ LOOPBACK = next(name for _, name in socket.if_nameindex() if name.startswith("lo
 
 
 def test_by_default_only_the_loopback_interface_and_its_address_are_named():
-    domain = ElementTree.fromstring(dds.domain_config(None)).find("Domain")
+    domain = ElementTree.fromstring(settings.domain_config(None)).find("Domain")
     assert domain is not None
     assert [item.get("name") for item in domain.iter("NetworkInterface")] == [LOOPBACK]
     assert domain.findtext("General/AllowMulticast") == "false"
@@ -133,7 +129,7 @@ def test_a_named_interface_takes_its_place():
     other = next((n for _, n in socket.if_nameindex() if n != LOOPBACK), None)
     if other is None:
         pytest.skip("the machine has no other interface")
-    domain = ElementTree.fromstring(dds.domain_config(other)).find("Domain")
+    domain = ElementTree.fromstring(settings.domain_config(other)).find("Domain")
     assert domain is not None
     assert [item.get("name") for item in domain.iter("NetworkInterface")] == [other]
     assert domain.findtext("General/AllowMulticast") == "true"
@@ -142,18 +138,22 @@ def test_a_named_interface_takes_its_place():
 
 def test_an_interface_that_is_not_there_is_refused():
     with pytest.raises(InputError, match=r"--interface: there is no network interface 'wifi<7'"):
-        dds.domain_config("wifi<7")
+        settings.domain_config("wifi<7")
 
 
 @pytest.mark.parametrize(
     ("given", "environment", "number"),
     [(None, {}, 0), (None, {"ROS_DOMAIN_ID": "42"}, 42), (7, {"ROS_DOMAIN_ID": "42"}, 7)],
 )
-def test_the_domain_is_that_of_the_option_or_of_ros(given, environment, number):
-    assert dds.domain_id(given, environment) == number
+def test_the_domain_is_that_of_the_option_or_of_ros(monkeypatch, given, environment, number):
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert settings.domain_id(given) == number
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "four"])
-def test_a_domain_that_does_not_exist_is_refused(text):
+def test_a_domain_that_does_not_exist_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ROS_DOMAIN_ID", text)
     with pytest.raises(InputError, match="ROS_DOMAIN_ID: must be from 0 to 232"):
-        dds.domain_id(None, {"ROS_DOMAIN_ID": text})
+        settings.domain_id(None)

@@ -20,7 +20,7 @@ from airpuck.flight.clock import Clock
 from airpuck.flight.pulses import PulseTest
 from airpuck.live import fly
 from airpuck.live.graph import SENSOR, Graph
-from airpuck.live.plan import PLAN
+from airpuck.live.process import PLANS
 from airpuck.live.safety import SafetyLimits
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import published_model
@@ -170,7 +170,7 @@ def test_every_tenth_plan_is_published(graph):
     estimate = Estimate(0.0, np.zeros(6), np.zeros(6), np.zeros(3))
     found = flown(Steady(step=Step(np.full(6, 0.2), "optimal", np.zeros(3), estimate, plan)), 1.0)
     assert found["outcomes"]["optimal"] > 60
-    assert len(graph.sent[PLAN]) == found["outcomes"]["optimal"] // 10
+    assert len(graph.sent[PLANS.name]) == found["outcomes"]["optimal"] // 10
 
 
 @pytest.mark.parametrize("wished", [None, (0.1, 0.2, -1.0)])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE
+from airpuck.live.process import EVENTS, HEARTBEATS
 from airpuck.recording.bag import BagFile
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import HOLOHOVER_MOTORS, MessageCodec, StreamCodec, definitions
@@ -21,7 +21,7 @@ STREAMS = {
     ).msgtype
     for kind in ("pose", "command", "reference", "estimate")
 }
-TYPES = {**STREAMS, EVENTS: EVENT_TYPE, HEARTBEAT: HEARTBEAT_TYPE}
+TYPES = STREAMS | {one.name: one.msgtype for one in (EVENTS, HEARTBEATS)}
 
 
 def test_the_layout_plots_what_is_recorded():

@@ -9,11 +9,17 @@ import numpy as np
 
 from airpuck.control.law import Prediction, Step
 from airpuck.estimate.estimator import Estimate
-from airpuck.live.graph import SENSOR, STATE
-from airpuck.live.plan import NAME, PLAN, PLAN_TYPE, PlanOutbox, positions
-from airpuck.live.process import HEARTBEAT, HEARTBEAT_TYPE, Process
+from airpuck.live.process import (
+    HEARTBEATS,
+    PLAN_NAME,
+    PLANS,
+    PlanOutbox,
+    Process,
+    positions,
+    well_formed,
+)
 from airpuck.live.settings import LiveSettings
-from airpuck.recording.message import MessageCodec, definitions
+from airpuck.recording.message import MessageCodec
 
 STATES = np.array([[0.1, 0.2, 0.0, 1, 0, 0], [0.2, 0.2, math.pi / 2, 1, 0, 0]])
 PREDICTION = Prediction(np.array([0.02, 0.04]), STATES, ("motor", "rail"))
@@ -22,10 +28,7 @@ ESTIMATE = Estimate(1.5, np.zeros(6), np.zeros(6), np.zeros(3))
 
 def test_others_get_a_standard_path_and_what_limits_it(pair, domain):
     listener, _ = pair
-    types = definitions("")
-    path, state = MessageCodec(PLAN_TYPE), MessageCodec(HEARTBEAT_TYPE)
-    paths = listener.subscription(PLAN, PLAN_TYPE, types, SENSOR)
-    states = listener.subscription(HEARTBEAT, HEARTBEAT_TYPE, types, STATE)
+    paths, states = (well_formed(listener, topic) for topic in (PLANS, HEARTBEATS))
     with Process("fly", LiveSettings(domain=domain, quiet=True)) as process:
         plans, clock = PlanOutbox(process), process.clock
         plans.send(Step(np.zeros(6), "fallback", estimate=ESTIMATE))  # no plan: nothing is sent
@@ -33,21 +36,21 @@ def test_others_get_a_standard_path_and_what_limits_it(pair, domain):
         while not (sent and said) and time.monotonic() < until:
             plans.send(Step(np.zeros(6), "softened", estimate=ESTIMATE, prediction=PREDICTION))
             time.sleep(0.05)
-            sent += [path.decode(sample.data) for sample in paths.take()]
-            said += [state.decode(sample.data).status[0] for sample in states.take()]
+            sent += paths()
+            said += [message.status[0] for message in states()]
         stamps = [at.header.stamp.sec * 10**9 + at.header.stamp.nanosec for at in sent[0].poses]
         np.testing.assert_allclose([clock.of(stamp) for stamp in stamps], [1.52, 1.54], atol=1e-6)
     assert sent[0].header.frame_id == sent[0].poses[0].header.frame_id == "world"
     np.testing.assert_array_equal(positions(sent[0]), STATES[:, :2])
     turned = sent[0].poses[1].pose.orientation
     np.testing.assert_allclose([turned.z, turned.w], [math.sqrt(0.5)] * 2)
-    assert (said[0].name, said[0].message, said[0].level) == (NAME, "softened", 1)
+    assert (said[0].name, said[0].message, said[0].level) == (PLAN_NAME, "softened", 1)
     figures = {pair.key: pair.value for pair in said[0].values}
     assert figures == {"limits": "motor, rail", "bound by": "motion"}
 
 
 def test_a_path_that_cannot_be_drawn_is_left_out():
-    codec = MessageCodec(PLAN_TYPE)
+    codec = MessageCodec(PLANS.msgtype)
     kind = "geometry_msgs/msg/PoseStamped"
     poses = [codec.message(kind) for _ in range(3)]
     assert positions(codec.message(poses=poses)).shape == (3, 2)

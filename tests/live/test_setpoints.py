@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.reference import SetPoints, check_inside, read_setpoints
+from airpuck.control.reference import SetPoints, read_setpoints
 from airpuck.live.fly import FollowedSetPoint, PlannedSetPoints
 
 FENCE = (1.0, 0.5)
@@ -29,12 +29,6 @@ def test_a_file_of_set_points(tmp_path):
     path.write_text(entry.format(3.5, 0.2) + entry.format(3.5, -0.2))
     with pytest.raises(InputError, match=r"points.toml: setpoints: times must increase"):
         read_setpoints(path)
-
-
-def test_set_points_outside_the_fence_are_refused():
-    check_inside(SetPoints([0.0], [(1.0, -0.5, 9.0)]), FENCE)
-    with pytest.raises(InputError, match=r"setpoint: \(0.2, -0.6\) is outside the geofence"):
-        check_inside(SetPoints([0.0, 1.0], [(0, 0, 0), (0.2, -0.6, 0)]), FENCE)
 
 
 def test_a_set_point_is_moved_by_others_but_not_outside():

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.live.settings import LiveSettings, read_topics
+from airpuck.live.settings import read_topics
 
 
 def test_a_live_graph_takes_only_topics(tmp_path: Path):
@@ -15,7 +15,3 @@ def test_a_live_graph_takes_only_topics(tmp_path: Path):
     (tmp_path / "m.toml").write_text('[topics]\npose = "a"\n')
     with pytest.raises(InputError, match=r"topics\.pose: 'a' must begin with a slash"):
         read_topics(tmp_path / "m.toml")
-
-
-def test_a_live_process_tells_what_it_does_unless_asked_not_to():
-    assert not LiveSettings().quiet and LiveSettings(quiet=True).quiet

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from airpuck.live.process import HEARTBEAT, Process
+from airpuck.live.process import HEARTBEATS, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import Observer, watch_live
 from airpuck.model.model_file import published_model
@@ -48,7 +48,7 @@ def test_what_a_controller_finds_is_told(monkeypatch):
         flight.clock.sleep_until(0.5)
         process.events.heartbeat("info", "exact", {"found: left": "62 ± 3 %", "misses": 0})
     graph = joined(monkeypatch)
-    graph.replay(flight, HEARTBEAT)
+    graph.replay(flight, HEARTBEATS.name)
     watch_live(MODEL, lines.append, LiveSettings(duration=1.2))
     assert lines[1:] == ["the controller finds: left 62 ± 3 %"]
 

@@ -11,9 +11,8 @@ import airpuck
 from airpuck.craft.table import Table
 from airpuck.physics.effects import Drag, Effect, Tilt
 from airpuck.planning import plan as planning
-from airpuck.planning.attainable import motor_range
 from airpuck.planning.certificate import lower_bound, lower_bound_through, unavoidable_rail
-from airpuck.planning.request import Goal, Request, checked_request
+from airpuck.planning.request import Goal, Request, checked_request, motor_range
 from airpuck.planning.search import search
 from airpuck.planning.settings import Limits
 from airpuck.planning.yaw_program import Fineness, Weight, YawProgram, frontier
@@ -180,8 +179,7 @@ def test_an_effect_without_bounds_gives_no_lower_bound(effect):
 
 
 def along_x(duration):
-    none = np.zeros(0)
-    return Weight(duration / 2 + 0j, -1.0 + 0j, none, none.astype(complex))
+    return Weight(duration / 2 + 0j, -1.0 + 0j)
 
 
 def test_a_bound_does_not_depend_on_the_time_of_a_plan():
@@ -215,8 +213,7 @@ def test_a_craft_that_moves_at_both_ends_has_a_bound_near_its_plan():
 
 def test_the_bound_holds_for_any_weight_and_is_zero_for_a_useless_one():
     asked = request((0, 0, 0), np.array([0.5, 0, 0, 0, 0, 0.0]))
-    none = np.zeros(0)
-    away = Weight(-0.4 + 0j, 1.0 + 0j, none, none.astype(complex))
+    away = Weight(-0.4 + 0j, 1.0 + 0j)
     # Only this limit remains: at most 10 m/s along x.
     assert lower_bound(asked, away, 0.6) == pytest.approx(0.0554, rel=0.1)
 
@@ -267,8 +264,7 @@ def drifting(time, motion, yaw=0.4, frame="body", offset=(0.05, 0.02), free=(), 
 
 
 def straight(begin, end, time):
-    none = np.zeros(0)
-    return Weight(begin, (end - begin) / time, none, none.astype(complex))
+    return Weight(begin, (end - begin) / time)
 
 
 @pytest.mark.parametrize(

@@ -161,20 +161,18 @@ def _unexpected(words: Sequence[str], command: str, parameters: Sequence[Any]) -
 
 
 #: Commands by module, in the order of the help. A module is imported for its own commands only.
-_MODULES = {
-    "identification": ("preprocess", "identify"),
-    "validation": ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle"),
-    "commissioning": ("commission",),
-    "flying": ("replay", "excite", "track", "animate", "fleet"),
-    "planning": ("design", "plan", "race"),
-    "export": ("export",),
-    "live": (
-        *("twin", "fly", "fly-fleet", "twin-fleet", "fly-excitation", "record"),
-        *("preflight", "preflight-recording", "watch", "view"),
-    ),
-    "study": ("campaign", "fetch", "reproduce", "demo"),
-}
-_OWN = {name: module for module, names in _MODULES.items() for name in names}
+_MODULES = (
+    ("identification", ("preprocess", "identify")),
+    ("validation", ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle")),
+    ("live", ("commission",)),
+    ("flying", ("replay", "excite", "track", "animate", "fleet")),
+    ("planning", ("design", "plan", "race")),
+    ("flying", ("export",)),
+    ("live", ("twin", "fly", "fly-fleet", "twin-fleet", "fly-excitation", "record")),
+    ("live", ("preflight", "preflight-recording", "watch", "view")),
+    ("study", ("campaign", "fetch", "reproduce", "demo")),
+)
+_OWN = {name: module for module, names in _MODULES for name in names}
 
 
 class _Group(_PlainHelp, TyperGroup):

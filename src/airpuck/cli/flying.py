@@ -1,4 +1,4 @@
-"""Commands that fly."""
+"""Commands that fly on the twin or replay a flight, show flights, and export controllers."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
-from airpuck.cli import inputs, options
+from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import page, report, show, warn
+from airpuck.cli.output import page, report, show, table, warn
 from airpuck.control.laws import PAPERS
 from airpuck.control.settings import ControllerKind, Dwell
+from airpuck.export.kinds import KINDS, check_given, kind_named, known_kinds
 
 if TYPE_CHECKING:
     from airpuck.recording.mapping import RecordingMapping
@@ -44,8 +45,8 @@ def replay(
     """Feed a recorded flight to the controller; compare its commands with the recorded ones."""
     from airpuck.report.tables import agreement_table, controller_tables
 
-    craft = inputs.read_belief(model)
-    settings = inputs.read_controls(tuning, law, craft)
+    craft = options.read_belief(model)
+    settings = options.read_controls(tuning, law, craft)
     result = airpuck.replay(
         airpuck.read_recording(flight, mapping=mapping),
         craft,
@@ -80,9 +81,9 @@ def excite(
 
     if model is None and vehicle is None:
         model = "paper:M3"
-    truth = inputs.model_or_nominal(model, vehicle, airpuck.read_model)
+    truth = options.model_or_nominal(model, vehicle, airpuck.read_model)
     excited = fly_excitation(
-        truth, experiment, seed, settings=twin, tuning=inputs.read_controls(tuning, None, truth)
+        truth, experiment, seed, settings=twin, tuning=options.read_controls(tuning, None, truth)
     )
     (airpuck.write_csv if csv else airpuck.write_bag)(excited.recording, output)
     figures = {
@@ -131,11 +132,11 @@ def track(
     With --law lqr --law mpc both laws fly the same task, and the page compares them.
     """
     from airpuck.control.reference import read_setpoints
-    from airpuck.flight.pilot import pilot_named
+    from airpuck.flight.loop import pilot_named
     from airpuck.report.tables import tracking_tables
 
     plant = airpuck.read_model(truth)
-    controls = inputs.read_controls(tuning, None, plant)
+    controls = options.read_controls(tuning, None, plant)
     if estimator is not None:
         controls = controls.with_estimator(estimator)
     if flights and (setpoints is not None or dwell is not None):
@@ -148,13 +149,13 @@ def track(
     paths: list[Path | None] = list(flights or ())
     as_flown = controller == "paper" or (controller is None and not beyond_paper)
     if not paths and dwell is None and as_flown and setpoints is None:
-        paths = inputs.published_flights(names)
+        paths = options.published_flights(names)
     if len(paths) > len(names):
         raise InputError("must be given once for each model, in the same order", field="flights")
-    beliefs = [inputs.read_belief(name) for name in names]
+    beliefs = [options.read_belief(name) for name in names]
     computed = [law for law in laws if pilot_named(law) is None]
     for law in computed:
-        inputs.check_law(tuning, controls.with_law(law), *beliefs)
+        options.check_law(tuning, controls.with_law(law), *beliefs)
     for name, given in {"controller": controller, "estimator": estimator}.items():
         if given is not None and not computed:
             raise InputError("has no effect on a pilot; leave it out", field=name)
@@ -260,3 +261,52 @@ def fleet(
     if animation is not None:
         write_fleet_gif(flight, flown, animation)
     report(flight.to_json(), json_file, *sentences(flight), written, animation)
+
+
+@command(PANEL)
+def export(
+    model: options.ModelName,
+    kind: Annotated[
+        str,
+        Setting(
+            f"What to write: {'; '.join(f'{n} ({k.summary})' for n, k in KINDS.items())}.",
+            metavar="KIND",
+            option="--to",
+            complete=known_kinds,
+        ),
+    ],
+    output: Annotated[Path, options.output("DIR", "Folder for the files.")],
+    tuning: options.TuningFile = None,
+    law: options.LawName = None,
+    plan: Annotated[
+        Path | None, Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE")
+    ] = None,
+    twin: options.TwinFile = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Write a model, or its whole controller, for other tools."""
+    from airpuck.planning.plan import read_plan
+
+    check_given(kind, tuning=tuning, law=law, twin=twin, plan=plan)
+    exported = airpuck.read_model(model)
+    # The controller is the same as in the other commands; it depends on the craft.
+    controls = "tuning" in kind_named(kind).uses
+    written = airpuck.export.write(
+        exported,
+        kind,
+        output,
+        tuning=options.read_controls(tuning, law, exported) if controls else None,
+        twin=None if twin is None else airpuck.read_twin_settings(twin),
+        plan=None if plan is None else read_plan(plan, exported),
+        inputs=[one for one in (model, tuning, twin, plan) if one is not None],
+    )
+    rows = [(name, str(value)) for name, value in written.facts.items()]
+    shown = [table(("", ""), rows, left=("",))] if rows else []
+    report(
+        written.to_json(),
+        json_file,
+        *shown,
+        *(output / name for name in written.files),
+        quiet=quiet,
+    )

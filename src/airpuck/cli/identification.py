@@ -16,7 +16,6 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.inputs import load
 from airpuck.cli.output import is_stdout, origin, report, show_progress, show_time_left, table, warn
 from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
 
@@ -59,7 +58,9 @@ def preprocess(
 
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
-    trajectory = load(recording, vehicle, mapping, delay=delay, quiet=quiet or is_stdout(json_file))
+    trajectory = options.load(
+        recording, vehicle, mapping, delay=delay, quiet=quiet or is_stdout(json_file)
+    )
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),
@@ -169,8 +170,8 @@ def identify(
         raise InputError("has no effect with --quiet; leave out one of them", field="--verbose")
     if seed and bootstrap is None:
         raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
-    training = [load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
-    other = None if validation is None else load(validation, vehicle, mapping, quiet=quiet)
+    training = [options.load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
+    other = None if validation is None else options.load(validation, vehicle, mapping, quiet=quiet)
     # These take a second to import, too long before a recording is refused.
     from airpuck.judgement.study import study
     from airpuck.report.tables import error_tables

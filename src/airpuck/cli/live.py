@@ -1,4 +1,4 @@
-"""Commands that join a ROS 2 graph."""
+"""Commands that join a ROS 2 graph, or commission a craft there or on the twin."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
-from airpuck.cli import inputs, options
+from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import is_stdout, report, show, write_json
+from airpuck.cli.output import is_stdout, page, report, say, show, write_json
 from airpuck.cli.views import Without
 from airpuck.live.settings import LiveSettings
 
@@ -169,7 +169,7 @@ def fly(
     json_file: options.Json = None,
 ) -> None:
     """Fly a craft on the graph, real or a twin, to set points or on a path; Ctrl-C lands it."""
-    from airpuck.flight.pilot import pilot_named
+    from airpuck.flight.loop import pilot_named
     from airpuck.live.fly import FollowedSetPoint
     from airpuck.planning.tracking import Departing, plan_tracker
 
@@ -181,8 +181,8 @@ def fly(
         times = _TIMED.get(first, "give more than one, or leave it out")
         raise InputError(f"applies to several --setpoint; {times}", field="--dwell")
     own = None if law is None or plan else pilot_named(law)
-    craft = inputs.read_belief(model)
-    controls = inputs.read_controls(guarded.tuning, None if own else law, craft)
+    craft = options.read_belief(model)
+    controls = options.read_controls(guarded.tuning, None if own else law, craft)
     if own is not None and estimator is not None:
         raise InputError(f"{law} has its own estimator", field="--estimator")
     if estimator is not None:
@@ -269,8 +269,8 @@ def fly_excitation(
     """Fly the excitation experiment on the graph; it needs no model."""
     from airpuck.control.excitation import Excitation
 
-    craft = inputs.model_or_nominal(model, vehicle)
-    controls = inputs.read_controls(guarded.tuning, None, craft)
+    craft = options.model_or_nominal(model, vehicle)
+    controls = options.read_controls(guarded.tuning, None, craft)
     make = partial(
         Excitation,
         craft,
@@ -318,7 +318,7 @@ def preflight(
     from airpuck.live.fly import preflight_live
 
     plan = PulsePlan(level=level, rounds=rounds)
-    _report_checks(preflight_live(inputs.model_or_nominal(model, vehicle), plan, live), json_file)
+    _report_checks(preflight_live(options.model_or_nominal(model, vehicle), plan, live), json_file)
 
 
 @command(_PANEL)
@@ -332,7 +332,7 @@ def preflight_recording(
     """Evaluate a recorded test of `airpuck preflight`."""
     from airpuck.flight.preflight import judge_recording
 
-    craft = inputs.model_or_nominal(model, vehicle)
+    craft = options.model_or_nominal(model, vehicle)
     flown = airpuck.read_recording(recording, mapping=mapping)
     _report_checks(judge_recording(craft, flown), json_file)
 
@@ -352,7 +352,7 @@ def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json 
     from airpuck.live.watch import watch_live
 
     tell = (lambda _: None) if live.quiet or is_stdout(json_file) else show
-    write_json(json_file, watch_live(inputs.read_belief(model), tell, live))
+    write_json(json_file, watch_live(options.read_belief(model), tell, live))
 
 
 @command(_PANEL)
@@ -368,7 +368,7 @@ def view(
     """Show the table in the browser, live; drag the set point of `airpuck fly --follow`."""
     from airpuck.web.view import view_live
 
-    write_json(json_file, view_live(inputs.read_belief(model), live, host=host, port=port))
+    write_json(json_file, view_live(options.read_belief(model), live, host=host, port=port))
 
 
 def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
@@ -400,3 +400,51 @@ def report_flight(
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
         quiet=quiet,
     )
+
+
+@command("Control and flight", rare=("domain", "interface", "topics", "seed", "table"))
+def commission(
+    output: Annotated[Path, options.output("DIR", "Folder of the model, recordings and page.")],
+    live: Annotated[LiveSettings, Without(("duration",))],
+    vehicle: options.ReadVehicle = None,
+    truth: Annotated[
+        str | None,
+        Setting("Fly the twin of this true model, not the graph.", metavar="MODEL"),
+    ] = None,
+    twin: options.ReadTwin = None,
+    table: options.ReadTable = None,
+    seed: options.Seed = 0,
+    json_file: options.Json = None,
+) -> None:
+    """Fly a new craft from rest to a trusted model, alone: pulses, hover, excitations, studies.
+
+    Put the craft at rest in the middle of the table. Any key stops it. Status 2 if the model is not
+    trusted; the last line then says why, and what to do.
+    """
+    craft = vehicle or airpuck.default_vehicle()
+    if truth is None and twin is not None:
+        raise InputError("needs --truth MODEL, which the twin flies", field="--twin")
+    tell = say(live.quiet)
+    if truth is None:
+        from airpuck.commissioning.on_graph import commission_live
+
+        rails = None if table is None else table.table
+        found = commission_live(craft, output, live, table=rails, seed=seed, tell=tell)
+    else:
+        from airpuck.live.fly import keyboard
+
+        if table is not None:
+            raise InputError("comes with the twin's settings; leave it out", field="--table")
+        from airpuck.twin.experiments import check_same_craft
+
+        true = airpuck.read_model(truth)
+        check_same_craft(craft, true.vehicle)
+        link = airpuck.Twin(true, twin, seed=seed)
+        with keyboard() as pressed:
+            given = {"tell": tell, "stopped": lambda: bool(pressed and pressed())}
+            rails = link.settings.table
+            found = airpuck.commission(link, craft, output, table=rails, seed=seed, **given)
+    written = page(output, "commissioning_report.commissioning_report", found)
+    report(found.to_json(), json_file, *found.sentences, written, quiet=live.quiet)
+    if not found.trusted:
+        raise InputError(f"not trusted: {found.findings[0].sentence.removesuffix('.')}")

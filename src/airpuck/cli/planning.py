@@ -13,7 +13,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.settings import Setting
-from airpuck.cli import inputs, options
+from airpuck.cli import options
 from airpuck.cli.app import command
 from airpuck.cli.output import draw, report, show_time_left, table, warn
 from airpuck.control.settings import Criterion, ProposedDuration, ProposedMargin
@@ -98,7 +98,7 @@ def plan(
 
     rails = Rails() if size is None else Rails(length_m=size[0], width_m=size[1])
     found = airpuck.plan(
-        inputs.read_belief(model),
+        options.read_belief(model),
         (*start, *velocity),
         _goal(goal, end_velocity, free, turn),
         via=via or (),
@@ -153,7 +153,7 @@ def race(
     if model in racing.COURSES or is_plan(model):
         raise InputError(f"the model comes first: airpuck race paper:M3 {model}", field=model)
     settings = twin or default_twin_settings()
-    belief = inputs.read_belief(model)
+    belief = options.read_belief(model)
     if course in racing.COURSES:
         planned = racing.course_plan(course, belief, settings)
     elif course.endswith(".toml"):
@@ -166,7 +166,7 @@ def race(
             airpuck.read_model(truth),
             seeds=seeds,
             settings=settings,
-            tuning=inputs.read_controls(tuning, law, belief),
+            tuning=options.read_controls(tuning, law, belief),
             progress=progress,
         )
     draw(figure, "plan_figures.race_figure", found, settings.table)
@@ -279,7 +279,7 @@ def design(
             margin=margin,
             seed=seed,
             settings=twin,
-            tuning=inputs.read_controls(tuning, None, craft),
+            tuning=options.read_controls(tuning, None, craft),
             progress=progress,
         )
     if output is not None:
@@ -295,7 +295,7 @@ def _fitted(
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
 
-    trajectories = [inputs.load(path, craft.vehicle, mapping, quiet=quiet) for path in recordings]
+    trajectories = [options.load(path, craft.vehicle, mapping, quiet=quiet) for path in recordings]
     fit = airpuck.identify(
         trajectories,
         craft.rung,

@@ -15,7 +15,6 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
 from airpuck.cli.identification import PANEL, value_texts
-from airpuck.cli.inputs import about, load, load_for, read_given
 from airpuck.cli.output import page, report, table, warn
 
 if TYPE_CHECKING:
@@ -59,7 +58,8 @@ def evaluate(
     from airpuck.judgement.study import judged_on
     from airpuck.report.tables import budget_table, error_tables
 
-    judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
+    judged = airpuck.read_model(model)
+    trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = judged_on(judged, trajectory, found, mapping, [law] if law else [])
@@ -136,9 +136,9 @@ def faults(
     from airpuck.faults.strengths import find_strengths, on_table_of, usual_rung
     from airpuck.report.tables import span_table
 
-    healthy = read_given(model, vehicle, airpuck.read_model)
+    healthy = options.read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else vehicle
-    trajectory = load(recording, craft, mapping, span=span, quiet=quiet)
+    trajectory = options.load(recording, craft, mapping, span=span, quiet=quiet)
     if healthy is None:
         craft = craft or vehicle_of([trajectory])
         fit = airpuck.identify(trajectory, usual_rung(trajectory, craft), vehicle=craft)
@@ -217,7 +217,9 @@ def compare(
         figures["drift"] = drift.to_json()
         shown += _drift_lines(called, drift)
     if not alone:
-        trajectory = load(Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet)
+        trajectory = options.load(
+            Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet
+        )
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
         fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
         faults = reference_faults(trajectory, read[0].vehicle)
@@ -281,8 +283,9 @@ def resid(
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
     from airpuck.report.tables import band_table, fit_table
 
-    judged, trajectory = load_for(model, recording, mapping, span=span, quiet=quiet)
-    with about(recording):
+    judged = airpuck.read_model(model)
+    trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+    with options.about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)
         bands = bands_of_all_horizons(judged, trajectory, tests.innovations)

@@ -12,23 +12,49 @@ import hashlib
 import json
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import pydantic
 
 from airpuck.boundary.results import plain
-from airpuck.fleet.path import Route
-from airpuck.fleet.search import Reach, Taken, apart
+from airpuck.fleet.path import Reach, Route
+from airpuck.fleet.search import Taken, apart
 
 #: A craft that has sent nothing for this time counts as dead [s].
 SILENT = 0.5
+#: Longest text, and most pieces of a path, that are read.
+_LONGEST, _MOST_PIECES = 100_000, 200
+#: A duration may be negative by a rounding error [s].
+_ROUNDED = 1e-9
+
+
+def _read_route(fields: Any) -> Route:
+    """Return a path; raise ValueError if the numbers do not describe one."""
+    names = [one.name for one in dataclasses.fields(Route)]
+    try:
+        begin, *parts = (np.array(fields[name], dtype=float) for name in names)
+        count = parts[2].shape[-1]
+    except (LookupError, TypeError) as error:
+        raise ValueError("not a path") from error
+    shapes = [(), (3,), (3,), (3, count), (3, count)]
+    if [part.shape for part in (begin, *parts)] != shapes or count > _MOST_PIECES:
+        raise ValueError("a path of another shape")
+    finite = all(np.isfinite(part).all() for part in (begin, *parts))
+    if not finite or (parts[2] < -_ROUNDED).any():
+        raise ValueError("a path with impossible numbers")
+    return Route(float(begin), *parts)
+
+
+#: A path that messages may contain.
+_Path = Annotated[Route, pydantic.PlainValidator(_read_route)]
 
 
 class Numbered(NamedTuple):
     """A path with its number, which grows from path to path of a craft."""
 
     number: int
-    path: Route
+    path: _Path
 
 
 @dataclass(frozen=True)
@@ -37,16 +63,16 @@ class Message:
 
     sender: str
     #: When it was sent, on the common clock [s].
-    time: float
+    time: pydantic.FiniteFloat
     agreed: Numbered
     proposal: Numbered | None
     #: Numbers of the others' proposals that it has accepted, or refused.
     accepted: Mapping[str, int]
     refused: Mapping[str, int]
     #: When it expects to arrive; those who arrive last go first [s].
-    arrival: float
+    arrival: pydantic.FiniteFloat
     #: The path that it would need, and the rank of that wish; None if it needs nothing.
-    wish: tuple[tuple[float, str], Route] | None = None
+    wish: tuple[tuple[pydantic.FiniteFloat, str], _Path] | None = None
 
 
 @dataclass
@@ -198,12 +224,6 @@ class Agreement:
             self._refused[message.sender] = proposal.number
 
 
-#: Longest text, and most pieces of a path, that are read.
-_LONGEST, _MOST_PIECES = 100_000, 200
-#: A duration may be negative by a rounding error [s].
-_ROUNDED = 1e-9
-
-
 @dataclass(frozen=True)
 class Letter:
     """What a craft sends: a message, and what all must know to begin together.
@@ -229,19 +249,14 @@ class Letter:
         if len(text) > _LONGEST:
             raise ValueError(f"longer than {_LONGEST:,} characters")
         try:
-            fields = json.loads(text)
-            start = fields["start_ns"]
-            return cls(
-                _message(fields["message"]),
-                int(fields["epoch_ns"]),
-                None if start is None else int(start),
-                bool(fields["ready"]),
-                str(fields["opening"]),
-            )
-        except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
-            raise ValueError(f"not a message of a craft: {error!r}") from error
-        except RecursionError as error:
-            raise ValueError("not a message of a craft") from error
+            return _LETTERS.validate_json(text)
+        except pydantic.ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise ValueError(f"not a message of a craft: {where} {first['msg']}") from error
+
+
+_LETTERS = pydantic.TypeAdapter(Letter)
 
 
 def digest(paths: Iterable[Route]) -> str:
@@ -267,43 +282,3 @@ def on_clock(message: Message, later: float) -> Message:
         proposal=None if message.proposal is None else shift(message.proposal),
         wish=wish,
     )
-
-
-def _message(fields: dict[str, Any]) -> Message:
-    """Return a message from JSON's types; raise ValueError if a number is not finite."""
-    time, arrival = float(fields["time"]), float(fields["arrival"])
-    if not np.isfinite([time, arrival]).all():
-        raise ValueError("a time that is not finite")
-    wish = fields["wish"]
-    if wish is not None:
-        (since, name), path = wish
-        wish = (float(since), str(name)), _read_route(path)
-    proposal = fields["proposal"]
-    return Message(
-        str(fields["sender"]),
-        time,
-        _read_numbered(fields["agreed"]),
-        None if proposal is None else _read_numbered(proposal),
-        {str(k): int(v) for k, v in fields["accepted"].items()},
-        {str(k): int(v) for k, v in fields["refused"].items()},
-        arrival,
-        wish,
-    )
-
-
-def _read_numbered(fields: Any) -> Numbered:
-    number, path = fields
-    return Numbered(int(number), _read_route(path))
-
-
-def _read_route(fields: Any) -> Route:
-    """Return a path; raise ValueError if the numbers do not describe one."""
-    begin, *parts = (np.array(fields[one.name], dtype=float) for one in dataclasses.fields(Route))
-    count = parts[2].shape[-1]
-    shapes = [(), (3,), (3,), (3, count), (3, count)]
-    if [part.shape for part in (begin, *parts)] != shapes or count > _MOST_PIECES:
-        raise ValueError("a path of another shape")
-    finite = all(np.isfinite(part).all() for part in (begin, *parts))
-    if not finite or (parts[2] < -_ROUNDED).any():
-        raise ValueError("a path with impossible numbers")
-    return Route(float(begin), *parts)

@@ -135,7 +135,7 @@ class _OnTwin(Pilot):
     ) -> None:
         self.pilot, self.twin, self.dies = pilot, twin, dies
         self._air, self._seen, self._name = air, seen, pilot.member.name
-        self._off = pilot.member.model.vehicle.idle
+        self._off, self.sent = pilot.member.model.vehicle.idle, pilot.sent
         #: Time, true pose, and place on the path, each period.
         self.noted: list[tuple[float, Float[np.ndarray, " 3"], Float[np.ndarray, " 2"]]] = []
 
@@ -150,10 +150,6 @@ class _OnTwin(Pilot):
             before = self._seen.get(self._name)
             self._seen[self._name] = sighted(before, measurement.stamp, measurement.values)
         self.pilot.measured(measurement)
-
-    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
-        """Receive the command that was sent; see `Pilot.sent`."""
-        self.pilot.sent(time, command)
 
     def step(self, time: float) -> Step:
         """Let the pilot act, if its craft lives."""

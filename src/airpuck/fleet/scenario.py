@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -18,9 +18,8 @@ from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.fleet.agreement import Agreement
-from airpuck.fleet.margin import reach_of
-from airpuck.fleet.path import Route
-from airpuck.fleet.search import Journey, Reach, Taken, opening
+from airpuck.fleet.path import Reach, Route, reach_of
+from airpuck.fleet.search import Journey, Taken, opening
 from airpuck.model.model_file import Model, read_model
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 
@@ -196,7 +195,8 @@ class Fleet:
         self.settings: TwinSettings = (
             default_twin_settings() if own is None else read_twin_settings(here / own)
         ).without_on_board()
-        models = {name: _read(name, here) for one in scenario.craft for name in _models(one)}
+        named = [name for one in scenario.craft for name in (one.model, one.truth) if name]
+        models = {name: _read(name, here) for name in dict.fromkeys(named)}
         self.members = tuple(
             Member(one, models[one.model], models[one.truth or one.model], scenario.speed_m_s)
             for one in scenario.craft
@@ -314,13 +314,6 @@ class Fleet:
                     )
                     raise InputError(problem, field=field)
             rooms.append((*pose[:2], one.reach.room, one.name))
-
-
-def _models(craft: FleetCraft) -> Iterator[str]:
-    """Yield the names of a craft's models."""
-    yield craft.model
-    if craft.truth is not None:
-        yield craft.truth
 
 
 def _read(name: str, folder: Path) -> Model:

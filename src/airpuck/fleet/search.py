@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck.craft.table import Table
-from airpuck.fleet.path import SMOOTHED, Route, braked, pieces
+from airpuck.fleet.path import Reach, Route, braked, pieces
 
 #: Number of candidates of a search, of which this many vary the best ones of the last search.
 _CANDIDATES, _VARIED = 72, 32
@@ -41,26 +40,6 @@ SAVES = 0.05
 SAME = 1e-6
 #: Number of candidates that are checked in fine steps.
 _CHECKED = 6
-
-
-@dataclass(frozen=True)
-class Reach:
-    """What a craft can do, and how well it follows a path."""
-
-    #: Largest acceleration in any direction [m/s²], and of the yaw [rad/s²].
-    push: float
-    turn: float
-    #: Largest speed [m/s] and spin [rad/s].
-    speed: float
-    spin: float
-    #: Radius of the craft, and its largest distance from its path [m].
-    radius: float
-    margin: float
-
-    @property
-    def room(self) -> float:
-        """Radius of the disc around its path that the craft may touch [m]."""
-        return self.radius + self.margin + self.push * SMOOTHED**2 / 24
 
 
 class Taken(NamedTuple):
@@ -247,12 +226,8 @@ class Search:
         at_goal = np.hypot(*(own.target - goal[:2]).T) < 0.05
         target[at_goal] = goal[:2]
         varied = Recipe(later, pushes, lasting, np.clip(target, -self.border, self.border))
-        return Recipe(
-            *(
-                np.concatenate([old[:-_VARIED], new])
-                for old, new in zip(recipe, varied, strict=True)
-            )
-        )
+        pairs = zip(recipe, varied, strict=True)
+        return Recipe(*(np.concatenate([old[:-_VARIED], new]) for old, new in pairs))
 
     def _laid(self, agreed: Route, begin: float, recipe: Recipe) -> _Laid:
         """Return the pieces of all candidates, in x and y, from the time at which they leave."""

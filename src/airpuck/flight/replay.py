@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.law import Status
+from airpuck.control.law import Status, Step
 from airpuck.control.lqr import LQR, look_ahead, motor_lag
 from airpuck.control.reference import Target
 from airpuck.control.tracking import TrackingController
@@ -270,16 +270,11 @@ def _steer(
 ) -> tuple[Float[np.ndarray, "K n"], tuple[Status, ...]]:
     """Compute all commands."""
     idle = controller.model.vehicle.idle
-    commands, status = [], []
-    for estimate, time in zip(estimates, times.tolist(), strict=True):
-        if not isinstance(estimate, Estimate):
-            commands.append(idle)
-            status.append(estimate)
-            continue
-        step = controller.steer(estimate, time)
-        commands.append(step.command)
-        status.append(step.status)
-    return np.array(commands), tuple(status)
+    steps = [
+        controller.steer(known, time) if isinstance(known, Estimate) else Step(idle, known)
+        for known, time in zip(estimates, times.tolist(), strict=True)
+    ]
+    return np.array([step.command for step in steps]), tuple(step.status for step in steps)
 
 
 def _fit_gains(

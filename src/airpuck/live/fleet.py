@@ -18,16 +18,14 @@ from airpuck.fleet.scenario import Fleet
 from airpuck.flight.loop import Action
 from airpuck.live.fly import fly_live
 from airpuck.live.graph import SENSOR
-from airpuck.live.process import Inbox, Process
+from airpuck.live.process import Inbox, MessageOutbox, MessageTopic, Process, well_formed
 from airpuck.live.safety import SafetyLimits, within_rails
 from airpuck.live.settings import LiveSettings
-from airpuck.live.watch import well_formed
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.mapping import Topics
-from airpuck.recording.message import MessageCodec, definitions
 
-#: Topic of messages in the namespace of their sender, and its type.
-TOPIC, TYPE = "fleet/message", "std_msgs/msg/String"
+#: Topic of messages in the namespace of their sender.
+TOPIC = "fleet/message"
 #: Time from when all are ready to the start [s]; the announcement reaches all craft meanwhile.
 _NOTICE = 1.0
 #: A craft is ready once it has flown this close to its start [m] for this time without a break [s].
@@ -46,7 +44,8 @@ class FleetOnGraph(Result):
         self._fleet, self._name, self._topics = fleet, name, topics
         self._others = [other for other in fleet.names if other != name]
         self._opening = digest(fleet.opening)
-        self._pilot = FleetPilot(fleet, name, self._tell, seed=fleet.names.index(name), start=None)
+        #: Flies the craft.
+        self.pilot = FleetPilot(fleet, name, self._tell, seed=fleet.names.index(name), start=None)
         self._letters: dict[str, tuple[float, Letter]] = {}
         self._seen: dict[str, Sighting] = {}
         self._start: float | None = None
@@ -54,18 +53,12 @@ class FleetOnGraph(Result):
         self._steady = math.inf
         self._ready, self._heard = False, 0
 
-    def pilot(self) -> FleetPilot:
-        """Return the pilot."""
-        return self._pilot
-
     def begin(self, process: Process, pilot: Pilot) -> None:
         """Join the topics of all craft; see `airpuck.live.fly.Spectator`."""
         self._events, self._clock = process.events, process.clock
-        types = definitions("")
-        self._codec = MessageCodec(TYPE, types)
-        self._publisher = process.graph.publisher(f"/{self._name}/{TOPIC}", TYPE, types, SENSOR)
+        self._outbox = MessageOutbox(process.graph, _topic_of(self._name))
         self._arriving = {
-            name: well_formed(process, f"/{name}/{TOPIC}", TYPE, SENSOR) for name in self._others
+            name: well_formed(process.graph, _topic_of(name)) for name in self._others
         }
         self._poses = {
             name: Inbox(process.with_topics(self._topics.within(name)), "pose", quiet=True)
@@ -82,20 +75,20 @@ class FleetOnGraph(Result):
             for stamp, pose in inbox.take():
                 if np.isfinite(pose).all():
                     self._seen[name] = sighted(self._seen.get(name), stamp, pose)
-        self._pilot.saw(self._seen)
+        self.pilot.saw(self._seen)
         letters = [
             self._read(name, one.data) for name in self._others for one in self._arriving[name]()
         ]
         for letter in filter(None, letters):
             self._letters[letter.message.sender] = now, letter
         if self._start is None:
-            estimate, start = action.step.estimate, self._pilot.member.start.pose
+            estimate, start = action.step.estimate, self.pilot.member.start.pose
             there = estimate is not None and math.dist(estimate.state[:2], start[:2]) < _AT_START
             self._steady = min(self._steady, now) if action.step.flies and there else math.inf
             self._ready = now - self._steady >= _STEADY
             self._await(now)
         epoch_ns = self._clock.stamp_ns(0.0)
-        self._pilot.heard(
+        self.pilot.heard(
             (
                 on_clock(one.message, (one.epoch_ns - epoch_ns) / SECOND_NS)
                 for one in filter(None, letters)
@@ -143,14 +136,18 @@ class FleetOnGraph(Result):
     def _begin(self, start: float) -> None:
         """Let the flight begin at a time [s]."""
         self._start = start
-        self._pilot.begin(start)
+        self.pilot.begin(start)
         self._events.log("info", f"all are ready, begins in {start - self._clock.now:.1f} s")
 
     def _tell(self, message: Message) -> None:
         """Send a message to the others."""
         start_ns = None if self._start is None else self._clock.stamp_ns(self._start)
         letter = Letter(message, self._clock.stamp_ns(0.0), start_ns, self._ready, self._opening)
-        self._publisher.send(self._codec.encode(self._codec.message(data=letter.text())))
+        self._outbox.send(self._outbox.make(data=letter.text()))
+
+
+def _topic_of(name: str) -> MessageTopic:
+    return MessageTopic(f"/{name}/{TOPIC}", "std_msgs/msg/String", SENSOR)
 
 
 def fly_in_fleet(fleet: Fleet, name: str, settings: LiveSettings | None = None) -> dict[str, Any]:
@@ -182,7 +179,7 @@ def fly_in_fleet(fleet: Fleet, name: str, settings: LiveSettings | None = None) 
     fence = within_rails(fleet.settings.table, member.reach.radius)
     pause = longest_pause(member.model, member.tuning)
     return fly_live(
-        link.pilot,
+        lambda: link.pilot,
         member.model.vehicle,
         SafetyLimits(geofence=fence, pose_timeout=pause),
         replace(settings, topics=topics.within(name)),

@@ -19,17 +19,14 @@ from airpuck.boundary.numbers import COORDINATE
 from airpuck.compute.process import prioritize
 from airpuck.control.law import Pilot
 from airpuck.control.reference import SetPoint, SetPoints, Target
-from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.clock import LoopTiming
-from airpuck.flight.loop import PREDICTIONS_EVERY, Action, control
-from airpuck.flight.pilot import check_pilot, checked_step
+from airpuck.flight.loop import PREDICTIONS_EVERY, Action, check_pilot, checked_step, control
 from airpuck.flight.preflight import Preflight, judge_test
 from airpuck.flight.pulses import PulsePlan, PulseTest
-from airpuck.live.plan import PlanOutbox
-from airpuck.live.process import Inbox, Outbox, Process
+from airpuck.live.process import Inbox, Outbox, PlanOutbox, Process
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
@@ -159,11 +156,9 @@ def preflight_live(
     model: Model,
     plan: PulsePlan | None = None,
     settings: LiveSettings | None = None,
-    *,
-    table: Table | None = None,
 ) -> Preflight:
     """Give each motor of a craft on the graph short pulses, and judge the response."""
-    pilot = PulseTest(model.vehicle, plan, table)
+    pilot = PulseTest(model.vehicle, plan)
     settings = replace(settings or LiveSettings(), duration=pilot.duration + _PATIENCE)
     fly_live(
         lambda: pilot,

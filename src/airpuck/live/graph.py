@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import socket
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from airpuck.boundary.errors import InputError
-from airpuck.live import dds
+from airpuck.live.settings import domain_config, domain_id
 from airpuck.recording.cdr import Types
 from airpuck.recording.conversion import SECOND_NS
 
 if TYPE_CHECKING:
     from uuid import UUID
 
+#: Prefix of the DDS names of ROS topics.
+_TOPIC_PREFIX = "rt"
 #: Number of samples taken at once; more wait for the next call.
 _BATCH = 256
 
@@ -118,8 +121,8 @@ class Graph:
     def __init__(
         self, name: str, *, domain: int | None = None, interface: str | None = None
     ) -> None:
-        self.domain = dds.domain_id(domain)
-        config = dds.domain_config(interface)
+        self.domain = domain_id(domain)
+        config = domain_config(interface)
         try:
             from cyclonedds import builtin
             from cyclonedds.core import DDSException, GuardCondition, Policy, Qos, WaitSet
@@ -256,17 +259,15 @@ class Graph:
         list of Endpoint
             Those alive.
         """
-        from cyclonedds.core import InstanceState, Policy
+        from cyclonedds.core import Policy
 
-        for item in self._publications.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._endpoints.pop(item.key, None)
-            elif (name := dds.ros_topic(item.topic_name)) is not None:
+        for item in _present(self._publications, self._endpoints):
+            if (name := ros_topic(item.topic_name)) is not None:
                 self._endpoints[item.key] = Endpoint(
                     item.key,
                     item.participant_key,
                     name,
-                    dds.ros_type(item.type_name),
+                    ros_type(item.type_name),
                     isinstance(item.qos[Policy.Reliability], Policy.Reliability.Reliable),
                     item.qos[Policy.Durability] != Policy.Durability.Volatile,
                 )
@@ -290,13 +291,8 @@ class Graph:
         set of UUID
             DDS keys of the processes, as `Endpoint.participant`.
         """
-        from cyclonedds.core import InstanceState
-
-        for item in self._subscriptions.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                self._hearers.pop(item.key, None)
-            else:
-                self._hearers[item.key] = item.participant_key, dds.ros_topic(item.topic_name)
+        for item in _present(self._subscriptions, self._hearers):
+            self._hearers[item.key] = item.participant_key, ros_topic(item.topic_name)
         own = self._participant.get_guid()
         return {who for who, one in self._hearers.values() if who != own and one == topic}
 
@@ -318,11 +314,9 @@ class Graph:
         str
             Name, process and machine, as far as the other side reports them.
         """
-        from cyclonedds.core import InstanceState, Policy
+        from cyclonedds.core import Policy
 
-        for item in self._participants.take(_BATCH):
-            if item.sample_info.instance_state != InstanceState.Alive:
-                continue
+        for item in _present(self._participants, {}):  # names of those who have left stay known
             properties = {p.key: p.value for p in item.qos if type(p).__name__ == "Property"}
             name = item.qos[Policy.EntityName].name if Policy.EntityName in item.qos else ""
             # For foreign processes, the information from Cyclone, if they run it.
@@ -350,10 +344,21 @@ class Graph:
                 raise InputError(f"already has the type {present}, not {msgtype}", field=topic)
             return made
         if msgtype not in self._kinds:
-            self._kinds[msgtype] = dds.raw_type(dds.idl_struct(types, msgtype, self._structs))
-        made = Topic(self._participant, dds.dds_topic(topic), self._kinds[msgtype])
+            self._kinds[msgtype] = raw_type(idl_struct(types, msgtype, self._structs))
+        made = Topic(self._participant, dds_topic(topic), self._kinds[msgtype])
         self._topics[topic] = msgtype, made
         return made
+
+
+def _present(reader: Any, known: dict[UUID, Any]) -> Iterator[Any]:
+    """Yield what discovery has found since the last call; forget the known that have left."""
+    from cyclonedds.core import InstanceState
+
+    for item in reader.take(_BATCH):
+        if item.sample_info.instance_state == InstanceState.Alive:
+            yield item
+        else:
+            known.pop(item.key, None)
 
 
 def _qos(quality: Quality) -> Any:
@@ -371,3 +376,92 @@ def _qos(quality: Quality) -> Any:
     if quality.lifespan is not None:
         policies.append(Policy.Lifespan(int(quality.lifespan * SECOND_NS)))
     return Qos(*policies)
+
+
+def dds_topic(topic: str) -> str:
+    """Return the DDS name of a ROS topic."""
+    return _TOPIC_PREFIX + topic
+
+
+def ros_topic(name: str) -> str | None:
+    """Return the ROS topic of a DDS topic; None if ROS 2 did not name it."""
+    return name.removeprefix(_TOPIC_PREFIX) if name.startswith(f"{_TOPIC_PREFIX}/") else None
+
+
+def dds_type(msgtype: str) -> str:
+    """Return the DDS name of a ROS message type."""
+    package, kind, name = msgtype.split("/")
+    return f"{package}::{kind}::dds_::{name}_"
+
+
+def ros_type(name: str) -> str:
+    """Return the ROS message type of a DDS type; other names do not change."""
+    parts = name.split("::")
+    if len(parts) != 4 or parts[2] != "dds_" or not parts[3].endswith("_"):
+        return name
+    return f"{parts[0]}/{parts[1]}/{parts[3][:-1]}"
+
+
+def idl_struct(types: Types, msgtype: str, made: dict[str, Any] | None = None) -> Any:
+    """Make the IDL type of a ROS message and its nested types, unless they are in `made`."""
+    from cyclonedds.idl import make_idl_struct
+
+    made = {} if made is None else made
+    if msgtype not in made:
+        if msgtype not in types:
+            raise ValueError(f"the definition of {msgtype} is missing")
+        fields = {
+            name: _field(types, node, description, made)
+            for name, (node, description) in types[msgtype][1]
+        }
+        made[msgtype] = make_idl_struct(msgtype.split("/")[-1] + "_", dds_type(msgtype), fields)
+    return made[msgtype]
+
+
+def _field(types: Types, node: Any, description: Any, made: dict[str, Any]) -> Any:
+    """Return the IDL type of a field."""
+    from cyclonedds.idl import types as idl
+    from rosbags.interfaces import Nodetype
+
+    if node == Nodetype.NAME:
+        return idl_struct(types, description, made)
+    if node == Nodetype.BASE:
+        kind, bound = description
+        if kind == "string":
+            return idl.bounded_str[bound] if bound else str
+        # ROS's byte and char are octets in IDL.
+        if kind in ("byte", "char", "octet"):
+            return idl.uint8
+        return bool if kind == "bool" else getattr(idl, kind)
+    (inner, of), count = description
+    element = _field(types, inner, of, made)
+    if node == Nodetype.ARRAY:
+        return idl.array[element, count]
+    return idl.sequence[element, count] if count else idl.sequence[element]
+
+
+def raw_type(struct: Any) -> Any:
+    """Make a type whose messages stay CDR bytes, for Cyclone's readers and writers.
+
+    A recorder need not decode messages, and malformed bytes cannot make a reader fail. Cyclone asks
+    a type for its name, its description, and conversion to and from bytes.
+    """
+
+    class RawMessage:
+        __idl__: ClassVar[Any] = struct.__idl__
+        __idl_typename__: ClassVar[str] = struct.__idl_typename__
+        __slots__ = ("data", "sample_info")
+
+        def __init__(self, data: bytes) -> None:
+            self.data = data
+
+        def serialize(self, **_: Any) -> bytes:
+            return self.data
+
+        @classmethod
+        def deserialize(cls, data: bytes) -> RawMessage:
+            return cls(data)
+
+        deserialize_key = deserialize
+
+    return RawMessage

@@ -1,4 +1,4 @@
-"""A process on the graph: joining, streams as numbers, events, clock and shutdown."""
+"""A process on the graph: joining, streams as numbers, plans, events, clock and shutdown."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,20 +19,32 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.signals import SIGNALS
 from airpuck.flight.clock import Clock, Every, StampClock
-from airpuck.live.dds import LEASE
 from airpuck.live.graph import LOG, SENSOR, STATE, Endpoint, Graph, Quality
-from airpuck.live.settings import LiveSettings
+from airpuck.live.settings import LEASE, LiveSettings
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.mapping import Topics
 from airpuck.recording.message import MessageCodec, StreamCodec, definitions
 
 if TYPE_CHECKING:
+    from airpuck.control.law import Step
     from airpuck.control.reference import Numbers
 
 
+class MessageTopic(NamedTuple):
+    """A topic of whole messages, which are not streams of numbers."""
+
+    name: str
+    msgtype: str
+    quality: Quality
+
+
 #: ROS 2's own topics for events and for heartbeats; tools know them by name.
-EVENTS, HEARTBEAT = "/rosout", "/diagnostics"
-EVENT_TYPE, HEARTBEAT_TYPE = "rcl_interfaces/msg/Log", "diagnostic_msgs/msg/DiagnosticArray"
+EVENTS = MessageTopic("/rosout", "rcl_interfaces/msg/Log", LOG)
+HEARTBEATS = MessageTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", STATE)
+#: The plan of a predictive law: a standard message, which rviz and Foxglove draw.
+PLANS = MessageTopic("/control/plan", "nav_msgs/msg/Path", SENSOR)
+#: Name on ``/diagnostics`` of the plan's active limits.
+PLAN_NAME = "airpuck plan"
 Level = Literal["info", "warning", "error"]
 #: ROS's numeric levels of an event, and of a heartbeat.
 EVENT_LEVELS: dict[Level, int] = {"info": 20, "warning": 30, "error": 40}
@@ -40,6 +52,36 @@ _HEARTBEAT_LEVELS: dict[Level, int] = {"info": 0, "warning": 1, "error": 2}
 #: A repeated event within this time is held back [s].
 _REPEATS = 1.0
 _NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+class MessageOutbox:
+    """Publishes messages on a topic; `make` makes one, or one of a nested type."""
+
+    def __init__(self, graph: Graph, topic: MessageTopic) -> None:
+        types = definitions("")
+        self._codec = MessageCodec(topic.msgtype, types)
+        self._publisher = graph.publisher(topic.name, topic.msgtype, types, topic.quality)
+        self.make = self._codec.message
+
+    def send(self, message: Any) -> None:
+        """Publish a message."""
+        self._publisher.send(self._codec.encode(message))
+
+
+def well_formed(graph: Graph, topic: MessageTopic) -> Callable[[], list[Any]]:
+    """Subscribe to a topic of messages; the result returns its new well-formed messages."""
+    types = definitions("")
+    codec = MessageCodec(topic.msgtype, types)
+    subscription = graph.subscription(topic.name, topic.msgtype, types, topic.quality)
+
+    def take() -> list[Any]:
+        messages = []
+        for sample in subscription.take():
+            with suppress(ValueError):
+                messages.append(codec.decode(sample.data))
+        return messages
+
+    return take
 
 
 class EventLog:
@@ -52,11 +94,7 @@ class EventLog:
 
     def __init__(self, graph: Graph, name: str, *, quiet: bool = False) -> None:
         self._name, self._quiet = name, quiet
-        types = definitions("")
-        self._event = MessageCodec(EVENT_TYPE, types)
-        self._heartbeat = MessageCodec(HEARTBEAT_TYPE, types)
-        self._events = graph.publisher(EVENTS, EVENT_TYPE, types, LOG)
-        self._heartbeats = graph.publisher(HEARTBEAT, HEARTBEAT_TYPE, types, STATE)
+        self._events, self._states = (MessageOutbox(graph, one) for one in (EVENTS, HEARTBEATS))
         #: Time at which each kind of event was last published [s].
         self._published: dict[str, float] = {}
         #: Events held back by kind: level, last text, and count.
@@ -92,27 +130,27 @@ class EventLog:
         self, level: Level, text: str, values: Mapping[str, object], *, name: str = ""
     ) -> None:
         """Publish a state and some figures; `name` is a part of the process."""
-        message = self._heartbeat.message()
+        message = self._states.make()
         set_stamp(message.header.stamp, time.time_ns())
-        status = self._heartbeat.message("diagnostic_msgs/msg/DiagnosticStatus")
+        status = self._states.make("diagnostic_msgs/msg/DiagnosticStatus")
         status.level, status.message = _HEARTBEAT_LEVELS[level], text
         status.name = name or self._name
         status.values = [
-            self._heartbeat.message("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
+            self._states.make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
             for key, value in values.items()
         ]
         message.status = [status]
-        self._heartbeats.send(self._heartbeat.encode(message))
+        self._states.send(message)
 
     def _publish(self, level: Level, text: str, kind: str) -> None:
         """Publish an event, and record the time."""
         now = time.monotonic()
         self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
         self._published[kind] = now
-        event = self._event.message()
+        event = self._events.make()
         set_stamp(event.stamp, time.time_ns())
         event.level, event.name, event.msg = EVENT_LEVELS[level], self._name, text
-        self._events.send(self._event.encode(event))
+        self._events.send(event)
         if not self._quiet:
             with suppress(OSError):  # the terminal may be gone
                 print(f"{self._name}: {escaped(text)}", file=sys.stderr, flush=True)
@@ -346,3 +384,51 @@ class Outbox:
         """Resend the last numbers every second, for late subscribers."""
         if self._last is not None and self._clock.now - self.sent > _REMIND:
             self.send(self._last)
+
+
+#: Number of poses of a path that are drawn; foreign paths may have any number.
+_MOST = 200
+_POSE = "geometry_msgs/msg/PoseStamped"
+
+
+class PlanOutbox:
+    """Sends plans."""
+
+    def __init__(self, process: Process) -> None:
+        self._clock, self._events = process.clock, process.events
+        self._paths = MessageOutbox(process.graph, PLANS)
+
+    def send(self, step: Step) -> None:
+        """Publish the prediction of a step, if its law predicts."""
+        plan, estimate = step.prediction, step.estimate
+        if plan is None or estimate is None:
+            return
+        path = self._paths.make()
+        path.header.frame_id = "world"
+        set_stamp(path.header.stamp, self._clock.stamp_ns(estimate.time))
+        path.poses = [
+            self._pose(estimate.time + time, state)
+            for time, state in zip(plan.times.tolist(), plan.states[:, :3].tolist(), strict=True)
+        ]
+        self._paths.send(path)
+        level: Level = "info" if step.status == "optimal" else "warning"
+        figures = {"limits": ", ".join(plan.active), "bound by": plan.bound_by}
+        self._events.state(level, step.status, figures, name=PLAN_NAME)
+
+    def _pose(self, moment: float, pose: list[float]) -> Any:
+        """Return one pose of a path."""
+        x, y, yaw = pose
+        stamped = self._paths.make(_POSE)
+        stamped.header.frame_id = "world"
+        set_stamp(stamped.header.stamp, self._clock.stamp_ns(moment))
+        stamped.pose.position.x, stamped.pose.position.y = x, y
+        turned = stamped.pose.orientation
+        turned.z, turned.w = math.sin(yaw / 2), math.cos(yaw / 2)
+        return stamped
+
+
+def positions(path: Any) -> Float[np.ndarray, "N 2"] | None:
+    """Return the positions of a path; None if there are fewer than two, or one is not finite."""
+    points = [(at.pose.position.x, at.pose.position.y) for at in path.poses[:_MOST]]
+    found = np.array(points, dtype=float).reshape(-1, 2)
+    return found if len(found) > 1 and np.isfinite(found).all() else None

@@ -14,7 +14,7 @@ from airpuck.control.law import Pilot, Step
 from airpuck.control.pose_gate import SHORTEST_PAUSE
 from airpuck.craft.table import Table
 from airpuck.data.measurement import Measurement
-from airpuck.flight.pilot import checked_step
+from airpuck.flight.loop import checked_step
 
 #: Receives the level and the text of an event.
 _Log = Callable[[Literal["info", "error"], str], object]

@@ -1,18 +1,77 @@
-"""Connection of a process to a graph, and its duration."""
+"""Connection of a process to a graph: DDS domain, network and topics; and its duration."""
 
 from __future__ import annotations
 
+import os
 import re
+import socket
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, nearest
 from airpuck.boundary.settings import Setting, Settings
 
 if TYPE_CHECKING:
     from airpuck.recording.mapping import Topics
+
+
+_DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
+#: A killed process disappears from the graph after this long [s].
+LEASE = 3
+#: Largest number of processes of one domain on one machine that find each other by port.
+_LOCAL_PEERS = (
+    "<ParticipantIndex>auto</ParticipantIndex>"
+    "<MaxAutoParticipantIndex>40</MaxAutoParticipantIndex>"
+    '<Peers><Peer address="127.0.0.1"/></Peers>'
+)
+
+
+def domain_id(given: int | None) -> int:
+    """Return the number of the DDS domain: as given, from the environment, or 0."""
+    field, number = "--domain", given
+    if number is None:
+        field, text = _DOMAIN_VARIABLE, os.environ.get(_DOMAIN_VARIABLE, "").strip() or "0"
+        number = int(text) if text.isdecimal() else -1
+    numbers.DOMAIN.check(number, field)
+    return number
+
+
+def check_interface(name: str) -> None:
+    """Raise InputError if this machine has no network interface of that name."""
+    names = _interfaces()
+    if name not in names:
+        raise InputError(
+            f"there is no network interface {name!r}; there are {', '.join(names)}"
+            + nearest(name, names),
+            field="--interface",
+        )
+
+
+def _interfaces() -> list[str]:
+    return [name for _, name in socket.if_nameindex()]
+
+
+def domain_config(interface: str | None) -> str:
+    """Return Cyclone's configuration of a domain on an interface; None is loopback.
+
+    On loopback there is no multicast: participants look for each other at the ports of 127.0.0.1,
+    and no packet can leave the machine. On a named interface discovery uses multicast, as in ROS 2.
+    """
+    loopback = next((name for name in _interfaces() if name in ("lo", "lo0")), "lo")
+    if interface is not None:
+        check_interface(interface)
+    name = interface or loopback
+    multicast, peers = ("false", _LOCAL_PEERS) if name == loopback else ("true", "")
+    return (
+        '<CycloneDDS><Domain id="any"><General>'
+        f'<Interfaces><NetworkInterface name="{escape(name)}"/></Interfaces>'
+        f"<AllowMulticast>{multicast}</AllowMulticast></General>"
+        f"<Discovery><LeaseDuration>{LEASE}s</LeaseDuration>{peers}</Discovery>"
+        "</Domain></CycloneDDS>"
+    )
 
 
 def read_topics(path: Path) -> Topics:
@@ -83,7 +142,5 @@ class LiveSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from airpuck.live.dds import domain_config, domain_id
-
         domain_id(self.domain)
         domain_config(self.interface)

@@ -85,10 +85,7 @@ def serve_twin(
     start: dict[str, Any] = {"seed": seed, "pose": pose, "puck": puck}
     if human is not None:
         start["mallet"] = BEGINS, 0.0
-    warm = Twin(model, twin_settings, **start)
-    warm.wait_until(_WARM_UP)
-    start["plant"] = warm.plant
-    twin = Twin(model, twin_settings, **start, logs=False)
+    twin = _compiled(model, twin_settings, **start)
     prioritize(first=True)
     with Process(NAME, settings or LiveSettings()) as process:
         process.refuse_second("pose", (), "motion capture")
@@ -128,11 +125,8 @@ def serve_fleet(
     topics, world = settings.topics or Topics(), World(fleet.settings, logs=False)
     twins, names = [], dict[int, str]()
     for k, one in enumerate(fleet.members):
-        pose = tuple(one.start.pose.tolist())
-        warm = Twin(one.truth, fleet.settings, pose=pose)
-        warm.wait_until(_WARM_UP)
-        options: dict[str, Any] = {"pose": pose, "plant": warm.plant, "logs": False}
-        twins.append(Twin(one.truth, fleet.settings, seed=1000 * seed + k, world=world, **options))
+        pose, own = tuple(one.start.pose.tolist()), 1000 * seed + k
+        twins.append(_compiled(one.truth, fleet.settings, world, pose=pose, seed=own))
         names[id(twins[-1].craft)] = one.name
     prioritize(first=True)
     with Process(f"{NAME} of a fleet", settings) as process:
@@ -153,6 +147,15 @@ def serve_fleet(
         _simulate(process, tables, report)
         own = {name: table.to_json() for name, table in zip(fleet.names, tables, strict=True)}
         return {"duration_s": process.clock.now, "contacts": touched, "craft": own}
+
+
+def _compiled(
+    model: Model, settings: TwinSettings | None, world: World | None = None, **start: Any
+) -> Twin:
+    """Return a twin, alone or in a world, after another one has compiled its plant."""
+    warm = Twin(model, settings, **start)
+    warm.wait_until(_WARM_UP)
+    return Twin(model, settings, **start, world=world, plant=warm.plant, logs=False)
 
 
 def _simulate(

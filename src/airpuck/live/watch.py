@@ -13,12 +13,9 @@ from jaxtyping import Float
 
 from airpuck.estimate.estimator import FOUND
 from airpuck.flight.health import Health, HealthMonitor
-from airpuck.live.graph import LOG, SENSOR, STATE, Quality
-from airpuck.live.plan import PLAN, PLAN_TYPE, positions
-from airpuck.live.process import EVENT_TYPE, EVENTS, HEARTBEAT, HEARTBEAT_TYPE, Inbox, Process
+from airpuck.live.process import EVENTS, HEARTBEATS, PLANS, Inbox, Process, positions, well_formed
 from airpuck.live.settings import LiveSettings
 from airpuck.model.model_file import Model
-from airpuck.recording.message import MessageCodec, definitions
 
 NAME = "airpuck watch"
 #: Polling period [s].
@@ -51,11 +48,11 @@ class Observer:
         self.beats: dict[str, tuple[float, str, Mapping[str, str]]] = {}
         #: Newest events: arrival time [s] and message.
         self.events: deque[tuple[float, Any]] = deque(maxlen=_EVENTS)
-        self._take_events = well_formed(process, EVENTS, EVENT_TYPE, LOG)
-        self._take_beats = well_formed(process, HEARTBEAT, HEARTBEAT_TYPE, STATE)
-        #: Path of the controller's newest plan [m]; its limits are in `beats` under `plan.NAME`.
+        self._take_events = well_formed(process.graph, EVENTS)
+        self._take_beats = well_formed(process.graph, HEARTBEATS)
+        #: Path of the controller's newest plan [m]; its limits are in `beats` under `PLAN_NAME`.
         self.plan: Float[np.ndarray, "N 2"] | None = None
-        self._take_plans = well_formed(process, PLAN, PLAN_TYPE, SENSOR)
+        self._take_plans = well_formed(process.graph, PLANS)
         self._counts: Counter[str] = Counter()
         self._counted = 0.0
 
@@ -106,26 +103,6 @@ class Observer:
     def age(self, stream: str) -> float:
         """Return the age of a stream's newest numbers [s]."""
         return self.clock.now - self.heard.get(stream, -math.inf)
-
-
-def well_formed(
-    process: Process, topic: str, msgtype: str, quality: Quality
-) -> Callable[[], list[Any]]:
-    """Subscribe to a topic that is not a stream; the result returns its well-formed messages."""
-    types = definitions("")
-    codec = MessageCodec(msgtype, types)
-    subscription = process.graph.subscription(topic, msgtype, types, quality)
-
-    def take() -> list[Any]:
-        messages = []
-        for sample in subscription.take():
-            try:
-                messages.append(codec.decode(sample.data))
-            except ValueError:
-                continue
-        return messages
-
-    return take
 
 
 def watch_live(

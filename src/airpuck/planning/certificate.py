@@ -16,8 +16,7 @@ from jaxtyping import Float
 
 from airpuck.data.sampling import runs
 from airpuck.physics.angle import wrapped
-from airpuck.planning.attainable import gravity, has_bounds, largest_moment
-from airpuck.planning.request import Goal, Request
+from airpuck.planning.request import Goal, Request, gravity, has_bounds, largest_moment
 from airpuck.planning.yaw_program import LEAST_MOMENT, Fineness, Weight, YawProgram
 
 #: The search begins with coarse grids; a fine grid pays off only near the bound.
@@ -247,8 +246,8 @@ def unavoidable_rail(request: Request) -> str | None:
             continue
         for share in _BRAKING_TIMES:
             time = share * abs(speed) / request.strongest_push
-            against, none = -outwards * normal, np.zeros(0)
-            weight = Weight(against * time, -against, none, none.astype(complex))
+            against = -outwards * normal
+            weight = Weight(against * time, -against)
             most = float(YawProgram(anywhere, weight, time, _COARSE, np.zeros(1)).most[-1, 0])
             tilted = abs(gravity(request.model)) * time**2 / 2
             offset = 2 * float(np.hypot(*request.model.dynamics.center_of_mass))
@@ -264,9 +263,7 @@ def _straight(
     """Return the weight of a straight flight that brakes half way or not at all."""
     way = complex(*(to - request.start[:2]))
     along = way / abs(way) if way else 0j
-    stop = duration / 2 if rest else duration
-    none = np.zeros(0)
-    return Weight(along * stop, -along, none, none.astype(complex))
+    return Weight(along * (duration / 2 if rest else duration), -along)
 
 
 def _least_energy(request: Request, duration: float) -> Weight:
@@ -281,8 +278,7 @@ def _least_energy(request: Request, duration: float) -> Weight:
         alpha = 6 * away / duration**2 - 2 * faster / duration
         beta = 6 * faster / duration**2 - 12 * away / duration**3
     size = max(abs(alpha), abs(alpha + beta * duration)) or 1.0
-    none = np.zeros(0)
-    return Weight(alpha / size, beta / size, none, none.astype(complex))
+    return Weight(alpha / size, beta / size)
 
 
 def _needed(

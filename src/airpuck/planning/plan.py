@@ -346,14 +346,10 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
             file=path,
             field="motors",
         )
-    points = {"via": content.via_m, "keep_out": content.keep_out_m}
+    rows: dict[str, Any] = {"time": content.times_s, "states": content.states}
+    rows |= {"commands": content.commands, "via": content.via_m, "keep_out": content.keep_out_m}
     try:
-        time, states, commands = (
-            numbers_of(getattr(content, name), (None,) * axes, name)
-            for name, axes in (("times_s", 1), ("states", 2), ("commands", 2))
-        )
-        bound, reserve = content.lower_bound_s, content.reserve
-        return Plan(model, time, states, commands, bound, reserve=reserve, **points)
+        return Plan(model, **rows, lower_bound=content.lower_bound_s, reserve=content.reserve)
     except InputError as error:
         field = "times_s" if error.field == "time" else error.field
         raise InputError(error.problem, file=path, field=field) from error

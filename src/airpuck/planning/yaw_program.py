@@ -6,7 +6,7 @@ docs/planning.md has the proof, with every term that is added to round values up
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from jaxtyping import Complex, Float, Int
 
 from airpuck.model.model_file import Model
 from airpuck.physics.angle import wrapped
-from airpuck.planning.attainable import (
+from airpuck.planning.request import (
+    Request,
     added_accelerations,
     largest_moment,
     moment_range,
@@ -22,7 +23,6 @@ from airpuck.planning.attainable import (
     strongest_thrust,
     thrust_range,
 )
-from airpuck.planning.request import Request
 
 #: Curvature of the penalty on other yaws at the start, relative to the strongest push times ∫|w|.
 #: The bounds of three plans are highest between 1 and 4.
@@ -56,8 +56,8 @@ class Weight:
 
     alpha: complex
     beta: complex
-    kink_times: Float[np.ndarray, " J"]
-    kinks: Complex[np.ndarray, " J"]
+    kink_times: Float[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0))
+    kinks: Complex[np.ndarray, " J"] = field(default_factory=lambda: np.zeros(0, complex))
     #: Value of another radian of yaw at the start: the slope of the penalty on other initial yaws.
     yaw_price: float = 0.0
 

@@ -19,8 +19,7 @@ from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle
-from airpuck.flight.loop import FlightLog, fly
-from airpuck.flight.pilot import PilotMaker, pilot_named
+from airpuck.flight.loop import FlightLog, PilotMaker, fly, pilot_named
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.physics.angle import wrapped
 from airpuck.planning.plan import Plan, plan

@@ -22,8 +22,7 @@ from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.time_scale import patience
-from airpuck.flight.loop import FlightLog
-from airpuck.flight.pilot import PilotMaker, pilot_named
+from airpuck.flight.loop import FlightLog, PilotMaker, pilot_named
 from airpuck.flight.replay import Gains, replay
 from airpuck.flight.track import SetPointResult, Track
 from airpuck.model.model_file import Model

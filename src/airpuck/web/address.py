@@ -15,6 +15,7 @@ import sys
 from collections.abc import Sequence
 
 from airpuck.boundary.errors import InputError
+from airpuck.live.settings import check_interface
 
 LOOPBACK = "127.0.0.1"
 #: The system's call for the IPv4 address of an interface, by system.
@@ -38,8 +39,6 @@ def listen(host: str, port: int) -> socket.socket:
 
 def address_of(interface: str) -> str:
     """Return the IPv4 address of a network interface."""
-    from airpuck.live.dds import check_interface  # here, or the page server would load rosbags
-
     check_interface(interface)
     if sys.platform not in _SIOCGIFADDR:
         raise InputError("works on Linux and macOS only", field="--interface")

@@ -16,8 +16,7 @@ from airpuck.deviation.model_errors import ModelError
 from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99, Every
 from airpuck.flight.health import HORIZON, Health
 from airpuck.live.fly import NAME as FLY
-from airpuck.live.plan import NAME as PLAN
-from airpuck.live.process import EVENT_LEVELS, Outbox, Process
+from airpuck.live.process import EVENT_LEVELS, PLAN_NAME, Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import GONE, Observer
 from airpuck.model.model_file import Model
@@ -55,7 +54,7 @@ def panel(observer: Observer) -> dict[str, Any]:
     came, status, figures = observer.beats.get(FLY, (-math.inf, "", {}))
     if now - came < GONE:
         gauges += [Gauge("controller", status), *timing_gauges(figures)]
-        gauges += plan_gauges(*observer.beats.get(PLAN, (-math.inf, "", {})), now)
+        gauges += plan_gauges(*observer.beats.get(PLAN_NAME, (-math.inf, "", {})), now)
         gauges += [Gauge(f"found: {name}", text) for name, text in observer.found.items()]
     else:
         gauges.append(Gauge("controller", "none"))
@@ -260,7 +259,7 @@ class _GraphView:
         path = self._observer.plan
         if path is None or self._observer.age("plan") > _PLANNED:
             return None
-        bound = self._observer.beats.get(PLAN, (0.0, "", {}))[2].get("bound by", "")
+        bound = self._observer.beats.get(PLAN_NAME, (0.0, "", {}))[2].get("bound by", "")
         x, y = path.T.round(4).tolist()
         return {"x": x, "y": y, "bound": bound}
 
