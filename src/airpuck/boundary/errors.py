@@ -9,6 +9,8 @@ from typing import Any
 
 #: Libraries may repeat a whole file in their messages.
 _LONGEST = 2000
+#: Number of names that are listed.
+_LISTED = 12
 #: Number of characters shown of a name that is too long.
 _SHOWN = 60
 
@@ -57,11 +59,11 @@ def shortened(text: str, most: int = 80) -> str:
     return text if len(text) <= most else f"{text[:most]}..."
 
 
-def listing(names: Iterable[str], most: int = 12) -> str:
-    """List names from a file; beyond `most` they are only counted."""
+def listing(names: Iterable[str]) -> str:
+    """List names from a file; beyond twelve they are only counted."""
     shown = [shortened(name) for name in names]
-    if len(shown) > most:
-        shown[most:] = [f"{len(shown) - most} more"]
+    if len(shown) > _LISTED:
+        shown[_LISTED:] = [f"{len(shown) - _LISTED} more"]
     return ", ".join(shown) or "none"
 
 

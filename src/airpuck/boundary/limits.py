@@ -155,12 +155,10 @@ def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
     return content
 
 
-def read_text(
-    path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8-sig"
-) -> str:
+def read_text(path: str | os.PathLike[str], most: int = TEXT_BYTES) -> str:
     """Read a whole text file up to a maximum length, skipping a byte-order mark."""
     try:
-        return read_bytes(path, most).decode(encoding)
+        return read_bytes(path, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(_not_utf8(error), file=path) from error
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.progress import Progress
+from airpuck.boundary.signals import Progress
 from airpuck.control.law import Pilot, Prediction, Status, Step
 from airpuck.control.reference import asked, check_inside
 from airpuck.craft.vehicle import Vehicle, default_vehicle
