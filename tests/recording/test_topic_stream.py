@@ -99,9 +99,14 @@ FORMS = {
 }
 
 
-def bag(path: Path, form: str) -> Path:
+def make(form: str):
+    """A topic of several bodies."""
     made, *how = FORMS[form]
-    topics = {"/bodies": made(form, *how), "/drone/control": foreign_topics()["/drone/control"]}
+    return made(form, *how)
+
+
+def bag(path: Path, form: str) -> Path:
+    topics = {"/bodies": make(form), "/drone/control": foreign_topics()["/drone/control"]}
     return write_mcap(path / "a.mcap", topics)
 
 
