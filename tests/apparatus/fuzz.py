@@ -116,7 +116,7 @@ def _bodies(folder: Path) -> Path:
     from tests.recording.test_topic_stream import make
 
     topics = {
-        "/bodies": make("NamedPoseArray"),
+        "/bodies": make("motion_capture_tracking_interfaces/msg/NamedPoseArray"),
         "/drone/control": foreign_topics()["/drone/control"],
     }
     return write_mcap(folder / "a.mcap", topics, compression=CompressionType.NONE, chunk_size=3000)

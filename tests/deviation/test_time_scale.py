@@ -8,8 +8,13 @@ import pytest
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.time_scale import measured_poses, patience, showing_time
-from airpuck.preprocessing.derivative import VELOCITY_TIME, acceleration, velocity
-from airpuck.preprocessing.smoothing import is_slow, smoothing_times
+from airpuck.preprocessing.derivative import (
+    VELOCITY_TIME,
+    acceleration,
+    is_slow,
+    smoothing_times,
+    velocity,
+)
 
 PAPER = default_vehicle()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.deviation.model_errors import verdicts
+from airpuck.deviation.significance import verdicts
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.evaluation.residuals import model_errors
 

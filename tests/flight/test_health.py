@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from airpuck.control.reference import SetPoints
-from airpuck.deviation.model_errors import ModelError
+from airpuck.deviation.significance import ModelError
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.flight.health import Health, HealthMonitor, Judged, deviations
 from airpuck.model.model_file import published_model

@@ -16,8 +16,8 @@ from airpuck.identification.fit import identify
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.settings import Loss
 from airpuck.model.model_file import published_model
-from airpuck.preprocessing.missing import interpolated, with_lost_frames
 from airpuck.preprocessing.pipeline import preprocess
+from airpuck.preprocessing.quality import interpolated, with_lost_frames
 from airpuck.recording.stream import Recording
 
 from ..apparatus.synthetic_flights import edited, fly, record

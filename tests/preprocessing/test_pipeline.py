@@ -21,6 +21,16 @@ from ..apparatus.public_recordings import BLUE
 from ..apparatus.synthetic_flights import RATE, bad_value, edited, fly, record, shuffled
 
 
+def lacking(recording: Recording, stream: str, kept):
+    """Preprocess a recording without some rows of a stream, by their time since its begin [s]."""
+
+    def edit(stamp, received, values):
+        rows = kept((stamp - stamp[0]) / 1e9)
+        return stamp[rows], received[rows], values[rows]
+
+    return preprocess(edited(recording, stream, edit))
+
+
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     return record(duration=6.0, noise=1e-5)
@@ -69,14 +79,7 @@ def test_the_whole_way_from_recording_to_parameters():
 
 
 def test_a_gap_is_found_and_no_window_spans_it(recording):
-    gap = (3.0, 3.2)
-
-    def edit(stamp, received, values):
-        time = (stamp - stamp[0]) / 1e9
-        keep = (time < gap[0]) | (time > gap[1])
-        return stamp[keep], received[keep], values[keep]
-
-    trajectory = preprocess(edited(recording, "pose", edit))
+    trajectory = lacking(recording, "pose", lambda time: (time < 3.0) | (time > 3.2))
     (span,) = trajectory.excluded
     assert span.cause == "gap"
     assert span.stop - span.start == pytest.approx(0.2, abs=0.01)
@@ -89,11 +92,7 @@ def test_a_gap_is_found_and_no_window_spans_it(recording):
 
 
 def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
-    def edit(stamp, received, values):
-        kept = np.abs((stamp - stamp[0]) / 1e9 - 3.0) > 0.03
-        return stamp[kept], received[kept], values[kept]
-
-    trajectory = preprocess(edited(recording, "pose", edit))
+    trajectory = lacking(recording, "pose", lambda time: np.abs(time - 3.0) > 0.03)
     known, time = trajectory.bridged, trajectory.time
     assert np.ptp(time[~known]) == pytest.approx(0.06, abs=2 / RATE)
     for column in trajectory.acceleration.T:
@@ -103,12 +102,9 @@ def test_accelerations_pass_lost_frames_in_a_straight_line(recording):
 
 
 def test_poses_between_two_gaps_are_left_out_if_too_few_to_differentiate(recording):
-    def edit(stamp, received, values):
-        time = (stamp - stamp[0]) / 1e9
-        kept = (np.abs(time - 3.0) > 0.2) | (np.abs(time - 3.0) < 0.02)
-        return stamp[kept], received[kept], values[kept]
-
-    trajectory = preprocess(edited(recording, "pose", edit))
+    trajectory = lacking(
+        recording, "pose", lambda time: (np.abs(time - 3.0) > 0.2) | (np.abs(time - 3.0) < 0.02)
+    )
     assert [span.cause for span in trajectory.excluded].count("gap") == 2
     (span,) = (span for span in trajectory.excluded if span.cause == "too short to smooth")
     assert span.stop - span.start == pytest.approx(0.04, abs=2 / RATE)
@@ -171,12 +167,7 @@ def test_a_frozen_pose_is_found(recording):
 
 
 def test_a_pause_of_the_commands_is_excluded(recording):
-    def edit(stamp, received, values):
-        time = (stamp - stamp[0]) / 1e9
-        keep = (time < 2.0) | (time > 2.5)
-        return stamp[keep], received[keep], values[keep]
-
-    trajectory = preprocess(edited(recording, "command", edit))
+    trajectory = lacking(recording, "command", lambda time: (time < 2.0) | (time > 2.5))
     assert "no commands" in {span.cause for span in trajectory.excluded}
 
 

@@ -24,10 +24,6 @@ for order in permutations(range(3)):
         RENAMINGS[tuple(names)] = matrix
 
 
-def mapping(**keys) -> PoseMapping:
-    return PoseMapping(**keys)
-
-
 def random_rotations(n: int = 50) -> Rotation:
     return Rotation.random(n, random_state=3)
 
@@ -47,7 +43,7 @@ def test_renamed_axes_turn_positions_and_rotations_alike(axes: tuple[str, ...]):
         ("XYZ", rotations.as_euler("XYZ")),
         ("zyx", rotations.as_euler("zyx")),
     ):
-        found = poses_of(positions, numbers, kind, mapping(axes=axes))
+        found = poses_of(positions, numbers, kind, PoseMapping(axes=axes))
         np.testing.assert_array_equal(found[:, :2], (positions @ renaming.T)[:, :2])
         apart = np.angle(np.exp(1j * (found[:, 2] - yaw)))
         assert np.abs(apart).max() < 1e-9, kind
@@ -65,13 +61,13 @@ def test_another_axis_that_is_up_is_told_by_the_positions(up: str):
     about = {"z": [0, 0, 1], "y": [0, 1, 0], "x": [1, 0, 0]}[up]
     numbers = Rotation.from_rotvec(yaw[:, None] * about).as_quat()
     if up == "z":
-        poses_of(logged, numbers, "quaternion", mapping())
+        poses_of(logged, numbers, "quaternion", PoseMapping())
         return
     with pytest.raises(InputError, match=f"{up.upper()} is up") as caught:
-        poses_of(logged, numbers, "quaternion", mapping())
+        poses_of(logged, numbers, "quaternion", PoseMapping())
     axes = re.search(r"axes = (\[.*?\])", str(caught.value))
     assert axes is not None
-    mended = poses_of(logged, numbers, "quaternion", mapping(axes=tuple(json.loads(axes[1]))))
+    mended = poses_of(logged, numbers, "quaternion", PoseMapping(axes=tuple(json.loads(axes[1]))))
     np.testing.assert_allclose(mended[:, :2], flight[:, :2], atol=1e-12)
     assert np.abs(np.angle(np.exp(1j * (mended[:, 2] - yaw)))).max() < 1e-9
 
@@ -84,42 +80,33 @@ def test_a_column_of_heights_among_two_coordinates_is_told(level: int):
     logged = logged[:, [1, 0]] if level == 0 else logged
     names = f"its {['first', 'second'][level]} coordinate stays within 0.. mm, like a height"
     with pytest.raises(InputError, match=names) as caught:
-        poses_of(logged, t[:, None], "yaw", mapping())
+        poses_of(logged, t[:, None], "yaw", PoseMapping())
     axes = tuple(json.loads(re.search(r"axes = (\[.*?\])", str(caught.value))[1]))
     whole = np.insert(logged, 2, np.cos(t), axis=1)
-    moving = poses_of(whole, t[:, None], "yaw", mapping(axes=axes))[:, :2]
+    moving = poses_of(whole, t[:, None], "yaw", PoseMapping(axes=axes))[:, :2]
     assert np.ptp(moving, axis=0).min() > 1
 
 
-def test_a_puck_and_a_craft_without_noise_may_move_along_a_line():
-    t = np.linspace(0, 1, 500)
-    line = np.column_stack([t, np.full(500, 0.1)])
-    np.testing.assert_array_equal(poses_of(line, t[:, None], "yaw", mapping())[:, :2], line)
-    line[:, 1] += 1e-4 * np.random.default_rng(4).normal(size=500)
-    np.testing.assert_array_equal(
-        poses_of(line, np.zeros((500, 0)), "none", mapping())[:, :2], line
-    )
-
-
 @pytest.mark.filterwarnings("error")
-def test_a_single_pose_tells_no_height():
-    np.testing.assert_array_equal(poses_of(np.ones((1, 2)), np.ones((1, 1)), "yaw", mapping()), 1)
-
-
-def test_a_narrow_motion_is_no_height():
-    """A controller that moves the craft along x holds y to millimetres."""
+def test_a_motion_along_a_line_a_narrow_one_or_a_single_pose_tell_no_height():
     t = np.linspace(0, 20, 500)
-    logged = np.column_stack([np.sin(t), 2e-3 * np.sin(3 * t)])
-    np.testing.assert_array_equal(poses_of(logged, t[:, None], "yaw", mapping())[:, :2], logged)
+    noise = 1e-4 * np.random.default_rng(4).normal(size=500)
+    # A puck has no yaw, and a controller that moves the craft along x holds y to millimetres.
+    for kind, y in (("yaw", 0 * t + 0.1), ("none", 0.1 + noise), ("yaw", 2e-3 * np.sin(3 * t))):
+        logged = np.column_stack([np.sin(t), y])
+        turned = t[:, None] if kind == "yaw" else np.zeros((500, 0))
+        for part in (slice(None), slice(1)):
+            found = poses_of(logged[part], turned[part], kind, PoseMapping())
+            np.testing.assert_array_equal(found[:, :2], logged[part])
 
 
 @pytest.mark.parametrize("order", ["".join(order) for order in permutations("XYZ")])
 def test_euler_angles_in_every_order_in_degrees(order: str):
     rotations = random_rotations()
-    expected = poses_of(np.zeros((50, 2)), rotations.as_quat(), "quaternion", mapping())
+    expected = poses_of(np.zeros((50, 2)), rotations.as_quat(), "quaternion", PoseMapping())
     for kind in (order, order.lower()):
         angles = rotations.as_euler(kind, degrees=True)
-        found = poses_of(np.zeros((50, 2)), angles, kind, mapping(units=("deg",)))
+        found = poses_of(np.zeros((50, 2)), angles, kind, PoseMapping(units=("deg",)))
         assert np.abs(np.angle(np.exp(1j * (found - expected)[:, 2]))).max() < 1e-9
 
 
@@ -129,12 +116,12 @@ def test_wrong_signs_of_x_y_and_yaw_are_mended_one_by_one(signs: tuple[int, ...]
     poses = rng.uniform(-1, 1, (20, 3))
     logged = poses * signs
     axes = tuple(axis if sign > 0 else f"-{axis}" for axis, sign in zip("xyz", signs, strict=True))
-    found = poses_of(logged[:, :2], logged[:, 2:], "yaw", mapping(axes=axes))
+    found = poses_of(logged[:, :2], logged[:, 2:], "yaw", PoseMapping(axes=axes))
     np.testing.assert_array_equal(found, poses)
     level = Rotation.from_euler("z", logged[:, 2:])
     for kind, numbers in (("quaternion", level.as_quat()), ("matrix", level.as_matrix())):
         numbers = numbers.reshape(20, -1)
-        found = poses_of(logged[:, :2], numbers, kind, mapping(axes=axes))
+        found = poses_of(logged[:, :2], numbers, kind, PoseMapping(axes=axes))
         np.testing.assert_allclose(found, poses, atol=1e-12)
 
 
@@ -146,7 +133,7 @@ def test_y_up_by_hand():
         np.array([[1000.0, 100.0, -2000.0]]),
         left.as_quat(),
         "quaternion",
-        mapping(axes="Y-up", units=("mm",)),
+        PoseMapping(axes="Y-up", units=("mm",)),
     )
     np.testing.assert_allclose(found, [[1, 2, np.pi / 6]], atol=1e-15)
 
@@ -160,20 +147,20 @@ def test_a_yaw_counts_about_the_vertical_axis_of_the_file():
         (("y", "-x", "z"), 2, -1, 90),
         (("x", "-y", "-z"), 1, -2, -90),
     ):
-        found = poses_of(positions, yaw, "yaw", mapping(axes=axes, units=degrees))
+        found = poses_of(positions, yaw, "yaw", PoseMapping(axes=axes, units=degrees))
         np.testing.assert_allclose(found, [[x, y, np.radians(angle)]])
 
 
 def test_two_coordinates_cannot_be_turned_up():
     with pytest.raises(InputError, match="axes needs the third"):
-        poses_of(np.zeros((1, 2)), np.zeros((1, 1)), "yaw", mapping(axes="Y-up"))
+        poses_of(np.zeros((1, 2)), np.zeros((1, 1)), "yaw", PoseMapping(axes="Y-up"))
 
 
 def test_nine_numbers_that_are_no_rotation():
     rotations = random_rotations(3).as_matrix()
     for wrong in (2 * rotations, -rotations, rotations[:, ::-1]):
         with pytest.raises(InputError, match="not a rotation matrix"):
-            poses_of(np.zeros((3, 2)), wrong.reshape(3, 9), "matrix", mapping())
+            poses_of(np.zeros((3, 2)), wrong.reshape(3, 9), "matrix", PoseMapping())
 
 
 def test_a_rotation_that_is_not_finite_stays_so():
@@ -183,24 +170,26 @@ def test_a_rotation_that_is_not_finite_stays_so():
     euler[1, 0] = np.inf
     with np.errstate(invalid="ignore"):
         for kind, numbers in (("matrix", matrices), ("XYZ", euler)):
-            yaw = poses_of(np.zeros((3, 2)), numbers, kind, mapping())[:, 2]
+            yaw = poses_of(np.zeros((3, 2)), numbers, kind, PoseMapping())[:, 2]
             assert np.isfinite(yaw[[0, 2]]).all()
 
 
 def test_whole_numbers_and_dates_are_exact():
     late = 1_709_651_570_788_520_097
-    assert stamps_of(np.array([late]), mapping(units=("ns",))).tolist() == [late]
-    assert stamps_of(np.array([late // 1000]), mapping(units=("us",))).tolist() == [
+    assert stamps_of(np.array([late]), PoseMapping(units=("ns",))).tolist() == [late]
+    assert stamps_of(np.array([late // 1000]), PoseMapping(units=("us",))).tolist() == [
         late // 1000 * 1000
     ]
     dates = np.array([late], dtype="datetime64[ns]")
-    assert stamps_of(dates, mapping(start_s=-0.5)).tolist() == [late - 5 * 10**8]
-    assert stamps_of(dates.astype("datetime64[us]"), mapping()).tolist() == [late // 1000 * 1000]
+    assert stamps_of(dates, PoseMapping(start_s=-0.5)).tolist() == [late - 5 * 10**8]
+    assert stamps_of(dates.astype("datetime64[us]"), PoseMapping()).tolist() == [
+        late // 1000 * 1000
+    ]
 
 
 def test_times_in_every_unit():
     for unit, time in (("s", 1.25), ("ms", 1250.0), ("us", 1.25e6), ("ns", 1.25e9)):
-        found = stamps_of(np.array([time]), mapping(units=(unit,), start_s=2.0))
+        found = stamps_of(np.array([time]), PoseMapping(units=(unit,), start_s=2.0))
         assert found.tolist() == [3_250_000_000]
 
 
@@ -217,7 +206,7 @@ def test_times_in_every_unit():
 )
 def test_times_that_are_none(time: np.ndarray, says: str):
     with pytest.raises(InputError, match=says):
-        stamps_of(time, mapping())
+        stamps_of(time, PoseMapping())
 
 
 def test_percent_and_pulse_widths_end_at_0_and_1_exactly():
@@ -257,27 +246,27 @@ def test_a_quaternion_in_another_order_is_recognised(columns, line: str):
     position = np.zeros((len(YAW), 2))
     logged = quaternions(YAW)[:, columns]
     with pytest.raises(InputError, match=f"would roll by up to .*{line}"):
-        poses_of(position, logged, "quaternion", mapping(), NAMES)
+        poses_of(position, logged, "quaternion", PoseMapping(), NAMES)
     # The line that the message shows is right.
     given = re.search(r"x = .*w = \"q.\"", line.replace("{", "").replace("}", ""))
     assert given is not None
     chosen = [NAMES.index(name) for name in re.findall(r"q[xyzw]", given[0])]
-    yaw = poses_of(position, logged[:, chosen], "quaternion", mapping())[:, 2]
+    yaw = poses_of(position, logged[:, chosen], "quaternion", PoseMapping())[:, 2]
     assert np.unwrap(yaw) == pytest.approx(YAW, abs=0.01)
     with pytest.raises(InputError, match="reorder its columns"):
-        poses_of(position, logged, "quaternion", mapping())
+        poses_of(position, logged, "quaternion", PoseMapping())
 
 
 @pytest.mark.parametrize("mounted", ["identity", "upside down", "on its side"])
 def test_a_frame_that_is_mounted_at_an_angle_is_no_other_order(mounted: str):
     angle = {"identity": 0, "upside down": np.pi, "on its side": np.pi / 2}[mounted]
     turned = Rotation.from_quat(quaternions(YAW)) * Rotation.from_euler("x", angle)
-    poses_of(np.zeros((len(YAW), 2)), turned.as_quat(), "quaternion", mapping(), NAMES)
+    poses_of(np.zeros((len(YAW), 2)), turned.as_quat(), "quaternion", PoseMapping(), NAMES)
 
 
 def test_a_rotation_vector_is_the_axis_times_the_angle():
     turned = Rotation.from_quat(quaternions(YAW))
-    found = poses_of(np.zeros((len(YAW), 2)), turned.as_rotvec(), "vector", mapping())
+    found = poses_of(np.zeros((len(YAW), 2)), turned.as_rotvec(), "vector", PoseMapping())
     assert np.unwrap(found[:, 2]) == pytest.approx(YAW, abs=0.01)
 
 

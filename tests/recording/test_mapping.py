@@ -14,28 +14,8 @@ def test_names_given_replace_the_defaults(tmp_path: Path):
     assert topics.pose == "/mocap/puck"
     assert topics.command == "/drone/control"
     assert topics.by_stream["imu"] == "/drone/imu"
-
-
-def test_no_section_is_the_defaults(tmp_path: Path):
     (tmp_path / "t.toml").write_text("")
     assert read_mapping(tmp_path / "t.toml").topics == Topics()
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ('[topics]\nposes = "/a"', "topics.poses: is not a known key"),
-        ('[topics]\npose = " "', "topics.pose: ' ' is not the name of a topic"),
-        ('[topics]\npose = "/a\\u0000"', "topics.pose"),
-        ("[topics]\npose = 3", "topics.pose"),
-        ('[topics]\npose = "/drone/control"', "named for two streams"),
-        ('[topic]\npose = "/a"', "topic: is not a known key"),
-    ],
-)
-def test_mistakes(tmp_path: Path, text: str, says: str):
-    (tmp_path / "t.toml").write_text(text)
-    with pytest.raises(InputError, match=says):
-        read_mapping(tmp_path / "t.toml")
 
 
 def test_a_topic_is_required_once_it_is_named():
@@ -87,6 +67,12 @@ def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str,
 @pytest.mark.parametrize(
     ("text", "says"),
     [
+        ('[topics]\nposes = "/a"', "topics.poses: is not a known key"),
+        ('[topics]\npose = " "', "topics.pose: ' ' is not the name of a topic"),
+        ('[topics]\npose = "/a\\u0000"', "topics.pose"),
+        ("[topics]\npose = 3", "topics.pose"),
+        ('[topics]\npose = "/drone/control"', "named for two streams"),
+        ('[topic]\npose = "/a"', "topic: is not a known key"),
         ('pose.orientation = ["a", "b", "c", "d"]', "pose.orientation: is .column. .yaw."),
         ("pose.orientation = 3", "pose.orientation: is .column."),
         ('pose.orientation = ""', "pose.orientation: is .column."),
@@ -114,7 +100,7 @@ def test_orientations(tmp_path: Path, given: str, kind: str, columns: tuple[str,
         ('[command]\nbits = [0, 1]\nvalues = ["a", "b"]', "a bit mask is one value"),
     ],
 )
-def test_mistakes_in_columns_units_and_axes(tmp_path: Path, text: str, says: str):
+def test_mistakes(tmp_path: Path, text: str, says: str):
     (tmp_path / "m.toml").write_text(text)
     with pytest.raises(InputError, match=says) as caught:
         read_mapping(tmp_path / "m.toml")

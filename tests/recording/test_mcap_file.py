@@ -38,6 +38,16 @@ def chunks_of(path: Path) -> list:
     return sorted(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
 
 
+def damaged(path: Path, whole: Path, *lost) -> Recording:
+    """Read a copy of a file with zeros in the middle of some chunks."""
+    content = bytearray(whole.read_bytes())
+    for chunk in lost:
+        middle = chunk.chunk_start_offset + chunk.chunk_length // 2
+        content[middle : middle + 50] = bytes(50)
+    path.write_bytes(content)
+    return read_recording(path)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of many chunks by another writer."""
@@ -113,14 +123,8 @@ def test_metadata_tells_what_is_missing(tmp_path: Path):
 
 
 def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, complete):
-    chunks = chunks_of(whole)
-    content = bytearray(whole.read_bytes())
-    lost = chunks[4]
-    middle = lost.chunk_start_offset + lost.chunk_length // 2
-    content[middle : middle + 50] = bytes(50)
-    path = tmp_path / "damaged.mcap"
-    path.write_bytes(content)
-    recording = read_recording(path)
+    lost = chunks_of(whole)[4]
+    recording = damaged(tmp_path / "damaged.mcap", whole, lost)
     received = complete["pose"].received_ns
     kept = (received < lost.message_start_time) | (received > lost.message_end_time)
     assert 0 < kept.sum() < len(received)
@@ -133,15 +137,10 @@ def test_a_damaged_chunk_inside_costs_only_itself(tmp_path: Path, whole: Path, c
 def test_the_warning_gives_the_time_from_the_first_damaged_chunk_to_the_last(
     tmp_path: Path, whole: Path
 ):
-    chunks, content = chunks_of(whole), bytearray(whole.read_bytes())
-    first, last = chunks[2], chunks[5]
-    for lost in (first, last):
-        middle = lost.chunk_start_offset + lost.chunk_length // 2
-        content[middle : middle + 50] = bytes(50)
-    path = tmp_path / "damaged.mcap"
-    path.write_bytes(content)
+    first, last = chunks_of(whole)[2:6:3]
+    recording = damaged(tmp_path / "damaged.mcap", whole, first, last)
     seconds = (last.message_end_time - first.message_start_time) / 1e9
-    assert f"2 damaged chunks within {seconds:.3f} s left out" in read_recording(path).warnings[0]
+    assert f"2 damaged chunks within {seconds:.3f} s left out" in recording.warnings[0]
 
 
 def test_a_wrong_checksum_is_noticed(tmp_path: Path):

@@ -143,6 +143,8 @@ def test_frames_in_which_the_body_was_lost(tmp_path: Path):
     assert_is_the_motion(found, kept=kept)
     assert found.warnings == ("4 blank poses are left out",)
     (tmp_path / "take.csv").unlink()
+    # Five digits of a rotation matrix.
+    assert_is_the_motion(read(tmp_path, "take.tsv", qualisys()), off=2e-5)
     for nothing in ("0.00000", "", "NULL"):
         found = read(tmp_path, "take.tsv", qualisys(lost=lost, nothing=nothing))
         assert_is_the_motion(found, kept=kept, off=2e-5)
@@ -160,11 +162,6 @@ def test_several_rigid_bodies_are_named(tmp_path: Path, name: str, write):
     assert_is_the_motion(read(tmp_path, name, text, body="mallet"), shift=1.0, off=2e-5)
     with pytest.raises(InputError, match=r"pose\.body: contains the rigid bodies puck, mallet"):
         read(tmp_path, name, text, body="rink")
-
-
-def test_qualisys(tmp_path: Path):
-    # Five digits of a rotation matrix.
-    assert_is_the_motion(read(tmp_path, "take.tsv", qualisys()), off=2e-5)
 
 
 def test_the_mapping_overrules_what_an_export_says(tmp_path: Path):
@@ -188,30 +185,6 @@ def test_the_export_itself_may_be_given(tmp_path: Path):
 
 def cut(text: str, line: int) -> str:
     return "\n".join(text.splitlines()[:line]) + "\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        (cut(motive(), 1), "has no row Frame, Time"),
-        (cut(motive(), 5), "has no row Frame, Time"),
-        (cut(qualisys(), 8), "has no row Frame, Time"),
-        (motive(types=("Bone", "Marker")), "contains no rigid body"),
-        (motive().replace("Length Units,Millimeters", "Length Units,Feet"), "is Feet, not one of"),
-        (motive().replace("Length Units,Millimeters,", ""), "Length Units: is missing"),
-        (motive(rotation="XYZ").replace("Type,XYZ", "Type,ABC"), "has no rotation type"),
-        (motive().replace("Position", "Place"), "has no column Position X, Position Y"),
-        (qualisys().replace("Rot[8]", "Rot[9]"), r"has no column Rot\[8\]"),
-        (qualisys().replace("puck X", "puck"), "contains no rigid body"),
-        (motive().replace("0.100000,", "soon,"), "line 18: 'soon' is not a number"),
-        (motive() + "40,0.4,1,2\n", "line 48 has 4 fields"),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, says: str):
-    with pytest.raises(InputError, match=says) as caught:
-        read(tmp_path, "take.csv", text)
-    assert "\n" not in str(caught.value)
-    assert str(tmp_path / "take.csv") in str(caught.value)
 
 
 def test_a_last_line_that_is_cut(tmp_path: Path):
@@ -264,14 +237,6 @@ def vicon(
     return "\n".join(lines) + "\n"
 
 
-def read_vicon(folder: Path, text: str, **pose):
-    (folder / "take.csv").write_text(text)
-    (folder / "motors.csv").write_text(COMMANDS)
-    return read_recording(
-        folder, mapping=RecordingMapping(pose=PoseMapping(**pose), command=COMMAND)
-    )
-
-
 @pytest.mark.parametrize(
     ("made", "pose"),
     [
@@ -283,21 +248,21 @@ def read_vicon(folder: Path, text: str, **pose):
     ],
 )
 def test_vicon_exports_are_read(tmp_path: Path, made, pose):
-    poses = read_vicon(tmp_path, vicon(**made), **pose)["pose"]
+    poses = read(tmp_path, "take.csv", vicon(**made), **pose)["pose"]
     assert poses.stamp_ns.tolist() == np.round(1e9 * TIME).astype(int).tolist()
     assert poses.values == pytest.approx(POSES, abs=1e-6)
 
 
 def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
     more = "\nTrajectories\n100\n,,puck:one,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,1,2,3\n"
-    recording = read_vicon(tmp_path, vicon(lost=(3, 4)) + more)
+    recording = read(tmp_path, "take.csv", vicon(lost=(3, 4)) + more)
     assert recording["pose"].values == pytest.approx(np.delete(POSES, [3, 4], axis=0), abs=1e-6)
     assert recording.warnings == ("2 blank poses are left out",)
 
 
 def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_order(tmp_path: Path):
     tilted = vicon().replace("RX", "RU").replace("RZ", "RX").replace("RU", "RZ")
-    poses = read_vicon(tmp_path, tilted)["pose"].values
+    poses = read(tmp_path, "take.csv", tilted)["pose"].values
     vectors = ROTATION.as_rotvec()[:, ::-1]
     yaw = Rotation.from_rotvec(vectors).as_euler("ZYX")[:, 0]
     assert poses[:, 2] == pytest.approx(yaw, abs=1e-6)
@@ -306,6 +271,22 @@ def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_or
 @pytest.mark.parametrize(
     ("text", "pose", "says"),
     [
+        (cut(motive(), 1), {}, "has no row Frame, Time"),
+        (cut(motive(), 5), {}, "has no row Frame, Time"),
+        (cut(qualisys(), 8), {}, "has no row Frame, Time"),
+        (motive(types=("Bone", "Marker")), {}, "contains no rigid body"),
+        (
+            motive().replace("Length Units,Millimeters", "Length Units,Feet"),
+            {},
+            "is Feet, not one of",
+        ),
+        (motive().replace("Length Units,Millimeters,", ""), {}, "Length Units: is missing"),
+        (motive(rotation="XYZ").replace("Type,XYZ", "Type,ABC"), {}, "has no rotation type"),
+        (motive().replace("Position", "Place"), {}, "has no column Position X, Position Y"),
+        (qualisys().replace("Rot[8]", "Rot[9]"), {}, r"has no column Rot\[8\]"),
+        (qualisys().replace("puck X", "puck"), {}, "contains no rigid body"),
+        (motive().replace("0.100000,", "soon,"), {}, "line 18: 'soon' is not a number"),
+        (motive() + "40,0.4,1,2\n", {}, "line 48 has 4 fields"),
         (vicon(bodies=("puck", "wand")), {}, "contains the rigid bodies puck, wand; choose one"),
         (vicon(), {"body": "wand"}, r"pose\.body: contains the rigid bodies puck"),
         (vicon(), {"time": "Frame"}, "is a Vicon export, whose rate gives the times"),
@@ -318,6 +299,8 @@ def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_or
         ("Objects\n", {}, "has no row Frame, Sub Frame"),
     ],
 )
-def test_what_is_wrong_with_a_vicon_export_is_said(tmp_path: Path, text: str, pose, says: str):
-    with pytest.raises(InputError, match=says):
-        read_vicon(tmp_path, text, **pose)
+def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, pose, says: str):
+    with pytest.raises(InputError, match=says) as caught:
+        read(tmp_path, "take.csv", text, **pose)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path / "take.csv") in str(caught.value)

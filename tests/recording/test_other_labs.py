@@ -118,68 +118,45 @@ def test_an_entry_that_is_not_there_is_named(tmp_path):
             read_recording(path, mapping=read_mapping(tmp_path / "m.toml"))
 
 
+def stamped(kind: str, field: str, value, count: int, start: int = 0, step: int = 10**7):
+    """A topic of ff_msgs with a header and one or several values."""
+
+    def make(types, k):
+        return types[f"ff_msgs/msg/{kind}"](
+            ros_header(types, START_NS + start + k * step), *value(k)
+        )
+
+    return topic(f"ff_msgs/msg/{kind}", f"std_msgs/Header header\n{field}\n", make, count)
+
+
+FREE_FLYER = {
+    "/optitrack/drone/pose": stamped(
+        "Pose2DStamped", "float32 x\nfloat32 y\nfloat32 theta", lambda k: POSES[k], 200
+    ),
+    "/drone/control": stamped(
+        "ThrusterPWMCommand", "float64[8] duty_cycles", lambda k: [DUTIES[k]], 80
+    ),
+}
+
+
 def test_the_free_flyer_s_switches_duties_and_poses(tmp_path):
     switches = DUTIES > 0.5
-
-    def pose(types, k):
-        x, y, yaw = POSES[k]
-        head = ros_header(types, START_NS + k * 10**7)
-        return types["ff_msgs/msg/Pose2DStamped"](head, x, y, yaw)
-
-    def switched(types, k):
-        head = ros_header(types, START_NS + k * 10**7)
-        return types["ff_msgs/msg/ThrusterCommand"](head, switches[k])
-
-    def pulsed(types, k):
-        head = ros_header(types, START_NS + k * 10**7)
-        return types["ff_msgs/msg/ThrusterPWMCommand"](head, DUTIES[k])
-
-    stamped = "std_msgs/Header header\n"
-    poses = topic(
-        "ff_msgs/msg/Pose2DStamped", f"{stamped}float32 x\nfloat32 y\nfloat32 theta\n", pose, 200
-    )
-    for name, field, make, expected in (
-        ("ThrusterCommand", "bool[8] switches", switched, switches),
-        ("ThrusterPWMCommand", "float64[8] duty_cycles", pulsed, DUTIES),
-    ):
-        topics = {
-            "/optitrack/drone/pose": poses,
-            "/drone/control": topic(f"ff_msgs/msg/{name}", f"{stamped}{field}\n", make, 80),
-        }
-        recording = read_recording(write_mcap(tmp_path / f"{name}.mcap", topics))
+    switched = stamped("ThrusterCommand", "bool[8] switches", lambda k: [switches[k]], 80)
+    for control, expected in ((FREE_FLYER["/drone/control"], DUTIES), (switched, switches)):
+        path = write_mcap(tmp_path / "a.mcap", FREE_FLYER | {"/drone/control": control})
+        recording = read_recording(path)
         np.testing.assert_allclose(recording["pose"].values, POSES, atol=1e-6)
         np.testing.assert_array_equal(recording["command"].values, expected)
 
 
 def free_flyer(folder, wheel_field="float64 velocity", velocity=lambda k: 30.0 * k, wheels=40):
     """A bag of poses, duty cycles, and the reaction wheel's speeds on a topic of its own."""
-    stamped = "std_msgs/Header header\n"
-
-    def pose(types, k):
-        return types["ff_msgs/msg/Pose2DStamped"](
-            ros_header(types, START_NS + k * 10**7), *POSES[k]
-        )
-
-    def pulsed(types, k):
-        head = ros_header(types, START_NS + k * 10**7)
-        return types["ff_msgs/msg/ThrusterPWMCommand"](head, DUTIES[k])
-
-    def turning(types, k):
-        head = ros_header(types, START_NS + 10**8 + k * 2 * 10**7)
-        return types["ff_msgs/msg/WheelVelCommand"](head, velocity(k))
-
-    fields = f"{stamped}float32 x\nfloat32 y\nfloat32 theta\n"
-    topics = {
-        "/optitrack/drone/pose": topic("ff_msgs/msg/Pose2DStamped", fields, pose, 200),
-        "/drone/control": topic(
-            "ff_msgs/msg/ThrusterPWMCommand", f"{stamped}float64[8] duty_cycles\n", pulsed, 80
-        ),
-        "/ctrl/wheel": topic(
-            "ff_msgs/msg/WheelVelCommand", f"{stamped}{wheel_field}\n", turning, wheels
-        ),
-    }
+    wheel = stamped(
+        "WheelVelCommand", wheel_field, lambda k: [velocity(k)], wheels, 10**8, 2 * 10**7
+    )
     (folder / "m.toml").write_text('topics = {wheels = "/ctrl/wheel"}\n[wheels]\nscale = 1e-3\n')
-    return write_mcap(folder / "a.mcap", topics), read_mapping(folder / "m.toml")
+    path = write_mcap(folder / "a.mcap", FREE_FLYER | {"/ctrl/wheel": wheel})
+    return path, read_mapping(folder / "m.toml")
 
 
 def test_the_free_flyer_s_wheel_has_a_topic_of_its_own(tmp_path):

@@ -19,7 +19,7 @@ from PIL import Image
 
 import airpuck
 from airpuck.craft.table import Table
-from airpuck.deviation.model_errors import ModelError
+from airpuck.deviation.significance import ModelError
 from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.health import Health
 from airpuck.live.watch import Observer

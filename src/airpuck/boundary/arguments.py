@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from airpuck.boundary.errors import InputError, nearest, unknown
-from airpuck.boundary.settings import fits, misfit, setting_of
+from airpuck.boundary.settings import check_value, setting_of
 
 Chosen = TypeVar("Chosen")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -41,10 +41,8 @@ def checked(function: Function, *, finite: bool = True) -> Function:
         except TypeError as error:
             raise TypeError(_uncallable(function, signature, kwargs, error)) from None
         for name, hint in hints.items():
-            if name in given and not fits(given[name], hint):
-                raise InputError(misfit(given[name], hint), field=name)
-            if name in given and (setting := setting_of(hint)):
-                setting.check(given[name], name)
+            if name in given:
+                check_value(given[name], hint, setting_of(hint), name)
             if finite and name in given and not _finite(given[name]):
                 raise InputError("must be finite numbers", field=name)
         return function(*args, **kwargs)

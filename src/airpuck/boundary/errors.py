@@ -9,6 +9,8 @@ from typing import Any
 
 #: Libraries may repeat a whole file in their messages.
 _LONGEST = 2000
+#: Number of names that are listed.
+_LISTED = 12
 #: Number of characters shown of a name that is too long.
 _SHOWN = 60
 
@@ -45,15 +47,24 @@ class InputError(ValueError):
     def __init__(
         self, problem: str, *, file: str | os.PathLike[str] | None = None, field: str | None = None
     ) -> None:
-        self.problem = _shortened(escaped(" ".join(problem.split())))
+        self.problem = shortened(escaped(" ".join(problem.split())), _LONGEST)
         self.file = None if file is None else escaped(os.fspath(file))
-        self.field = None if field is None else _shortened(escaped(field))
+        self.field = None if field is None else shortened(escaped(field), _LONGEST)
         where = ": ".join(part for part in (self.file, self.field) if part)
         super().__init__(f"{where}: {self.problem}" if where else self.problem)
 
 
-def _shortened(text: str) -> str:
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+def shortened(text: str, most: int = 80) -> str:
+    """Shorten text from a file for a message; `InputError` escapes it."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def listing(names: Iterable[str]) -> str:
+    """List names from a file; beyond twelve they are only counted."""
+    shown = [shortened(name) for name in names]
+    if len(shown) > _LISTED:
+        shown[_LISTED:] = [f"{len(shown) - _LISTED} more"]
+    return ", ".join(shown) or "none"
 
 
 def escaped(text: str) -> str:

@@ -11,8 +11,10 @@ from __future__ import annotations
 import codecs
 import contextlib
 import csv
+import hashlib
 import io
 import os
+import stat
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -119,29 +121,44 @@ def within_means(file: str | os.PathLike[str]) -> Iterator[None]:
         raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=file) from error
 
 
-def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
-    """Read a whole file up to a maximum length, which also cuts off devices and pipes."""
+@contextlib.contextmanager
+def _reading(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Convert errors of the file system into a one-line InputError."""
     try:
-        with Path(path).open("rb") as file:
-            content = file.read(most + 1)
+        yield
     except FileNotFoundError:
         raise InputError("there is no such file", file=path) from None
     except IsADirectoryError:
         raise InputError("is a folder; a file is expected", file=path) from None
-    except (OSError, ValueError) as error:
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason})", file=path) from error
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file, which traces results back to their data."""
+    with _reading(path):
+        if not stat.S_ISREG(Path(path).stat().st_mode):
+            raise InputError("cannot be read (it is not a regular file)", file=path)
+        with Path(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_bytes(path: str | os.PathLike[str], most: int) -> bytes:
+    """Read a whole file up to a maximum length, which also cuts off devices and pipes."""
+    with _reading(path), Path(path).open("rb") as file:
+        content = file.read(most + 1)
     if len(content) > most:
         raise refused("is too long", most, "is it the right file?", file=path)
     return content
 
 
-def read_text(
-    path: str | os.PathLike[str], most: int = TEXT_BYTES, *, encoding: str = "utf-8-sig"
-) -> str:
+def read_text(path: str | os.PathLike[str], most: int = TEXT_BYTES) -> str:
     """Read a whole text file up to a maximum length, skipping a byte-order mark."""
     try:
-        return read_bytes(path, most).decode(encoding)
+        return read_bytes(path, most).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(_not_utf8(error), file=path) from error
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -108,3 +109,22 @@ def _problem(target: Path, kind: Output) -> str | None:
             return "is a file; choose a folder"
     with tempfile.TemporaryFile(dir=there.parent if there == target and kind == "file" else there):
         return None
+
+
+@contextlib.contextmanager
+def new_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary name beside `path`, and rename that folder to `path` on success.
+
+    The folder must be new or empty.
+    """
+    check_output(path, "new folder")
+    target = Path(path).absolute()
+    shelter = target.parent / temporary_name(target)
+    try:
+        shelter.mkdir(parents=True)
+        yield shelter / target.name
+        (shelter / target.name).rename(target)
+    except OSError as error:
+        raise unwritable(path, error) from error
+    finally:
+        shutil.rmtree(shelter, ignore_errors=True)

@@ -171,6 +171,14 @@ class Setting:
         return no_info_after_validator_function(checked, handler(source))
 
 
+def check_value(value: Any, hint: Any, setting: Setting | None, field: str) -> None:
+    """Raise InputError if a value does not fit its annotation or is out of its setting's range."""
+    if not fits(value, hint):
+        raise InputError(misfit(value, hint), field=field)
+    if setting is not None:
+        setting.check(value, field)
+
+
 @dataclass(frozen=True)
 class Declared:
     """A field of a settings object."""
@@ -193,13 +201,7 @@ class Settings:
     def __post_init__(self) -> None:
         """Check every declared field."""
         for one in declared(type(self)):
-            value = getattr(self, one.name)
-            choices = choices_of(one.kind)
-            if choices and value is not None and value not in choices:
-                raise InputError(unknown(value, choices), field=one.name)
-            if not fits(value, one.kind):
-                raise InputError(misfit(value, one.kind), field=one.name)
-            one.setting.check(value, one.name)
+            check_value(getattr(self, one.name), one.kind, one.setting, one.name)
 
 
 @cache
@@ -242,12 +244,3 @@ def undressed(annotation: Any) -> Any:
         return annotation.__origin__
     first: Any = next(iter(get_args(annotation)), None)
     return first.__origin__ | None if get_origin(first) is Annotated else annotation
-
-
-def choices_of(annotation: Any) -> tuple[Any, ...]:
-    """Return the values of the Literal in a type; empty if there is no Literal."""
-    if get_origin(annotation) is Annotated:
-        return choices_of(annotation.__origin__)
-    if get_origin(annotation) is Literal:
-        return get_args(annotation)
-    return next(filter(None, map(choices_of, get_args(annotation))), ())

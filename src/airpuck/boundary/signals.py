@@ -1,4 +1,4 @@
-"""Signals that end a command: Ctrl-C, SIGTERM, and SIGHUP when the terminal closes.
+"""Long calls: their progress, and signals that end them: Ctrl-C, SIGTERM, a closed terminal.
 
 One handler serves the whole life of the command line. Before a command begins and after it has
 ended, nothing needs to be tidied up, and the handler ends the process. While a command runs, it
@@ -7,10 +7,12 @@ raises `Stopped`, so that temporary files are removed on the way out.
 
 from __future__ import annotations
 
+import builtins
 import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
@@ -22,6 +24,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _AGAIN = 0.01
 #: Functions that load a library in C++, which aborts the process at an exception.
 _LOADERS = ("ExtensionFileLoader.create_module", "ExtensionFileLoader.exec_module")
+#: Time between two lines [s].
+_SILENCE = 10.0
 
 
 class Stopped(KeyboardInterrupt):
@@ -127,3 +131,19 @@ def stoppable() -> Iterator[None]:
         for number, handler in taken.items():
             signal.signal(number, handler)
         sys.unraisablehook = hook
+
+
+class Progress:
+    """Prints a line on standard error every ten seconds, if that is a terminal or a notebook."""
+
+    def __init__(self) -> None:
+        self.began = time.monotonic()
+        self._due = self.began + _SILENCE
+
+    def __call__(self, line: object) -> None:
+        """Print a line if it is time."""
+        if time.monotonic() < self._due:
+            return
+        self._due = time.monotonic() + _SILENCE
+        if sys.stderr.isatty() or hasattr(builtins, "__IPYTHON__"):
+            print(line, file=sys.stderr, flush=True)

@@ -15,8 +15,7 @@ from pathlib import Path
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.limits import FOLDER_FILES, refused
-from airpuck.recording.files import sha256
+from airpuck.boundary.limits import FOLDER_FILES, refused, sha256
 
 #: Bytecode, which changes while code runs.
 _CACHE = "__pycache__"

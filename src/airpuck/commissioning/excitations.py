@@ -16,7 +16,7 @@ from airpuck.commissioning.steps import careful, hovering
 from airpuck.control.excitation import Excitation
 from airpuck.control.settings import ExcitationPlan
 from airpuck.craft.vehicle import Vehicle
-from airpuck.deviation.pose_regression import shortest_judged
+from airpuck.deviation.motor_regression import shortest_judged
 from airpuck.deviation.time_scale import response_time
 from airpuck.judgement.findings import ACCELERATION_LIMIT, RESPONSE_LIMIT
 from airpuck.judgement.study import Study, study

@@ -25,10 +25,17 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.data.sampling import hold
 from airpuck.data.trajectory import Trajectory
-from airpuck.deviation.model_errors import ModelError, tested_errors, verdicts
 from airpuck.deviation.motor_regression import block_regression
 from airpuck.deviation.packet_delays import delay_for
-from airpuck.deviation.significance import BAND, IN_RECORDING, LEVEL, holm
+from airpuck.deviation.significance import (
+    BAND,
+    IN_RECORDING,
+    LEVEL,
+    ModelError,
+    holm,
+    tested_errors,
+    verdicts,
+)
 from airpuck.evaluation.innovations import Innovations, innovations
 from airpuck.evaluation.late_packets import LatePackets, late_packets
 from airpuck.evaluation.statistical_tests import (

@@ -32,7 +32,7 @@ from airpuck.faults.propeller_check import (
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.motor import motor_speeds
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.smoothing import smoothed_as_measured
+from airpuck.preprocessing.derivative import smoothed_as_measured
 
 #: Explained fraction, relative to the best, from which signs count as explaining as much.
 _AS_GOOD = 0.8

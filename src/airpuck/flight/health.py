@@ -13,9 +13,8 @@ from jaxtyping import Float
 
 from airpuck.control.tuning import tuning_for
 from airpuck.craft.table import Table
-from airpuck.deviation.model_errors import ModelError, tested_errors
 from airpuck.deviation.motor_regression import normal_equations, solved, with_effectiveness
-from airpuck.deviation.significance import IN_FLIGHT
+from airpuck.deviation.significance import IN_FLIGHT, ModelError, tested_errors
 from airpuck.estimate.estimator import HeldCommands
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.estimate.starts import FailedStart, StartMonitor

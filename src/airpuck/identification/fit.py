@@ -56,7 +56,7 @@ from airpuck.model.parameters import LAG, Parameters, fix_gauge
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
-from airpuck.preprocessing.smoothing import is_slow
+from airpuck.preprocessing.derivative import is_slow
 
 #: Step of a difference quotient by a wheel's lag, in its standard errors.
 _LAG_STEP = 0.1

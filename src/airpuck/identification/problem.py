@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.progress import Progress
+from airpuck.boundary.signals import Progress
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers, vehicle_of
 from airpuck.data.windows import make_windows

@@ -28,9 +28,14 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import DelayJitter
 from airpuck.physics.motor import motor_speeds
-from airpuck.preprocessing.derivative import shortest_stretch, velocity
-from airpuck.preprocessing.quality import smooth_stretches
-from airpuck.preprocessing.smoothing import in_parts, is_slow, smoothing_times
+from airpuck.preprocessing.derivative import (
+    in_parts,
+    is_slow,
+    shortest_stretch,
+    smooth_stretches,
+    smoothing_times,
+    velocity,
+)
 
 #: Fewest degrees of freedom from which a spread is estimated.
 _FEWEST = 9

@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 import pydantic
+from jaxtyping import Bool
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, NonNegative, Positive, checked, load_json, load_yaml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
+from airpuck.model.parameters import Parameters
 from airpuck.model.quantities import Rows
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import with_nominal_delay
@@ -53,6 +55,25 @@ class _AuthorsModel(pydantic.BaseModel):
     model_params: _AuthorsValues
 
 
+def of_authors(
+    name: str, vehicle: Vehicle, parameters: Parameters, free: Bool[np.ndarray, " P"], source: str
+) -> dict[str, Any]:
+    """Return the fields of a `Model` in the authors' conventions.
+
+    The offset of the centre of mass is fixed to the world, and the encoder takes commands at the
+    end of each interval.
+    """
+    return {
+        "name": name,
+        "vehicle": vehicle,
+        "parameters": parameters,
+        "free": free,
+        "frame": "world",
+        "indexing": "end",
+        "source": source,
+    }
+
+
 def read_params_json(path: Path) -> dict[str, Any]:
     """Return the fields of the `Model` in a params.json: the default vehicle, with their mass."""
     content = checked(load_json(path), _AuthorsModel, file=path)
@@ -64,15 +85,7 @@ def read_params_json(path: Path) -> dict[str, Any]:
     parameters = with_nominal_delay(section, vehicle, file=path)
     mask = parameters.mask(frozenset(name for name, learned in switches if learned))
     rung = (n for n, p in RUNGS.items() if np.array_equal(p.mask(parameters), mask))
-    return {
-        "name": next(rung, path.parent.name),
-        "vehicle": vehicle,
-        "parameters": parameters,
-        "free": mask,
-        "frame": "world",
-        "indexing": "end",
-        "source": str(path),
-    }
+    return of_authors(next(rung, path.parent.name), vehicle, parameters, mask, str(path))
 
 
 _of_motors: dict[str, Any] = {
@@ -137,12 +150,5 @@ def read_params_yaml(path: Path) -> dict[str, Any]:
     }
     vehicle = checked(usual.model_dump() | changed, Vehicle, file=path)
     parameters = with_nominal_delay(section, vehicle, file=path)
-    return {
-        "name": path.stem,
-        "vehicle": vehicle,
-        "parameters": parameters,
-        "free": parameters.mask(frozenset()),
-        "frame": "world",
-        "indexing": "end",
-        "source": str(path),
-    }
+    free = parameters.mask(frozenset())
+    return of_authors(path.stem, vehicle, parameters, free, str(path))

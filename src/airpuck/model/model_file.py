@@ -22,7 +22,7 @@ from airpuck.boundary.results import frame
 from airpuck.boundary.user_code import with_code
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
-from airpuck.model.authors_params import read_params_json, read_params_yaml
+from airpuck.model.authors_params import of_authors, read_params_json, read_params_yaml
 from airpuck.model.parameters import Parameters, nominal_parameters
 from airpuck.model.rungs import RUNGS, Rung, rung_of
 from airpuck.model.sections import (
@@ -33,9 +33,15 @@ from airpuck.model.sections import (
     read_fields,
     with_nominal_delay,
 )
-from airpuck.model.simulation import derivative, draw, simulate
-from airpuck.model.tables import covariance_rows, parameter_rows, parameters_html
-from airpuck.model.uncertainty import Cameras, DelayJitter, Uncertainty
+from airpuck.model.simulation import derivative, draw, simulate, statespace
+from airpuck.model.uncertainty import (
+    Cameras,
+    DelayJitter,
+    Uncertainty,
+    covariance_rows,
+    parameter_rows,
+    parameters_html,
+)
 from airpuck.physics.effects import Effect
 from airpuck.physics.rigid_body import CenterOfMassFrame, Dynamics
 
@@ -307,7 +313,6 @@ class Model:
         """
         if self.known is None:
             return np.full(np.shape(quantity(self)), np.nan)
-
         return self.known.propagate(lambda vector: quantity(_moved(self, vector.tobytes())))
 
     def table(self) -> Any:
@@ -368,8 +373,6 @@ class Model:
             If python-control is not installed, the number of commands differs from the number of
             propellers, or a number is out of range.
         """
-        from airpuck.model.simulation import statespace
-
         names = self.vehicle.propeller_names
         return statespace(self.dynamics, self.name, names, yaw, command, period)
 
@@ -449,11 +452,7 @@ def _published() -> dict[str, Any]:
 
 
 def published_model(name: str) -> Model:
-    """Return a model with the parameters published with the paper; see `read_model`.
-
-    It uses the paper's conventions: the offset of the centre of mass is fixed to the world, and the
-    encoder takes commands at the end of each interval.
-    """
+    """Return a model with the parameters published with the paper; see `read_model`."""
     published = _published()
     if name not in published:
         raise InputError(
@@ -464,15 +463,8 @@ def published_model(name: str) -> Model:
         )
     vehicle = default_vehicle()
     parameters = with_nominal_delay(published[name], vehicle)
-    return Model(
-        name=name,
-        vehicle=vehicle,
-        parameters=parameters,
-        free=RUNGS[name].mask(parameters),
-        frame="world",
-        indexing="end",
-        source=f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543",
-    )
+    source = f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543"
+    return Model(**of_authors(name, vehicle, parameters, RUNGS[name].mask(parameters), source))
 
 
 def nominal_model(vehicle: Vehicle) -> Model:

@@ -145,15 +145,15 @@ def _check(array: Any, length: int, field: str) -> None:
 _PASSES = 10
 
 
-def trim(dynamics: Dynamics, level: float = 0.5, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
+def trim(dynamics: Dynamics, yaw: float = 0.0) -> Float[np.ndarray, " n"]:
     """Find commands that keep the craft at rest.
 
-    Among all thrusts that cancel, Π F = 0, choose those nearest to every motor's thrust at `level`.
-    If optional effects disturb this trim, Newton's method continues from there with minimum-norm
-    steps.
+    Among all thrusts that cancel, Π F = 0, choose those nearest to every motor's thrust at half
+    speed. If optional effects disturb this trim, Newton's method continues from there with
+    minimum-norm steps.
     """
     configuration = np.asarray(dynamics.configuration)
-    wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], level))
+    wanted = thrust(dynamics.thrust, np.full(configuration.shape[1], 0.5))
     cancelling = wanted - np.linalg.pinv(configuration) @ (configuration @ wanted)
     command = inverse_thrust(np, dynamics.thrust, cancelling)
     if not dynamics.effects:

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from airpuck.preprocessing.missing import longest_pause
+from airpuck.preprocessing.quality import longest_pause
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.stream import Stream, rows_of
 

@@ -12,7 +12,7 @@ from airpuck.physics.motor import motor_speeds
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.rigid_body import acceleration as model_acceleration
 from airpuck.physics.thrust import thrust
-from airpuck.preprocessing.smoothing import smoothed_as_measured
+from airpuck.preprocessing.derivative import smoothed_as_measured
 
 #: Longest delay that the search covers.
 LONGEST_S = numbers.DELAY.high

@@ -1,13 +1,23 @@
-"""Velocity and acceleration from smoothed poses (subsec:data_preprocessing)."""
+"""Velocity and acceleration from smoothed poses (subsec:data_preprocessing).
+
+Poses of a slow craft are noisier than their motion and are smoothed for longer. The time follows
+from the white noise σ of the poses, their rate f, and the acceleration a that a typical actuator
+causes at full command (`airpuck.deviation.time_scale`), for positions and for yaw.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from airpuck.data.sampling import usual_period
+from airpuck.craft.vehicle import Vehicle
+from airpuck.data.sampling import longest_bridge, runs, usual_period
+from airpuck.data.trajectory import Span, Trajectory, vehicle_of
+from airpuck.deviation.time_scale import measured_poses, pose_noise, usual_pushes
 
 #: Order of the smoothing polynomials, and their time spans for velocity and for acceleration: 11
 #: and 15 samples at 240 Hz [s]. Both grow in proportion for a slow craft
@@ -22,6 +32,13 @@ _AT_ONCE = 1 << 20
 _UNEVEN = 0.1
 #: Weight of an interpolated pose, which only keeps local polynomials determined.
 _INTERPOLATED = 1e-6
+#: Cause of a span around a jump.
+JUMP = "jumping pose"
+#: Longest useful time [s]: beyond it, cables, slopes and draughts matter more than pose noise.
+_LONGEST = 0.5
+#: The slope of a cubic over L has the variance 75 σ²/(f L³). Where the acceleration jumps by a, its
+#: bias is 0.039 a L at the jump and less beside it; this is the usual bias in units of a L.
+_SLOPE_NOISE, _SLOPE_BIAS = 75.0, 0.035
 
 
 def window_length(duration: float, period: float) -> int:
@@ -187,3 +204,86 @@ def _local_derivative(
         coefficients = np.linalg.solve(moments @ powers, moments @ values[index])
         found[each] = math.factorial(order) * coefficients[:, order] / half**order
     return found
+
+
+def smoothing_times(
+    time: Float[np.ndarray, " N"], pose: Float[np.ndarray, "N 3"], vehicle: Vehicle
+) -> tuple[float, float]:
+    """Return the times over which positions and yaw are smoothed for velocities [s].
+
+    At least 46 ms; they balance the noise of the velocity and its bias where an actuator switches.
+    """
+    linear, angular = usual_pushes(vehicle)
+    return _time(time, pose[:, :2], linear), _time(time, pose[:, 2:], angular)
+
+
+def _time(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"], push: float) -> float:
+    """Return a smoothing time; see `smoothing_times`."""
+    if not push > 0 or len(time) < 2:
+        return VELOCITY_TIME
+    ratio = (pose_noise(time, values, push) / (_SLOPE_BIAS * push)) ** 2 * usual_period(time)
+    best = (1.5 * _SLOPE_NOISE * ratio) ** 0.2
+    return min(max(best, VELOCITY_TIME), _LONGEST)
+
+
+def in_parts(
+    derive: Callable[..., Float[np.ndarray, "N k"]],
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N 3"],
+    period: float,
+    durations: Sequence[float],
+    measured: Bool[np.ndarray, " N"] | None = None,
+) -> Float[np.ndarray, "N 3"]:
+    """Differentiate positions and yaw, each with its own smoothing time."""
+    parts = zip(np.split(values, [2], axis=1), durations, strict=True)
+    found = [derive(time, part, period, duration, measured) for part, duration in parts]
+    return np.concatenate(found, axis=1)
+
+
+def smooth_stretches(
+    time: Float[np.ndarray, " N"],
+    bridged: Bool[np.ndarray, " N"],
+    duration: float,
+    spans: Sequence[Span],
+) -> list[slice]:
+    """Cut a stream where smoothing must not reach across.
+
+    These are pauses that leave velocities unknown and, for longer smoothing than usual, jumps among
+    excluded spans: the usual smoothing affects no poses beyond the span of a jump.
+    """
+    cuts = set((np.flatnonzero(np.diff(time) > longest_bridge(usual_period(time))) + 1).tolist())
+    if duration > VELOCITY_TIME:
+        jumps = [edge for span in spans if span.cause == JUMP for edge in (span.start, span.stop)]
+        cuts.update(np.searchsorted(time, jumps).tolist())
+    found = []
+    for first, last in runs(bridged):
+        inside = sorted(cut for cut in cuts if first < cut < last)
+        found += [slice(a, b) for a, b in pairwise([first, *inside, last])]
+    return found
+
+
+def is_slow(trajectory: Trajectory) -> bool:
+    """Return whether the poses of a recording were smoothed for longer than usual."""
+    return (
+        max(smoothing_times(*measured_poses(trajectory), vehicle_of([trajectory]))) > VELOCITY_TIME
+    )
+
+
+def smoothed_as_measured(
+    trajectory: Trajectory, modelled: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Smooth modelled accelerations like the measured ones of a slow craft.
+
+    The usual smoothing is too short to matter.
+    """
+    time, period = trajectory.time, trajectory.sample_period
+    durations = smoothing_times(*measured_poses(trajectory), vehicle_of([trajectory]))
+    if max(durations) <= VELOCITY_TIME:
+        return modelled
+    # Positions or yaw that were smoothed as usual are left alone, by smoothing over one sample.
+    lasting = tuple(acceleration_time(d) if d > VELOCITY_TIME else 0.0 for d in durations)
+    smoothed = modelled.copy()
+    for part in smooth_stretches(time, trajectory.bridged, max(durations), trajectory.excluded):
+        if len(time[part]) >= shortest_stretch(period):
+            smoothed[part] = in_parts(smooth, time[part], modelled[part], period, lasting)
+    return smoothed

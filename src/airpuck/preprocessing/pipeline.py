@@ -23,12 +23,14 @@ from airpuck.physics.rigid_body import Dynamics
 from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import Aligned, align_clocks, continued
 from airpuck.preprocessing.delay import commands_explain, estimate_delay, motion_precedes
-from airpuck.preprocessing.derivative import acceleration, shortest_stretch, unwrap_yaw, velocity
-from airpuck.preprocessing.missing import (
-    interpolated,
-    longest_pause,
-    lost_frames_words,
-    with_lost_frames,
+from airpuck.preprocessing.derivative import (
+    acceleration,
+    in_parts,
+    shortest_stretch,
+    smooth_stretches,
+    smoothing_times,
+    unwrap_yaw,
+    velocity,
 )
 from airpuck.preprocessing.quality import (
     COMMAND_GAP_PERIODS,
@@ -39,11 +41,13 @@ from airpuck.preprocessing.quality import (
     find_frozen,
     find_gaps,
     find_jumps,
+    interpolated,
+    longest_pause,
+    lost_frames_words,
     other_parts,
-    smooth_stretches,
     steps_of_motion,
+    with_lost_frames,
 )
-from airpuck.preprocessing.smoothing import in_parts, smoothing_times
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.read import read_recording
 from airpuck.recording.stream import Recording

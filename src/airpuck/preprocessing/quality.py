@@ -1,4 +1,9 @@
-"""Data quality: requirements on streams, and detection of unusable samples."""
+"""Data quality: requirements on streams, unusable samples, and lost frames of the cameras.
+
+A prediction needs a start and commands, but not every pose. So a sample stands for each lost frame:
+windows of equally many samples last equally long. Its state is interpolated and marked as not
+measured. Only a long pause remains a gap.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +18,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary.errors import InputError
 from airpuck.data.sampling import longest_bridge, runs, usual_period
 from airpuck.data.trajectory import Span
-from airpuck.preprocessing.derivative import ACCELERATION_TIME, VELOCITY_TIME, window_length
-from airpuck.preprocessing.missing import longest_pause
+from airpuck.preprocessing.derivative import ACCELERATION_TIME, JUMP, window_length
 from airpuck.recording.stream import Stream
 
 #: Cause of the spans that are left out beside a step of a clock.
@@ -29,8 +33,6 @@ _JUMP_RATIO = 10.0
 _JUMP_SPEED = (0.24, 0.24, 4.8)
 #: Time span of a step's neighbours, centred on the step [s].
 _NEIGHBOURS = 11 / 240
-#: Cause of a span around a jump.
-_JUMP = "jumping pose"
 #: Number of windows sorted at once, which bounds memory.
 _SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
@@ -48,6 +50,10 @@ _PERIODS = (1e-4, 0.5)
 #: commands to judge by.
 _COMMAND_PERIODS = (5e-5, 5.0)
 _FEW = 20
+#: Longest pause that is no gap [s]: 0.1 s of lost frames. Longer ones hide what the craft does.
+_LONGEST = 0.125
+#: Fraction of lost frames that is mentioned.
+_MENTIONED = 0.001
 
 
 class Samples(NamedTuple):
@@ -251,28 +257,6 @@ def find_gaps(
     return tuple(Span(float(time[k]), float(time[k + 1]), cause) for k in before)
 
 
-def smooth_stretches(
-    time: Float[np.ndarray, " N"],
-    bridged: Bool[np.ndarray, " N"],
-    duration: float,
-    spans: Sequence[Span],
-) -> list[slice]:
-    """Cut a stream where smoothing must not reach across.
-
-    These are pauses that leave velocities unknown and, for longer smoothing than usual, jumps among
-    excluded spans: the usual smoothing affects no poses beyond the span of a jump.
-    """
-    cuts = set((np.flatnonzero(np.diff(time) > longest_bridge(usual_period(time))) + 1).tolist())
-    if duration > VELOCITY_TIME:
-        jumps = [edge for span in spans if span.cause == _JUMP for edge in (span.start, span.stop)]
-        cuts.update(np.searchsorted(time, jumps).tolist())
-    found = []
-    for first, last in runs(bridged):
-        inside = sorted(cut for cut in cuts if first < cut < last)
-        found += [slice(a, b) for a, b in pairwise([first, *inside, last])]
-    return found
-
-
 def find_frozen(
     time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
 ) -> tuple[Span, ...]:
@@ -309,7 +293,7 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     for after in (np.flatnonzero(jumps) + 1).tolist():
         spoilt[max(after - reach, 0) : after + reach] = True
     return tuple(
-        Span(float(time[first]), float(time[last - 1]), _JUMP) for first, last in runs(spoilt)
+        Span(float(time[first]), float(time[last - 1]), JUMP) for first, last in runs(spoilt)
     )
 
 
@@ -324,3 +308,68 @@ def _running_median(values: Float[np.ndarray, "N k"], window: int) -> Float[np.n
         part = slice(first, first + _SORTED_AT_ONCE)
         found[part] = np.partition(windows[part], half, axis=-1)[..., half]
     return found
+
+
+def longest_pause(period: float) -> float:
+    """Return the longest pause between poses that is no gap [s]."""
+    return max(_LONGEST, longest_bridge(period))
+
+
+def with_lost_frames(
+    time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N k"]
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, "M k"], Bool[np.ndarray, " M"]]:
+    """Add a sample for each lost frame; return times, values, and which are measured."""
+    pause, period = np.diff(time), usual_period(time)
+    lost = np.where(pause <= longest_pause(period), np.rint(pause / period) - 1, 0)
+    lost = np.maximum(lost, 0).astype(int)
+    before = np.repeat(np.arange(len(pause)), lost)
+    number = 1 + np.arange(len(before)) - np.repeat(np.cumsum(lost) - lost, lost)
+    added = time[before] + pause[before] * number / (lost[before] + 1)
+    order = np.argsort(np.concatenate([time, added]), kind="stable")
+    measured = order < len(time)
+    between = np.concatenate([values, np.zeros((len(added), values.shape[1]))])[order]
+    times = np.concatenate([time, added])[order]
+    if len(added):
+        rates = np.zeros_like(between)
+        rates[measured] = np.gradient(values, time, axis=0)
+        between, _ = interpolated(times, between, rates, measured)
+    return times, between, measured
+
+
+def interpolated(
+    time: Float[np.ndarray, " N"],
+    values: Float[np.ndarray, "N k"],
+    rates: Float[np.ndarray, "N k"],
+    known: Bool[np.ndarray, " N"],
+) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k"]]:
+    """Fill in unknown values and rates from cubics between their known neighbours."""
+    places, unknown = np.flatnonzero(known), np.flatnonzero(~known)
+    # Unknown samples beyond the first or the last known one keep what they have.
+    unknown = unknown[(unknown > places[0]) & (unknown < places[-1])]
+    after = np.searchsorted(places, unknown)
+    begin, end = places[after - 1], places[after]
+    length = (time[end] - time[begin])[:, None]
+    u = (time[unknown] - time[begin])[:, None] / length
+    step = values[end] - values[begin]
+    first, last = length * rates[begin] - step, step - length * rates[end]
+    values, rates = values.copy(), rates.copy()
+    values[unknown] = values[begin] + u * step + u * (1 - u) * (first * (1 - u) + last * u)
+    slope = (1 - 2 * u) * (first * (1 - u) + last * u) + u * (1 - u) * (last - first)
+    rates[unknown] = (step + slope) / length
+    return values, rates
+
+
+def lost_frames_words(
+    time: Float[np.ndarray, " N"], measured: Bool[np.ndarray, " N"]
+) -> tuple[str, ...]:
+    """Return a warning that states how many frames are lost, if any number worth mentioning."""
+    share = 1 - float(measured.mean())
+    if share < _MENTIONED:
+        return ()
+    known = time[measured]
+    pause = np.diff(known)
+    longest = float(pause[pause <= longest_pause(usual_period(known))].max())
+    return (
+        f"{100 * share:.1f} % of the frames are lost (up to {longest:.3f} s in a row); they count "
+        "as poses that were not measured",
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path, PurePath
 from types import MappingProxyType
@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, listing, shortened
 from airpuck.boundary.files import load_yaml
-from airpuck.boundary.limits import DEFINITION_BYTES
+from airpuck.boundary.limits import DEFINITION_BYTES, sha256
+from airpuck.boundary.outputs import new_folder
 from airpuck.recording.cdr import Types, typestore
 from airpuck.recording.conversion import SECOND_NS
-from airpuck.recording.files import listing, new_folder, several_recordings, sha256, shortened
 from airpuck.recording.mapping import RecordingMapping, Topics, refuse_csv_settings
 from airpuck.recording.mcap_file import read_mcap
 from airpuck.recording.message import StreamCodec
@@ -77,6 +77,12 @@ def read_bag(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Rec
     about = metadata.get("custom_data")
     about = {str(k): str(v) for k, v in about.items()} if isinstance(about, dict) else {}
     return Recording(streams, str(path), hashes, _warnings(log, metadata) + said, about)
+
+
+def several_recordings(found: Iterable[Path], folder: Path) -> InputError:
+    """Return the error for a folder from which one recording must be chosen."""
+    names = listing(path.name for path in found)
+    return InputError(f"contains several recordings; choose one of {names}", file=folder)
 
 
 def _metadata(path: Path) -> dict[str, Any]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, listing, shortened
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.mapping import MASK_BITS, CommandMapping, PoseMapping
 
@@ -272,3 +273,25 @@ def propellers_of(names: tuple[str, ...], mapping: CommandMapping) -> tuple[str,
             field="command.propellers",
         )
     return mapping.propellers or names
+
+
+def chosen_body(
+    names: Iterable[str],
+    body: str,
+    path: str | os.PathLike[str] | None = None,
+    stream: str = "pose",
+) -> str:
+    """Return the rigid body to read: the only one, or the one named in the mapping."""
+    found = list(dict.fromkeys(names))
+    if body in found:
+        return body
+    if len(found) == 1 and not body:
+        return found[0]
+    if not found:
+        raise InputError("names no rigid bodies; leave out body", file=path, field=f"{stream}.body")
+    raise InputError(
+        f"contains the rigid bodies {listing(found)}; choose one in the mapping, as in "
+        f'{stream} = {{body = "{shortened(found[0])}"}}',
+        file=path,
+        field=f"{stream}.body" if body else None,
+    )

@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, listing, nearest
+from airpuck.boundary.limits import sha256
+from airpuck.boundary.outputs import new_folder
 from airpuck.recording.cdr import Field
 from airpuck.recording.conversion import SECOND_NS
 from airpuck.recording.csv_table import (
@@ -28,7 +30,6 @@ from airpuck.recording.csv_table import (
     plain_table,
     read_rows,
 )
-from airpuck.recording.files import listing, new_folder, sha256
 from airpuck.recording.mapping import (
     CommandMapping,
     Orientation,

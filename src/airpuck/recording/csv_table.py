@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, listing, nearest, shortened
 from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
-from airpuck.recording.conversion import NO_MASK, SECOND_NS, is_mask
-from airpuck.recording.files import chosen_body, listing, shortened
+from airpuck.recording.conversion import NO_MASK, SECOND_NS, chosen_body, is_mask
 from airpuck.recording.mapping import MASK_BITS
 
 #: Separators of columns.

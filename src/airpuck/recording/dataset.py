@@ -13,10 +13,10 @@ from typing import Annotated
 import pydantic
 
 from airpuck.boundary import limits
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, listing, nearest
 from airpuck.boundary.files import Positive, Section, read_toml
+from airpuck.boundary.limits import sha256
 from airpuck.boundary.outputs import replacing, unwritable
-from airpuck.recording.files import listing, sha256
 
 #: Environment variable that names a copy of the paper's dataset.
 VARIABLE = "AIRPUCK_DATA"

@@ -169,14 +169,6 @@ def stamp_paths(fields: Sequence[Field]) -> tuple[str, ...]:
     return STAMP if {field.path for field in fields}.issuperset(STAMP) else ()
 
 
-def columns_of(stream: str, values: Sequence[Float[np.ndarray, " N"]]) -> Float[np.ndarray, "N k"]:
-    """Turn a message's fields, in the order of `PATHS`, into the stream's columns."""
-    if stream in POSES and len(values) > len(COLUMNS[stream]):
-        x, y, _, *quaternion = values
-        values = (x, y, yaw_of(*quaternion))
-    return np.stack(values, axis=1, dtype=np.float64)
-
-
 def command_type(motors: tuple[str, ...]) -> tuple[str, Types]:
     """Choose the message type for writing a command, and return its definition."""
     from rosbags.typesys import get_types_from_msg
@@ -284,4 +276,7 @@ class StreamCodec:
         if self._stamps:
             stamp = numbers[0] * SECOND_NS + numbers[1]
             numbers = numbers[2:]
-        return stamp, columns_of(self._stream, list(np.array(numbers, dtype=float)[:, None]))[0]
+        values = np.array(numbers, dtype=float)
+        if self._stream in POSES:
+            values = np.array([*values[:2], *yaw_of(*values[3:, None])])
+        return stamp, values

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from airpuck.boundary.errors import InputError
+from airpuck.recording.conversion import chosen_body
 from airpuck.recording.csv_table import CsvTable, Rows, beginning, table_below
-from airpuck.recording.files import chosen_body
 from airpuck.recording.mapping import AXES, Orientation
 
 _MOTIVE = "Format Version"

@@ -12,9 +12,8 @@ import numpy as np
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import within_means
 from airpuck.craft.vehicle import unnamed_columns
-from airpuck.recording.bag import METADATA, is_bag, read_bag
+from airpuck.recording.bag import METADATA, is_bag, read_bag, several_recordings
 from airpuck.recording.csv_folder import is_csv_folder, is_table, read_csv
-from airpuck.recording.files import several_recordings
 from airpuck.recording.mapping import RecordingMapping, Topics
 from airpuck.recording.stream import Recording, Stream, of_cameras, rows_of
 from airpuck.recording.ulog_file import ULOG, read_ulog

@@ -9,11 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int64, Shaped
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, listing, nearest, shortened
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.cdr import Field, Types, decode, decode_singly, flatten
-from airpuck.recording.conversion import SECOND_NS, commands_of, poses_of, propellers_of, stamps_of
-from airpuck.recording.files import chosen_body, listing, shortened
+from airpuck.recording.conversion import (
+    SECOND_NS,
+    chosen_body,
+    commands_of,
+    poses_of,
+    propellers_of,
+    stamps_of,
+)
 from airpuck.recording.mapping import (
     AXES,
     ENTRY,

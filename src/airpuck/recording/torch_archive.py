@@ -21,10 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError, nearest
-from airpuck.boundary.limits import Archive, within_means
+from airpuck.boundary.errors import InputError, listing, nearest, shortened
+from airpuck.boundary.limits import Archive, sha256, within_means
 from airpuck.data.trajectory import Trajectory
-from airpuck.recording.files import listing, sha256, shortened
 from airpuck.recording.message import HOLOHOVER_MOTORS
 
 #: Shape of a sample of each tensor.

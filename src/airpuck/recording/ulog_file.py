@@ -16,10 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, nearest
-from airpuck.boundary.limits import DEFINITION_SIZE, refused
+from airpuck.boundary.errors import InputError, listing, nearest
+from airpuck.boundary.limits import DEFINITION_SIZE, refused, sha256
 from airpuck.recording.cdr import Field
-from airpuck.recording.files import listing, sha256
 from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
 from airpuck.recording.stream import Recording, Stream
 from airpuck.recording.topic_stream import section_of, stream_of

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.craft.table import Table
-from airpuck.deviation.model_errors import ModelError
+from airpuck.deviation.significance import ModelError
 from airpuck.flight.clock import DEADLINE, JITTER_P99, LATENCY_P99, Every
 from airpuck.flight.health import HORIZON, Health
 from airpuck.live.fly import NAME as FLY
