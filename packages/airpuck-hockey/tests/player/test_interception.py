@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from airpuck.control.reference import Rendezvous, SetPoint
 from airpuck.physics.puck import Disc, PuckState, strike
 from airpuck.physics.puck_on_table import PuckOnTable
-from airpuck_hockey.player.goalkeeper import Defend
+from airpuck_hockey.player.defence import Defend
 from airpuck_hockey.player.interception import (
     Outlook,
     PlannedContact,

@@ -40,7 +40,7 @@ from airpuck.extend import (
 from airpuck_hockey.game.contestant import Contestant
 from airpuck_hockey.game.hand import Hand
 from airpuck_hockey.game.rules import Referee, Rules
-from airpuck_hockey.player.frame import Frame
+from airpuck_hockey.player.tactic import Frame
 
 #: Random stream of the game, and streams of the cameras of a game without craft; see
 #: `airpuck.twin.sensors.pose_sensor`.

@@ -27,9 +27,8 @@ from airpuck.extend import (
 from airpuck_hockey.game.contestant import tactic_maker
 from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.attack import Shoot
-from airpuck_hockey.player.goalkeeper import Defend, Wait
+from airpuck_hockey.player.defence import Catch, Defend, Free, Wait
 from airpuck_hockey.player.player import Player, pitch_of
-from airpuck_hockey.player.possession import Catch, Free
 from airpuck_hockey.player.tactic import Pitch, Tactic
 
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].

@@ -28,10 +28,9 @@ from airpuck import (
 )
 from airpuck.extend import MinimalTimes, check_steerable, checked_class, minimal_times_of, numbers
 from airpuck_hockey.player.all_rounder import AllRounder
-from airpuck_hockey.player.frame import Frame
 from airpuck_hockey.player.level import LEVELS, Level, slower, weakened
 from airpuck_hockey.player.rival import Rival, RivalWatcher
-from airpuck_hockey.player.tactic import Intention, Pitch, Tactic, View
+from airpuck_hockey.player.tactic import Frame, Intention, Pitch, Tactic, View
 from airpuck_hockey.puck.prediction import drawn_path
 from airpuck_hockey.puck.puck_filter import PuckFilter
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Model, Pilot
 from airpuck.extend import Action, Every, MeasurementKind, Outbox, Pages, Process, packed_state
-from airpuck_hockey.live.score import NAMES, Score
+from airpuck_hockey.game.scorekeeper import NAMES, Score
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.page import hello_of, thought_of
 
