@@ -20,8 +20,15 @@ from airpuck.planning.minimal_time import craft_of, read_minimal_times
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
-from airpuck_hockey.player.level import LEVELS, Level, slower, weakened
-from airpuck_hockey.player.player import Player, check_player, pitch_of
+from airpuck_hockey.player.player import (
+    LEVELS,
+    Level,
+    Player,
+    check_player,
+    pitch_of,
+    slower,
+    weakened,
+)
 from airpuck_hockey.player.tactic import Frame, Intention
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()

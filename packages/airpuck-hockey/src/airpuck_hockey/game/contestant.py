@@ -10,8 +10,7 @@ from airpuck import AirHockey, InputError, Model, Pilot, PuckState
 from airpuck.extend import UserCode, nearest, numbers_of, sheltered
 from airpuck_hockey.game.hand import HANDS, KEEPERS, Hand, HumanHand, Place
 from airpuck_hockey.player.all_rounder import predecessor
-from airpuck_hockey.player.level import LEVELS, Level
-from airpuck_hockey.player.player import Player
+from airpuck_hockey.player.player import LEVELS, Level, Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
 
 #: Names of the package's own players; other names are files.
