@@ -184,7 +184,7 @@ class Scorekeeper:
         if self._referee.phase == "over":
             self._referee = Referee(self._rules, self._equipment, side)
             self.games += 1
-        self._referee.resume(time, side)
+        self._referee.serve(time, side)
         self._away = False
 
     def _is_measured(self, pose: Float[np.ndarray, " 3"]) -> bool:

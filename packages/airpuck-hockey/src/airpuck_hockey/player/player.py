@@ -321,12 +321,13 @@ class Player(Pilot):
     def _see(self, time: float) -> None:
         """Update puck and opponent with the poses that are visible by now."""
         seen = time - self.level.reaction_s
-        while self._puck_poses and self._puck_poses[0][0] <= seen:
-            stamp, pose = self._puck_poses.popleft()
-            self._see_puck(stamp, self.frame.states(pose))
-        while self._opponent_poses and self._opponent_poses[0][0] <= seen:
-            stamp, pose = self._opponent_poses.popleft()
-            self._see_opponent(stamp, self.frame.states(pose)[:2])
+        for waiting, see in (
+            (self._puck_poses, self._see_puck),
+            (self._opponent_poses, self._see_opponent),
+        ):
+            while waiting and waiting[0][0] <= seen:
+                stamp, pose = waiting.popleft()
+                see(stamp, self.frame.states(pose))
         belief = self.filter.belief
         age = math.inf if belief is None else seen - belief.time
         if self._same >= _FROZEN and self._before_same > _MOVING:
@@ -359,9 +360,9 @@ class Player(Pilot):
             banked = shot.chance or 0.0 if shot is not None and shot.kind == "bank" else 0.0
             self._watcher.shot(self.filter.events[-1].time, self._opponent[1], banked)
 
-    def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
+    def _see_opponent(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Update the opponent's position, and its velocity, smoothed over a few frames."""
-        velocity = np.zeros(2)
+        place, velocity = pose[:2], np.zeros(2)
         if self._opponent is not None:
             last, state = self._opponent
             if stamp <= last:
