@@ -65,13 +65,6 @@ def test_effort_is_the_greatest_acceleration_of_a_cubic():
         assert found == pytest.approx(most / PITCH.acceleration)
 
 
-def test_effort_from_rest_to_rest_by_hand():
-    # A cubic from rest to rest accelerates by 6 d / T² at its ends.
-    view = view_of((-0.3, 0, 0, 0, 0, 0), craft=(-0.8, 0, 0, 0, 0, 0))
-    found = effort(view, 0.5 + PITCH.delay, np.array([-0.5, 0.0]), np.zeros(2))
-    assert found == pytest.approx(6 * 0.3 / 0.5**2 / PITCH.acceleration)
-
-
 def test_a_contact_happens_at_its_time_with_its_normal():
     view = view_of((-0.4, 0.1, 0, 0.0, 0, 0))
     meeting = PlannedContact(0.8, 0.3, 1.0)
