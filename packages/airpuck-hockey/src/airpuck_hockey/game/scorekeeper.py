@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Pilot, PuckState
-from airpuck.extend import PAUSE, Action, Process, PuckOnTable
+from airpuck.extend import PAUSE, Action, Process
 from airpuck_hockey.game.rules import Referee, Rules, Ruling
+from airpuck_hockey.puck.prediction import goal_within
 from airpuck_hockey.puck.puck_filter import PuckFilter
 
 #: Consecutive poses that agree with the prediction before the puck's motion is trusted.
@@ -210,11 +211,10 @@ class Scorekeeper:
         horizon = _IN_THE_MOUTH if abs(state.x) > self._rail + _MOUTH else _AT_ONCE
         if abs(state.x + state.vx * horizon) < self._line:
             return None
-        alone = PuckOnTable(self._equipment, state, logs=False)
-        alone.run(horizon)
-        if not alone.goal:
+        goal = goal_within(self._equipment, state, horizon)
+        if not goal:
             return None
-        return _Leaving(alone.goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
+        return _Leaving(goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
 
     def _carried(self, leaving: _Leaving) -> bool:
         """Return whether the puck reappeared too far from the goal to have moved there unaided."""

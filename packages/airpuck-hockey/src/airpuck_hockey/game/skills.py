@@ -30,6 +30,7 @@ from airpuck_hockey.player.attack import Shoot
 from airpuck_hockey.player.defence import Catch, Defend, Free, Wait
 from airpuck_hockey.player.player import Player, pitch_of
 from airpuck_hockey.player.tactic import Pitch, Tactic
+from airpuck_hockey.puck.prediction import goal_within
 
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].
 _LENGTH, _WIDTH = 1.948, 1.038
@@ -269,9 +270,7 @@ def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
 
 def _enters(stage: Stage, start: PuckState) -> bool:
     """Return whether an untouched puck enters the craft's goal, directly or over rails."""
-    alone = PuckOnTable(stage.settings, start, logs=False)
-    alone.run(LONGEST)
-    return alone.goal < 0
+    return goal_within(stage.settings, start, LONGEST) < 0
 
 
 def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:

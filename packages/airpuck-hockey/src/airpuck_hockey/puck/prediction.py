@@ -185,6 +185,13 @@ def predict_path(
     return found
 
 
+def goal_within(equipment: AirHockey, state: PuckState, duration: float) -> int:
+    """Return the goal that an untouched puck enters within a time, by the sign of x; 0: none."""
+    alone = PuckOnTable(equipment, state, logs=False)
+    alone.run(duration)
+    return alone.goal
+
+
 def drawn_path(equipment: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
     """Return the path of an untouched puck over the next 1.2 s, with corners at the rails."""
     puck, bounces = _untouched(equipment, belief), []
