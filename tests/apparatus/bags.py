@@ -305,7 +305,7 @@ _LABS = {
 
 
 def labs_bag(path: Path) -> Path:
-    """Two seconds of a bag of ROS 1 with messages of the Stanford free-flyer and of PX4, in several chunks."""
+    """Two seconds of ROS 1 with messages of the Stanford free-flyer and of PX4, in chunks."""
     store, rng = get_typestore(Stores.ROS1_NOETIC), np.random.default_rng(11)
     t, writer, events = store.types, Ros1Writer(path), []
     writer.chunk_threshold = 3000
