@@ -32,7 +32,7 @@ from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.game import KINDS, PERIOD
 from airpuck_hockey.game.hand import HUMANS
 from airpuck_hockey.game.rules import Rules
-from airpuck_hockey.player.frame import Frame
+from airpuck_hockey.player.tactic import Frame
 
 # Numbers without a source are guesses.
 #: A hand has reacted when it is this far from where it would have been; the onset is extrapolated

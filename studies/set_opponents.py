@@ -21,8 +21,8 @@ from airpuck.physics.puck import PuckState
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck_hockey.game.contestant import contestant
-from airpuck_hockey.player.frame import Frame
 from airpuck_hockey.player.shot import flown
+from airpuck_hockey.player.tactic import Frame
 
 _FAMILIES = Path(__file__).with_name("opponents.py")
 OPPONENTS = ("human", "keeper", "wall", f"{_FAMILIES}:Banker", f"{_FAMILIES}:Wild")

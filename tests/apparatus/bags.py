@@ -304,15 +304,15 @@ _LABS = {
 }
 
 
-def labs_bag(path: Path, duration: float = 2.0) -> Path:
-    """A bag of ROS 1 with messages of the Stanford free-flyer and of PX4, in several chunks."""
+def labs_bag(path: Path) -> Path:
+    """Two seconds of ROS 1 with messages of the Stanford free-flyer and of PX4, in chunks."""
     store, rng = get_typestore(Stores.ROS1_NOETIC), np.random.default_rng(11)
     t, writer, events = store.types, Ros1Writer(path), []
     writer.chunk_threshold = 3000
     for topic, (name, fields, rate, values) in _LABS.items():
         px4 = name.startswith("px4")
         store.register(get_types_from_msg(fields if px4 else _STAMPED + fields, name))
-        for k in range(round(duration * rate)):
+        for k in range(2 * rate):
             stamp = START_NS + round(k * 1e9 / rate)
             stamped = t["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
             begin = (stamp // 1000, stamp // 1000, 0)

@@ -16,19 +16,50 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from mcap.writer import CompressionType
+
+import airpuck.cli
+import airpuck.judgement.verdict  # noqa: F401 # slow to import on a busy machine
+from airpuck.boundary.errors import InputError
+from airpuck.campaigns.campaign import read_spec
+from airpuck.control.reference import read_setpoints
+from airpuck.control.settings import read_excitation_plan
+from airpuck.control.tuning import read_tuning
+from airpuck.craft.vehicle import read_vehicle
+from airpuck.data.trajectory import Span
+from airpuck.data.trajectory_file import read_trajectory
+from airpuck.export.holohover import params_yaml
+from airpuck.model.model_file import read_model
+from airpuck.recording.cdr import decode, flatten
+from airpuck.recording.csv_folder import write_csv
+from airpuck.recording.mapping import PoseMapping, RecordingMapping, read_mapping
+from airpuck.recording.message import parse_definition
+from airpuck.recording.read import read_recording
+from airpuck.recording.stream import Recording
+from airpuck.recording.torch_archive import read_authors_experiment
+from airpuck.twin.settings import TwinSettings, read_twin_settings
+from tests.apparatus import bags
 from tests.apparatus import mutations as m
+from tests.apparatus.commands import airpuck as run_airpuck
+from tests.apparatus.torch_archives import archive
+from tests.recording import test_motion_capture_export as exports
+from tests.recording import test_topic_stream
 
 _EXAMPLES = Path(__file__).parents[2] / "examples"
 MEMORY = 2 * 2**30
@@ -66,33 +97,36 @@ class TooSlow(BaseException):
     """A case timed out; `except Exception` does not catch this."""
 
 
-def _bag(folder: Path, **options: Any) -> Path:
-    from mcap.writer import CompressionType
-
-    from tests.apparatus.bags import foreign_topics, write_mcap
-
-    topics = {
-        name: (msgtype, text, messages[:30])
-        for name, (msgtype, text, messages) in foreign_topics().items()
-    }
-    return write_mcap(
-        folder / "a.mcap", topics, compression=CompressionType.NONE, chunk_size=3000, **options
+def _mcap(folder: Path, topics: Mapping[str, bags.Topic], **options: Any) -> Path:
+    return bags.write_mcap(
+        folder / "a.mcap",
+        dict(topics),
+        compression=CompressionType.NONE,
+        chunk_size=3000,
+        **options,
     )
 
 
-def _db3(folder: Path) -> Path:
-    from tests.apparatus.bags import rosbags_folder
+def _bag(folder: Path, **options: Any) -> Path:
+    topics = bags.foreign_topics().items()
+    short = {name: (kind, text, messages[:30]) for name, (kind, text, messages) in topics}
+    return _mcap(folder, short, **options)
 
-    rosbags_folder(folder / "bag")
-    return folder / "bag" / "bag.db3"
+
+def _bodies(folder: Path) -> Path:
+    name = "/drone/control"
+    topics = {"/bodies": test_topic_stream.make("motion_capture_tracking_interfaces/msg/NamedPoseArray")}
+    return _mcap(folder, topics | {name: bags.foreign_topics()[name]})
+
+
+def _sqlite(folder: Path, name: str = "bag.db3") -> Path:
+    bags.rosbags_folder(folder / "bag")
+    return folder / "bag" / name
 
 
 def _wal(folder: Path) -> Path:
     """Return the write-ahead log beside a bag, as a killed recorder leaves both."""
-    import shutil
-    import sqlite3
-
-    whole, live = _db3(folder), folder / "live.db3"
+    whole, live = _sqlite(folder), folder / "live.db3"
     with contextlib.closing(sqlite3.connect(whole)) as source:
         statements = [text for text in source.iterdump() if text.startswith(("CREATE", "INSERT"))]
     shutil.rmtree(whole.parent)
@@ -109,52 +143,14 @@ def _wal(folder: Path) -> Path:
     return Path(f"{whole}-wal")
 
 
-def _bodies(folder: Path) -> Path:
-    from mcap.writer import CompressionType
-
-    from tests.apparatus.bags import foreign_topics, write_mcap
-    from tests.recording.test_topic_stream import make
-
-    topics = {
-        "/bodies": make("motion_capture_tracking_interfaces/msg/NamedPoseArray"),
-        "/drone/control": foreign_topics()["/drone/control"],
-    }
-    return write_mcap(folder / "a.mcap", topics, compression=CompressionType.NONE, chunk_size=3000)
-
-
-def _read_bodies(path: Path) -> None:
-    from airpuck.recording.read import read_recording
-    from tests.recording.test_topic_stream import mapping
-
-    read_recording(path, mapping=mapping("craft"))
-
-
 def _vicon(folder: Path) -> Path:
-    from tests.recording.test_motion_capture_export import COMMANDS, vicon
-
-    _written(folder, "motors.csv", COMMANDS)
-    return _written(folder, "take.csv", vicon(bodies=("puck", "wand")))
+    _written(folder, "motors.csv", exports.COMMANDS)
+    return _written(folder, "take.csv", exports.vicon(bodies=("puck", "wand")))
 
 
 def _read_vicon(path: Path) -> None:
-    from airpuck.recording.mapping import PoseMapping, RecordingMapping
-    from airpuck.recording.read import read_recording
-    from tests.recording.test_motion_capture_export import COMMAND
-
-    mapping = RecordingMapping(pose=PoseMapping(body="puck", file="take.csv"), command=COMMAND)
-    read_recording(path.parent, mapping=mapping)
-
-
-def _ros1(folder: Path) -> Path:
-    from tests.apparatus.bags import ros1_bag
-
-    return ros1_bag(folder / "a.bag", n_poses=60, n_commands=25)
-
-
-def _labs(folder: Path) -> Path:
-    from tests.apparatus.bags import labs_bag
-
-    return labs_bag(folder / "a.bag")
+    pose = PoseMapping(body="puck", file="take.csv")
+    read_recording(path.parent, mapping=RecordingMapping(pose=pose, command=exports.COMMAND))
 
 
 #: What a craft of another lab is mapped to, for one command of each kind.
@@ -165,71 +161,40 @@ _LABS_TOPICS = {
 }
 
 
-def _read_mapped(path: Path, mapping: Path) -> None:
-    """Read a recording with a mapping."""
-    from airpuck.recording.mapping import read_mapping
-    from airpuck.recording.read import read_recording
-
-    read_recording(path, mapping=read_mapping(mapping))
-
-
 def _labs_kind(scratch: Path, topics: str) -> Kind:
     """Damaged bags of ROS 1 with other labs' messages, read by a mapping."""
     mapping, vehicle = scratch / "labs.toml", _EXAMPLES / "free_flyers/freeflyer2.toml"
 
     def make(folder: Path) -> Path:
         mapping.write_text(f"[topics]\n{topics}\n")
-        return _labs(folder)
+        return bags.labs_bag(folder / "a.bag")
+
+    def read(path: Path) -> None:
+        read_recording(path, mapping=read_mapping(mapping))
 
     command = (*_PREPROCESS, "--mapping", str(mapping), "--vehicle", str(vehicle))
-    return Kind(make, m.ros1_damaged, functools.partial(_read_mapped, mapping=mapping), command)
-
-
-def _ulog(folder: Path) -> Path:
-    from tests.apparatus.bags import ulog
-
-    return ulog(folder / "a.ulg")
-
-
-def _npz(folder: Path) -> Path:
-    from dataclasses import replace
-
-    from airpuck.data.trajectory import Span
-    from airpuck.recording.torch_archive import read_authors_experiment
-
-    whole = replace(read_authors_experiment(_pt(folder)), excluded=(Span(0.01, 0.02, "gap"),))
-    whole.save(folder / "a.npz")
-    return folder / "a.npz"
+    return Kind(make, m.ros1_damaged, read, command)
 
 
 def _pt(folder: Path) -> Path:
-    from tests.apparatus.torch_archives import archive
-
     return archive(folder / "data.pt")
 
 
-def _csv(folder: Path) -> Path:
-    from airpuck.recording.csv_folder import write_csv
-    from airpuck.recording.stream import Recording
-    from tests.apparatus.bags import SIX, stream
+def _npz(folder: Path) -> Path:
+    whole = replace(read_authors_experiment(_pt(folder)), excluded=(Span(0.01, 0.02, "gap"),))
+    return _saved(whole, folder / "a.npz")
 
+
+def _csv(folder: Path, encoding: str = "utf-8") -> Path:
     columns = ("x_m", "y_m", "yaw_rad")
-    streams = {"pose": stream(20, 240, columns, 1), "command": stream(10, 100, SIX, 2)}
+    streams = {
+        "pose": bags.stream(20, 240, columns, 1),
+        "command": bags.stream(10, 100, bags.SIX, 2),
+    }
     write_csv(Recording(streams, "made up"), folder / "csv")
-    return folder / "csv" / "optitrack_drone_pose.csv"
-
-
-def _utf16(folder: Path) -> Path:
-    path = _csv(folder)
-    path.write_text(path.read_text(), encoding="utf-16")
+    path = folder / "csv" / "optitrack_drone_pose.csv"
+    path.write_text(path.read_text(), encoding=encoding)
     return path
-
-
-def _metadata(folder: Path) -> Path:
-    from tests.apparatus.bags import rosbags_folder
-
-    rosbags_folder(folder / "bag")
-    return folder / "bag" / "metadata.yaml"
 
 
 def _written(folder: Path, name: str, text: str) -> Path:
@@ -237,30 +202,12 @@ def _written(folder: Path, name: str, text: str) -> Path:
     return folder / name
 
 
-def _model(folder: Path) -> Path:
-    from airpuck.model.model_file import read_model
-
-    read_model("paper:M3").save(folder / "model.toml")
-    return folder / "model.toml"
-
-
-def _packaged(name: str, folder: Path) -> Path:
-    from importlib import resources
-
-    text = (resources.files("airpuck") / "packaged" / name).read_text("utf-8")
-    return _written(folder, name, text)
-
-
-def _twin(folder: Path) -> Path:
-    from airpuck.twin.settings import TwinSettings
-
-    TwinSettings().save(folder / "twin.toml")
-    return folder / "twin.toml"
+def _saved(content: Any, path: Path) -> Path:
+    content.save(path)
+    return path
 
 
 def _params(folder: Path) -> Path:
-    from airpuck.model.model_file import read_model
-
     parameters = read_model("paper:M3").parameters
     values = {
         "signal2thrust": parameters.thrust.tolist(),
@@ -278,17 +225,13 @@ def _params(folder: Path) -> Path:
 
 
 def _controllers_params(folder: Path) -> Path:
-    from airpuck.export.holohover import params_yaml
-    from airpuck.model.model_file import read_model
-
     return _written(folder, "holohover_params.yaml", params_yaml(read_model("paper:M3")))
 
 
 def _definition(folder: Path) -> Path:
-    from tests.apparatus.bags import COMMAND_TEXT, POSE_TEXT
-
     extra = "float64[36] covariance\nstring[] names\nint32 KIND=3\nfloat64[<=5] some\n"
-    return _written(folder, "a.msg", POSE_TEXT.replace("\n", "\n" + extra, 1) + COMMAND_TEXT[40:])
+    text = bags.POSE_TEXT.replace("\n", "\n" + extra, 1) + bags.COMMAND_TEXT[40:]
+    return _written(folder, "a.msg", text)
 
 
 _IDL = """module a { module msg {
@@ -302,10 +245,6 @@ _IDL = """module a { module msg {
 
 def _read_definition(path: Path, *, idl: bool = False) -> None:
     """Decode a message by the definition in a file."""
-    from airpuck.boundary.errors import InputError
-    from airpuck.recording.cdr import decode, flatten
-    from airpuck.recording.message import parse_definition
-
     try:
         text = path.read_bytes().decode(errors="replace")
         types = parse_definition("a/msg/A", text, idl=idl)
@@ -319,21 +258,10 @@ def _read_definition(path: Path, *, idl: bool = False) -> None:
         decode([b"\0\1\0\0" + bytes(400), b"\0\1\0\0" + bytes(300)], types, "a/msg/A", paths)
 
 
-def _reader(module: str, name: str) -> Callable[[Path], Any]:
-    def read(path: Path) -> Any:
-        return getattr(__import__(module, fromlist=[name]), name)(path)
-
-    return read
-
-
 def _read_parent(path: Path) -> Any:
-    from airpuck.recording.read import read_recording
-
     return read_recording(path.parent)
 
 
-_read_recording = _reader("airpuck.recording.read", "read_recording")
-_read_model = _reader("airpuck.model.model_file", "read_model")
 _MAPPING = """[topics]
 pose = "/mocap/pose"
 command = "/craft/motors"
@@ -367,65 +295,63 @@ def kinds(scratch: Path) -> dict[str, Kind]:
     sqlite = functools.partial(m.sqlite_damaged, scratch=scratch / "scratch.db3")
     text = m.text_damaged
 
-    def toml(content: str, module: str, name: str) -> Kind:
-        make = functools.partial(_written, name="a.toml", text=content)
-        return Kind(lambda folder: make(folder), text, _reader(module, name))
+    def toml(content: str, read: Callable[[Path], Any]) -> Kind:
+        return Kind(lambda folder: _written(folder, "a.toml", content), text, read)
+
+    def packaged(name: str, read: Callable[[Path], Any]) -> Kind:
+        return toml((resources.files("airpuck") / "packaged" / name).read_text("utf-8"), read)
 
     return {
-        "npz": Kind(
-            _npz,
-            m.archive_damaged,
-            _reader("airpuck.data.trajectory_file", "read_trajectory"),
-            _PREPROCESS,
-        ),
-        "data.pt": Kind(
-            _pt,
-            m.archive_damaged,
-            _reader("airpuck.recording.torch_archive", "read_authors_experiment"),
-            _PREPROCESS,
-        ),
-        "mcap": Kind(_bag, m.mcap_damaged, _read_recording, _PREPROCESS),
+        "npz": Kind(_npz, m.archive_damaged, read_trajectory, _PREPROCESS),
+        "data.pt": Kind(_pt, m.archive_damaged, read_authors_experiment, _PREPROCESS),
+        "mcap": Kind(_bag, m.mcap_damaged, read_recording, _PREPROCESS),
         "mcap without chunks": Kind(
-            functools.partial(_bag, use_chunking=False), m.bytes_damaged, _read_recording
+            functools.partial(_bag, use_chunking=False), m.bytes_damaged, read_recording
         ),
-        "ROS 1 bag": Kind(_ros1, m.bytes_damaged, _read_recording, _PREPROCESS),
+        "ROS 1 bag": Kind(
+            lambda folder: bags.ros1_bag(folder / "a.bag", n_poses=60, n_commands=25),
+            m.bytes_damaged,
+            read_recording,
+            _PREPROCESS,
+        ),
         **{f"ROS 1, {name}": _labs_kind(scratch, topics) for name, topics in _LABS_TOPICS.items()},
-        "PX4 log": Kind(_ulog, m.bytes_damaged, _read_recording),
-        "db3": Kind(_db3, sqlite, _read_recording, _PREPROCESS),
+        "PX4 log": Kind(
+            lambda folder: bags.ulog(folder / "a.ulg"), m.bytes_damaged, read_recording
+        ),
+        "db3": Kind(_sqlite, sqlite, read_recording, _PREPROCESS),
         "db3-wal": Kind(_wal, m.bytes_damaged, _read_parent),
-        "bodies": Kind(_bodies, m.mcap_damaged, _read_bodies),
+        "bodies": Kind(
+            _bodies,
+            m.mcap_damaged,
+            functools.partial(read_recording, mapping=test_topic_stream.mapping("craft")),
+        ),
         "Vicon export": Kind(_vicon, m.table_damaged, _read_vicon),
-        "metadata.yaml": Kind(_metadata, text, _read_parent),
+        "metadata.yaml": Kind(functools.partial(_sqlite, name="metadata.yaml"), text, _read_parent),
         "csv": Kind(_csv, m.table_damaged, _read_parent),
-        "UTF-16": Kind(_utf16, m.bytes_damaged, _read_parent),
+        "UTF-16": Kind(functools.partial(_csv, encoding="utf-16"), m.bytes_damaged, _read_parent),
         "definition": Kind(_definition, text, _read_definition),
         "IDL": Kind(
             functools.partial(_written, name="a.idl", text=_IDL),
             text,
             functools.partial(_read_definition, idl=True),
         ),
-        "params.json": Kind(_params, text, _read_model, ("present",)),
-        "params.yaml": Kind(_controllers_params, text, _read_model, ("present",)),
-        "model": Kind(_model, text, _read_model, ("present",)),
-        "vehicle": Kind(
-            functools.partial(_packaged, "holohover.toml"),
+        "params.json": Kind(_params, text, read_model, ("present",)),
+        "params.yaml": Kind(_controllers_params, text, read_model, ("present",)),
+        "model": Kind(
+            lambda folder: _saved(read_model("paper:M3"), folder / "model.toml"),
             text,
-            _reader("airpuck.craft.vehicle", "read_vehicle"),
+            read_model,
+            ("present",),
         ),
-        "tuning": Kind(
-            functools.partial(_packaged, "tuning.toml"),
-            text,
-            _reader("airpuck.control.tuning", "read_tuning"),
-        ),
+        "vehicle": packaged("holohover.toml", read_vehicle),
+        "tuning": packaged("tuning.toml", read_tuning),
         "twin": Kind(
-            _twin,
-            text,
-            _reader("airpuck.twin.settings", "read_twin_settings"),
+            lambda folder: _saved(TwinSettings(), folder / "twin.toml"), text, read_twin_settings
         ),
-        "mapping": toml(_MAPPING, "airpuck.recording.mapping", "read_mapping"),
-        "plan": toml(_PLAN, "airpuck.control.settings", "read_excitation_plan"),
-        "campaign": toml(_CAMPAIGN, "airpuck.campaigns.campaign", "read_spec"),
-        "set points": toml(_SETPOINTS, "airpuck.control.reference", "read_setpoints"),
+        "mapping": toml(_MAPPING, read_mapping),
+        "plan": toml(_PLAN, read_excitation_plan),
+        "campaign": toml(_CAMPAIGN, read_spec),
+        "set points": toml(_SETPOINTS, read_setpoints),
     }
 
 
@@ -445,16 +371,13 @@ def _refusal(error: Exception, path: Path) -> str:
 
 def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
     """Read one file; return the outcome, and what is wrong with it; empty if it is right."""
-    from airpuck.boundary.errors import InputError
-    from tests.apparatus.commands import airpuck
-
     before = sorted(path.parent.iterdir())
     # Limit processor time, since other tests may run at the same time; and wall time for deadlocks.
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     signal.alarm(10 * SECONDS)
     try:
         if cli and kind.command:
-            done = airpuck(*kind.command, path, cwd=path.parent)
+            done = run_airpuck(*kind.command, path, cwd=path.parent)
             if done.returncode == 0:
                 (path.parent / "out.npz").unlink(missing_ok=True)
             outcome = ("read", "?", "refused")[done.returncode]
@@ -478,11 +401,6 @@ def run_case(kind: Kind, path: Path, *, cli: bool) -> tuple[str, str]:
 
 def work(names: Sequence[str], first: int, count: int, done: int) -> None:
     """Run cases here, reporting each before and after; skip the first `done` of the first kind."""
-    import warnings
-
-    import airpuck.cli
-    import airpuck.judgement.verdict  # noqa: F401 # slow to import on a busy machine
-
     warnings.simplefilter("ignore")
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     signal.signal(signal.SIGPROF, _too_slow)

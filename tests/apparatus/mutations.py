@@ -84,10 +84,7 @@ def text_damaged(content: bytes, rng: random.Random) -> bytes:
             case 7:
                 text = "".join(rng.sample(lines, len(lines)))
             case _:
-                strange = rng.choice(
-                    ["\x1b[31m", "\0", "\u202e", "é", "[[", "a.b", "&a *a", "<<: "]
-                )
-                text = text[: token.start()] + strange + text[token.start() :]
+                text = text[: token.start()] + rng.choice(STRANGE) + text[token.start() :]
     return text.encode()
 
 

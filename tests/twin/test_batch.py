@@ -140,12 +140,6 @@ def test_each_craft_obeys_its_own_model_and_logs_what_a_twin_logs(size):
     assert bounced
 
 
-def test_craft_that_share_everything_but_the_pose_move_alike():
-    batch = flown(MODEL, COMMAND[:30], PLAIN, starts=[[0, 0, 0], [0.1, 0.1, 0]], seeds=(0, 0))
-    moved = batch.state[:, 1] - batch.state[:, 0]
-    np.testing.assert_allclose(moved, [0.1, 0.1, *np.zeros(10)], atol=1e-12)
-
-
 def test_the_final_state_is_that_of_the_end_of_the_last_period():
     # Both end at 0.49 s; the frames of the slow camera and of the fast one are at other times.
     ends = []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.boundary.errors import InputError
-from airpuck.craft.table import AirHockey, Mallet, Table
+from airpuck.craft.table import Mallet, Table
 from airpuck.model.model_file import published_model
 from airpuck.physics.puck import PuckState
 from airpuck.recording.bag import write_bag
@@ -219,10 +219,6 @@ def test_an_invalid_position_is_rejected(plant, given, field):
     with pytest.raises(InputError) as error:
         Twin(MODEL, plant=plant, **given)
     assert error.value.field == field
-
-
-def test_settings_of_a_twin_are_a_table_to_play_on():
-    assert isinstance(QUIET, AirHockey)
 
 
 def two_crafts(plant, poses, *puck):

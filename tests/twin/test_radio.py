@@ -70,12 +70,6 @@ def test_queued_delays_are_those_of_the_link():
     )
 
 
-def test_packets_in_flight_arrive_one_after_the_other():
-    times, numbers = received(flown(link(delay_s=0.025), 50))
-    np.testing.assert_array_equal(numbers, np.arange(1, 51))
-    np.testing.assert_allclose(times, 0.025 + PERIOD * np.arange(50), atol=1e-12)
-
-
 def test_delays_have_the_stated_mean_and_spread():
     # The jitter is so small that no packet waits for another, and no delay is negative.
     times, numbers = received(flown(link(delay_s=0.02, jitter_s=0.001), 5000))
@@ -153,18 +147,6 @@ def test_a_long_outage_stops_the_motors():
     np.testing.assert_allclose(stops[:, 0], [0.49 + 0.2], atol=1e-9)
     again = seen[seen[:, 0] > 0.7][0]
     assert again[0] == pytest.approx(0.9, abs=1e-9)
-
-
-def test_before_the_first_packet_the_motors_stand():
-    radio = link()
-    assert radio.command(10.0) == 0
-    assert radio.next_change(10.0) == math.inf
-
-
-def test_the_same_seed_gives_the_same_delays_and_another_seed_others():
-    one, same, other = (flown(link(seed, jitter_s=0.007, loss=0.1), 300) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, same)
-    assert not np.array_equal(one[:50], other[:50])
 
 
 def test_loss_takes_packets_away_without_moving_the_others():

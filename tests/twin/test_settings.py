@@ -138,12 +138,6 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path, text, section, 
     assert read_twin_settings(path) == packaged.model_copy(update={section: changed})
 
 
-def test_an_empty_file_is_the_packaged_one(tmp_path):
-    path = tmp_path / "twin.toml"
-    path.write_text("")
-    assert read_twin_settings(path) == default_twin_settings()
-
-
 def test_the_delay_is_that_of_the_model_unless_the_radio_has_its_own():
     settings = default_twin_settings()
     assert settings.radio.delay_s is None

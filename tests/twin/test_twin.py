@@ -253,8 +253,8 @@ def test_a_recording_holds_what_was_sent_announced_and_measured(quiet):
     assert (np.diff(recording["pose"].received_ns) >= 0).all()
 
 
-def found_delay(settings, plant):
-    """Fly an excitation experiment of 15 s and preprocess it."""
+def excited(settings, plant):
+    """Fly an excitation experiment of 15 s."""
     twin, pilot = Twin(MODEL, settings, plant=plant), Excitation(nominal_model(MODEL.vehicle))
     for k in range(1500):
         for measurement in twin.wait_until(0.01 * k):
@@ -263,21 +263,17 @@ def found_delay(settings, plant):
         command = pilot.step(twin.now).command
         twin.send(command)
         pilot.sent(twin.now, command)
-    return preprocess(twin.recording(), MODEL.vehicle).delay
+    return twin.recording()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.01, 0.04])
-def test_preprocessing_finds_the_delay_to_a_sample(plant, delay):
-    capture = NOISY.motion_capture.model_copy(update={"dropped": 0.0})
-    radio = Radio(delay_s=delay, jitter_s=0.004)
-    settings = NOISY.model_copy(update={"radio": radio, "motion_capture": capture})
-    assert found_delay(settings, plant) == pytest.approx(delay, abs=1.5 / 240)
-
-
-@pytest.mark.slow
-def test_preprocessing_finds_the_delay_though_frames_are_missing(plant):
-    assert found_delay(NOISY, plant) == pytest.approx(0.0208, abs=1.5 / 240)
+@pytest.mark.parametrize("delay", [0.01, 0.0208, 0.04])
+def test_preprocessing_finds_the_delay_to_a_sample_though_frames_are_missing(plant, delay):
+    radio = NOISY.radio.model_copy(update={"delay_s": delay})
+    settings = NOISY.model_copy(update={"radio": radio})
+    assert preprocess(excited(settings, plant), MODEL.vehicle).delay == pytest.approx(
+        delay, abs=1.5 / 240
+    )
 
 
 def test_a_craft_without_commands_stays_at_rest(plant):

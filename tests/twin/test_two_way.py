@@ -8,10 +8,10 @@ import pytest
 from airpuck.control.modulation import modulator_for
 from airpuck.control.tuning import default_tuning
 from airpuck.model.model_file import Model, nominal_model
+from airpuck.twin.craft import driver_of
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
-from airpuck.twin.valves import driver_of
 
 from ..apparatus.two_way_craft import triangle
 

@@ -11,9 +11,9 @@ from airpuck.craft.actuators import OnOff
 from airpuck.craft.vehicle import Propeller, Vehicle, default_vehicle
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.twin.batch import TwinBatch
+from airpuck.twin.craft import Driver
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
-from airpuck.twin.valves import Driver
 
 FORCE, MASS = 0.5, 10.0
 DEAD, RISE, FALL = 0.0123, 0.006, 0.02

@@ -241,11 +241,13 @@ def tracking_study(
     tunings = [tuning or tuning_for(model) for model in models]
     laws = laws or tuple({one.law.kind: None for one in tunings})
     beyond_paper = set(laws) != {PAPERS}
+    full = beyond_paper if controller is None else controller == "full"
     fly = partial(
         _flown,
         truth=truth,
         seed=seed,
-        full_controller=beyond_paper if controller is None else controller == "full",
+        compensate_delay=full,
+        reject_disturbance=full,
         settings=settings,
         plant=build_plant(truth, settings),
     )
@@ -269,7 +271,6 @@ def _flown(
     label: str,
     *,
     truth: Model,
-    full_controller: bool,
     settings: TwinSettings,
     tuning: Tuning,
     make_pilot: PilotMaker | None,
@@ -291,8 +292,6 @@ def _flown(
         truth=truth,
         pose=task.pose,
         gain=None if gains is None else gains.matrix(),
-        compensate_delay=full_controller,
-        reject_disturbance=full_controller,
         settings=settings,
         tuning=tuning,
         make_pilot=make_pilot,

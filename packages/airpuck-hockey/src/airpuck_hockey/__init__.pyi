@@ -8,7 +8,7 @@ from airpuck_hockey.matches.match import league as league
 from airpuck_hockey.matches.match import match as match
 from airpuck_hockey.player.all_rounder import AllRounder as AllRounder
 from airpuck_hockey.player.attack import Shoot as Shoot
-from airpuck_hockey.player.level import Level as Level
+from airpuck_hockey.player.player import Level as Level
 from airpuck_hockey.player.player import Player as Player
 from airpuck_hockey.player.tactic import Intention as Intention, Tactic as Tactic, View as View
 from airpuck_hockey.puck.identification import identify_puck as identify_puck

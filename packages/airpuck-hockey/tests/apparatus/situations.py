@@ -10,9 +10,9 @@ from airpuck.model.model_file import read_model
 from airpuck.physics.puck import Disc, PuckState, strike
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.planning.minimal_time import read_minimal_times
-from airpuck_hockey.player.interception import Outlook
+from airpuck_hockey.player.all_rounder import Turns
+from airpuck_hockey.player.interception import Outlook, Searcher
 from airpuck_hockey.player.player import pitch_of
-from airpuck_hockey.player.searching import Searcher, Turns
 from airpuck_hockey.player.tactic import Intention, View
 from airpuck_hockey.puck.prediction import PuckBelief, PuckModel
 

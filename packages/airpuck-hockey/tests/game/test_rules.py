@@ -119,6 +119,6 @@ def test_a_game_lasts_five_minutes_and_goals_are_followed_by_a_pause_of_a_second
 
 def test_who_put_the_puck_into_play_has_fifteen_seconds():
     judge = referee(first=-1)
-    judge.resume(10.0, 1)
+    judge.serve(10.0, 1)
     assert judge.judge(24.9, 0.5, 1.0, 0) == []
     assert judge.judge(25.0, 0.5, 1.0, 0) == [("foul", 1), ("serve", -1)]

@@ -49,6 +49,14 @@ class Cameras:
             self.see(x, y, puck=not puck.goal and visible(abs(x)))
         return puck
 
+    def repeat(self, pose, frames):
+        """Frames that repeat a pose."""
+        for _ in range(frames):
+            self.time += FRAME
+            self.keeper.frame(self.time)
+            self.keeper.puck(self.time, pose)
+            self.said += self.keeper.judge()
+
     def nothing(self, seconds):
         self.see(puck=False, frames=round(seconds / FRAME))
 
@@ -70,17 +78,11 @@ def test_a_puck_that_crosses_the_line_inside_the_goal_and_vanishes(goal, speed):
     assert len(cameras.said) == 1
 
 
-def test_cameras_that_do_not_see_beyond_the_line():
+@pytest.mark.parametrize(("speed", "seen"), [(3.0, 1.09), (4.0, 1.06)])
+def test_cameras_that_do_not_see_as_far_as_the_line(speed, seen):
     cameras = Cameras()
     cameras.rest(0.5, 0.0)
-    cameras.fly((0.5, 0.0, 3.0, 0.0), 1.0, visible=lambda x: x < 1.09)
-    assert cameras.said == [("goal", -1)]
-
-
-def test_frames_that_are_missing_before_the_line():
-    cameras = Cameras()
-    cameras.rest(0.5, 0.0)
-    cameras.fly((0.5, 0.0, 4.0, 0.0), 1.0, visible=lambda x: x < 1.06)
+    cameras.fly((0.5, 0.0, speed, 0.0), 1.0, visible=lambda x: x < seen)
     assert cameras.said == [("goal", -1)]
 
 
@@ -147,11 +149,7 @@ def test_poses_that_freeze():
         cameras.rest(0.6, 0.0)
         cameras.fly((0.6, 0.0, 4.0, 0.0), seconds)
         frozen = np.array([0.6 + 4.0 * seconds, 0.0, 0.3])
-        for _ in range(500):
-            cameras.time += FRAME
-            cameras.keeper.frame(cameras.time)
-            cameras.keeper.puck(cameras.time, frozen)
-            cameras.said += cameras.keeper.judge()
+        cameras.repeat(frozen, 500)
         cameras.rest(0.6, 0.2)
         assert cameras.said == []
 
@@ -162,11 +160,7 @@ def test_poses_that_freeze_while_the_puck_is_slow():
         cameras = Cameras(Rules(foul_s=2.0))
         cameras.rest(x, 0.0)
         cameras.fly((x, 0.0, 0.4, 0.0), 0.1)
-        for _ in range(round(3.0 / FRAME)):
-            cameras.time += FRAME
-            cameras.keeper.frame(cameras.time)
-            cameras.keeper.puck(cameras.time, cameras.pose)
-            cameras.said += cameras.keeper.judge()
+        cameras.repeat(cameras.pose, round(3.0 / FRAME))
         assert cameras.said == said
 
 

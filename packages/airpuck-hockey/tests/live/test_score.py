@@ -16,7 +16,7 @@ from airpuck.live.settings import LiveSettings
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck.recording.message import StreamCodec
-from airpuck_hockey.live.score import Score
+from airpuck_hockey.game.scorekeeper import Score
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 

@@ -9,7 +9,7 @@ from airpuck.boundary.errors import InputError
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.matches import match_item
 from airpuck_hockey.matches.match import LeagueResult, league
-from tests.apparatus.commands import airpuck, refused
+from tests.apparatus.commands import airpuck
 
 SHORT = Rules(limit_s=3.0)
 PLAYERS = ("keeper", "striker:hard", "human")
@@ -76,15 +76,6 @@ def test_the_command_prints_the_standings_and_writes_the_matrix(tmp_path):
     assert "points per game" in ended.stdout
     assert figures["matrix"][0][0] is None
     assert figures["matrix"][0][1]["seconds"] == pytest.approx(1.0)
-
-
-def test_an_unknown_player_is_refused():
-    assert refused(airpuck("league", "keeper", "wizard"), "wizard", "unknown player")
-
-
-def test_a_league_of_hands_takes_no_model():
-    ended = airpuck("league", "keeper", "human", "--model", "paper:M2")
-    assert refused(ended, "--model: has no effect: all players are hands")
 
 
 def test_goals_of_a_result_add_up():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from airpuck_hockey.player import attack, searching
+from airpuck_hockey.player import attack, interception
+from airpuck_hockey.player.all_rounder import Turns
 from airpuck_hockey.player.attack import Shoot
 from airpuck_hockey.player.interception import Outlook, stays_inside
 from airpuck_hockey.player.rival import Rival
-from airpuck_hockey.player.searching import Turns
 from airpuck_hockey.player.shot import ArrivalError
 from apparatus.situations import (
     PITCH,
@@ -150,7 +150,7 @@ def test_a_later_contact_is_taken_where_the_sooner_one_is_too_unlikely(monkeypat
         return np.where(y > y.min() + 0.01, 0.27, 0.24), np.zeros(len(y))
 
     monkeypatch.setattr(attack, "chances", chances)
-    monkeypatch.setattr(searching, "path_is_clear", lambda *_: True)
+    monkeypatch.setattr(interception, "path_is_clear", lambda *_: True)
     intention = decided(Shoot(least=0.25), view, 2)
     assert np.ptp(seen[0]) > 0.02
     assert intention.chance == 0.27

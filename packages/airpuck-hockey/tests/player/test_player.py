@@ -20,10 +20,16 @@ from airpuck.planning.minimal_time import craft_of, read_minimal_times
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
-from airpuck_hockey.player.frame import Frame
-from airpuck_hockey.player.level import LEVELS, Level, slower, weakened
-from airpuck_hockey.player.player import Player, check_player, pitch_of
-from airpuck_hockey.player.tactic import Intention
+from airpuck_hockey.player.player import (
+    LEVELS,
+    Level,
+    Player,
+    check_player,
+    pitch_of,
+    slower,
+    weakened,
+)
+from airpuck_hockey.player.tactic import Frame, Intention
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 SETTINGS = default_twin_settings().with_usual_delay(MODEL.transport_delay)

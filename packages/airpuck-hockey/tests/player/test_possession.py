@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
+from airpuck_hockey.player.all_rounder import Turns
+from airpuck_hockey.player.defence import Catch, Free, good_place
 from airpuck_hockey.player.interception import Outlook, slack
-from airpuck_hockey.player.possession import Catch, Free, good_place
-from airpuck_hockey.player.searching import Turns
 from airpuck_hockey.player.shot import unit
 from apparatus.situations import (
     PITCH,

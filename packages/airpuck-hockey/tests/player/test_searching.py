@@ -7,11 +7,10 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from airpuck_hockey.player.all_rounder import Turns
 from airpuck_hockey.player.attack import Shoot
-from airpuck_hockey.player.goalkeeper import Defend
-from airpuck_hockey.player.interception import Outlook
-from airpuck_hockey.player.possession import Catch, Free
-from airpuck_hockey.player.searching import Searcher, Turns
+from airpuck_hockey.player.defence import Catch, Defend, Free
+from airpuck_hockey.player.interception import Outlook, Searcher
 from apparatus.situations import PITCH, asked, contact, decided, view_of
 
 RESTS, COMES, STUCK = (

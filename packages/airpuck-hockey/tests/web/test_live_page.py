@@ -25,7 +25,7 @@ from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck_hockey.game.rules import Ruling
-from airpuck_hockey.live.score import Score
+from airpuck_hockey.game.scorekeeper import Score
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.live_page import LivePage
 

@@ -101,10 +101,9 @@ def play_live(
     from airpuck import AirHockey
     from airpuck.extend import Spectator, fly_live, half_of, invite, low_latency, served
     from airpuck_hockey.game.contestant import tactic_maker
-    from airpuck_hockey.live.score import NAMES, Score
+    from airpuck_hockey.game.scorekeeper import NAMES, Score
     from airpuck_hockey.player.all_rounder import AllRounder
-    from airpuck_hockey.player.level import LEVELS
-    from airpuck_hockey.player.player import Player
+    from airpuck_hockey.player.player import LEVELS, Player
     from airpuck_hockey.web.live_page import LivePage, live_hello
     from airpuck_hockey.web.page import GAME_PAGE
 

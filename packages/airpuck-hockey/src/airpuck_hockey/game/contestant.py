@@ -9,13 +9,14 @@ from typing import Any
 from airpuck import AirHockey, InputError, Model, Pilot, PuckState
 from airpuck.extend import UserCode, nearest, numbers_of, sheltered
 from airpuck_hockey.game.hand import HANDS, KEEPERS, Hand, HumanHand, Place
-from airpuck_hockey.player.all_rounder import predecessor
-from airpuck_hockey.player.level import LEVELS, Level
-from airpuck_hockey.player.player import Player
+from airpuck_hockey.player.all_rounder import AllRounder, predecessor
+from airpuck_hockey.player.player import LEVELS, Level, Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
 
+#: Tactics of the package's own craft.
+_CRAFT = {"airpuck": AllRounder, "predecessor": predecessor}
 #: Names of the package's own players; other names are files.
-PLAYERS = ("airpuck", "predecessor", *HANDS)
+PLAYERS = (*_CRAFT, *HANDS)
 
 
 @dataclass(frozen=True)
@@ -69,11 +70,9 @@ def contestant(name: str) -> Contestant:
         hand, levels = HANDS[kind]
         dexterity = _by_level(levels, level if colon else "medium", name)
         return Contestant(name, hand=lambda equipment, seed: hand(equipment, dexterity, seed))
-    if kind == "airpuck":
-        return _flown(name, lambda: None, _by_level(LEVELS, level if colon else "hard", name))
-    if kind == "predecessor":
+    if kind in _CRAFT:
         strength = _by_level(LEVELS, level if colon else "hard", name)
-        return _flown(name, predecessor, strength, learns=False)
+        return _flown(name, _CRAFT[kind], strength, learns=kind != "predecessor")
     if ".py" in name:
         code = UserCode(name, "player")
         if isinstance(code.kind, type) and issubclass(code.kind, HumanHand):
@@ -129,7 +128,7 @@ class _UserTactic:
 
 
 def _flown(
-    name: str, tactic: Callable[[], Tactic | None], level: Level, learns: bool = True
+    name: str, tactic: Callable[[], Tactic], level: Level, learns: bool = True
 ) -> Contestant:
     """Return a craft whose player has a given tactic and level."""
 

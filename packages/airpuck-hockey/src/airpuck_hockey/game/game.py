@@ -26,7 +26,6 @@ from airpuck.extend import (
     Craft,
     HandMallet,
     MeasurementKind,
-    PuckOnTable,
     SensorSet,
     World,
     check_seed,
@@ -40,7 +39,8 @@ from airpuck.extend import (
 from airpuck_hockey.game.contestant import Contestant
 from airpuck_hockey.game.hand import Hand
 from airpuck_hockey.game.rules import Referee, Rules
-from airpuck_hockey.player.frame import Frame
+from airpuck_hockey.player.tactic import Frame
+from airpuck_hockey.puck.prediction import goal_within
 
 #: Random stream of the game, and streams of the cameras of a game without craft; see
 #: `airpuck.twin.sensors.pose_sensor`.
@@ -398,7 +398,7 @@ class Game:
                     self._slip = _slip(side * before.vx, side * self.sides[disc].state[3])
                 # A second touch by a side that stopped a shot counts separately.
                 if last != side or (anyway and time > self._last_touch + _SAME):
-                    self._touched = side, self._would_score(before, -side)
+                    self._touched = side, goal_within(self.settings, before, _FOLLOWED) == side
                 self._last_touch = time
                 yield GameEvent(time, "hit", side, impulse)
             elif met in ("rail", "post"):
@@ -415,12 +415,6 @@ class Game:
             if beyond and not side.beyond:
                 yield GameEvent(self.time, "crossed", side.sign)
             side.beyond = beyond
-
-    def _would_score(self, puck: PuckState, side: int) -> bool:
-        """Return whether an untouched puck would be a goal for a side."""
-        alone = PuckOnTable(self.settings, puck, logs=False)
-        alone.run(_FOLLOWED)
-        return alone.goal == -side
 
     def _judged(self) -> Iterator[GameEvent]:
         """Yield the referee's rulings, and apply them."""

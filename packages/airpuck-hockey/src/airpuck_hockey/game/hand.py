@@ -13,7 +13,7 @@ import numpy as np
 
 from airpuck import AirHockey, PuckState
 from airpuck.extend import PuckOnTable
-from airpuck_hockey.player.frame import Frame
+from airpuck_hockey.player.tactic import Frame
 
 # Numbers without a source are guesses. How far ahead a scripted hand predicts the puck, and the
 # step of the prediction [s].

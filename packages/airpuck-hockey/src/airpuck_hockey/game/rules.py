@@ -131,22 +131,10 @@ class Referee:
             found.append(Ruling("over", (right > left) - (left > right)))
         elif self.phase == "goal":
             if time >= self._resumes:
-                found.append(self._serve(time, self.server))
+                found.append(self.serve(time, self.server))
         elif broken := self._broken(time, x, speed):
-            found += [broken, self._serve(time, -broken.side or -self.server)]
+            found += [broken, self.serve(time, -broken.side or -self.server)]
         return found
-
-    def resume(self, time: float, side: int) -> None:
-        """Resume with a puck that someone has put into play.
-
-        Parameters
-        ----------
-        time : float
-            When [s].
-        side : int
-            The side that it is on.
-        """
-        self._serve(time, side)
 
     def _scored(self, time: float, side: int) -> Ruling:
         left, right = self.score
@@ -154,7 +142,8 @@ class Referee:
         self.phase, self.server, self._resumes = "goal", -side, time + self.rules.pause_s
         return Ruling("goal", side)
 
-    def _serve(self, time: float, side: int) -> Ruling:
+    def serve(self, time: float, side: int) -> Ruling:
+        """Resume with a puck on a side, as the referee does, or someone who puts it into play."""
         self.phase, self.server = "play", side
         self._side, self._side_since, self._stuck_since = side, time, None
         return Ruling("serve", side)

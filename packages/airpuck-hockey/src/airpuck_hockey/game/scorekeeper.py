@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from airpuck import AirHockey, PuckState
-from airpuck.extend import PAUSE, PuckOnTable
+from airpuck import AirHockey, Measurement, Pilot, PuckState
+from airpuck.extend import PAUSE, Action, Process
 from airpuck_hockey.game.rules import Referee, Rules, Ruling
+from airpuck_hockey.puck.prediction import goal_within
 from airpuck_hockey.puck.puck_filter import PuckFilter
 
 #: Consecutive poses that agree with the prediction before the puck's motion is trusted.
@@ -184,7 +185,7 @@ class Scorekeeper:
         if self._referee.phase == "over":
             self._referee = Referee(self._rules, self._equipment, side)
             self.games += 1
-        self._referee.resume(time, side)
+        self._referee.serve(time, side)
         self._away = False
 
     def _is_measured(self, pose: Float[np.ndarray, " 3"]) -> bool:
@@ -210,11 +211,10 @@ class Scorekeeper:
         horizon = _IN_THE_MOUTH if abs(state.x) > self._rail + _MOUTH else _AT_ONCE
         if abs(state.x + state.vx * horizon) < self._line:
             return None
-        alone = PuckOnTable(self._equipment, state, logs=False)
-        alone.run(horizon)
-        if not alone.goal:
+        goal = goal_within(self._equipment, state, horizon)
+        if not goal:
             return None
-        return _Leaving(alone.goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
+        return _Leaving(goal, belief.time, state.x, state.y, math.hypot(state.vx, state.vy))
 
     def _carried(self, leaving: _Leaving) -> bool:
         """Return whether the puck reappeared too far from the goal to have moved there unaided."""
@@ -222,3 +222,65 @@ class Scorekeeper:
         distance = math.hypot(x - leaving.x, y - leaving.y)
         fastest = max(2 * leaving.speed, _SENT_BACK)
         return time > leaving.time and distance > _NEAR + fastest * (time - leaving.time)
+
+
+#: Players on the left and on the right.
+NAMES = ("airpuck", "human")
+#: Message of a ruling; filled in with the score, the player concerned, and the other.
+_SAID = {
+    "goal": "goal for {1}, {0}",
+    "foul": "foul by {1}, the puck stayed too long on its side; {2} serves, {0}",
+    "stuck": "the puck is stuck at the centre line; serve it again, {0}",
+    "over": "{1} wins {0}; the next serve begins another game",
+}
+
+
+class Score:
+    """Keeps the score of a flight that plays, and reports changes; a `Spectator`."""
+
+    def __init__(self, equipment: AirHockey) -> None:
+        self.keeper = Scorekeeper(equipment)
+        #: Rulings of the latest period.
+        self.rulings: list[Ruling] = []
+        self._sight: str | None = None
+        self._new: list[Measurement] = []
+
+    def begin(self, process: Process, pilot: Pilot) -> None:
+        """Receive the participants; see `Spectator`."""
+        self._events, self._pilot = process.events, pilot
+
+    def measured(self, measurement: Measurement) -> None:
+        """Store a pose until the command has left; see `Spectator`."""
+        self._new.append(measurement)
+
+    def after(self, action: Action) -> None:
+        """Log rulings, and whether the puck is visible; see `Spectator`."""
+        self.rulings = []
+        # Poses of several bodies come body by body.
+        for one in sorted(self._new, key=lambda one: one.stamp):
+            if one.kind == "puck":
+                self.keeper.puck(one.stamp, one.values)
+            else:
+                self.keeper.frame(one.stamp)
+            # Process frame by frame, even if several have arrived at once.
+            self.rulings += self.keeper.judge()
+        self._new.clear()
+        left, right = self.keeper.score
+        for kind, side in self.rulings:
+            names = NAMES[:: -1 if side > 0 else 1]
+            said = _SAID[kind].format(f"{left} : {right}", *names)
+            self._events.log("info", said, kind=said)
+        sight = getattr(self._pilot, "sight", self._sight)
+        if sight != self._sight:
+            self._sight = sight
+            level = "warning" if sight in ("frozen", "lost") else "info"
+            self._events.log(level, f"the puck is {sight}", kind="puck")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return score, games, and goals and fouls in all games; see `Spectator`."""
+        calls = self.keeper.calls
+        return {
+            "score": list(self.keeper.score),
+            "games": self.keeper.games,
+            **{f"{kind}s": [calls[kind, -1], calls[kind, 1]] for kind in ("goal", "foul")},
+        }

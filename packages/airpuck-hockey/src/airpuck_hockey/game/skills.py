@@ -27,10 +27,10 @@ from airpuck.extend import (
 from airpuck_hockey.game.contestant import tactic_maker
 from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.attack import Shoot
-from airpuck_hockey.player.goalkeeper import Defend, Wait
+from airpuck_hockey.player.defence import Catch, Defend, Free, Wait
 from airpuck_hockey.player.player import Player, pitch_of
-from airpuck_hockey.player.possession import Catch, Free
 from airpuck_hockey.player.tactic import Pitch, Tactic
+from airpuck_hockey.puck.prediction import goal_within
 
 #: Length and width of the Challenge's table, radii of its mallet and its puck [m].
 _LENGTH, _WIDTH = 1.948, 1.038
@@ -187,8 +187,12 @@ def make_stage(
 
 def opening(stage: Stage, name: SkillName, rng: np.random.Generator) -> tuple[PuckState, int, int]:
     """Draw an episode: start of the puck, seeds of player and twin."""
-    puck = _STARTS[name](stage, rng)
-    return puck, int(rng.integers(_SEEDS)), int(rng.integers(_SEEDS))
+    draw, suits, what = _STARTS[name]
+    for _ in range(_DRAWS):
+        puck = draw(stage, rng)
+        if suits(stage, puck):
+            return puck, int(rng.integers(_SEEDS)), int(rng.integers(_SEEDS))
+    raise _no_room(f"for {what}")
 
 
 def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]:
@@ -255,37 +259,32 @@ def _in_zone(stage: Stage, state: PuckState) -> bool:
 
 
 def _defend(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a shot that would enter the craft's goal, directly or over rails."""
+    """Draw a shot towards the craft's half."""
     along, across = _scaled(stage)
-    for _ in range(_DRAWS):
-        aside = _SHOT_ASIDE * across
-        x, y = rng.uniform([_SHOT_FROM * along, -aside], [_SHOT_TO * along, aside])
-        speed, angle = rng.uniform(*_SHOT_SPEEDS), rng.uniform(-_SHOT_ANGLE, _SHOT_ANGLE)
-        spin = rng.uniform(-_SHOT_SPIN, _SHOT_SPIN)
-        start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
-        alone = PuckOnTable(stage.settings, start, logs=False)
-        alone.run(LONGEST)
-        if alone.goal < 0:
-            return start
-    raise _no_room("for a shot at the goal")
+    aside = _SHOT_ASIDE * across
+    x, y = rng.uniform([_SHOT_FROM * along, -aside], [_SHOT_TO * along, aside])
+    speed, angle = rng.uniform(*_SHOT_SPEEDS), rng.uniform(-_SHOT_ANGLE, _SHOT_ANGLE)
+    spin = rng.uniform(-_SHOT_SPIN, _SHOT_SPIN)
+    return PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
+
+
+def _enters(stage: Stage, start: PuckState) -> bool:
+    """Return whether an untouched puck enters the craft's goal, directly or over rails."""
+    return goal_within(stage.settings, start, LONGEST) < 0
 
 
 def _hit(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a resting or slow puck in the craft's half."""
+    """Draw a resting or slow puck in the craft's half."""
     along, _ = _scaled(stage)
     width, turned = _beside_rail(stage), math.pi / 2 + _HIT_AWAY
-    for _ in range(_DRAWS):
-        x, y = rng.uniform([_HIT_FROM * along, -width], [_HIT_TO * along, width])
-        speed = rng.uniform(0.0, _HIT_SPEED)
-        angle, spin = rng.uniform(-turned, turned), rng.uniform(-_HIT_SPIN, _HIT_SPIN)
-        start = PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
-        if _free(stage, start):
-            return start
-    raise _no_room("for a puck in front of the craft")
+    x, y = rng.uniform([_HIT_FROM * along, -width], [_HIT_TO * along, width])
+    speed = rng.uniform(0.0, _HIT_SPEED)
+    angle, spin = rng.uniform(-turned, turned), rng.uniform(-_HIT_SPIN, _HIT_SPIN)
+    return PuckState(x, y, 0.0, -speed * math.cos(angle), speed * math.sin(angle), spin)
 
 
 def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
-    """Return a puck at rest near a rail, where it cannot be shot."""
+    """Draw a puck at rest near a rail, where it cannot be shot."""
     along, _ = _scaled(stage)
     table, puck = stage.settings.table, stage.settings.puck
     outer, inner = table.width_m / 2 - puck.radius_m - _FROM_RAIL, _beside_rail(stage)
@@ -293,13 +292,9 @@ def _prepare(stage: Stage, rng: np.random.Generator) -> PuckState:
     bottom = np.array([[_BESIDE_GOAL * along, _ZONE_FROM * along], [table.goal_width_m / 2, outer]])
     # There is no end rail beside a goal as wide as the table.
     areas = [float(np.prod(np.maximum(area[:, 1] - area[:, 0], 0.0))) for area in (side, bottom)]
-    for _ in range(_DRAWS):
-        area = side if rng.random() < areas[0] / sum(areas) else bottom
-        x, y = rng.uniform(area[:, 0], area[:, 1])
-        start = PuckState(x, y * rng.choice([-1.0, 1.0]))
-        if _free(stage, start):
-            return start
-    raise _no_room("for a puck near a rail")
+    area = side if rng.random() < areas[0] / sum(areas) else bottom
+    x, y = rng.uniform(area[:, 0], area[:, 1])
+    return PuckState(x, y * rng.choice([-1.0, 1.0]))
 
 
 def _no_room(what: str) -> InputError:
@@ -313,10 +308,11 @@ def _free(stage: Stage, start: PuckState) -> bool:
     return math.hypot(start.x - x, start.y - y) > stage.pitch.contact_distance + _FROM_CRAFT
 
 
-_STARTS: Mapping[SkillName, Callable[[Stage, np.random.Generator], PuckState]] = {
-    "defend": _defend,
-    "hit": _hit,
-    "prepare": _prepare,
+#: How starts are drawn, which of them suit, and what they are.
+_STARTS = {
+    "defend": (_defend, _enters, "a shot at the goal"),
+    "hit": (_hit, _free, "a puck in front of the craft"),
+    "prepare": (_prepare, _free, "a puck near a rail"),
 }
 #: In two of the skills the task is to stop the puck, so their tactics do not shoot.
 TACTICS: Mapping[SkillName, Callable[[], Tactic]] = {

@@ -1,1 +1,1 @@
-"""A game on the ROS 2 graph: its score, and a human on the twin's table."""
+"""A human opponent for games on the ROS 2 graph."""

@@ -85,6 +85,7 @@ class MatchResult:
         """Return the fields for ``--json``."""
         left, right = self.wins
         lasted = sum(game["duration_s"] for game in self.games)
+        sums = [f"{side}_{what}" for what in ("goals", "own_goals", "fouls") for side in _SIDES]
         hardest = [g[f"{side}_hardest_rail_contact_m_s"] for g in self.games for side in _SIDES]
         return {
             "left": self.left,
@@ -95,9 +96,7 @@ class MatchResult:
             "draws": len(self.games) - left - right,
             "left_wins_interval": list(wilson_interval(left, len(self.games))),
             "right_wins_interval": list(wilson_interval(right, len(self.games))),
-            **{f"{side}_goals": self._sum(f"{side}_goals") for side in _SIDES},
-            **{f"{side}_own_goals": self._sum(f"{side}_own_goals") for side in _SIDES},
-            **{f"{side}_fouls": self._sum(f"{side}_fouls") for side in _SIDES},
+            **{name: self._sum(name) for name in sums},
             "stuck": self._sum("stuck"),
             "rail_contacts": self.total("rail_contacts"),
             "hardest_rail_contact_m_s": max(hardest),

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from airpuck_hockey.player.attack import SPEEDS, Shoot
-from airpuck_hockey.player.goalkeeper import Blind, Defend, Wait
-from airpuck_hockey.player.interception import Outlook
-from airpuck_hockey.player.possession import Catch, Free
-from airpuck_hockey.player.searching import Searcher, Turns
+from airpuck_hockey.player.defence import Blind, Catch, Defend, Free, Wait
+from airpuck_hockey.player.interception import Outlook, Searcher
 from airpuck_hockey.player.tactic import Intention, View
 
 #: A slower puck is shot without being caught first [m/s].
@@ -26,6 +25,36 @@ class Strategy(Protocol):
     def propose(self, view: View, outlook: Outlook) -> Intention | None:
         """Return an intention; None if the strategy does not apply."""
         ...
+
+
+class Turns:
+    """Gives the only search of a decision to one of several searchers.
+
+    Two searches would take most of a control period. The searcher whose turn is most overdue gets
+    it, whatever their order, so that none waits forever.
+    """
+
+    def __init__(self) -> None:
+        self._decision = 0
+        #: The decision of each searcher's last turn.
+        self._last: dict[Searcher, int] = {}
+
+    def give(self, view: View, outlook: Outlook, searchers: Iterable[Searcher]) -> Searcher | None:
+        """Let one of the searchers search; return which, or None if none is due."""
+        self._decision += 1
+        waiting = [each for each in searchers if each.wants_search(view, outlook)]
+        # Among equally overdue searchers, the longest wait decides.
+        chosen = min(waiting, key=self._urgency, default=None)
+        if chosen is None or self._urgency(chosen)[0] > self._decision:
+            return None
+        chosen.search(view, outlook)
+        self._last[chosen] = self._decision
+        return chosen
+
+    def _urgency(self, searcher: Searcher) -> tuple[float, float, int]:
+        """Return the decision at which a searcher is due, its last turn and its interval."""
+        last = self._last.get(searcher, -math.inf)
+        return last + searcher.every, last, searcher.every
 
 
 class AllRounder:

@@ -8,8 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck_hockey.player.interception import Outlook, PlannedContact, effort, slack, stays_inside
-from airpuck_hockey.player.searching import Searcher
+from airpuck_hockey.player.interception import (
+    Outlook,
+    PlannedContact,
+    Searcher,
+    effort,
+    slack,
+    stays_inside,
+)
 from airpuck_hockey.player.shot import ArrivalError, Contacts, Opposed, chances, flown, struck, unit
 from airpuck_hockey.player.tactic import Kind, View
 from airpuck_hockey.puck.prediction import PuckBelief, drawn_path, predict_puck

@@ -1,8 +1,10 @@
-"""Places and times at which the craft can touch the puck."""
+"""Places and times at which the craft can touch the puck, and the search for such contacts."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -301,3 +303,67 @@ def around(view: View, outlook: Outlook, goal: Float[np.ndarray, " 2"]) -> SetPo
 def standing(place: Float[np.ndarray, " 2"]) -> SetPoint:
     """Return a set point at a place."""
     return SetPoint(float(place[0]), float(place[1]), 0.0)
+
+
+#: After a longer break between two decisions a plan is out of date [s]; five periods, in which the
+#: puck's velocity becomes known again after a hit.
+_INTERRUPTED = 0.05
+
+
+class Searcher(ABC):
+    """A strategy that searches for a contact, and keeps the best one while it remains feasible."""
+
+    #: Number of decisions between searches.
+    every: int
+
+    def __init__(self) -> None:
+        self._plan: PlannedContact | None = None
+        #: The path to the start of a contact that cannot be reached directly.
+        self._approach: Intention | None = None
+        self._last_proposal = -math.inf
+
+    @abstractmethod
+    def applies(self, view: View, outlook: Outlook) -> bool:
+        """Return whether this strategy applies to the puck."""
+
+    @abstractmethod
+    def search(self, view: View, outlook: Outlook) -> None:
+        """Search for a contact, and plan it if it is better than the present plan."""
+
+    def wants_search(self, view: View, outlook: Outlook) -> bool:
+        """Return whether this strategy would accept another contact."""
+        return self._plan is None and self.applies(view, outlook)
+
+    def propose(self, view: View, outlook: Outlook) -> Intention | None:
+        """Return the planned contact, or the path to where one is possible; None without either."""
+        interrupted = view.time > self._last_proposal + _INTERRUPTED
+        self._last_proposal = view.time
+        if interrupted or not self.applies(view, outlook):
+            self.forget()
+        if self._plan is not None:
+            self._plan = self.updated(view, outlook, self._plan)
+        return self._approach if self._plan is None else self._plan.intention(view, outlook)
+
+    def forget(self) -> None:
+        """Drop the plan."""
+        self._plan = self._approach = None
+
+    def updated(self, view: View, outlook: Outlook, plan: PlannedContact) -> PlannedContact | None:
+        """Return the plan for the puck's present motion; None if it is no longer feasible."""
+        return plan if plan.holds(view, outlook) else None
+
+    def adopt(self, view: View, outlook: Outlook, contacts: Sequence[PlannedContact]) -> None:
+        """Plan the first contact whose path is clear, or else how to get to the first one."""
+        self._approach = None
+        plan = first_clear(view, outlook, contacts)
+        if plan is not None:
+            self._plan = plan
+        elif self._plan is None and contacts:
+            self._approach = contacts[0].approach(view, outlook)
+
+
+def first_clear(
+    view: View, outlook: Outlook, contacts: Sequence[PlannedContact]
+) -> PlannedContact | None:
+    """Return the first contact that the craft reaches without touching the puck earlier."""
+    return next((each for each in contacts if path_is_clear(view, outlook, each)), None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,14 +26,92 @@ from airpuck import (
     Tuning,
     default_tuning,
 )
-from airpuck.extend import MinimalTimes, check_steerable, checked_class, minimal_times_of, numbers
+from airpuck.extend import (
+    MinimalTimes,
+    check_steerable,
+    checked_class,
+    minimal_times_of,
+    numbers,
+    thrust,
+)
 from airpuck_hockey.player.all_rounder import AllRounder
-from airpuck_hockey.player.frame import Frame
-from airpuck_hockey.player.level import LEVELS, Level, slower, weakened
 from airpuck_hockey.player.rival import Rival, RivalWatcher
-from airpuck_hockey.player.tactic import Intention, Pitch, Tactic, View
+from airpuck_hockey.player.tactic import Frame, Intention, Pitch, Tactic, View
 from airpuck_hockey.puck.prediction import drawn_path
 from airpuck_hockey.puck.puck_filter import PuckFilter
+
+#: Number of commands at which the thrust is computed.
+_COMMANDS = 500
+_SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
+_REACTION = numbers.Range(0.0, 1.0, "with a longer one nothing is seen in time", "s")
+_NOISE = numbers.Range(0.0, 1.0, "no shot would go forward", "rad")
+
+
+@dataclass(frozen=True)
+class Level:
+    """A handicap.
+
+    Attributes
+    ----------
+    thrust : float
+        Fraction of the craft's thrust that is used.
+    reaction_s : float
+        Delay with which puck and opponent are seen.
+    shot_noise_rad : float
+        Standard deviation of the direction of shots.
+
+    Raises
+    ------
+    InputError
+        If a number is out of range.
+
+    Examples
+    --------
+    >>> easy = airpuck_hockey.Level(thrust=0.6, reaction_s=0.15)
+    >>> easy.thrust
+    0.6
+    """
+
+    thrust: float = 1.0
+    reaction_s: float = 0.0
+    shot_noise_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        _SHARE.check(self.thrust, "thrust")
+        _REACTION.check(self.reaction_s, "reaction_s")
+        _NOISE.check(self.shot_noise_rad, "shot_noise_rad")
+
+
+#: By name.
+LEVELS = {
+    "easy": Level(thrust=0.45, reaction_s=0.15, shot_noise_rad=0.15),
+    "medium": Level(thrust=0.55, reaction_s=0.12, shot_noise_rad=0.1),
+    "hard": Level(),
+}
+
+
+def weakened(model: Model, share: float) -> Model:
+    """Return a craft whose largest command gives a share of the full thrust."""
+    if share >= 1.0:
+        return model
+    vehicle = model.vehicle
+    commands = np.linspace(vehicle.command_min, vehicle.command_max, _COMMANDS)
+    given = np.array(
+        [np.sum(thrust(model.dynamics.thrust, np.full(vehicle.n_propellers, c))) for c in commands]
+    )
+    most = float(commands[np.searchsorted(given, share * given[-1])])
+    return replace(model, vehicle=vehicle.model_copy(update={"command_max": most}))
+
+
+def slower(times: MinimalTimes, share: float) -> MinimalTimes:
+    """Return the shortest times of a craft that accelerates with a fraction of the thrust.
+
+    With the acceleration a, the distance d from the speed v takes
+    T(d, v, a) = T(d, v / √s, a / s) / √s.
+    """
+    root = share**0.5
+    return replace(times, speed=times.speed * root, time=times.time / root)
+
 
 #: Visibility of the puck. ``frozen``: the same pose repeated for a puck that was moving; ``lost``:
 #: no pose for a while.
@@ -243,12 +321,13 @@ class Player(Pilot):
     def _see(self, time: float) -> None:
         """Update puck and opponent with the poses that are visible by now."""
         seen = time - self.level.reaction_s
-        while self._puck_poses and self._puck_poses[0][0] <= seen:
-            stamp, pose = self._puck_poses.popleft()
-            self._see_puck(stamp, self.frame.states(pose))
-        while self._opponent_poses and self._opponent_poses[0][0] <= seen:
-            stamp, pose = self._opponent_poses.popleft()
-            self._see_opponent(stamp, self.frame.states(pose)[:2])
+        for waiting, see in (
+            (self._puck_poses, self._see_puck),
+            (self._opponent_poses, self._see_opponent),
+        ):
+            while waiting and waiting[0][0] <= seen:
+                stamp, pose = waiting.popleft()
+                see(stamp, self.frame.states(pose))
         belief = self.filter.belief
         age = math.inf if belief is None else seen - belief.time
         if self._same >= _FROZEN and self._before_same > _MOVING:
@@ -281,9 +360,9 @@ class Player(Pilot):
             banked = shot.chance or 0.0 if shot is not None and shot.kind == "bank" else 0.0
             self._watcher.shot(self.filter.events[-1].time, self._opponent[1], banked)
 
-    def _see_opponent(self, stamp: float, place: Float[np.ndarray, " 2"]) -> None:
+    def _see_opponent(self, stamp: float, pose: Float[np.ndarray, " 3"]) -> None:
         """Update the opponent's position, and its velocity, smoothed over a few frames."""
-        velocity = np.zeros(2)
+        place, velocity = pose[:2], np.zeros(2)
         if self._opponent is not None:
             last, state = self._opponent
             if stamp <= last:

@@ -130,9 +130,7 @@ def _changed(puck: Puck, name: str, change: float) -> Puck:
     return puck.model_copy(update={section: law.model_copy(update={key: value})})
 
 
-def predict_puck(
-    model: PuckModel | AirHockey, belief: PuckBelief, times: Sequence[float]
-) -> PuckPrediction:
+def predict_puck(model: PuckModel, belief: PuckBelief, times: Sequence[float]) -> PuckPrediction:
     """Predict an untouched puck.
 
     Central differences of one standard deviation carry mean and covariance through the bounces
@@ -141,8 +139,8 @@ def predict_puck(
 
     Parameters
     ----------
-    model : PuckModel or AirHockey
-        The table; a `PuckModel` is prepared once.
+    model : PuckModel
+        The table.
     belief : PuckBelief
         The present belief.
     times : sequence of float
@@ -153,7 +151,6 @@ def predict_puck(
     PuckPrediction
         Mean, covariance and bounces.
     """
-    model = model if isinstance(model, PuckModel) else PuckModel(model)
     when = np.array(times, dtype=float)
     puck = PuckOnTable(model.equipment, PuckState(*belief.mean.tolist()), belief.time)
     puck.run(max(when, default=belief.time))
@@ -186,6 +183,13 @@ def predict_path(
             break
         puck.run(until)
     return found
+
+
+def goal_within(equipment: AirHockey, state: PuckState, duration: float) -> int:
+    """Return the goal that an untouched puck enters within a time, by the sign of x; 0: none."""
+    alone = PuckOnTable(equipment, state, logs=False)
+    alone.run(duration)
+    return alone.goal
 
 
 def drawn_path(equipment: AirHockey, belief: PuckBelief) -> Float[np.ndarray, "N 2"]:
@@ -240,14 +244,14 @@ class PuckCrossing:
 
 
 def predict_crossing(
-    model: PuckModel | AirHockey, belief: PuckBelief, x: float, horizon: float = 2.0
+    model: PuckModel, belief: PuckBelief, x: float, horizon: float = 2.0
 ) -> PuckCrossing | None:
     """Predict when and where an untouched puck will first cross a line across the table.
 
     Parameters
     ----------
-    model : PuckModel or AirHockey
-        The table; a `PuckModel` is prepared once.
+    model : PuckModel
+        The table.
     belief : PuckBelief
         The present belief.
     x : float
@@ -260,7 +264,6 @@ def predict_crossing(
     PuckCrossing or None
         The crossing; None if there is none in time.
     """
-    model = model if isinstance(model, PuckModel) else PuckModel(model)
     end = belief.time + horizon
     middle = _crossing(model.equipment, belief, x, end)
     if middle is None:

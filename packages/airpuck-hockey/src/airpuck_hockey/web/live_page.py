@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from airpuck import AirHockey, Measurement, Model, Pilot
 from airpuck.extend import Action, Every, MeasurementKind, Outbox, Pages, Process, packed_state
-from airpuck_hockey.live.score import NAMES, Score
+from airpuck_hockey.game.scorekeeper import NAMES, Score
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.web.page import hello_of, thought_of
 
@@ -63,8 +63,8 @@ class LivePage:
         """Process the pages' requests, and send them the current state; see `Spectator`."""
         if self._pages.lost:
             return
-        self._hear(self._pages)
-        self._tell(self._pages, action)
+        self._hear()
+        self._tell(action)
         if self._pages.lost:
             self._wanted = None
             self._process.events.log("warning", "the page server has ended; the flight continues")
@@ -75,9 +75,9 @@ class LivePage:
         """Return no figures; see `Spectator`."""
         return {}
 
-    def _hear(self, pages: Pages) -> None:
+    def _hear(self) -> None:
         """Process the pages' requests."""
-        orders, wish = pages.hear()
+        orders, wish = self._pages.hear()
         for order in orders:
             if order["do"] in ("sit", "leave"):
                 self._seated = order["do"] == "sit"
@@ -93,8 +93,9 @@ class LivePage:
         senders = {endpoint.participant for endpoint in graph.publishers(topics.mallet)}
         return bool(senders & graph.subscribers(topics.mallet_target))
 
-    def _tell(self, pages: Pages, action: Action) -> None:
+    def _tell(self, action: Action) -> None:
         """Show all positions and announce rulings."""
+        pages = self._pages
         newest = max((poses[-1][0] for poses in self._poses.values()), default=-math.inf)
         if newest > self._shown:
             self._shown = newest

@@ -31,8 +31,7 @@ from airpuck_hockey.game.game import PERIOD, Game, GameEvent
 from airpuck_hockey.game.hand import GuidedHand
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.player.all_rounder import AllRounder
-from airpuck_hockey.player.level import LEVELS
-from airpuck_hockey.player.player import Player
+from airpuck_hockey.player.player import LEVELS, Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
 from airpuck_hockey.web.settings import ArenaSettings
 
