@@ -13,9 +13,8 @@ from gymnasium.vector import AutoresetMode
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.export import write
-from airpuck.export.gym import ENVIRONMENTS, CourseEnv
+from airpuck.export.gym import ENVIRONMENTS, CourseEnv, CourseVectorEnv
 from airpuck.export.gym_task import CourseTask
-from airpuck.export.gym_vector import CourseVectorEnv
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import COURSES
 from airpuck.twin.twin import Twin
