@@ -115,8 +115,11 @@ from airpuck.live.safety import half_of as half_of
 from airpuck.live.settings import LiveSettings as LiveSettings
 
 # Pages in the browser, and their server.
-from airpuck.web.address import LOOPBACK as LOOPBACK, address_of as address_of
-from airpuck.web.messages import packed_state as packed_state
+from airpuck.web.requests import (
+    LOOPBACK as LOOPBACK,
+    address_of as address_of,
+    packed_state as packed_state,
+)
 from airpuck.web.page import (
     Pages as Pages,
     invite as invite,
