@@ -21,7 +21,7 @@ from airpuck.physics.angle import wrapped
 from airpuck.report import style
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
-from airpuck.report.plan_figures import path_figure
+from airpuck.report.plot import path_figure
 from airpuck.report.tables import agreement_table, controller_tables, outcome_table, tracking_tables
 from airpuck.twin.tracking_study import Tracked
 
