@@ -45,7 +45,6 @@ BOUND_WORDS: dict[Bound, str] = {
 
 #: Colour of each rung of the model ladder.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
-_OTHER_RUNGS = (PURPLE, SKY, BLACK)
 #: Colours of pairs of propellers and of unpaired propellers.
 _PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, "#8c6d31", GREY, "#b3a700")
 
@@ -108,11 +107,6 @@ def write_png(figure: Figure, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(drawn(figure, "png"))
 
 
-def rung_color(name: str) -> str:
-    """Return the colour of a model."""
-    return RUNG_COLORS.get(name) or _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
-
-
 def model_colors(names: Iterable[str]) -> dict[str, str]:
     """Return a colour for each model of a figure; rungs keep theirs."""
     names = list(dict.fromkeys(names))
@@ -157,25 +151,6 @@ def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axe
     for spare in grid[count:]:
         spare.set_visible(False)
     return list(grid[:count])
-
-
-def pose_panels(figure: Figure) -> list[Axes]:
-    """Add a panel for each channel of the pose over time, one below the other."""
-    axes = panels(figure, 3, 1, sharex=True)
-    for one, (name, unit) in zip(axes, POSE, strict=True):
-        one.set_ylabel(f"{name} [{unit}]")
-    axes[-1].set_xlabel("time [s]")
-    return axes
-
-
-def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
-    """Add a panel for the commands of each motor over time, two in a row."""
-    axes = panels(figure, len(motors), 2, sharex=True, sharey=True)
-    for one, name in zip(axes, motors, strict=True):
-        one.set_title(name, loc="left")
-        one.set(ylim=(-0.03, 1.05), xlabel="time [s]", ylabel="command [–]")
-        one.label_outer()
-    return axes
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:
