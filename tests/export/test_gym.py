@@ -57,17 +57,6 @@ def test_a_seed_determines_the_episode():
     assert not data_equivalence(flown(env, commands, seed=5), first)
 
 
-def test_environments_do_not_affect_each_other():
-    one, two, commands = CourseEnv(), CourseEnv(), actions(10)
-    alone = flown(one, commands, seed=1)
-    found = [one.reset(seed=1)]
-    two.reset(seed=2)
-    for command in commands:
-        found.append(one.step(command))
-        two.step(1 - command)
-    assert data_equivalence(found, alone, exact=True)
-
-
 def test_a_flight_is_the_twins():
     # Without jitter the seed of the twin does not matter.
     radio = NOISELESS.radio.model_copy(update={"jitter_s": 0.0})
@@ -110,11 +99,6 @@ def test_rows_of_the_vector_environment_are_single_environments():
                 expected[row], *result, _ = env.step(commands[row])
             np.testing.assert_allclose([end[row] for end in ends], result[:3], atol=1e-8)
             over[row] = bool(result[1] or result[2])
-
-
-def test_modes_of_pictures_are_checked():
-    with pytest.raises(InputError, match="render_mode"):
-        CourseEnv(render_mode="human")
 
 
 def test_a_seed_determines_the_vector_environment():
@@ -160,6 +144,7 @@ def test_wrong_use_is_named():
         CourseEnv().step(np.zeros(6))
     for make, field in (
         (lambda: CourseEnv(course="rally"), "course"),
+        (lambda: CourseEnv(render_mode="human"), "render_mode"),
         (lambda: CourseEnv(limit_s=math.nan), "limit_s"),
         (lambda: CourseVectorEnv(0), "num_envs"),
         (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "goal: is beyond"),
