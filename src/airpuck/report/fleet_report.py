@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle
 
 from airpuck.boundary.outputs import replacing
 from airpuck.fleet.flight import FleetFlight
@@ -109,11 +109,9 @@ def path_figure(flight: FleetFlight, fleet: Fleet) -> Figure:
     axes = figure.subplots()
     table = fleet.settings.table
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(
-        xlim=np.array([-0.52, 0.52]) * table.length_m, ylim=np.array([-0.52, 0.52]) * table.width_m
-    )
-    for patch in _scenery(fleet):
-        axes.add_patch(patch)
+    x, y = 0.52 * table.length_m, 0.52 * table.width_m
+    axes.set(xlim=(-x, x), ylim=(-y, y))
+    _draw_scenery(axes, fleet)
     for k, name in enumerate(flight.names):
         color, track, radius = _color(k), flight.poses[:, k], flight.radii[k]
         axes.plot(track[:, 0], track[:, 1], color=color, lw=1.6)
@@ -148,15 +146,12 @@ def gap_figure(flight: FleetFlight) -> Figure:
     return figure
 
 
-def _scenery(fleet: Fleet) -> Iterator[Patch]:
-    """Yield the table and the obstacles."""
-    table = fleet.settings.table
-    corner = -table.length_m / 2, -table.width_m / 2
-    yield Rectangle(
-        corner, table.length_m, table.width_m, fc=style.FLOOR, ec=style.RAIL, lw=2, zorder=0
-    )
+def _draw_scenery(axes: Axes, fleet: Fleet) -> None:
+    """Draw the table and the obstacles."""
+    style.draw_rails(axes, fleet.settings.table, facecolor=style.FLOOR, zorder=0)
     for disc in fleet.scenario.obstacles:
-        yield Circle((disc.x_m, disc.y_m), disc.radius_m, fc=style.GREY, ec="none")
+        place = disc.x_m, disc.y_m
+        axes.add_patch(Circle(place, disc.radius_m, fc=style.GREY, ec="none"))
 
 
 def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
@@ -179,8 +174,7 @@ def _canvas(fleet: Fleet) -> Figure:
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2))
     axes.axis("off")
-    for patch in _scenery(fleet):
-        axes.add_patch(patch)
+    _draw_scenery(axes, fleet)
     return figure
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle
 
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
@@ -226,9 +226,7 @@ def plan_figure(plan: Plan, table: Table | None = None) -> Figure:
 def _draw_course(axes: Axes, plan: Plan, table: Table | None) -> None:
     """Draw the table, the plan's waypoints and the discs that it must not touch."""
     if table is not None:
-        length, width = table.length_m, table.width_m
-        corner = (-length / 2, -width / 2)
-        axes.add_patch(Rectangle(corner, length, width, fc=style.FLOOR, ec=style.RAIL, lw=2))
+        style.draw_rails(axes, table, facecolor=style.FLOOR)
     for x, y, radius in plan.keep_out:
         axes.add_patch(Circle((x, y), radius, fc=style.GREY, ec=style.BLACK, alpha=0.5))
     for number, (x, y) in enumerate(plan.via, start=1):
@@ -277,14 +275,12 @@ def race_figure(race: Race, table: Table) -> Figure:
     below.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     below.set(ylim=(-0.6, len(rows) - 0.4), xlabel="time to the goal [s]")
     below.set_xlim(0, None)
-    style.top_legend(
-        figure,
-        [
-            style.key("flown", style.BLUE),
-            style.key("planned", style.BLACK, ls=style.DASHED),
-            style.key("lower bound", style.GREY),
-        ],
-    )
+    keys = [
+        style.key("flown", style.BLUE),
+        style.key("planned", style.BLACK, ls=style.DASHED),
+        style.key("lower bound", style.GREY),
+    ]
+    style.top_legend(figure, keys)
     return figure
 
 
@@ -312,11 +308,8 @@ def path_figure(flights: Sequence[Tracked]) -> Figure:
 def _draw_flown(axes: Axes, flight: Tracked) -> None:
     """Draw one flight and its plans from above."""
     table, radius = flight.table, flight.vehicle.radius_m
-    for (x, y), look in (
-        (table.reach(0.0), {"edgecolor": style.RAIL, "lw": 3.0}),
-        (table.reach(radius), {"edgecolor": style.GREY, "lw": 0.8, "ls": style.DASHED}),
-    ):
-        axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, fill=False, **look))
+    style.draw_rails(axes, table, lw=3.0)
+    style.draw_rails(axes, table, radius, edgecolor=style.GREY, lw=0.8, ls=style.DASHED)
     plans = list(flight.log.predictions.values())
     lines = LineCollection(
         [plan.states[:, :2].tolist() for plan in plans],

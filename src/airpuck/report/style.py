@@ -23,9 +23,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from airpuck.boundary.outputs import replacing
 from airpuck.control.law import Bound
+from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
@@ -151,6 +153,13 @@ def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axe
     for spare in grid[count:]:
         spare.set_visible(False)
     return list(grid[:count])
+
+
+def draw_rails(axes: Axes, table: Table, inset: float = 0.0, **look: Any) -> None:
+    """Draw the rails of a table, or the limit at a distance from them [m]."""
+    x, y = table.reach(inset)
+    look = {"facecolor": "none", "edgecolor": RAIL, "lw": 2, **look}
+    axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, **look))
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:
