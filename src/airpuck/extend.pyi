@@ -38,12 +38,13 @@ from airpuck.compute.process import (
 
 # Items of campaigns, and their computation in processes.
 from airpuck.campaigns.campaign import completed as completed
-from airpuck.campaigns.fingerprint import (
+from airpuck.campaigns.items import (
+    Item as Item,
+    Row as Row,
     of_code as of_code,
     of_file as of_file,
     of_recording as of_recording,
 )
-from airpuck.campaigns.items import Item as Item, Row as Row
 from airpuck.campaigns.workers import (
     Entry as Entry,
     ItemResult as ItemResult,
@@ -115,8 +116,11 @@ from airpuck.live.safety import half_of as half_of
 from airpuck.live.settings import LiveSettings as LiveSettings
 
 # Pages in the browser, and their server.
-from airpuck.web.address import LOOPBACK as LOOPBACK, address_of as address_of
-from airpuck.web.messages import packed_state as packed_state
+from airpuck.web.requests import (
+    LOOPBACK as LOOPBACK,
+    address_of as address_of,
+    packed_state as packed_state,
+)
 from airpuck.web.page import (
     Pages as Pages,
     invite as invite,

@@ -17,12 +17,12 @@ from airpuck.report.style import (
     ERRORS,
     GREY,
     PAGE_WIDTH,
+    RUNG_COLORS,
     VERMILLION,
     key,
     new_figure,
     panels,
     propeller_colors,
-    rung_color,
     styled,
     top_legend,
 )
@@ -121,7 +121,7 @@ def largest_thrust_figure(
         ends = values["M4_scaled_N"], values["M4_as_learned_N"]
         axes.vlines(place + 0.2, *ends, color=GREY, lw=0.8)
         for name, _, rung, offset, filled in shapes:
-            color = rung_color(rung)
+            color = RUNG_COLORS[rung]
             face = color if filled else "white"
             axes.plot(place + offset, values[name], "o", ms=6.5, color=color, mfc=face)
         axes.set_title(kind, loc="left")
@@ -134,7 +134,7 @@ def largest_thrust_figure(
     top_legend(
         figure,
         [
-            key(label, rung_color(rung), ls="", marker="o", mfc=None if filled else "white")
+            key(label, RUNG_COLORS[rung], ls="", marker="o", mfc=None if filled else "white")
             for _, label, rung, _, filled in shapes
         ],
     )

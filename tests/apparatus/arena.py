@@ -8,7 +8,7 @@ import socket
 import struct
 from typing import Any
 
-from airpuck.web.address import LOOPBACK, listen
+from airpuck.web.requests import LOOPBACK, listen
 from airpuck.web.server import ORDER, PATIENCE, PageKind, serve
 
 #: A page whose first visitor takes the seat.

@@ -15,7 +15,7 @@ from airpuck.model.model_file import Model, published_model
 from airpuck.physics.effects import Effect, Inflow, VoltageSag
 from airpuck.physics.rigid_body import acceleration, rollout
 
-from ..apparatus.c_programs import SANITIZED, SINGLE, build, compiler
+from ..apparatus.c_programs import SANITIZED, SINGLE, build
 from ..apparatus.examples import examples
 from ..apparatus.models import four_propellers, model_of
 
@@ -101,14 +101,6 @@ def test_same_motion_as_in_python(name: str, tmp_path: Path) -> None:
             np.testing.assert_allclose(ours, theirs, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.slow
-def test_clang_compiles_it_without_warnings(tmp_path: Path) -> None:
-    model = MODELS["everything"]
-    for options in ((), SINGLE):
-        ends, _ = in_c(driver(model, tmp_path, *options, using="clang"), 4, 20)
-        np.testing.assert_allclose(ends, in_python(model, 20)[0], atol=1e-4, rtol=1e-4)
-
-
 def test_no_undefined_behaviour_for_any_numbers(tmp_path: Path) -> None:
     """Non-finite states and durations give non-finite results, but no invalid access."""
     program = driver(MODELS["everything"], tmp_path, *SANITIZED)
@@ -123,20 +115,6 @@ def test_no_undefined_behaviour_for_any_numbers(tmp_path: Path) -> None:
         records += [np.array([STEPS]), state, np.full_like(commands, value), durations]
         records += [np.array([STEPS]), state, commands, np.full_like(durations, value)]
     run(program, *records)
-
-
-def test_neither_memory_nor_state(tmp_path: Path) -> None:
-    """The objects call only functions of libm and have no writable data."""
-    write_model(MODELS["everything"], tmp_path)
-    command = [compiler("gcc"), "-std=c99", "-O1", "-c", "airpuck_model.c", "airpuck_data.c"]
-    subprocess.run(command, cwd=tmp_path, check=True)
-    objects = ["airpuck_model.o", "airpuck_data.o"]
-    listed = subprocess.run(["nm", *objects], cwd=tmp_path, capture_output=True, text=True)
-    symbols = [line.split()[-2:] for line in listed.stdout.splitlines() if " " in line]
-    undefined = {name for kind, name in symbols if kind == "U"}
-    own = {name for kind, name in symbols if kind in "TR"}
-    assert undefined - own <= {"sin", "cos", "sincos", "exp", "sqrt", "_GLOBAL_OFFSET_TABLE_"}
-    assert not [name for kind, name in symbols if kind in "DdBbC"]
 
 
 def test_unknown_and_repeated_effects_are_refused_by_name(tmp_path: Path) -> None:

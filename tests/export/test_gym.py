@@ -13,9 +13,8 @@ from gymnasium.vector import AutoresetMode
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.export import write
-from airpuck.export.gym import ENVIRONMENTS, CourseEnv
+from airpuck.export.gym import ENVIRONMENTS, CourseEnv, CourseVectorEnv
 from airpuck.export.gym_task import CourseTask
-from airpuck.export.gym_vector import CourseVectorEnv
 from airpuck.model.model_file import published_model
 from airpuck.twin.experiments import COURSES
 from airpuck.twin.twin import Twin
@@ -56,17 +55,6 @@ def test_a_seed_determines_the_episode():
     assert data_equivalence(flown(env, commands, seed=4), first, exact=True)
     assert data_equivalence(flown(other, commands, seed=4), first, exact=True)
     assert not data_equivalence(flown(env, commands, seed=5), first)
-
-
-def test_environments_do_not_affect_each_other():
-    one, two, commands = CourseEnv(), CourseEnv(), actions(10)
-    alone = flown(one, commands, seed=1)
-    found = [one.reset(seed=1)]
-    two.reset(seed=2)
-    for command in commands:
-        found.append(one.step(command))
-        two.step(1 - command)
-    assert data_equivalence(found, alone, exact=True)
 
 
 def test_a_flight_is_the_twins():
@@ -113,11 +101,6 @@ def test_rows_of_the_vector_environment_are_single_environments():
             over[row] = bool(result[1] or result[2])
 
 
-def test_modes_of_pictures_are_checked():
-    with pytest.raises(InputError, match="render_mode"):
-        CourseEnv(render_mode="human")
-
-
 def test_a_seed_determines_the_vector_environment():
     env, commands = gymnasium.make_vec("airpuck/Race-v0", num_envs=2), actions(10, size=12)
     commands = commands.reshape(10, 2, 6)
@@ -161,6 +144,7 @@ def test_wrong_use_is_named():
         CourseEnv().step(np.zeros(6))
     for make, field in (
         (lambda: CourseEnv(course="rally"), "course"),
+        (lambda: CourseEnv(render_mode="human"), "render_mode"),
         (lambda: CourseEnv(limit_s=math.nan), "limit_s"),
         (lambda: CourseVectorEnv(0), "num_envs"),
         (lambda: CourseEnv().reset(options={"goal": (9.0, 0.0, 0.0)}), "goal: is beyond"),

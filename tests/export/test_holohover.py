@@ -11,7 +11,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import load_yaml
 from airpuck.export.holohover import params_json, params_yaml
 from airpuck.model.model_file import read_model
-from tests.apparatus.export_crafts import EFFECTS, FOUR, ON_OFF, PAPER, random_states
+from tests.apparatus.export_crafts import FOUR, PAPER, random_states
 
 PUBLISHED = pytest.mark.parametrize("name", PAPER)
 
@@ -164,8 +164,6 @@ MOVED = PAPER["M2"].vehicle.propellers[0].model_copy(update={"direction_deg": 80
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        *((model, "effect") for model in EFFECTS.values()),
-        (ON_OFF, "on_off"),
         (FOUR, "4 propellers instead of 6"),
         (replace(PAPER["M3"], frame="body"), "fixed to the body.*--com-frame world"),
         (with_vehicle(command_max=0.9), "highest command of 0.9"),

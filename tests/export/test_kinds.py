@@ -119,12 +119,6 @@ def test_the_command_prints_files_and_facts_as_json(tmp_path):
     assert found["facts"]["time step"] == "0.25 ms"
 
 
-def test_the_command_writes_environments(tmp_path):
-    done = airpuck("export", "paper:M4", "--to", "gym", "-o", tmp_path / "craft", "--json", "-")
-    assert json.loads(done.stdout)["files"] == ["__init__.py", "model.toml", "twin.toml"]
-    assert read_model(tmp_path / "craft" / "model.toml").name == "M4"
-
-
 def test_the_command_adds_a_plan(tmp_path):
     random, times = np.random.default_rng(0), np.linspace(0.0, 0.3, 7)
     commands = random.uniform(0.1, 0.8, (6, 6))
@@ -178,11 +172,6 @@ def test_nothing_is_written_beside_an_existing_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(kinds.Path, "mkdir", noted)
     export.write(M4, "mjcf", tmp_path)
     assert made and all(path.is_relative_to(tmp_path) for path in made)
-
-
-def test_what_cannot_be_exported_is_one_line(tmp_path):
-    done = airpuck("export", "paper:M3", "--to", "mjcf", "-o", tmp_path)
-    assert refused(done, "centre of mass that is fixed to the world")
 
 
 def test_a_model_exports_itself(tmp_path):

@@ -1,16 +1,13 @@
 """The function files compute under Octave what airpuck computes."""
 
 import subprocess
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from airpuck import export
-from airpuck.boundary.errors import InputError
-from airpuck.export.matlab import parameters
 from airpuck.model.simulation import linearize, trim
-from airpuck.physics.effects import Effect
 from tests.apparatus.c_programs import compiler
 from tests.apparatus.export_crafts import (
     ALL_EFFECTS,
@@ -74,11 +71,6 @@ def matrices(text):
     }
 
 
-@dataclass(frozen=True)
-class Unknown(Effect):
-    """An effect that the function files do not have."""
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CRAFT)
 def test_rates_and_steps_are_the_same(name, found):
@@ -101,10 +93,3 @@ def test_the_linearisation_is_the_same(name, found):
     np.testing.assert_allclose(found[name]["hover"][:, 0], command, rtol=0, atol=1e-9)
     for key, matrix in zip("AB", linearize(dynamics, YAW, command), strict=True):
         np.testing.assert_allclose(found[name][key], matrix, rtol=1e-9, atol=1e-9)
-
-
-def test_an_effect_of_ones_own_is_rejected():
-    model = replace(PAPER["M3"])
-    model.__dict__["dynamics"] = replace(model.dynamics, effects=(Unknown(),))
-    with pytest.raises(InputError, match="effect Unknown, which an export to matlab cannot"):
-        parameters(model)

@@ -15,7 +15,7 @@ from airpuck.craft.table import Table
 from airpuck.export import mujoco_craft as craft
 from airpuck.export.mjcf import xml
 from airpuck.twin.settings import default_twin_settings
-from tests.apparatus.export_crafts import EFFECTS, FOUR, ON_OFF, PAPER
+from tests.apparatus.export_crafts import EFFECTS, FOUR, PAPER
 
 #: The published M3 has its centre of mass fixed to the world.
 M3 = replace(PAPER["M3"], frame="body")
@@ -135,16 +135,7 @@ def test_the_files_work_without_airpuck(tmp_path):
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
 
 
-@pytest.mark.parametrize("name", sorted(set(EFFECTS) - {"tilt"}))
-def test_other_effects_are_rejected_by_name(name):
-    effect = type(EFFECTS[name].dynamics.effects[0]).__name__
-    with pytest.raises(InputError, match=f"effect {effect}, which an export to mjcf cannot"):
-        xml(EFFECTS[name], LARGE)
-
-
-def test_on_off_thrusters_and_another_frame_are_rejected():
-    with pytest.raises(InputError, match="kind on_off"):
-        xml(ON_OFF, LARGE)
+def test_a_centre_of_mass_fixed_to_the_world_is_rejected():
     with pytest.raises(InputError, match=r"fixed to the world.*--com-frame body"):
         xml(PAPER["M3"], LARGE)
 

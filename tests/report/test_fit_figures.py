@@ -1,7 +1,25 @@
-"""Table 1, and tables of parameters."""
+"""Table 1, tables of parameters, intervals, and references judged on the data of a fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection, PolyCollection
 
 from airpuck.model.model_file import published_model
-from airpuck.report.fit_figures import coefficient_rows, effect_rows, ladder_table, main_rows
+from airpuck.model.uncertainty import Uncertainty
+from airpuck.report.evaluation_report import sources_section
+from airpuck.report.fit_figures import (
+    coefficient_rows,
+    effect_rows,
+    ladder_table,
+    main_rows,
+    parameter_figure,
+    thrust_figure,
+)
+from airpuck.report.fit_report import FitStudy, study_sections
+
+from ..apparatus.models import fit_of, model_of
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
 
@@ -35,3 +53,92 @@ def test_every_propeller_and_coefficient_has_its_row(study):
     assert len(coefficient_rows(study.models)) == 3 * n
     assert len(effect_rows(study.models)) == 3 * n
     assert len(main_rows(study.models)) == 6 + n
+
+
+PLAIN = published_model("M3")
+
+
+@pytest.fixture
+def known():
+    vector = PLAIN.parameters.to_vector()
+    errors = np.where(PLAIN.free, 0.01 * np.abs(vector), np.nan)
+    covariance = np.diag(np.nan_to_num(errors) ** 2)
+    nothing = np.zeros((0, len(vector)))
+    return replace(PLAIN, uncertainty=Uncertainty(vector, covariance, errors, nothing, 30, 2.0))
+
+
+def bands(figure):
+    return [c for axes in figure.axes for c in axes.collections if isinstance(c, PolyCollection)]
+
+
+def test_thrust_curves_have_bands_where_they_are_known(known):
+    assert not bands(thrust_figure([PLAIN]))
+    changed = known.with_delay(0.03)
+    assert not bands(thrust_figure([changed]))
+    found = bands(thrust_figure([known]))
+    assert len(found) == 6
+    ends = found[0].get_paths()[0].vertices
+    full = ends[np.isclose(ends[:, 0], 1.0), 1]
+    reach = 2.0 * 0.01 * np.linalg.norm(PLAIN.parameters.thrust[0])
+    middle = PLAIN.parameters.thrust[0].sum()
+    assert full.min() == pytest.approx(middle - reach, rel=1e-6)
+    assert full.max() == pytest.approx(middle + reach, rel=1e-6)
+
+
+def test_ratios_have_intervals_where_they_are_known(known):
+    def widths(model):
+        axes = parameter_figure([model], {"M3": PLAIN}).axes[0]
+        segments = [c.get_segments() for c in axes.collections if isinstance(c, LineCollection)]
+        return np.ptp(np.array(segments[0])[:, :, 0], axis=1)
+
+    # 2.0 errors of 1 % of each coefficient on both sides, in percent of the sum.
+    curves = np.asarray(PLAIN.parameters.thrust)
+    expected = 2 * 2.0 * np.linalg.norm(curves, axis=1) / curves.sum(axis=1)
+    np.testing.assert_allclose(widths(known), expected, rtol=1e-4)
+    # Changed after its fit: unknown.
+    np.testing.assert_array_equal(widths(known.with_delay(0.03)), 0.0)
+
+
+def test_the_table_has_the_standard_error(known):
+    lag = next(row for row in main_rows([PLAIN, known]) if row.label == "τ")
+    without, with_error = (cell.text for cell in lag.cells)
+    assert "±" not in without
+    assert with_error == f"{without} ± {0.01 * float(without):.2f}"
+
+
+def test_the_loss_of_a_reference_is_that_of_the_fits_own_objective(study):
+    fit = study.fits[3]
+    assert fit.objective is not None
+    moved = replace(study.training, command_time=study.training.command_time + 3e-3)
+    later = fit_of(fit.model, moved)
+    losses = []
+    for one in (fit, later):
+        alone = FitStudy(study.training, (one,), {"M3": study.reference["M3"]})
+        assert one.objective is not None
+        expected = one.objective.quadratic(study.reference["M3"].parameters).loss
+        assert alone.reference_losses["M3"] == pytest.approx(expected, rel=1e-6)
+        losses.append(expected)
+    # Packets that were moved are moved for both.
+    assert abs(losses[1] / losses[0] - 1) > 1e-3
+
+
+def test_a_reference_of_another_name_is_not_judged(study):
+    other = FitStudy(
+        study.training, study.fits[:1], {"M3": model_of(study.models[0].vehicle, "M3")}
+    )
+    assert other.reference_losses == {}
+    assert np.isfinite(list(study.reference_losses.values())).all()
+
+
+def test_recordings_are_named_so_that_those_of_one_folder_differ(study):
+    recordings = [replace(study.training, source=f"/data/bags/{name}") for name in "ab"]
+    [block] = sources_section(*recordings).blocks
+    assert [row[0] for row in block.rows] == ["bags/a", "bags/b"]
+
+
+def test_the_symbols_of_parameters_are_explained(study):
+    section = next(s for s in study_sections(study) if s.anchor == "parameters")
+    table = section.blocks[0]
+    for symbol in ("I", "τ", "α", "r", "d"):
+        assert f" {symbol}: " in table.caption
+        assert any(row[0].split()[0] == symbol for row in table.rows)

@@ -18,7 +18,7 @@ from airpuck.report.control_report import (
     tracking_report,
     tracking_sections,
 )
-from airpuck.report.plan_figures import path_figure
+from airpuck.report.plot import path_figure
 from airpuck.report.scene import plan_at, read_scene
 from airpuck.twin.tracking_study import Tracked
 

@@ -23,7 +23,7 @@ from airpuck.deviation.significance import ModelError
 from airpuck.estimate.estimator import ActuationEstimate
 from airpuck.flight.health import Health
 from airpuck.live.watch import Observer
-from airpuck.web.messages import Wish, packed_state
+from airpuck.web.requests import Wish, packed_state
 from airpuck.web.server import SCENE, STATE
 from airpuck.web.view import (
     VIEW_PAGE,

@@ -1,18 +1,26 @@
-"""Items of campaigns, each fully described by its fields.
+"""Items of campaigns, each fully described by its fields, and hashes of all else they depend on.
 
-A worker imports this module; what only one kind needs is imported when it runs.
+That is our code, the user's code, and files. A worker imports this module; what only one kind needs
+is imported when it runs.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import math
+import os
 import re
+import sys
+import sysconfig
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -23,7 +31,7 @@ import airpuck
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
-from airpuck.campaigns.fingerprint import of_file, of_recording, program
+from airpuck.boundary.limits import FOLDER_FILES, refused, sha256
 from airpuck.control.laws import check_law
 from airpuck.control.settings import DWELL, ControllerKind, Duration, Dwell, Hold
 from airpuck.control.tuning import Tuning, default_tuning, tuning_for
@@ -39,6 +47,107 @@ if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.identification.fit_result import Fit
     from airpuck.identification.structure import ModelStructure
+
+#: Bytecode, which changes while code runs.
+_CACHE = "__pycache__"
+#: Folders of installed modules, which belong to the environment, not to the user's code.
+_INSTALLED = tuple(Path(sysconfig.get_path(n)) for n in ("stdlib", "purelib", "platlib"))
+
+
+@cache
+def program(module: str = __name__) -> str:
+    """Hash all files of this package, and of the package of a module that builds on it."""
+    hashes = []
+    for name in sorted({"airpuck", module.partition(".")[0]}):
+        found = find_spec(name)
+        assert found is not None and found.origin is not None
+        folder = Path(found.origin).parent
+        files = (f for f in folder.rglob("*") if f.is_file() and _CACHE not in f.parts)
+        hashes.append(_of(folder, files))
+    return "".join(hashes)
+
+
+def of_file(path: str | os.PathLike[str]) -> str:
+    """Hash a file."""
+    if Path(path).is_dir():
+        raise InputError("is a folder; a file is expected", file=path)
+    return sha256(path)
+
+
+def of_recording(path: str | os.PathLike[str]) -> str:
+    """Hash a recording: a file, or all files of a folder."""
+    folder = Path(path)
+    return _of(folder, _files(folder)) if folder.is_dir() else sha256(folder)
+
+
+def of_code(path: str | os.PathLike[str]) -> str:
+    """Hash a Python file and the modules it imports, without installed ones."""
+    first = Path(path).absolute()
+    search = (str(first.parent), *sys.path)
+    sources: set[Path] = set()
+    waiting = {first}
+    while waiting:
+        sources |= waiting
+        names = set().union(*map(_imports, waiting))
+        waiting = {source for name in names for source in _sources(name, search)} - sources
+    return _of(first.parent, sources)
+
+
+def _imports(source: Path) -> set[str]:
+    """Return the top-level names of the modules that a file imports."""
+    try:
+        tree = ast.parse(source.read_bytes())
+    # Running the code will report the syntax error.
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+        return set()
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module)
+    return {name.partition(".")[0] for name in names}
+
+
+@cache
+def _found(name: str, search: tuple[str, ...]) -> tuple[Path, ...]:
+    """Return the file of a module, or the folders of a package, in a search path."""
+    if name in sys.stdlib_module_names:
+        return ()
+    specification = PathFinder.find_spec(name, list(search))
+    if specification is None:
+        return ()
+    # In a development install this package lies outside site-packages.
+    places = tuple(map(Path, specification.submodule_search_locations or ()))
+    return places or ((Path(specification.origin),) if specification.origin else ())
+
+
+def _sources(name: str, search: tuple[str, ...]) -> Iterator[Path]:
+    """Yield the files of a module or package, unless it is installed."""
+    for place in _found(name, search):
+        installed = any(place.is_relative_to(folder) for folder in _INSTALLED)
+        if installed or place == Path(airpuck.__file__).parent:
+            continue
+        yield from (f for f in _files(place) if f.suffix == ".py") if place.is_dir() else (place,)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yield all files below a folder; raise InputError if there are too many."""
+    seen = 0
+    for place, folders, names in os.walk(folder):
+        seen += len(names) + len(folders)
+        if seen > FOLDER_FILES:
+            remedy = "is it the right folder?"
+            raise refused("contains too many files", FOLDER_FILES, remedy, file=folder)
+        folders[:] = [name for name in folders if name != _CACHE]
+        yield from (Path(place, name) for name in names)
+
+
+def _of(folder: Path, files: Iterable[Path]) -> str:
+    """Hash files with their names relative to a folder."""
+    lines = [f"{os.path.relpath(file, folder)} {sha256(file)}" for file in sorted(files)]
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
 
 #: A number; null in JSON stands for NaN.
 Figure = Annotated[float, pydantic.BeforeValidator(lambda v: math.nan if v is None else v)]
@@ -67,7 +176,6 @@ Count = Annotated[int, pydantic.Field(ge=1)]
 Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
 Fingerprint = Callable[[str], str]
-Spread = Fraction
 
 
 class Item(Section):
@@ -131,7 +239,7 @@ class TwinItem(Item):
     truth: str = "paper:M3"
     #: Random spread of the truth: e^(spread · N), with N normal, multiplies each thrust curve, the
     #: inertia and the motor lag.
-    truth_spread: Spread = 0.0
+    truth_spread: Fraction = 0.0
     #: Settings of the twin, which override the paper's.
     twin: TwinSettings = TwinSettings()
 
@@ -235,7 +343,7 @@ class Fitting(Identification):
     #: Part of each recording to learn from, as fractions of its length.
     span: tuple[float, float] | None = None
     #: Relative random spread of the start around nominal values; see `moved`.
-    start_spread: Spread = 0.0
+    start_spread: Fraction = 0.0
     #: Number of fits to blocks of time drawn with replacement; each starts at the fit to all data.
     resamplings: Annotated[Natural, pydantic.Field(le=numbers.REPLICATES.high)] = 0
     #: Degree of the thrust polynomials.
@@ -257,7 +365,7 @@ class Fitting(Identification):
 
         if self.resamplings:
             return self._resampled()
-        fit, structure = self._structured()
+        fit, structure = self.fit()
         said = judged(fit, structure, self._parts()).verdict
         row = _progress(fit) | {"windows": float(fit.windows)} | _labelled(fit.model)
         row |= {key: float(said.outcome == key) for key in ("trusted", "suspect_recording")}
@@ -269,16 +377,13 @@ class Fitting(Identification):
         vehicle = self.vehicle
         return _trajectory(name, vehicle, of_recording(name), vehicle and of_file(vehicle))
 
-    def fit(self) -> Fit:
-        """Identify a model; `start_spread` and the seed set the start."""
-        return self._structured()[0]
-
     def _parts(self) -> list[Trajectory]:
         """Return the parts of the recordings to learn from."""
         trajectories = [self._load(name) for name in self.recordings]
         return [one.slice(*self.span) if self.span else one for one in trajectories]
 
-    def _structured(self) -> tuple[Fit, ModelStructure]:
+    def fit(self) -> tuple[Fit, ModelStructure]:
+        """Identify a model; `start_spread` and the seed set the start."""
         from airpuck.identification.problem import mean_delay
         from airpuck.identification.structure import structured
         from airpuck.twin.plant import moved
@@ -353,7 +458,7 @@ def _planned(name: str, *_hashes: str) -> Model:
 
 @lru_cache(maxsize=8)
 def _fit_to_all(item: Fitting, _key: str) -> Fit:
-    return item.fit()
+    return item.fit()[0]
 
 
 def named(prefix: str, values: Any) -> Row:

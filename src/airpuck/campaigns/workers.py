@@ -18,8 +18,7 @@ import pydantic
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
-from airpuck.campaigns.fingerprint import program
-from airpuck.campaigns.items import Item, Row
+from airpuck.campaigns.items import Item, Row, program
 
 #: Number of dead workers after which an item counts as failed.
 DEADLY = 3

@@ -109,7 +109,7 @@ def plan(
     )
     if output is not None:
         found.save(output)
-    drawn = draw(figure, "plan_figures.plan_figure", found, rails)
+    drawn = draw(figure, "plot.plan_figure", found, rails)
     report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, drawn)
 
 
@@ -169,7 +169,7 @@ def race(
             tuning=options.read_controls(tuning, law, belief),
             progress=progress,
         )
-    draw(figure, "plan_figures.race_figure", found, settings.table)
+    draw(figure, "plot.race_figure", found, settings.table)
     if animation is not None:
         airpuck.animate(found.recording, animation, vehicle=belief.vehicle)
     report(found.to_json(), json_file, _race_table(found), figure, animation)

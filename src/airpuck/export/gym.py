@@ -1,4 +1,4 @@
-"""Gymnasium environments of the twin: flights to a goal, and races.
+"""Gymnasium environments of the twin, single and as vectors: flights to a goal, and races.
 
 Importing this module registers them: ``gymnasium.make("airpuck.export.gym:airpuck/SetPoint-v0")``.
 docs/export.md describes observations, rewards and termination.
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.control.law import Pilot
@@ -23,6 +23,7 @@ from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.gym_task import (
     ALL,
     LONGEST,
+    PERIOD,
     ROW,
     CourseTask,
     ModelSource,
@@ -37,12 +38,14 @@ from airpuck.export.gym_task import (
 )
 from airpuck.export.kinds import Subject
 from airpuck.model.model_file import Model
+from airpuck.twin.batch import TwinBatch
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
 
 import gymnasium  # isort: skip  # after gym_task, which says what to install
-from gymnasium import spaces  # isort: skip
+from gymnasium import spaces, vector  # isort: skip
+from gymnasium.utils.seeding import np_random  # isort: skip
 
 #: Pixels per metre, and room for the rails around the table [m].
 _SCALE, _RAIL = 300, 0.03
@@ -119,7 +122,7 @@ _SAME = 1e-9
 
 #: Environments by name: class, vector environment if there is one, settings.
 Environments = Mapping[str, tuple[str, str | None, dict[str, str]]]
-_COURSES = "airpuck.export.gym:CourseEnv", "airpuck.export.gym_vector:CourseVectorEnv"
+_COURSES = "airpuck.export.gym:CourseEnv", "airpuck.export.gym:CourseVectorEnv"
 ENVIRONMENTS: Environments = {
     "SetPoint": (*_COURSES, {}),
     "Race": (*_COURSES, {"course": "slalom"}),
@@ -141,11 +144,11 @@ def register(
     namespace: str = "airpuck", environments: Environments = ENVIRONMENTS, **settings: Any
 ) -> None:
     """Register environments as NAMESPACE/NAME-v0, with settings such as model and twin."""
-    for name, (single, vector, own) in environments.items():
+    for name, (single, several, own) in environments.items():
         gymnasium.register(
             f"{namespace}/{name}-v0",
             entry_point=single,
-            vector_entry_point=vector,
+            vector_entry_point=several,
             kwargs={**settings, **own},
         )
 
@@ -306,6 +309,95 @@ class CourseEnv(TwinEnv):
     def _observation(self) -> Observation:
         found = {**self._seen.observation(), **self._task.observation()}
         return {name: values[0] for name, values in found.items()}
+
+
+class CourseVectorEnv(vector.VectorEnv[Observation, np.ndarray, np.ndarray]):
+    """Many `CourseEnv` at once.
+
+    With seed s, row i draws the same random numbers as a single environment with seed s + i. Only
+    the noise and latency of its poses differ. The parameters are as for `CourseEnv`.
+
+    Raises
+    ------
+    InputError
+        If a `TwinBatch` cannot represent the craft or a fault.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore
+        "render_modes": [],
+        "autoreset_mode": vector.AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        model: ModelSource = "paper:M3",
+        twin: TwinSource = None,
+        course: str | None = None,
+        limit_s: float = LONGEST,
+    ) -> None:
+        if num_envs < 1:
+            raise InputError("must be at least 1", field="num_envs")
+        craft, settings = read_world(model, twin)
+        self.num_envs = num_envs
+        self._task = CourseTask(craft, settings, course, limit_s, num_envs)
+        self.single_action_space = action_space(craft)
+        space = observation_space(craft, settings, ("pose",), **self._task.space())
+        self.single_observation_space = space
+        self.action_space = vector.utils.batch_space(self.single_action_space, num_envs)
+        self.observation_space = vector.utils.batch_space(space, num_envs)
+        self._seen = Seen(num_envs, space, ("pose",), settings.motion_capture.clock_offset_s)
+        self._batch = TwinBatch(
+            craft, num_envs, limit_s, settings=settings, period=PERIOD, rng=self.np_random
+        )
+        self._generators: list[np.random.Generator] = []
+        self._over = np.zeros(num_envs, bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin all episodes; options: ``start`` and ``goal``, one pose for all or one for each."""
+        super().reset(seed=seed)
+        if seed is not None or not self._generators:
+            first = int(self.np_random.integers(2**31)) if seed is None else seed
+            self._generators = [np_random(first + row)[0] for row in range(self.num_envs)]
+            self._batch.rng = self.np_random
+        self._begin(np.arange(self.num_envs), given_poses(options, self.num_envs))
+        return self._observation(), self._info(np.zeros(self.num_envs, bool))
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observation, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Send motor commands, and advance by a control period; finished episodes restart."""
+        if not self._generators:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        commands = checked_action(actions, self.action_space.shape or ())
+        moving, seen = ~self._over, self._seen
+        if self._over.any():
+            self._begin(np.flatnonzero(self._over), {})
+        self._batch.step(commands, moving)
+        seen.command(moving, commands)
+        arrived, stamp, pose = self._batch.measured()
+        seen.see(moving & arrived, "pose", stamp, pose)
+        reward, there = self._task.judge(seen.pose["pose"], seen.rate["pose"])
+        there &= moving
+        late = (seen.time >= self._task.limit) & ~there
+        self._over = there | late
+        return self._observation(), np.where(moving, reward, 0.0), there, late, self._info(there)
+
+    def _begin(self, rows: Int[np.ndarray, " R"], given: dict[str, np.ndarray]) -> None:
+        """Begin the episodes of some rows."""
+        drawn = [self._task.draw(row, self._generators[row], given) for row in rows.tolist()]
+        starts = np.array([start for start, _ in drawn])
+        self._batch.reset(rows, starts, [seed for _, seed in drawn])
+        self._seen.begin(rows, "pose", starts)
+        self._over[rows] = False
+
+    def _observation(self) -> Observation:
+        return {**self._seen.observation(), **self._task.observation()}
+
+    def _info(self, success: np.ndarray) -> dict[str, Any]:
+        return {"is_success": success, "_is_success": np.ones(self.num_envs, bool)}
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:

@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
-from airpuck.export.kinds import Subject, printable, refuse_actuators, refuse_effects, refuse_frame
+from airpuck.export.kinds import (
+    Subject,
+    cannot,
+    printable,
+    refuse_actuators,
+    refuse_effects,
+    refuse_frame,
+)
 from airpuck.model.authors_params import MOTORS
 from airpuck.model.model_file import Model
 
@@ -59,10 +65,10 @@ def params_json(model: Model) -> dict[str, Any]:
     known, vehicle, values = default_vehicle(), model.vehicle, model.parameters
     for name in ("positions", "directions"):
         if not np.allclose(getattr(vehicle, name), getattr(known, name), rtol=0, atol=_SAME):
-            _cannot(f"other {name} of propellers than the paper's craft", "params.json")
+            cannot(f"other {name} of propellers than the paper's craft", "params.json")
     order = np.shape(values.thrust)[1]
     if order > 3:
-        _cannot(f"thrust curves of degree {order}", "params.json; the highest is 3")
+        cannot(f"thrust curves of degree {order}", "params.json; the highest is 3")
     learned = {
         name: bool(model.free[values.mask(frozenset({name}))].any())
         for name in ("center_of_mass", "inertia", "motor_time_constant", "thrust", "angle_offset")
@@ -170,13 +176,9 @@ def _refuse(model: Model) -> None:
     refuse_frame(model, "holohover", "world")
     vehicle = model.vehicle
     if vehicle.n_propellers != len(MOTORS):
-        _cannot(f"{vehicle.n_propellers} propellers instead of {len(MOTORS)}", "holohover")
+        cannot(f"{vehicle.n_propellers} propellers instead of {len(MOTORS)}", "holohover")
     if vehicle.command_max != 1:
-        _cannot(f"a highest command of {vehicle.command_max:g} instead of 1", "holohover")
-
-
-def _cannot(what: str, target: str) -> None:
-    raise InputError(f"has {what}, which an export to {target} cannot represent", field="MODEL")
+        cannot(f"a highest command of {vehicle.command_max:g} instead of 1", "holohover")
 
 
 def _turned(model: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
@@ -218,32 +218,28 @@ def refuse_effects(model: Model | Dynamics, kind: str, held: Sequence[type[Effec
     dynamics: Any = getattr(model, "dynamics", model)
     for effect in dynamics.effects:
         if not isinstance(effect, tuple(held)):
-            name = type(effect).__name__
-            raise InputError(
-                f"has the effect {name}, which an export to {kind} cannot represent; identify the "
-                "model without it, or choose another kind",
-                field="MODEL",
-            )
+            remedy = "; identify the model without it, or choose another kind"
+            cannot(f"the effect {type(effect).__name__}", kind, remedy)
 
 
 def refuse_actuators(model: Model, kind: str, held: Sequence[str] = ()) -> None:
     """Raise InputError for actuators, apart from propellers, that an export cannot represent."""
     for name in model.vehicle.actuation.kinds:
         if name not in ("propeller", *held):
-            raise InputError(
-                f"has actuators of the kind {name}, which an export to {kind} cannot represent",
-                field="MODEL",
-            )
+            cannot(f"actuators of the kind {name}", kind)
 
 
 def refuse_frame(model: Model, kind: str, frame: CenterOfMassFrame) -> None:
     """Raise InputError if the centre of mass is not fixed to this frame."""
     if model.frame != frame and any(model.parameters.center_of_mass):
-        raise InputError(
-            f"has a centre of mass that is fixed to the {model.frame}, which an export to {kind} "
-            f"cannot represent; identify it with --com-frame {frame}",
-            field="MODEL",
-        )
+        remedy = f"; identify it with --com-frame {frame}"
+        cannot(f"a centre of mass that is fixed to the {model.frame}", kind, remedy)
+
+
+def cannot(what: str, target: str, remedy: str = "") -> NoReturn:
+    """Raise InputError for what a model has and an export cannot represent."""
+    problem = f"has {what}, which an export to {target} cannot represent{remedy}"
+    raise InputError(problem, field="MODEL")
 
 
 def printable(text: str) -> str:

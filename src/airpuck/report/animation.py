@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -131,20 +132,57 @@ _DOT: dict[str, Any] = {"marker": "o", "ms": 5, "mec": "white", "mew": 0.7, "cli
 #: Height of the line above the table, in the figure.
 _HEADER = 0.97
 #: Frames per second of a drawing that moves, and how long its last frame stays [s].
-_RATE, _LASTS = 20.0, 1.5
+RATE, LASTS = 20.0, 1.5
 
 
 def write_animation_gif(
     scene: FlightScene, path: Path, *, speed: float, frames_per_second: float
 ) -> None:
     """Write a GIF."""
-    times = moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
-    frames = moments.frames_at(scene, times)
-    background = _Background(moments.thinned(scene), frames, speed)
-    count = len(frames.time)
-    samples = [background.picture(count * k // 6) for k in range(6)]
-    pictures = (background.picture(k) for k in range(count))
-    _write_gif(path, pictures, _palette(samples, background.colors), frames_per_second)
+    frames = moments.frames_at(
+        scene, moments.frame_times(scene.start, scene.stop, speed, frames_per_second)
+    )
+    colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
+    colors += style.BOUND_COLORS.values() if scene.plans else ()
+    colors += (style.BLUE, style.VERMILLION) if scene.game is not None else ()
+    shown = moments.thinned(scene)
+    figure = _scenery(shown, speed)
+    arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
+    moving = [partial(_moving, figure, shown, frames, arrows, k) for k in range(len(frames.time))]
+    write_gif(path, figure, moving, colors, frames_per_second)
+
+
+def write_gif(
+    path: Path,
+    figure: Figure,
+    moving: Sequence[Callable[[], Iterable[tuple[Axes, Artist]]]],
+    colors: Sequence[str],
+    frames_per_second: float,
+    lasts: float = 0.0,
+) -> None:
+    """Write a GIF of a figure; each frame adds its own artists, from back to front.
+
+    The last frame stays for `lasts` seconds.
+    """
+    canvas: Any = figure.canvas
+    canvas.draw()
+    background = canvas.copy_from_bbox(figure.bbox)
+
+    def picture(k: int) -> Image.Image:
+        canvas.restore_region(background)
+        for axes, artist in moving[k]():
+            axes.add_artist(artist)
+            axes.draw_artist(artist)
+            artist.remove()
+        return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+
+    count = len(moving)
+    samples = [picture(count * k // 6) for k in range(6)]
+    # A GIF counts hundredths of a second.
+    ticks = np.diff(np.rint(100 * np.arange(count + 1) / frames_per_second)).astype(int)
+    ticks[-1] = max(ticks[-1], round(100 * lasts))
+    pictures = (picture(k) for k in range(count))
+    _stream_gif(path, pictures, _palette(samples, colors), ticks.tolist())
 
 
 def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Image:
@@ -163,18 +201,16 @@ def _palette(samples: Sequence[Image.Image], wanted: Sequence[str]) -> Image.Ima
     return palette
 
 
-def _write_gif(
-    path: Path, pictures: Iterable[Image.Image], palette: Image.Image, frames_per_second: float
+def _stream_gif(
+    path: Path, pictures: Iterable[Image.Image], palette: Image.Image, ticks: Sequence[int]
 ) -> None:
     """Stream frames that hold only the changes; Pillow's `save` would hold all in memory."""
-    before, ticks = None, 0
+    before = None
     with path.open("wb") as file:
-        for number, picture in enumerate(pictures, start=1):
+        for picture, lasts in zip(pictures, ticks, strict=True):
             now = picture.quantize(palette=palette, dither=Image.Dither.NONE)
-            pixels = np.asarray(now)
-            until = round(100 * number / frames_per_second)  # a GIF counts hundredths of a second
-            about: dict[str, Any] = {"duration": 10 * (until - ticks), "disposal": 1}
-            corner = (0, 0)
+            pixels, corner = np.asarray(now), (0, 0)
+            about: dict[str, Any] = {"duration": 10 * lasts, "disposal": 1}
             if before is None:
                 file.writelines(GifImagePlugin.getheader(now, info={"loop": 0})[0])
             else:
@@ -184,57 +220,34 @@ def _write_gif(
                 corner = box[:2]
                 about["transparency"] = _COLORS
             file.writelines(GifImagePlugin.getdata(now, corner, **about))
-            before, ticks = pixels, until
+            before = pixels
         file.write(b";")
 
 
-class _Background:
-    """A static background on which each frame is drawn."""
-
-    def __init__(self, scene: FlightScene, frames: Frames, speed: float) -> None:
-        self.scene, self.frames = scene, frames
-        self.colors = [*style.propeller_colors(scene.vehicle), style.BLACK, style.GREY, style.ASKED]
-        self.colors += style.BOUND_COLORS.values() if scene.plans else ()
-        self.colors += (style.BLUE, style.VERMILLION) if scene.game is not None else ()
-        self.figure = _scenery(scene, speed)
-        self.arrows = moments.thrust_arrows(scene.vehicle, frames.pose, frames.command)
-        canvas = self.figure.canvas
-        assert isinstance(canvas, FigureCanvasAgg)
-        canvas.draw()
-        self.canvas, self.background = canvas, canvas.copy_from_bbox(self.figure.bbox)
-
-    def picture(self, k: int) -> Image.Image:
-        """Draw frame k."""
-        self.canvas.restore_region(self.background)  # pyright: ignore[reportAttributeAccessIssue]
-        table, *panels, motors = self.figure.axes
-        now = float(self.frames.time[k])
-        for artist in _moving_on_table(self.scene, self.frames, self.arrows[k], k):
-            _draw(table, artist)
-        for i, axes in enumerate([*panels, motors]):
-            high: dict[str, Any] = {"transform": axes.get_xaxis_transform()}
-            rest = max(self.scene.stop - now, 0.0)
-            _draw(axes, Rectangle((now, 0), rest, 1, color="white", alpha=0.72, lw=0, **high))
-            _draw(axes, Line2D([now, now], [0, 1], color=style.BLACK, lw=0.9, **high))
-            if axes is not motors:
-                seen = self.frames.pose[k, i] if self.frames.known[k] else np.nan
-                asked = self.frames.reference[k, i]
-                for value, color in ((asked, style.ASKED), (seen, style.BLACK)):
-                    _draw(axes, Line2D([now], [value], color=color, **_DOT))
-        score = None if self.scene.game is None else self.scene.game.score_at(now)
-        shown = [(0.98, "right", f"{now:.2f} s")]
-        shown += [] if score is None else [(0.5, "center", f"{score[0]} : {score[1]}")]
-        for x, side, words in shown:
-            text = Text(x, _HEADER, words, ha=side, va="center", fontsize=15, fontweight="bold")
-            text.set(transform=self.figure.transFigure, clip_on=False)
-            _draw(table, text)
-        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
-
-
-def _draw(axes: Axes, artist: Artist) -> None:
-    """Draw an artist once on the present picture."""
-    axes.add_artist(artist)
-    axes.draw_artist(artist)
-    artist.remove()
+def _moving(
+    figure: Figure, scene: FlightScene, frames: Frames, arrows: Float[np.ndarray, "F n 2 2"], k: int
+) -> Iterator[tuple[Axes, Artist]]:
+    """Yield the moving artists of frame k."""
+    table, *panels, motors = figure.axes
+    now = float(frames.time[k])
+    for artist in _moving_on_table(scene, frames, arrows[k], k):
+        yield table, artist
+    for i, axes in enumerate([*panels, motors]):
+        high: dict[str, Any] = {"transform": axes.get_xaxis_transform()}
+        rest = max(scene.stop - now, 0.0)
+        yield axes, Rectangle((now, 0), rest, 1, color="white", alpha=0.72, lw=0, **high)
+        yield axes, Line2D([now, now], [0, 1], color=style.BLACK, lw=0.9, **high)
+        if axes is not motors:
+            seen = frames.pose[k, i] if frames.known[k] else np.nan
+            for value, color in ((frames.reference[k, i], style.ASKED), (seen, style.BLACK)):
+                yield axes, Line2D([now], [value], color=color, **_DOT)
+    score = None if scene.game is None else scene.game.score_at(now)
+    shown = [(0.98, "right", f"{now:.2f} s")]
+    shown += [] if score is None else [(0.5, "center", f"{score[0]} : {score[1]}")]
+    for x, side, words in shown:
+        text = Text(x, _HEADER, words, ha=side, va="center", fontsize=15, fontweight="bold")
+        text.set(transform=figure.transFigure, clip_on=False)
+        yield table, text
 
 
 def _moving_on_table(
@@ -428,12 +441,12 @@ def moving_drawing(
 ) -> str:
     """Return an animated SVG, which repeats; readers who prefer no motion see the paths."""
     end = max(one.time[-1] for one in moving)
-    times = np.append(np.arange(0.0, end, 1 / _RATE), np.full(round(_LASTS * _RATE), end))
+    times = np.append(np.arange(0.0, end, 1 / RATE), np.full(round(LASTS * RATE), end))
     drawn = []
     for one in moving:
         # y points down in an SVG, and angles are in degrees, clockwise.
         x, y, yaw = one.poses[(one.time.searchsorted(times, side="right") - 1).clip(0)].T
         places = [f"{x:.3f} {-y:.3f}" for x, y in zip(x, y, strict=True)]
         drawn.append((one, places, [f"{-a:.0f}" for a in np.degrees(yaw)]))
-    shown = {"moving": drawn, "discs": discs, "seconds": len(times) / _RATE}
+    shown = {"moving": drawn, "discs": discs, "seconds": len(times) / RATE}
     return render("moving.svg.jinja", table=table, floor=style.FLOOR, rail=style.RAIL, **shown)

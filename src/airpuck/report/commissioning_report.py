@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from airpuck.commissioning.commission import Commissioning
 from airpuck.deviation.time_scale import response_time
@@ -100,7 +99,7 @@ def flights_figure(found: Commissioning, width: float = style.PAGE_WIDTH) -> Fig
     half = np.array(found.table.reach(0.0))
     for axes, flight in zip(style.panels(figure, len(flown), columns), flown, strict=True):
         x, y, _ = flight.recording["pose"].values.T
-        axes.add_patch(Rectangle((-half[0], -half[1]), *(2 * half), fill=False, ec=style.RAIL))
+        style.draw_rails(axes, found.table, lw=1)
         axes.plot(x, y, color=style.BLUE, lw=0.9)
         axes.plot(x[-1], y[-1], "o", color=style.VERMILLION, ms=3)
         axes.set(aspect="equal", title=f"{flight.name}, {flight.span[0]:.0f} s")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -21,7 +22,7 @@ from airpuck.physics.angle import wrapped
 from airpuck.report import style
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
-from airpuck.report.plan_figures import path_figure
+from airpuck.report.plot import path_figure
 from airpuck.report.tables import agreement_table, controller_tables, outcome_table, tracking_tables
 from airpuck.twin.tracking_study import Tracked
 
@@ -73,50 +74,97 @@ def _fastest_spin(replay: Replay) -> float:
     return float(np.max(np.abs(turned / taken), initial=0.0)) if (taken > 0).all() else 0.0
 
 
+#: Line of the set points, and of commands; the broader line is drawn first.
+_SET_POINT: dict[str, Any] = {
+    "color": style.BLACK,
+    "linewidth": 0.9,
+    "linestyle": ":",
+    "drawstyle": "steps-post",
+}
+_RECORDED: dict[str, Any] = {"color": style.GREY, "linewidth": 2.1}
+_COMPUTED: dict[str, Any] = {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1}
+_COMMANDS = {"twin": _COMPUTED, "real flight": _RECORDED}
+
+
+class Curve(NamedTuple):
+    """Values of each channel or motor over time, with a label and the look of their lines."""
+
+    label: str
+    time: Float[np.ndarray, " N"]
+    values: Float[np.ndarray, "N k"]
+    look: Mapping[str, Any]
+
+
 @style.styled
+def _pose_figure(curves: Sequence[Curve], span: tuple[float, float]) -> Figure:
+    """Draw poses over a span of time: a panel for each channel."""
+    figure = style.new_figure(style.PAGE_WIDTH, 5.0)
+    panels = style.panels(figure, 3, 1, sharex=True)
+    for channel, (axes, (name, unit)) in enumerate(zip(panels, style.POSE, strict=True)):
+        for curve in curves:
+            axes.plot(curve.time, curve.values[:, channel], **curve.look)
+        axes.set_ylabel(f"{name} [{unit}]")
+    panels[-1].set(xlabel="time [s]", xlim=span)
+    style.top_legend(figure, [style.key(curve.label, **curve.look) for curve in curves])
+    return figure
+
+
+@style.styled
+def _motor_figure(
+    titles: Sequence[str],
+    curves: Sequence[Curve],
+    shaded: Sequence[Sequence[tuple[float, float]]],
+    span: tuple[float, float],
+    meaning: str = "",
+) -> Figure:
+    """Draw commands over a span of time: a panel for each motor, with shaded parts."""
+    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.35 * ((len(titles) + 1) // 2))
+    panels = style.panels(figure, len(titles), 2, sharex=True, sharey=True)
+    for motor, (axes, title, parts) in enumerate(zip(panels, titles, shaded, strict=True)):
+        for curve in curves:
+            axes.plot(curve.time, curve.values[:, motor], drawstyle="steps-post", **curve.look)
+        for start, stop in parts:
+            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, zorder=1)
+        axes.set_title(title, loc="left")
+        axes.set(xlim=span, ylim=(-0.03, 1.05), xlabel="time [s]", ylabel="command [–]")
+        axes.label_outer()
+    handles: list[Artist] = [style.key(curve.label, **curve.look) for curve in curves]
+    if meaning:
+        handles.append(Patch(color=style.LIGHT, label=meaning))
+    style.top_legend(figure, handles)
+    return figure
+
+
 def command_figure(replay: Replay) -> Figure:
     """Draw the recorded and computed commands of every motor over time."""
-    n = len(replay.motors)
-    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.35 * ((n + 1) // 2))
     titles = [
         f"{m['name']}: r = {m['correlation']:.3f}, median |Δ| {m['median_abs']:.4f}"
         for m in replay.to_json()["motors"]
     ]
     time = np.append(replay.time, replay.time[-1])
     outside = [time[[a, b]].tolist() for a, b in runs(~replay.compared)]
-    for i, axes in enumerate(style.motor_panels(figure, titles)):
-        axes.plot(replay.time, replay.sent[:, i], color=style.GREY, linewidth=2.2)
-        axes.plot(replay.time, replay.computed[:, i], color=style.VERMILLION, linewidth=0.9)
-        for start, stop in outside:
-            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, alpha=0.6)
-        axes.set_xlim(replay.time[0], replay.time[-1])
-    handles: list[Artist] = [
-        style.key("sent in the flight", style.GREY, linewidth=2.2),
-        style.key("computed by this controller", style.VERMILLION, linewidth=0.9),
-    ]
-    if outside:
-        handles.append(Patch(color=style.LIGHT, alpha=0.6, label="not compared"))
-    style.top_legend(figure, handles)
-    return figure
+    curves = (
+        Curve("sent in the flight", replay.time, replay.sent, _RECORDED),
+        Curve("computed by this controller", replay.time, replay.computed, _COMPUTED),
+    )
+    shaded = "not compared" if outside else ""
+    span = replay.time[0], replay.time[-1]
+    return _motor_figure(titles, curves, [outside] * len(titles), span, shaded)
 
 
-@style.styled
 def flight_figure(replay: Replay) -> Figure:
     """Draw the pose and the set point over time."""
-    figure = style.new_figure(style.PAGE_WIDTH, 4.4)
-    panels = style.pose_panels(figure)
     pose, asked = replay.pose.copy(), replay.reference.copy()
     # The yaw is unwrapped, and each set point is drawn in the turn nearest to the craft.
     known = np.isfinite(pose[:, 2])
     pose[known, 2] = np.unwrap(pose[known, 2])
     asked[known, 2] = (pose[:, 2] - wrapped(np, pose[:, 2] - asked[:, 2]))[known]
-    for i, axes in enumerate(panels):
-        axes.plot(replay.time, asked[:, i], color=style.BLACK, linewidth=1.0, linestyle="--")
-        axes.plot(replay.time, pose[:, i], color=style.BLUE)
-    panels[-1].set_xlim(replay.time[0], replay.time[-1])
-    craft = style.key("pose, as the controller saw it", style.BLUE)
-    style.top_legend(figure, [craft, style.key("set point", linewidth=1.0, linestyle="--")])
-    return figure
+    set_point = {"color": style.BLACK, "linewidth": 1.0, "linestyle": "--"}
+    curves = (
+        Curve("set point", replay.time, asked, set_point),
+        Curve("pose, as the controller saw it", replay.time, pose, {"color": style.BLUE}),
+    )
+    return _pose_figure(curves, (replay.time[0], replay.time[-1]))
 
 
 def compares_laws(flights: Sequence[Tracked]) -> bool:
@@ -126,10 +174,9 @@ def compares_laws(flights: Sequence[Tracked]) -> bool:
 
 def flight_colors(flights: Sequence[Tracked]) -> list[str]:
     """Return a colour for each flight: by law where laws differ, otherwise by model."""
-    if not compares_laws(flights):
-        return [style.rung_color(flight.model) for flight in flights]
-    colors = style.model_colors(flight.label for flight in flights)
-    return [colors[flight.label] for flight in flights]
+    names = [flight.label if compares_laws(flights) else flight.model for flight in flights]
+    colors = style.model_colors(names)
+    return [colors[name] for name in names]
 
 
 def summary(flights: Sequence[Tracked]) -> PageTable:
@@ -172,16 +219,12 @@ def law_sections(flights: Sequence[Tracked]) -> list[PageSection]:
         "Pose minus the set point in force, and clearance between the craft's edge and the nearest "
         "rail; zero is contact."
     )
+    distances = Picture("errors", error_figure(flights), errors)
+    paths = Picture("above", path_figure(flights), planned)
     outcomes = outcome_table({flight.label: flight.outcomes for flight in flights})
     return [
-        PageSection(
-            "errors", "Errors and clearance", [Picture("errors", error_figure(flights), errors)]
-        ),
-        PageSection(
-            "above",
-            "Paths and plans from above",
-            [Picture("above", path_figure(flights), planned), _limits_table(flights)],
-        ),
+        PageSection("errors", "Errors and clearance", [distances]),
+        PageSection("above", "Paths and plans from above", [paths, _limits_table(flights)]),
         PageSection("outcomes", "Outcomes", [outcomes]),
     ]
 
@@ -204,22 +247,17 @@ def _limits_table(flights: Sequence[Tracked]) -> PageTable:
 def error_figure(flights: Sequence[Tracked]) -> Figure:
     """Draw pose minus set point, and the distance to the nearest rail, over time."""
     figure = style.new_figure(style.PAGE_WIDTH, 6.0)
-    axes = style.panels(figure, 4, 1, sharex=True)
-    colors = flight_colors(flights)
-    for one in axes:
-        one.axhline(0.0, color=style.GREY, linewidth=0.8)
-    for flight, color in zip(flights, colors, strict=True):
-        time = flight.twin.time - flight.origin
-        for one, (_, _, factor), error in zip(
-            axes, style.ERRORS, flight.twin.errors.T, strict=False
-        ):
-            one.plot(time, factor * error, color=color, linewidth=1.4)
-        axes[-1].plot(time, 1e3 * flight.clearance, color=color)
-    for one, (name, unit, _) in zip(axes, style.ERRORS, strict=False):
-        one.set_ylabel(f"{name} [{unit}]")
-    axes[-1].axhline(0.0, color=style.RAIL, linewidth=3.0)
+    panels, colors = style.panels(figure, 4, 1, sharex=True), flight_colors(flights)
+    channels = (*style.ERRORS, ("to a rail", "mm", 1e3))
+    for k, (axes, (name, unit, factor)) in enumerate(zip(panels, channels, strict=True)):
+        axes.axhline(0.0, color=style.GREY, linewidth=0.8)
+        for flight, color in zip(flights, colors, strict=True):
+            values = np.column_stack([flight.twin.errors, flight.clearance])[:, k]
+            axes.plot(flight.twin.time - flight.origin, factor * values, color=color, linewidth=1.4)
+        axes.set_ylabel(f"{name} [{unit}]")
+    panels[-1].axhline(0.0, color=style.RAIL, linewidth=3.0)
     end = max(float(flight.twin.time[-1]) - flight.origin for flight in flights)
-    axes[-1].set(xlabel="time [s]", xlim=(0.0, end), ylabel="to a rail [mm]")
+    panels[-1].set(xlabel="time [s]", xlim=(0.0, end))
     keys = [style.key(f.label, color) for f, color in zip(flights, colors, strict=True)]
     style.top_legend(figure, [*keys, style.key("rail", style.RAIL, linewidth=3.0)])
     return figure
@@ -228,11 +266,6 @@ def error_figure(flights: Sequence[Tracked]) -> Figure:
 _LINES: dict[str, Any] = {
     "twin": {"linewidth": 1.5},
     "real flight": {"linewidth": 1.2, "linestyle": style.DASHED, "alpha": 0.8},
-}
-#: Line styles of commands; the broader line is drawn first.
-_COMMANDS: dict[str, Any] = {
-    "twin": {"color": style.VERMILLION, "linewidth": 0.9, "zorder": 2.1},
-    "real flight": {"color": style.GREY, "linewidth": 2.0},
 }
 
 
@@ -295,46 +328,31 @@ def moving_picture(flights: Sequence[Tracked]) -> Picture:
     return Picture("moving", drawn, caption, moves=True)
 
 
-@style.styled
 def tracking_figure(flights: Sequence[Tracked]) -> Figure:
     """Draw pose and set points over time, for all models (fig:control_lqr).
 
     Real flights start at different times. Each is drawn from half a second before its first new
     set point (`Track.origin`).
     """
-    figure = style.new_figure(style.PAGE_WIDTH, 5.0)
-    panels = style.pose_panels(figure)
-    handles = [style.key("set point", linewidth=0.9, linestyle=":")]
     track, origin = flights[0].twin, flights[0].origin
     times = np.append(track.set_points.times, track.time[-1]) - origin
     poses = np.vstack([track.set_points.poses, track.set_points.poses[-1:]])
-    for axes, values in zip(panels, poses.T, strict=True):
-        axes.step(times, values, where="post", color=style.BLACK, linewidth=0.9, linestyle=":")
+    curves = [Curve("set point", times, poses, _SET_POINT)]
     for flight, color in zip(flights, flight_colors(flights), strict=True):
         for kind, track in flight.tracks.items():
-            line = _LINES[kind]
-            for axes, values in zip(panels, track.pose.T, strict=True):
-                axes.plot(track.time - flight.origin, values, color=color, **line)
-            handles.append(style.key(f"{flight.label}, {kind}", color, **line))
-    panels[-1].set_xlim(0.0, max(float(f.twin.time[-1]) - f.origin for f in flights))
-    style.top_legend(figure, handles)
-    return figure
+            look = {"color": color, **_LINES[kind]}
+            label = f"{flight.label}, {kind}"
+            curves.append(Curve(label, track.time - flight.origin, track.pose, look))
+    return _pose_figure(curves, (0.0, max(float(f.twin.time[-1]) - f.origin for f in flights)))
 
 
-@style.styled
 def input_figure(flight: Tracked) -> Figure:
     """Draw the commands of one flight."""
-    motors = flight.twin.motors
-    figure = style.new_figure(style.PAGE_WIDTH, 0.5 + 1.25 * ((len(motors) + 1) // 2))
-    tracks = flight.tracks
-    for i, axes in enumerate(style.motor_panels(figure, motors)):
-        for kind, track in tracks.items():
-            time = track.command_time - flight.origin
-            axes.step(time, track.command[:, i], where="post", **_COMMANDS[kind])
-        for first, last in runs(flight.saturated[:, i]):
-            span = flight.log.time[[first, min(last, len(flight.log.time) - 1)]]
-            start, stop = (span - flight.log.time[0] - flight.origin).tolist()
-            axes.axvspan(start, stop, color=style.LIGHT, linewidth=0, zorder=1)
-        axes.set_xlim(0.0, float(flight.twin.time[-1]) - flight.origin)
-    style.top_legend(figure, [style.key(kind, **_COMMANDS[kind]) for kind in tracks])
-    return figure
+    curves = [
+        Curve(kind, track.command_time - flight.origin, track.command, _COMMANDS[kind])
+        for kind, track in flight.tracks.items()
+    ]
+    time = np.append(flight.log.time, flight.log.time[-1]) - flight.log.time[0] - flight.origin
+    full = [[time[[a, b]].tolist() for a, b in runs(one)] for one in flight.saturated.T]
+    span = 0.0, float(flight.twin.time[-1]) - flight.origin
+    return _motor_figure(flight.twin.motors, curves, full, span)

@@ -113,8 +113,21 @@ class JudgedModels:
         return min(self.evaluations, key=lambda e: float(np.log(np.maximum(e.rmse, 1e-300)).sum()))
 
 
-def verdict_section(verdicts: Mapping[str, Verdict], best: str) -> PageSection:
-    """Summarise the verdicts: every sentence on the best model, two on each other model."""
+def verdict_section(
+    models: Sequence[Model],
+    trajectory: Trajectory,
+    evaluations: Sequence[Evaluation | None],
+    best: str,
+    known: Mapping[str, Verdict] | None = None,
+) -> PageSection:
+    """Summarise the verdicts: every sentence on the best model, two on each other model.
+
+    Models without a known verdict are judged by their evaluation on the trajectory.
+    """
+    verdicts = {
+        model.name: (known or {}).get(model.name) or verdict(model, trajectory, found)
+        for model, found in zip(models, evaluations, strict=True)
+    }
     sentences = list(verdicts[best].sentences)
     sentences += [" ".join(one.sentences[:2]) for name, one in verdicts.items() if name != best]
     return PageSection("summary", "In short", (Text(sentences, bullets=True),))
@@ -305,12 +318,9 @@ def evaluation_report(
     models = [replace(model, name=name) for model, name in zip(models, names, strict=True)]
     named = [replace(one, model=name) for one, name in zip(evaluations, names, strict=True)]
     judged = JudgedModels(trajectory, tuple(named), faults=tuple(faults))
-    said = {
-        model.name: (verdicts or {}).get(model.name) or verdict(model, trajectory, one)
-        for model, one in zip(models, named, strict=True)
-    }
     vehicle = models[0].vehicle
-    sections = [verdict_section(said, judged.best.model), *judged_sections(judged, vehicle)]
+    short = verdict_section(models, trajectory, named, judged.best.model, verdicts)
+    sections = [short, *judged_sections(judged, vehicle)]
     if budget is not None:
         sections.insert(1, budget_section(budget))
     if differences:

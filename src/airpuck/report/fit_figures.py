@@ -167,7 +167,7 @@ _DELAY_BINS = 24
 
 
 #: Drawing style of a 95 % band.
-_BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
+BAND: dict[str, Any] = {"alpha": 0.18, "lw": 0, "zorder": 1.5}
 
 
 @style.styled
@@ -192,14 +192,14 @@ def thrust_figure(
     grid = style.panels(figure, len(order), columns, sharex=True, sharey=True)
     speed = np.linspace(0, 1, 201)
     broad, dashed = {"lw": 3.0, "alpha": 0.45, "zorder": 2}, {"lw": 1.1, "ls": style.DASHED}
-    curves = [(model, _curves(model, speed), broad) for model in models]
-    curves += [(model, _curves(model, speed), {**dashed, "zorder": 3}) for model in reference]
-    bands = [(m, _band(m, speed)) for m in models if m.known is not None]
+    curves = [(model, thrust_curves(model, speed), broad) for model in models]
+    curves += [(model, thrust_curves(model, speed), {**dashed, "zorder": 3}) for model in reference]
+    bands = [(m, thrust_band(m, speed)) for m in models if m.known is not None]
     for axes, motor in zip(grid, order, strict=True):
         for model, curve, line in curves:
             axes.plot(speed, curve[motor], color=colors[model.name], **line)
         for model, band in bands:
-            axes.fill_between(speed, *band[:, motor], color=colors[model.name], **_BAND)
+            axes.fill_between(speed, *band[:, motor], color=colors[model.name], **BAND)
         axes.set_title(vehicle.propeller_names[motor], loc="left", fontsize=9)
     # A very wide band must not compress the scale of the curves.
     highest = max(float(curve.max()) for _, curve, _ in curves)
@@ -226,37 +226,17 @@ def thrust_figure(
     return figure
 
 
-def draw_thrusts(axes: Axes, model: Model) -> list[Artist]:
-    """Draw the thrust curves of all propellers with 95 % bands; return the legend's entries.
-
-    The second propeller of a pair is dashed.
-    """
-    speed, colors = np.linspace(0, 1, 201), style.propeller_colors(model.vehicle)
-    second = {group[1] for group in style.propeller_groups(model.vehicle) if len(group) > 1}
-    curves, handles = _curves(model, speed), []
-    band = None if model.known is None else _band(model, speed)
-    for motor, (name, color) in enumerate(zip(model.vehicle.propeller_names, colors, strict=True)):
-        line: dict[str, Any] = {"lw": 1.5, "ls": style.DASHED if motor in second else "-"}
-        axes.plot(speed, curves[motor], color=color, **line)
-        if band is not None:
-            axes.fill_between(speed, *band[:, motor], color=color, **_BAND)
-        handles.append(style.key(name, color, **line))
-    axes.set(xlim=(0, 1), ylim=(0, 1.08 * float(curves.max())))
-    axes.set(xlabel="motor speed φ [–]", ylabel="thrust [N]")
-    return handles
-
-
-def _curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "n K"]:
+def thrust_curves(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "n K"]:
     """Compute the thrust of every motor over its speed, at the physical scale [N]."""
     coefficients = physical_thrust(model)
     return thrust(coefficients, np.broadcast_to(speed, (len(coefficients), len(speed))))
 
 
-def _band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"]:
+def thrust_band(model: Model, speed: Float[np.ndarray, " K"]) -> Float[np.ndarray, "2 n K"]:
     """Return the 95 % bands of all thrust curves; the model must store its uncertainty."""
     assert model.known is not None
-    reach = model.known.quantile * model.standard_error(lambda m: _curves(m, speed))
-    middle = _curves(model, speed)
+    reach = model.known.quantile * model.standard_error(lambda m: thrust_curves(m, speed))
+    middle = thrust_curves(model, speed)
     return np.stack([middle - reach, middle + reach])
 
 

@@ -17,7 +17,7 @@ from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.evaluation.presentation import delay_words
 from airpuck.faults.strengths import Strengths, find_strengths
 from airpuck.identification.fit_result import Fit, knowledge_words
-from airpuck.judgement.verdict import Verdict, verdict
+from airpuck.judgement.verdict import Verdict
 from airpuck.model.model_file import Model
 from airpuck.model.quantities import QUANTITIES
 from airpuck.report.craft import actuator_words, craft_section
@@ -287,7 +287,11 @@ def fit_report(
     )
     last, vehicle = fits[-1], fits[0].model.vehicle
     strengths = strengths or find_strengths(last.model, training)
-    short = _verdicts(fits, judged, training, verdicts or {})
+    by, best = [None] * len(fits), last.model.name
+    if judged is not None:
+        by, best = list(judged.evaluations), judged.best.model
+    shown = training if judged is None else judged.trajectory
+    short = verdict_section(study.models, shown, by, best, verdicts)
     if strengths.sentences:
         short = replace(short, blocks=(Text(list(strengths.sentences)), *short.blocks))
     sections = [replace(short, blocks=(*short.blocks, *opening))]
@@ -315,24 +319,6 @@ def fit_report(
         lead += f", transport delay {1e3 * training.delay:.1f} ms"
     title = title or f"Identification of {vehicle.name}"
     return write_page(out, title, lead + ".", sections, origin)
-
-
-def _verdicts(
-    fits: Sequence[Fit],
-    judged: JudgedModels | None,
-    training: Trajectory,
-    known: Mapping[str, Verdict],
-) -> PageSection:
-    """Summarise which fits can be trusted."""
-    shown, by = training, [None] * len(fits)
-    best = fits[-1].model.name
-    if judged is not None:
-        shown, by, best = judged.trajectory, list(judged.evaluations), judged.best.model
-    verdicts = {
-        fit.model.name: known.get(fit.model.name) or verdict(fit.model, shown, found)
-        for fit, found in zip(fits, by, strict=True)
-    }
-    return verdict_section(verdicts, best)
 
 
 def _delay_section(fit: Fit, training: Trajectory) -> PageSection:

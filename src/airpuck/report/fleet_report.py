@@ -5,26 +5,28 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch, Rectangle
-from PIL import Image
+from matplotlib.patches import Circle
 
 from airpuck.boundary.outputs import replacing
 from airpuck.fleet.flight import FleetFlight
 from airpuck.fleet.scenario import Fleet
 from airpuck.report import style
-from airpuck.report.animation import Mover, moving_drawing
+from airpuck.report.animation import LASTS, RATE, Mover, moving_drawing, write_gif
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page
 
 #: Colours of the craft, repeated for more.
 _COLORS = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
-#: Frames per second of the animation, how long its last frame stays, and length of the trails [s].
-_RATE, _LASTS, _TRAIL = 20.0, 1.5, 1.2
+#: Length of the trails of the animation [s].
+_TRAIL = 1.2
 #: Pixels per metre of the animation, and room around the table [m].
 _SCALE, _AROUND = 400, 0.04
 
@@ -107,11 +109,9 @@ def path_figure(flight: FleetFlight, fleet: Fleet) -> Figure:
     axes = figure.subplots()
     table = fleet.settings.table
     axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-    axes.set(
-        xlim=np.array([-0.52, 0.52]) * table.length_m, ylim=np.array([-0.52, 0.52]) * table.width_m
-    )
-    for patch in _scenery(fleet):
-        axes.add_patch(patch)
+    x, y = 0.52 * table.length_m, 0.52 * table.width_m
+    axes.set(xlim=(-x, x), ylim=(-y, y))
+    _draw_scenery(axes, fleet)
     for k, name in enumerate(flight.names):
         color, track, radius = _color(k), flight.poses[:, k], flight.radii[k]
         axes.plot(track[:, 0], track[:, 1], color=color, lw=1.6)
@@ -146,21 +146,12 @@ def gap_figure(flight: FleetFlight) -> Figure:
     return figure
 
 
-def _scenery(fleet: Fleet) -> Iterator[Patch]:
-    """Yield the table and the obstacles."""
-    table = fleet.settings.table
-    corner = -table.length_m / 2, -table.width_m / 2
-    yield Rectangle(
-        corner, table.length_m, table.width_m, fc=style.FLOOR, ec=style.RAIL, lw=2, zorder=0
-    )
+def _draw_scenery(axes: Axes, fleet: Fleet) -> None:
+    """Draw the table and the obstacles."""
+    style.draw_rails(axes, fleet.settings.table, facecolor=style.FLOOR, zorder=0)
     for disc in fleet.scenario.obstacles:
-        yield Circle((disc.x_m, disc.y_m), disc.radius_m, fc=style.GREY, ec="none")
-
-
-def _frames(flight: FleetFlight) -> np.ndarray:
-    """Return the rows of the animation's frames."""
-    times = np.arange(flight.time[0], flight.time[-1], 1 / _RATE)
-    return np.minimum(np.searchsorted(flight.time, times), len(flight.time) - 1)
+        place = disc.x_m, disc.y_m
+        axes.add_patch(Circle(place, disc.radius_m, fc=style.GREY, ec="none"))
 
 
 def fleet_animation(flight: FleetFlight, fleet: Fleet) -> str:
@@ -183,45 +174,30 @@ def _canvas(fleet: Fleet) -> Figure:
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(-width / 2, width / 2), ylim=(-height / 2, height / 2))
     axes.axis("off")
-    for patch in _scenery(fleet):
-        axes.add_patch(patch)
+    _draw_scenery(axes, fleet)
     return figure
 
 
 def write_fleet_gif(flight: FleetFlight, fleet: Fleet, path: str | os.PathLike[str]) -> None:
     """Write the flight as an animated GIF, in real time."""
-    figure, rows = _canvas(fleet), _frames(flight)
-    pictures = [_picture(figure, flight, fleet, row) for row in rows]
-    durations = [round(1e3 / _RATE)] * (len(rows) - 1) + [round(1e3 * _LASTS)]
+    figure, times = _canvas(fleet), np.arange(flight.time[0], flight.time[-1], 1 / RATE)
+    rows = np.minimum(np.searchsorted(flight.time, times), len(flight.time) - 1)
+    moving = [partial(_moving, figure.axes[0], flight, fleet, row) for row in rows.tolist()]
     with replacing(path) as temporary:
-        pictures[0].save(
-            temporary, "GIF", save_all=True, append_images=pictures[1:], duration=durations, loop=0
-        )
+        write_gif(temporary, figure, moving, _COLORS[: len(flight.names)], RATE, LASTS)
 
 
-def _picture(figure: Figure, flight: FleetFlight, fleet: Fleet, row: int) -> Image.Image:
-    """Draw the craft with their trails at one time."""
-    axes, time = figure.axes[0], flight.time[row]
+def _moving(
+    axes: Axes, flight: FleetFlight, fleet: Fleet, row: int
+) -> Iterator[tuple[Axes, Artist]]:
+    """Yield the craft with their trails and goals at one time."""
+    time = flight.time[row]
     first = int(np.searchsorted(flight.time, time - _TRAIL))
-    added = []
     for k, name in enumerate(flight.names):
         color, radius, pose = _color(k), flight.radii[k], flight.poses[row, k]
         goal = fleet.member(name).goal(time)
         head = pose[:2] + 0.6 * radius * np.array([np.cos(pose[2]), np.sin(pose[2])])
-        added += [
-            axes.add_collection(
-                LineCollection([flight.poses[first : row + 1, k, :2]], colors=color, lw=2)
-            ),
-            axes.add_patch(Circle(tuple(goal[:2]), radius, fc="none", ec=color, ls=style.DASHED)),
-            axes.add_patch(
-                Circle(tuple(pose[:2]), radius, fc=(color, 0.3), ec=color, lw=2, zorder=3)
-            ),
-            axes.add_patch(Circle(tuple(head), 0.18 * radius, fc=color, ec="none", zorder=3)),
-        ]
-    canvas = figure.canvas
-    assert isinstance(canvas, FigureCanvasAgg)
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-    for artist in added:
-        artist.remove()
-    return picture.quantize(64)
+        yield axes, LineCollection([flight.poses[first : row + 1, k, :2]], colors=color, lw=2)
+        yield axes, Circle(tuple(goal[:2]), radius, fc="none", ec=color, ls=style.DASHED)
+        yield axes, Circle(tuple(pose[:2]), radius, fc=(color, 0.3), ec=color, lw=2)
+        yield axes, Circle(tuple(head), 0.18 * radius, fc=color, ec="none")

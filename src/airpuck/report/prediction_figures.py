@@ -11,7 +11,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patches import Circle, Patch, Rectangle
+from matplotlib.patches import Circle, Patch
 
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
@@ -337,8 +337,7 @@ def draw_path(axes: Axes, trajectory: Trajectory, vehicle: Vehicle) -> None:
     style.draw_arrow(axes, (x, y), tip, color=style.VERMILLION, arrowstyle="-|>", lw=1.4)
     half = np.array(Table().reach(0.0))
     if (np.abs(place) < half).all():
-        rails = Rectangle((-half[0], -half[1]), *(2 * half), fill=False, edgecolor=style.RAIL, lw=2)
-        axes.add_patch(rails)
+        style.draw_rails(axes, Table())
     low, high = place.min(axis=0) - 1.7 * radius, place.max(axis=0) + 1.7 * radius
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")

@@ -23,9 +23,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
 from airpuck.boundary.outputs import replacing
 from airpuck.control.law import Bound
+from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
@@ -45,7 +47,6 @@ BOUND_WORDS: dict[Bound, str] = {
 
 #: Colour of each rung of the model ladder.
 RUNG_COLORS = {"M0": GREY, "M1": ORANGE, "M2": GREEN, "M3": BLUE, "M4": VERMILLION}
-_OTHER_RUNGS = (PURPLE, SKY, BLACK)
 #: Colours of pairs of propellers and of unpaired propellers.
 _PAIR_COLORS = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK, "#8c6d31", GREY, "#b3a700")
 
@@ -108,11 +109,6 @@ def write_png(figure: Figure, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(drawn(figure, "png"))
 
 
-def rung_color(name: str) -> str:
-    """Return the colour of a model."""
-    return RUNG_COLORS.get(name) or _OTHER_RUNGS[sum(name.encode()) % len(_OTHER_RUNGS)]
-
-
 def model_colors(names: Iterable[str]) -> dict[str, str]:
     """Return a colour for each model of a figure; rungs keep theirs."""
     names = list(dict.fromkeys(names))
@@ -159,23 +155,11 @@ def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axe
     return list(grid[:count])
 
 
-def pose_panels(figure: Figure) -> list[Axes]:
-    """Add a panel for each channel of the pose over time, one below the other."""
-    axes = panels(figure, 3, 1, sharex=True)
-    for one, (name, unit) in zip(axes, POSE, strict=True):
-        one.set_ylabel(f"{name} [{unit}]")
-    axes[-1].set_xlabel("time [s]")
-    return axes
-
-
-def motor_panels(figure: Figure, motors: Sequence[str]) -> list[Axes]:
-    """Add a panel for the commands of each motor over time, two in a row."""
-    axes = panels(figure, len(motors), 2, sharex=True, sharey=True)
-    for one, name in zip(axes, motors, strict=True):
-        one.set_title(name, loc="left")
-        one.set(ylim=(-0.03, 1.05), xlabel="time [s]", ylabel="command [–]")
-        one.label_outer()
-    return axes
+def draw_rails(axes: Axes, table: Table, inset: float = 0.0, **look: Any) -> None:
+    """Draw the rails of a table, or the limit at a distance from them [m]."""
+    x, y = table.reach(inset)
+    look = {"facecolor": "none", "edgecolor": RAIL, "lw": 2, **look}
+    axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, **look))
 
 
 def label_rows(axes: Axes, labels: Sequence[str]) -> Float[np.ndarray, " rows"]:

@@ -16,8 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.report.table_canvas import COLORS, DARK_COLORS, craft_shape
-from airpuck.web.address import listen
-from airpuck.web.messages import Wish, read_message
+from airpuck.web.requests import Wish, listen, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageKind, serve
 
 #: Number of steps between plans that are shown.

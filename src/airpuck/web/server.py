@@ -20,8 +20,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from airpuck.flight.clock import TokenBucket
-from airpuck.web.address import refusal
-from airpuck.web.messages import LONGEST, Order, Wish, packed_wish, read_message
+from airpuck.web.requests import LONGEST, Order, Wish, packed_wish, read_message, refusal
 
 #: Types of files by extension. Each page has three files of its own, and shares three with all
 #: pages.

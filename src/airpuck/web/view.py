@@ -20,9 +20,8 @@ from airpuck.live.process import EVENT_LEVELS, PLAN_NAME, Outbox, Process
 from airpuck.live.settings import LiveSettings
 from airpuck.live.watch import GONE, Observer
 from airpuck.model.model_file import Model
-from airpuck.web.address import LOOPBACK
-from airpuck.web.messages import Wish, packed_state
 from airpuck.web.page import Pages, served, table_of
+from airpuck.web.requests import LOOPBACK, Wish, packed_state
 from airpuck.web.server import PageKind
 
 #: Number of events shown, the newest first.

@@ -21,8 +21,8 @@ from airpuck.live.graph import SENSOR, Graph
 from airpuck.live.process import Process
 from airpuck.live.settings import LiveSettings
 from airpuck.recording.message import StreamCodec
-from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
+from airpuck.web.requests import Wish, packed_wish
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck_hockey.game.rules import Ruling
 from airpuck_hockey.game.scorekeeper import Score

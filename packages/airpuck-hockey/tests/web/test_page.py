@@ -22,7 +22,7 @@ import airpuck
 from airpuck.craft.table import Mallet, Table
 from airpuck.twin.play import HandMallet
 from airpuck.twin.settings import default_twin_settings
-from airpuck.web.messages import packed_state
+from airpuck.web.requests import packed_state
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT
 from airpuck_hockey.game.contestant import contestant
 from airpuck_hockey.game.game import Game

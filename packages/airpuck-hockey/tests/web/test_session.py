@@ -17,9 +17,8 @@ import pytest
 import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.twin.settings import default_twin_settings
-from airpuck.web.address import LOOPBACK, address_of, listen
-from airpuck.web.messages import Wish, packed_wish
 from airpuck.web.page import Pages
+from airpuck.web.requests import LOOPBACK, Wish, address_of, listen, packed_wish
 from airpuck.web.server import EVENT, ORDER, SCENE, STATE, THOUGHT, WISH
 from airpuck_hockey.player.player import Player
 from airpuck_hockey.web import page as session_module
