@@ -5,7 +5,7 @@ import pytest
 
 from airpuck.deviation.effect_errors import effect_errors
 from airpuck.deviation.timing_change import timing_change
-from airpuck.evaluation.suspects import clock_suspect, timing_suspect
+from airpuck.judgement.findings import clock_suspect, timing_suspect
 from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 
