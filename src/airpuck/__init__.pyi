@@ -29,7 +29,7 @@ from airpuck.judgement.verdict import Verdict as Verdict
 from airpuck.identification.structure import identify as identify
 from airpuck.identification.fit_result import Fit as Fit
 from airpuck.identification.settings import Loss as Loss, Preparation as Preparation
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from airpuck.identification.method import LevenbergMarquardt as LevenbergMarquardt
 from airpuck.identification.bootstrap import bootstrap as bootstrap
 from airpuck.identification.fit import identifiability as identifiability
 from airpuck.experiment_design.design import design as design
@@ -59,7 +59,7 @@ from airpuck.evaluation.evaluate import (
     compare as compare,
     Evaluation as Evaluation,
 )
-from airpuck.evaluation.coasting import coasting as coasting
+from airpuck.evaluation.comparison import coasting as coasting
 from airpuck.evaluation.error_budget import error_budget as error_budget, ErrorBudget as ErrorBudget
 from airpuck.evaluation.prediction_bands import (
     prediction_bands as prediction_bands,

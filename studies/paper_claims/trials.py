@@ -14,7 +14,7 @@ from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import CHANNELS, hold_for
 from airpuck.evaluation.presentation import physical_thrust
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.method import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import lowest_slope, thrust_slope

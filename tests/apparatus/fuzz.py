@@ -115,7 +115,9 @@ def _bag(folder: Path, **options: Any) -> Path:
 
 def _bodies(folder: Path) -> Path:
     name = "/drone/control"
-    topics = {"/bodies": test_topic_stream.make("motion_capture_tracking_interfaces/msg/NamedPoseArray")}
+    topics = {
+        "/bodies": test_topic_stream.make("motion_capture_tracking_interfaces/msg/NamedPoseArray")
+    }
     return _mcap(folder, topics | {name: bags.foreign_topics()[name]})
 
 

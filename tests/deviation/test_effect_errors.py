@@ -8,7 +8,7 @@ import pytest
 
 from airpuck.craft.vehicle import read_vehicle
 from airpuck.deviation.effect_errors import effect_errors, timing_change
-from airpuck.evaluation.suspects import clock_suspect, timing_suspect
+from airpuck.judgement.findings import clock_suspect, timing_suspect
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording

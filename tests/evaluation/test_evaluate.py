@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Span
-from airpuck.evaluation.coasting import coasting
+from airpuck.evaluation.comparison import coasting
 from airpuck.evaluation.evaluate import Protocol, compare, evaluate
 from airpuck.model.model_file import published_model, read_model
 

@@ -11,7 +11,7 @@ from studies.adam import Adam, monotone_penalty
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+from airpuck.identification.method import LevenbergMarquardt
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS

@@ -189,7 +189,7 @@ def test_the_fit_names_its_loss():
 
 
 def test_warns_when_not_converged():
-    from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
+    from airpuck.identification.method import LevenbergMarquardt
 
     fit = identify(
         fly(published_model("M3"), duration=3.0), method=LevenbergMarquardt(max_iterations=1)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airpuck.deviation.effect_errors import effect_errors
-from airpuck.evaluation.coasting import better_from
+from airpuck.evaluation.comparison import better_from
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.bootstrap import resampled_estimates
 from airpuck.identification.fit import identify

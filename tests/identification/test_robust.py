@@ -11,8 +11,8 @@ from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.identification.fit import identify
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
+    LevenbergMarquardt,
     information_of_weights,
     reweighted,
     student_weights,

@@ -9,7 +9,7 @@ from studies.adam import batch_loss
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.trajectory import Trajectory
 from airpuck.data.windows import make_windows
-from airpuck.evaluation.coasting import better_from
+from airpuck.evaluation.comparison import better_from
 from airpuck.evaluation.evaluate import evaluate
 from airpuck.evaluation.innovations import innovations
 from airpuck.identification.fit import identify

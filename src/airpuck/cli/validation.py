@@ -52,10 +52,9 @@ def evaluate(
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.data.left_out import left_out_json, left_out_words
-    from airpuck.evaluation.coasting import better_from, coasting
+    from airpuck.evaluation.comparison import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
-    from airpuck.judgement.healthy import reference_faults
-    from airpuck.judgement.study import judged_on
+    from airpuck.judgement.study import judged_on, reference_faults
     from airpuck.report.tables import budget_table, error_tables
 
     judged = airpuck.read_model(model)
@@ -197,10 +196,10 @@ def compare(
     quiet: options.Quiet = False,
 ) -> None:
     """Compare models on one recording; report the drift between two learned models."""
+    from airpuck.evaluation.comparison import model_differences
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.evaluation.fit_measures import measure_fit
-    from airpuck.evaluation.model_difference import model_differences
-    from airpuck.judgement.healthy import reference_faults
+    from airpuck.judgement.study import reference_faults
     from airpuck.judgement.verdict import verdict
     from airpuck.report.tables import error_tables, fit_table
 

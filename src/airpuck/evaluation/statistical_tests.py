@@ -155,15 +155,10 @@ def log_mean_square_errors(
     tuple of array, shape (C, C), and float
         NaN and 0 if there are fewer than four blocks.
     """
-    count = blocks(start)
-    if count < FEWEST_BLOCKS:
+    drawn, count = redrawn_means(squares, start), blocks(start)
+    if drawn is None:
         return np.full((len(squares), len(squares)), np.nan), 0.0
-    length = _block_length(start)
-    sums = np.cumsum(np.pad(squares, ((0, 0), (1, 0))), axis=1)
-    of_block = sums[:, length:] - sums[:, :-length]
-    chosen = np.random.default_rng(0).integers(of_block.shape[1], size=(_DRAWS, round(count)))
-    drawn = _log(of_block[:, chosen].mean(axis=2))
-    return np.atleast_2d(np.cov(drawn)) * count / (count - 1), count - 1
+    return np.atleast_2d(np.cov(_log(drawn))) * count / (count - 1), count - 1
 
 
 def redrawn_means(

@@ -20,8 +20,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.process import usable_cores
 from airpuck.craft.vehicle import Vehicle
 from airpuck.identification.fit_result import Fit
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import reweighted
+from airpuck.identification.method import LevenbergMarquardt, reweighted
 from airpuck.identification.retiming import variance_of_mean
 from airpuck.model.parameters import LAG, Parameters, fix_gauge
 from airpuck.model.uncertainty import Bootstrap

@@ -18,8 +18,8 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import UNKNOWN, PacketDelays
 from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
 from airpuck.identification.method import (
+    LevenbergMarquardt,
     Method,
     Outcome,
     information_of_weights,

@@ -1,4 +1,4 @@
-"""The interface of optimisers; continuing a fit with other data or other weights."""
+"""Optimisers: their interface, Levenberg-Marquardt, and fits with other data or other weights."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import piqp
 from jaxtyping import Bool, Float
 
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.numbers import check_finite
 from airpuck.evaluation.evaluate import prediction_errors
 from airpuck.identification.objective import PredictionLoss, Quadratic
+from airpuck.identification.uncertainty import scaling
 from airpuck.model.parameters import Parameters
+from airpuck.physics.thrust import lowest_slope, slope_rows
 
 #: Degrees of freedom of the Student distribution; one is Cauchy's.
 _DEGREES = 1.0
@@ -155,3 +160,209 @@ def information_of_weights(
 def _typical(square: Float[np.ndarray, " W"]) -> float:
     """Return the scale σ² of windows' errors."""
     return max(float(np.median(square)), np.finfo(float).tiny)
+
+
+#: Largest factor by which a step changes the motor lag.
+_MOST_LAG = 3.0
+#: Damping, relative to the curvature, above which steps are too short to be informative.
+_OVERDAMPED = 1e6
+#: If a step promises less than this fraction of the loss and still fails, the loss has a kink:
+#: wherever the delay moves a command across a sample. The delay is then held.
+_SMALL = 2e-5
+#: Distance from a bound that makes no difference, in units in which the Hessian has a unit
+#: diagonal, and at most this fraction of the range: a short lag seems to have no effect.
+_TOUCHES, _TOUCHES_AT_MOST = 1e-7, 1e-3
+
+
+@dataclass(frozen=True)
+class LevenbergMarquardt:
+    """Damped Gauss-Newton steps, each the solution of a small quadratic program.
+
+    Every iterate respects the bounds and, with `monotone`, condition (thrust_cond): the thrust
+    curves rise on all of [0, 1]. The damping follows Nielsen's rule (Madsen, Nielsen and Tingleff,
+    "Methods for non-linear least squares problems", 2004).
+
+    Attributes
+    ----------
+    max_iterations : int
+        Largest number of evaluations after the first.
+    tolerance : float
+        Stop when the predicted decrease of the loss falls below this fraction.
+    monotone : bool
+        Whether thrust curves must rise.
+    damping : float
+        Initial damping, relative to the diagonal of the Hessian.
+
+    Examples
+    --------
+    >>> method = airpuck.LevenbergMarquardt(max_iterations=1)
+    >>> airpuck.identify(trajectory, "M0", method=method).converged
+    False
+    """
+
+    max_iterations: int = 50
+    tolerance: float = 1e-6
+    monotone: bool = True
+    damping: float = 1e-4
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        check_finite(tolerance=self.tolerance, damping=self.damping)
+
+    def minimize(
+        self,
+        loss: PredictionLoss,
+        parameters: Parameters,
+        free: Bool[np.ndarray, " P"],
+        progress: Callable[[Iteration], None] = lambda _: None,
+    ) -> Outcome:
+        """Minimise a prediction loss; see `Method.minimize`."""
+        program = _StepProgram(parameters, free, monotone=self.monotone)
+        delay = parameters.mask(frozenset({"transport_delay"}))
+        point = np.array(parameters.to_vector())
+        here = loss.quadratic(parameters)
+        history = [Iteration(0, here.loss)]
+        progress(history[0])
+        damping, growth, reason = self.damping, 2.0, "most iterations reached"
+        for number in range(1, self.max_iterations + 1):
+            try:
+                step = program.step(here, point, damping)
+            except ArithmeticError:
+                # More damping makes the problem better conditioned.
+                damping, growth = damping * growth, 2 * growth
+                if damping > _OVERDAMPED:
+                    raise InputError(
+                        "the data do not determine this many parameters (a step's quadratic "
+                        "program has no solution); use more data, fewer free parameters or a "
+                        "lower degree",
+                        field="recording",
+                    ) from None
+                history.append(Iteration(number, here.loss))
+                continue
+            promised = -(here.gradient @ step + step @ here.hessian @ step / 2)
+            standstill = np.all(np.abs(step) <= 1e-14 + 1e-12 * np.abs(point))
+            if promised <= self.tolerance * here.loss or standstill:
+                # A step that is short only because of damping says nothing about the optimum.
+                reason = "converged" if damping < _OVERDAMPED else "no step lowers the loss"
+                break
+            there = loss.quadratic(parameters.with_vector(point + step))
+            gain = (here.loss - there.loss) / promised
+            if gain > 0:
+                point, here = point + step, there
+                damping, growth = damping * max(1 / 3, 1 - (2 * float(gain) - 1) ** 3), 2.0
+            elif promised < _SMALL * here.loss and program.free[delay].any():
+                program.free = program.free & ~delay
+            else:
+                damping, growth = damping * growth, 2 * growth
+            history.append(Iteration(number, here.loss))
+            progress(history[-1])
+        return Outcome(
+            parameters=parameters.with_vector(point),
+            loss=here.loss,
+            history=tuple(history),
+            converged=reason == "converged",
+            message=reason,
+            quadratic=here,
+        )
+
+
+class _StepProgram:
+    """The quadratic program of a step within the bounds that keeps thrust curves rising."""
+
+    def __init__(
+        self, parameters: Parameters, free: Bool[np.ndarray, " P"], *, monotone: bool
+    ) -> None:
+        self.free, self._bounds = free, parameters.bounds()
+        self._lag = parameters.mask(frozenset({"motor_time_constant"}))
+        self._shape, self._n_thrust = np.shape(parameters.thrust), np.size(parameters.thrust)
+        self._slopes = SlopeConstraints(free[: self._n_thrust].reshape(self._shape), monotone)
+
+    def step(
+        self, here: Quadratic, point: Float[np.ndarray, " P"], damping: float
+    ) -> Float[np.ndarray, " P"]:
+        """Solve min g'd + d'(H + λ diag H)d/2."""
+        free, n = self.free, self._n_thrust
+        gradient, hessian = here.gradient[free], here.hessian[np.ix_(free, free)]
+        scale = scaling(here.hessian, free)[free]
+        damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
+        # Far from the optimum a step may end where the lag no longer matters, and stay there.
+        lower = np.maximum(self._bounds[0], np.where(self._lag, point / _MOST_LAG, -np.inf))
+        upper = np.minimum(self._bounds[1], np.where(self._lag, point * _MOST_LAG, np.inf))
+        lower, upper = (lower - point)[free], (upper - point)[free]
+        step = np.zeros_like(point)
+        while True:
+            rows = self._slopes.rows()
+            by_step = np.pad(rows, [(0, 0), (0, len(point) - n)])[:, free] * scale
+            least = self._slopes.margin - rows @ point[:n]
+            found = scale * _solve(
+                damped, gradient * scale, by_step, least, lower / scale, upper / scale
+            )
+            # A solver stops just inside a bound: move the result onto it.
+            near = np.minimum(_TOUCHES * scale, _TOUCHES_AT_MOST * (upper - lower))
+            found = np.where(found < lower + near, lower, found)
+            step[free] = np.where(found > upper - near, upper, found)
+            if not self._slopes.cut((point + step)[:n].reshape(self._shape)):
+                return step
+
+
+def _solve(
+    hessian: Float[np.ndarray, "F F"],
+    gradient: Float[np.ndarray, " F"],
+    rows: Float[np.ndarray, "R F"],
+    least: Float[np.ndarray, " R"],
+    lower: Float[np.ndarray, " F"],
+    upper: Float[np.ndarray, " F"],
+) -> Float[np.ndarray, " F"]:
+    """Solve min d'Hd/2 + g'd subject to rows·d ≥ least and lower ≤ d ≤ upper; diag H is about 1."""
+    step = np.linalg.solve(hessian, -gradient)
+    if np.all(rows @ step >= least) and np.all(lower <= step) and np.all(step <= upper):
+        return step
+    # The solver's tolerances are absolute: scale the step to order one, and drop unreachable
+    # bounds, whose huge numbers would swamp it.
+    unit = float(np.linalg.norm(step))
+    far = 1e6
+    near = least / unit > -far
+    constraints = {"G": rows[near], "h_l": least[near] / unit} if near.any() else {}
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = 1e-10
+    solver.setup(
+        hessian,
+        gradient / unit,
+        **constraints,
+        x_l=np.where(lower / unit > -far, lower / unit, -np.inf),
+        x_u=np.where(upper / unit < far, upper / unit, np.inf),
+    )
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        raise ArithmeticError(f"the step's quadratic program ended with {status}")
+    return unit * np.array(solver.result.x)
+
+
+class SlopeConstraints:
+    """Linear inequalities that keep thrust curves rising (prop:thrust), made where needed.
+
+    F'(φ) ≥ 0 for all φ in [0, 1] is one linear inequality in the coefficients for every φ. The
+    inequalities at the ends always exist; `cut` adds one at the minimum of a curve that falls
+    somewhere. A few cuts suffice, since a polynomial's slope has few minima.
+    """
+
+    #: Lowest allowed slope [N].
+    margin = 1e-6
+
+    def __init__(self, free: Bool[np.ndarray, "n degree"], monotone: bool = True) -> None:
+        self._free = free
+        # A curve that is not free may fall: no step can correct it.
+        self._mended = monotone & free.any(axis=1)
+        propellers = range(len(free)) if monotone else ()
+        self._points = [(i, speed) for i in propellers for speed in (0.0, 1.0)]
+
+    def rows(self) -> Float[np.ndarray, "R entries"]:
+        """Return A such that the constraints are A c ≥ margin; c are the flat coefficients."""
+        return slope_rows(self._free, self._points)
+
+    def cut(self, coefficients: Float[np.ndarray, "n degree"]) -> bool:
+        """Add constraints where curves fall."""
+        slopes, speeds = lowest_slope(coefficients)
+        falling = (slopes < 0) & (speeds > 0) & (speeds < 1) & self._mended
+        self._points += [(k, float(speeds[k])) for k in np.flatnonzero(falling).tolist()]
+        return bool(falling.any())

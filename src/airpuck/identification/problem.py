@@ -17,8 +17,7 @@ from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.data.trajectory import Span, Trajectory, as_trajectories, check_propellers, vehicle_of
 from airpuck.data.windows import make_windows
 from airpuck.faults.find import find_faults
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt
-from airpuck.identification.method import Iteration, Method
+from airpuck.identification.method import Iteration, LevenbergMarquardt, Method
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.uncertainty import cluster_windows

@@ -12,11 +12,13 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding, Result, html_table
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.trajectory import Trajectory
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.evaluate import Evaluation, evaluate
+from airpuck.faults.find import find_faults
 from airpuck.faults.layout_findings import AXES
-from airpuck.faults.strengths import Strengths, find_strengths, recording_findings
+from airpuck.faults.strengths import Strengths, find_strengths, recording_findings, usual_rung
 from airpuck.identification.bootstrap import bootstrap as resample
+from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.method import Iteration, Method
 from airpuck.identification.missing_terms import ALL, CHANGE, DEGREE, DELAY, MissingTerm
@@ -24,7 +26,7 @@ from airpuck.identification.settings import Loss, Preparation
 from airpuck.identification.structure import ModelStructure, lacking_on, structured
 from airpuck.judgement.findings import actuator_causes
 from airpuck.judgement.verdict import Verdict, verdict
-from airpuck.model.model_file import Model
+from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import NEURAL, Rung
 from airpuck.physics.rigid_body import CenterOfMassFrame
 from airpuck.preprocessing.pipeline import Source, load_all, load_trajectory
@@ -269,3 +271,20 @@ def _changed(what: str, change: float, evidence: str) -> tuple[str, str, str]:
     how = "more" if change > 0 else "less"
     cause = f"{give} {percent(abs(change))} {how} thrust at the end than at the beginning"
     return cause, evidence, f"Check {check}, or learn from a part (`--span`)."
+
+
+def reference_faults(trajectory: Trajectory, vehicle: Vehicle) -> tuple[Span, ...]:
+    """Find the faults of a recording by a model that is not under test.
+
+    It is the published M3 for the paper's craft, and for others a robust fit to the recording, as
+    in `airpuck faults`. If the model under test chose its own windows, it could call its errors
+    faults. Without faults, if the recording is too short for a fit.
+    """
+    published = published_model("M3")
+    if vehicle.propellers == published.vehicle.propellers:
+        return find_faults(trajectory, published)
+    with suppress(InputError):
+        rung = usual_rung(trajectory, vehicle)
+        fit = identify(trajectory, rung, vehicle=vehicle, loss=Loss(robust=True))
+        return find_faults(trajectory, fit.model)
+    return ()

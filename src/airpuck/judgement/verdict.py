@@ -23,16 +23,18 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.time_scale import patience, response_time
 from airpuck.evaluation.evaluate import Evaluation
 from airpuck.evaluation.presentation import WAYS, MainQuantity, main_quantities
-from airpuck.evaluation.suspects import clock_suspect, timing_suspect, unit_suspect
 from airpuck.faults.layout_findings import AXES
 from airpuck.faults.strengths import recording_findings
 from airpuck.judgement.findings import (
     Evidence,
+    clock_suspect,
     first_causes,
     incomplete,
+    timing_suspect,
     too_quiet,
     too_uncertain,
     too_wrong,
+    unit_suspect,
 )
 from airpuck.judgement.rehearsal import Rehearsal, rehearse
 from airpuck.model.model_file import Model

@@ -68,7 +68,7 @@ def error_tables(
     faults: Sequence[Span] = (),
 ) -> tuple[PageTable, PageTable]:
     """Tabulate errors from every and from healthy starts, and from windows without overlap."""
-    from airpuck.evaluation.coasting import coasting
+    from airpuck.evaluation.comparison import coasting
 
     first = evaluations[0]
     coasts = coasting(first, trajectory)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
-from airpuck.identification.levenberg_marquardt import LevenbergMarquardt, SlopeConstraints
+from airpuck.identification.method import LevenbergMarquardt, SlopeConstraints
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import published_model
