@@ -232,7 +232,7 @@ class KalmanFilter:
 
     def _apply_delay(self) -> None:
         """Let commands act as late as is certain; the equations are linear around that delay."""
-        means, covariances, weights, *rest_of = self._belief
+        means, covariances, weights, density = self._belief
         rest = float(weights @ means[:, -1])
         variance = float(weights @ (covariances[:, -1, -1] + (means[:, -1] - rest) ** 2))
         later = float(np.clip(certain(np, self.later + rest, variance), *_LATER))
@@ -240,7 +240,7 @@ class KalmanFilter:
         self._commands.later += change
         means = np.array(means)
         means[:, -1] -= change
-        self._belief = means, covariances, weights, *rest_of
+        self._belief = means, covariances, weights, density
         tau, idle = self.model.dynamics.lag, self.model.dynamics.idle_lag
         assert self._time is not None
         [(_, command)] = self._commands.cut(self._time, self._time)[-1:]

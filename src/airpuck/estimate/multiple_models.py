@@ -8,16 +8,16 @@ linear:
     p' = v,   v' = a + d + Σᵢ eᵢ aᵢ + w₁,   d' = w₂,
 
 where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
-Every packet has its own delay δ, too, which changes the velocity by δ times the packet's step of
-acceleration over the motors' lag. Without it one large change of the commands would determine the
-delay, which only many packets can.
+Every packet has its own delay, too, modelled as white noise along da/dt. Without it one large
+change of the commands would determine the delay, which only many packets can.
 Several states of the craft with different priors of e compete, each with its own Kalman filter: an
 interacting multiple-model estimator (Blom and Bar-Shalom, IEEE Transactions on Automatic Control
-33, 1988).
+33, 1988). A craft that learns also learns the density of w₁ from the innovations.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,7 +36,6 @@ from airpuck.estimate.axis_filter import (
 from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import lag_at, motor_step
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations
-from airpuck.physics.thrust import thrust
 
 #: An innovation beyond this many standard deviations in every state means contact with a rail or a
 #: hand; a motor would need ten frames for it. The velocities become unknown, and no motor is
@@ -48,15 +47,13 @@ _CERTAIN = 2.5
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
 
-#: Time over which the density of the accelerations that the model does not explain is learned [s],
-#: bounds of its logarithm [2 ln], and the largest squared innovation that counts.
-_DENSITY_S, _DENSITY, _INNOVATION = 2.0, (-4.6, 1.4), 9.0
+#: Time over which the density of unexplained accelerations is learned [s], bounds of the logarithm
+#: of its square relative to the noise's, and the largest squared innovation that counts.
+_DENSITY_S, _DENSITY, _INNOVATION = 2.0, (math.log(0.01), math.log(4.0)), 9.0
 
-#: Means (H, k), covariances (H, k, k) and weights (H,) of H states of the craft. Then by how much the
-#: squared density of unexplained accelerations differs from the noise's (3,) [ln], squared steps of
-#: acceleration that packets' delays have yet to act on (3, 3), and the command in force (n,). The
-#: arrays are never written to.
-Belief = tuple[Any, ...]
+#: Means (H, k), covariances (H, k, k) and weights (H,) of H states of the craft, and the learned
+#: logarithm of the squared density, relative to the noise's, of each axis (3,); never written to.
+Belief = tuple[Any, Any, Any, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,20 +97,20 @@ class MultipleModels:
         if before is None:
             covariances = _padded(states.covariance)
             means, weights = np.zeros(covariances.shape[:2]), states.weight
-            rest = np.zeros(3), np.zeros((3, 3)), np.zeros(len(self.dynamics.thrust))
+            density = np.zeros(3)
         else:
             # Knowledge of the motors is kept unless it is too old.
-            means, covariances, weights, *rest = self.renewed(np, before, elapsed)
+            means, covariances, weights, density = self.renewed(np, before, elapsed)
         means[:, :9], covariances[:, :9, :], covariances[:, :, :9] = 0.0, 0.0, 0.0
         means[:, POSITION] = pose
         drives = np.array(self.noise.disturbance) > 0
         initial = [self.noise.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives]
         covariances[:, range(9), range(9)] = np.square(np.concatenate(initial))
-        return means, covariances, weights, *rest
+        return means, covariances, weights, density
 
     def renewed(self, xp: Any, belief: Belief, duration: Any) -> Belief:
         """Advance over a time in which the state of the craft may have been redrawn."""
-        means, covariances, weights, *rest = belief
+        means, covariances, weights, density = belief
         states = self.states
         same = xp.exp(-duration / states.lasting)
         mean, covariance = mixed(xp, belief)
@@ -128,7 +125,7 @@ class MultipleModels:
         between = keeps * (1 - keeps) * away[:, :, None] * away[:, None, :]
         means = base + keeps[:, :, 0] * away
         covariances = keeps * covariances + (1 - keeps) * fresh + between + growth
-        return means, covariances, after, *rest
+        return means, covariances, after, density
 
     def _learned(
         self, xp: Any, belief: Belief, mean: Any, covariance: Any, duration: Any
@@ -150,19 +147,21 @@ class MultipleModels:
         growth = -xp.expm1(-duration / states.learned_s) * (prior[0] - own)
         return base, drawn, xp.where(is_first, growth, 0.0)
 
-    def advance(self, xp: Any, *given: Any) -> Any:
+    def advance(
+        self, xp: Any, means: Any, covariances: Any, weights: Any, density: Any, *given: Any
+    ) -> Any:
         """Advance belief and motor speeds through intervals with one command each.
 
         After the belief come motor speeds (n,), durations (S,) and commands (S, n).
         """
-        *belief, speed, durations, commands = given
+        speed, durations, commands = given
         total = xp.sum(durations)
-        means, covariances, weights, density, steps, last = self.renewed(xp, belief, total)
+        belief = means, covariances, weights, density
+        means, covariances, weights, density = self.renewed(xp, belief, total)
         path = xp.sum(weights[:, None] * means, axis=0)
         learns = self.states.learned_s is not None
         given = self.dynamics, path, speed, durations, commands
-        transition, offset, speed = drift(xp, *given, learns=learns)
-        late, steps = packets(xp, self.dynamics, path[2], steps, last, durations, commands)
+        transition, offset, speed, slopes = drift(xp, *given, learns=learns)
         half = small_product(xp, transition, covariances)
         moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         unexplained = np.square(self.noise.acceleration) * xp.exp(density)
@@ -170,29 +169,27 @@ class MultipleModels:
         added = process_noise(xp, total, *densities)
         # From a matrix for each axis to a single one: the axis is the inner index.
         by_axis = xp.eye(3)[None, :, None, :] * xp.moveaxis(added, 0, 1)[:, :, :, None]
-        late = self.states.jitter_s**2 * late
-        by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late, ((3, 3), (3, 3)))
+        # A packet that is late by δ changes the velocity by δ times the step of acceleration. White
+        # noise along da/dt of this squared density gives the same variance over one lag, and more
+        # for smooth commands, whose packets add up.
+        late = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
+        by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
         means = xp.sum(transition * means[:, None, :], axis=2) + offset
-        return means, covariances, weights, density, steps, commands[-1], speed
+        return means, covariances, weights, density, speed
 
     def use_pose(self, xp: Any, *given: Any) -> Any:
         """Advance, then use a pose, the last argument; the last result is the innovation."""
         *moving, pose = given
         *belief, speed = self.advance(xp, *moving)
-        means, covariances, weights, density, *_ = belief
+        means, covariances, weights, density = belief
         expected = xp.sum(weights[:, None] * means, axis=0)[POSITION]
         innovation = pose_difference(xp, pose, expected)
         rows, variances = np.eye(means.shape[1])[POSITION], np.square(self.noise.pose)
         if self.states.learned_s is not None:
-            # Innovations as large as expected: Sage and Husa's adaptive filter, by steps.
             spread = xp.diagonal(covariances, axis1=1, axis2=2)[:, POSITION] + variances
             square = innovation**2 * xp.sum(weights[:, None] / spread, axis=0)
-            square = xp.minimum(square, _INNOVATION)
-            linear = (square[0] + square[1]) / 2
-            surplus = xp.stack([linear, linear, square[2]]) - 1
-            share = xp.sum(moving[-2]) / _DENSITY_S
-            belief[3] = xp.clip(density + share * surplus, *_DENSITY)
+            belief[3] = learned_density(xp, density, square, xp.sum(moving[-2]))
         belief = self.measure(xp, tuple(belief), rows, innovation, variances)
         return *belief, speed, innovation
 
@@ -226,7 +223,7 @@ class MultipleModels:
 
     def measure(self, xp: Any, belief: Belief, rows: Any, innovations: Any, variances: Any) -> Any:
         """Use measurements y = Hx + noise, one component after the other."""
-        means, covariances, weights, *rest = belief
+        means, covariances, weights, density = belief
         states, size = self.states, means.shape[1]
         reference = xp.sum(weights[:, None] * means, axis=0)
         unknown = np.zeros(size)
@@ -248,7 +245,7 @@ class MultipleModels:
             likelihood = -(states.tail + 1) / 2 * surprise - xp.log(expected) / 2
             evidence = evidence + states.tempering * likelihood
         weights = xp.exp(evidence - xp.max(evidence))
-        return means, covariances, weights / xp.sum(weights), *rest
+        return means, covariances, weights / xp.sum(weights), density
 
     def predict(self, xp: Any, means: Any, covariances: Any, weights: Any, *given: Any) -> Any:
         """Return state, motor speeds, disturbance and effectiveness after time intervals.
@@ -266,9 +263,21 @@ class MultipleModels:
         # The delay is left out: each command in transit has its own.
         effectiveness = 1 + mean[ACTUATION][:-1]
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
-        axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given[3:])
+        axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given[1:])
         state = xp.ravel(axes[:, :2].T)
         return state, speed, axes[:, 2], effectiveness, e, deviation, weights
+
+
+def learned_density(xp: Any, density: Any, square: Any, duration: Any) -> Any:
+    """Move the density until squared innovations are as large as expected, on average.
+
+    An adaptive filter (Mehra, IEEE Transactions on Automatic Control 17, 1972) by small steps; x
+    and y share a density.
+    """
+    square = xp.minimum(square, _INNOVATION)
+    linear = (square[0] + square[1]) / 2
+    surplus = xp.stack([linear, linear, square[2]]) - 1
+    return xp.clip(density + duration / _DENSITY_S * surplus, *_DENSITY)
 
 
 def certain(xp: Any, value: Any, variance: Any) -> Any:
@@ -306,11 +315,12 @@ def drift(
     commands: Any,
     *,
     learns: bool = False,
-) -> tuple[Any, Any, Any]:
+) -> tuple[Any, Any, Any, Any]:
     """Integrate the accelerations over intervals with one command each.
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
-    matrix and the offset that advance any x, and the motor speeds. If the craft `learns`, the delay acts on the thrusts found in flight, otherwise on the modelled
+    matrix and the offset that advance any x, the motor speeds, and the integral of da/dt (da/dt)ᵀ.
+    If the craft `learns`, the delay acts on the thrusts found in flight, otherwise on the modelled
     ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
@@ -319,7 +329,7 @@ def drift(
     # Effects of e on v and p, and contributions of a itself.
     v_by_e, p_by_e = xp.zeros((3, size)), xp.zeros((3, size))
     v_by_a, p_by_a = xp.zeros(3), xp.zeros(3)
-    total = 0.0
+    total, slopes = 0.0, xp.zeros((3, 3))
     for k in range(len(durations)):
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau, idle)
@@ -331,6 +341,7 @@ def drift(
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
         p, v = p + h * v + h * h / 2 * rate, v + h * rate
         speed = motor_step(xp, speed, command, h, tau, idle)
+        slopes = slopes + h * by_e[:, None, -1] * by_e[None, :, -1]
         total = total + h
     eye, none = xp.eye(3), xp.zeros((3, 3))
     transition = xp.concatenate(
@@ -340,26 +351,7 @@ def drift(
             xp.eye(9 + size)[6:],
         ]
     )
-    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed
-
-
-def packets(
-    xp: Any, dynamics: Dynamics, yaw: Any, steps: Any, last: Any, durations: Any, commands: Any
-) -> tuple[Any, Any]:
-    """Return by how much unit delays of packets change the squared velocity, and steps left.
-
-    The motors' lag spreads the step of a packet over time, and with it the effect of its delay.
-    """
-    tau, total = xp.maximum(xp.asarray(dynamics.motor_time_constant), 1e-9), xp.zeros((3, 3))
-    for k in range(len(durations)):
-        change = thrust(dynamics.thrust, commands[k]) - thrust(dynamics.thrust, last)
-        forward, left, angular = dynamics.configuration @ change
-        cos, sin = xp.cos(yaw), xp.sin(yaw)
-        step = xp.stack([cos * forward - sin * left, sin * forward + cos * left, angular])
-        steps, last = steps + step[:, None] * step, commands[k]
-        remaining = xp.exp(-2 * durations[k] / tau)
-        total, steps = total + (1 - remaining) * steps, remaining * steps
-    return total, steps
+    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed, slopes
 
 
 def sensitivity(
@@ -382,7 +374,7 @@ def sensitivity(
 
 def mixed(xp: Any, belief: Belief) -> tuple[Any, Any]:
     """Return mean and covariance of the mixture of all states."""
-    means, covariances, weights, *_ = belief
+    means, covariances, weights, _ = belief
     mean = xp.sum(weights[:, None] * means, axis=0)
     away = means - mean
     spread = covariances + away[:, :, None] * away[:, None, :]
