@@ -1,5 +1,7 @@
 """Competing states of the craft against Gaussian conditioning and Bayes' rule by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -26,19 +28,19 @@ def belief(count, seed=0):
     roots = rng.normal(size=(count, SIZE, SIZE))
     weights = rng.uniform(0.5, 1.5, count)
     covariances = roots @ roots.swapaxes(1, 2) + np.eye(SIZE)
-    return 0.1 * rng.normal(size=(count, SIZE)), covariances, weights / weights.sum()
+    means = 0.1 * rng.normal(size=(count, SIZE))
+    return means, covariances, weights / weights.sum(), np.zeros(3)
 
 
 def test_a_measurement_is_conditioning_and_bayes_rule():
     models = MultipleModels(DYNAMICS, NOISE, states(3))
-    means, covariances, weights = belief(3)
+    means, covariances, weights, density = given = belief(3)
     rng = np.random.default_rng(5)
     rows, variances = rng.normal(size=(2, SIZE)), np.array([0.3, 0.7])
     reference = weights @ means
     innovations = np.array([0.4, -0.6])
-    found, less, posterior = models.measure(
-        np, (means, covariances, weights), rows, innovations, variances
-    )
+    found, less, posterior, kept = models.measure(np, given, rows, innovations, variances)
+    np.testing.assert_array_equal(kept, density)
     evidence = []
     for k in range(3):
         expected = rows @ covariances[k] @ rows.T + np.diag(variances)
@@ -73,14 +75,15 @@ def test_evidence_is_tempered_and_outliers_count_less():
 
 def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
     models = MultipleModels(DYNAMICS, NOISE, states(2))
-    means, _, weights = belief(2)
+    means, _, *weights = belief(2)
     means[:, 3] = 0.2
     covariances = np.repeat(np.diag([1e-6] * 9 + [1e-2] * 7)[None], 2, axis=0)
     rows, exact = np.eye(SIZE)[3:4], np.array([1e-6])  # the velocity along x
     # A measurement as precise as the estimate counts half; beyond eight deviations, fully.
     for deviations, counts in ((4.5, 0.5), (7.5, 0.5), (8.5, 1.0), (50.0, 1.0)):
         innovation = np.array([deviations * np.sqrt(2e-6)])
-        found, less, _ = models.measure(np, (means, covariances, weights), rows, innovation, exact)
+        before = means, covariances, *weights
+        found, less, *_ = models.measure(np, before, rows, innovation, exact)
         np.testing.assert_allclose(found[:, 3], 0.2 + counts * innovation[0], rtol=1e-4)
         others = np.delete(np.arange(SIZE), 3)
         np.testing.assert_allclose(found[:, others], means[:, others])
@@ -92,36 +95,62 @@ def test_what_is_far_from_all_states_is_a_knock_that_changes_velocities_only():
 def test_time_mixes_states_and_keeps_the_first_two_moments_of_what_is_known():
     models = MultipleModels(DYNAMICS, NOISE, states(3))
     before = belief(3)
-    means, covariances, weights = models.renewed(np, before, 1.5)
+    means, covariances, weights, _ = models.renewed(np, before, 1.5)
     # Each state lasts with probability exp(-t / T); the weights relax to the prior's.
     same = np.exp(-1.5 / 3.0)
     np.testing.assert_allclose(weights, same * before[2] + (1 - same) * models.states.weight)
     # Mixing does not change the knowledge about the axes.
     ours, theirs = (
         (w @ m, np.einsum("h,hij->ij", w, c + m[:, :, None] * m[:, None, :]))
-        for m, c, w in ((means, covariances, weights), before)
+        for m, c, w, *_ in ((means, covariances, weights), before)
     )
     np.testing.assert_allclose(ours[0][:9], theirs[0][:9])
     np.testing.assert_allclose(ours[1][:9, :9], theirs[1][:9, :9])
     # After a long time, all knowledge about the motors is lost.
-    means, covariances, _ = models.renewed(np, before, 100.0)
+    means, covariances, *_ = models.renewed(np, before, 100.0)
     np.testing.assert_allclose(means[:, 9:], 0.0, atol=1e-12)
     np.testing.assert_allclose(covariances[:, 9:, 9:], models.states.covariance, atol=1e-9)
 
 
 def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
     models = MultipleModels(DYNAMICS, NOISE, states(1))
-    means, covariances, weights = belief(1)
-    yaw = means[0, 2]
+    known = belief(1)
+    yaw = known[0][0, 2]
     body = np.array([0.2, -0.1])
-    found, less, _ = models.use_mouse((means, covariances, weights), body, 1e-6)
+    found, less, *_ = models.use_mouse(known, body, 1e-6)
     world = complex(*body) * np.exp(1j * yaw)
     np.testing.assert_allclose(found[0, 3:5], [world.real, world.imag], atol=1e-6)
     np.testing.assert_allclose(np.diag(less[0])[3:5], 0.0, atol=1e-9)
     speed = np.full(6, 0.3)
     exact = (1e-6, 1e-6)
-    found, less, _ = models.use_imu(
-        (means, covariances, weights), (speed, speed), np.array([0.1, 0.2]), 0.7, exact
-    )
+    found, less, *_ = models.use_imu(known, (speed, speed), np.array([0.1, 0.2]), 0.7, exact)
     assert found[0, 5] == pytest.approx(0.7, abs=1e-5)
     assert less[0, 5, 5] < 1e-9
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
+def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(ratio):
+    """The poses of an idle craft, pushed by white accelerations of a known density."""
+    learns = replace(states(1), learned_s=120.0)
+    models, random, period = MultipleModels(DYNAMICS, NOISE, learns), np.random.default_rng(1), 0.01
+    density = ratio * np.array(NOISE.acceleration)
+    # Exact steps of a double integrator that white noise drives.
+    root = np.linalg.cholesky([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
+    known, motion, found = models.begin(np.zeros(3), None, 0.0), np.zeros((2, 3)), []
+    idle, pieces = np.zeros(6), (np.array([period]), np.zeros((1, 6)))
+    for _ in range(3000):
+        motion[0] += period * motion[1]
+        motion += root @ random.normal(size=(2, 3)) * density
+        pose = motion[0] + random.normal(size=3) * NOISE.pose
+        *known, idle, _ = models.use_pose(np, *known, idle, *pieces, pose)
+        found.append(known[3])
+    found_ratio = np.exp(np.mean(found[1500:], axis=0) / 2)
+    np.testing.assert_allclose(found_ratio, ratio, rtol=0.15)
+    assert found[-1][0] == found[-1][1]
+
+
+def test_what_is_not_learned_keeps_its_density():
+    models = MultipleModels(DYNAMICS, NOISE, states(1))
+    known = models.begin(np.zeros(3), None, 0.0)
+    pieces = np.zeros(6), np.array([0.01]), np.zeros((1, 6))
+    assert not models.use_pose(np, *known, *pieces, np.full(3, 0.01))[3].any()
