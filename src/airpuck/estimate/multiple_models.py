@@ -49,7 +49,7 @@ ACTUATION = slice(9, None)
 
 #: Time over which the density of unexplained accelerations is learned [s], bounds of the logarithm
 #: of its square relative to the noise's, and the largest squared innovation that counts.
-_DENSITY_S, _DENSITY, _INNOVATION = 2.0, (math.log(0.01), math.log(4.0)), 9.0
+_DENSITY_S, _DENSITY, _INNOVATION = 2.0, (math.log(0.01), math.log(25.0)), 9.0
 
 #: Means (H, k), covariances (H, k, k) and weights (H,) of H states of the craft, and the learned
 #: logarithm of the squared density, relative to the noise's, of each axis (3,); never written to.
