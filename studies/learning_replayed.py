@@ -18,6 +18,8 @@ import numpy as np
 import airpuck
 from airpuck import SetPoint, TrackingController
 from airpuck.control.tuning import tuning_for
+from airpuck.estimate.estimator import Estimate
+from airpuck.flight.replay import fly_through
 from airpuck.model.model_file import Model
 from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import seconds
@@ -59,18 +61,13 @@ def learned(model: Model, flight: Flight) -> tuple[np.ndarray, np.ndarray]:
     """Return the gains found in flight, and their standard deviations."""
     tuning = tuning_for(model).with_estimator("learning")
     controller = TrackingController(model, SetPoint(0, 0, 0), tuning)
-    gains, deviations, following, due = [], [], 0, flight.stamps[0] + FIRST
-    for time, command in zip(flight.times.tolist(), flight.commands, strict=True):
-        while following < len(flight.stamps) and flight.arrivals[following] <= time:
-            controller.pose(float(flight.stamps[following]), flight.poses[following])
-            following += 1
-        if time > due and not controller.refusal(time):
-            found = controller.predict(time).actuation
-            assert found is not None
-            gains.append(found.effectiveness)
-            deviations.append(found.deviation)
+    gains, deviations, due = [], [], flight.stamps[0] + FIRST
+    for time, known in zip(flight.times.tolist(), fly_through(controller, *flight), strict=True):
+        if time > due and isinstance(known, Estimate):
+            assert known.actuation is not None
+            gains.append(known.actuation.effectiveness)
+            deviations.append(known.actuation.deviation)
             due += EVERY
-        controller.sent(time, command)
     return np.array(gains), np.array(deviations)
 
 

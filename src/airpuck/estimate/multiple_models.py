@@ -147,17 +147,14 @@ class MultipleModels:
         growth = -xp.expm1(-duration / states.learned_s) * (prior[0] - own)
         return base, drawn, xp.where(is_first, growth, 0.0)
 
-    def advance(
-        self, xp: Any, means: Any, covariances: Any, weights: Any, density: Any, *given: Any
-    ) -> Any:
+    def advance(self, xp: Any, *given: Any) -> Any:
         """Advance belief and motor speeds through intervals with one command each.
 
         After the belief come motor speeds (n,), durations (S,) and commands (S, n).
         """
-        speed, durations, commands = given
+        *belief, speed, durations, commands = given
         total = xp.sum(durations)
-        belief = means, covariances, weights, density
-        means, covariances, weights, density = self.renewed(xp, belief, total)
+        means, covariances, weights, density = self.renewed(xp, tuple(belief), total)
         path = xp.sum(weights[:, None] * means, axis=0)
         learns = self.states.learned_s is not None
         given = self.dynamics, path, speed, durations, commands

@@ -203,7 +203,7 @@ def replay(
     if fit_gains and controller.law.gain is None:
         problem = "this law has no gains; use --law lqr"
         raise InputError(problem, field="--fit-gains")
-    estimates = _fly_through(
+    estimates = fly_through(
         controller, aligned.pose_time, aligned.pose_time + latency, pose.values, time, sent
     )
     share = np.arange(len(time)) / len(time)
@@ -236,7 +236,7 @@ def replay(
     )
 
 
-def _fly_through(
+def fly_through(
     controller: TrackingController,
     stamps: Float[np.ndarray, " N"],
     arrivals: Float[np.ndarray, " N"],
