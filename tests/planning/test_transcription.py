@@ -1,8 +1,10 @@
-"""Paths between nodes."""
+"""Paths between nodes, and the derivatives that the solver gets."""
 
 import numpy as np
+import pytest
 
-from airpuck.planning.transcription import Path
+import airpuck
+from airpuck.planning.transcription import Path, Transcription
 
 
 def test_a_path_of_several_legs_is_resampled_leg_by_leg():
@@ -18,3 +20,22 @@ def test_a_path_of_several_legs_is_resampled_leg_by_leg():
         np.testing.assert_allclose(finer.times[[0, intervals, -1]], [0.0, 0.4, 1.4])
         np.testing.assert_array_equal(finer.commands[:: intervals // 2, 0], range(4))
     assert path.resampled(2) is path
+
+
+def test_the_solver_gets_the_derivatives_that_casadi_finds_itself():
+    pytest.importorskip("casadi")
+    model = airpuck.read_model("paper:M3")
+    solver = Transcription(model, intervals=3, legs=2, discs=1).solver
+    names, lagrangian = ["x", "p", "lam:f", "lam:g"], {"gamma": ["f", "g"]}
+    rng = np.random.default_rng(0)
+    itself = solver.oracle()
+    point = [rng.uniform(0.2, 0.8, itself.size1_in(k)) for k in (0, 1)]
+    multipliers = [0.7, rng.normal(size=itself.size1_out(1))]
+    slopes = itself.factory("slopes", names[:2], ["jac:g:x"])
+    np.testing.assert_allclose(
+        solver.get_function("nlp_jac_g")(*point)[1].full(), slopes(*point).full(), atol=1e-12
+    )
+    curves = itself.factory("curves", names, ["triu:hess:gamma:x:x"], lagrangian)
+    given = solver.get_function("nlp_hess_l")(*point, *multipliers).full()
+    np.testing.assert_allclose(given, curves(*point, *multipliers).full(), atol=1e-10)
+    assert np.abs(given).max() > 1

@@ -123,7 +123,9 @@ class Transcription:
     """The program for a model and a number of intervals, way points and discs; see `program_for`.
 
     The variables are state and command of each node in turn, then the final state and the durations
-    of the legs. All limits, start and goal are bounds, so a program is built once.
+    of the legs. All limits, start and goal are bounds, so a program is built once. Each interval has
+    the same cost and constraints, so only these are differentiated: by the variables of one
+    interval, from which a matrix leads to all variables.
     """
 
     def __init__(self, model: Model, intervals: int, legs: int, discs: int) -> None:
@@ -132,38 +134,62 @@ class Transcription:
         self.n = model.vehicle.n_propellers
         self.size = _MOTION + self.n
         total = intervals * legs
-        advance, between = _step_functions(model)
-        z = [casadi.SX.sym(f"z{k}", self.size) for k in range(total + 1)]
-        u = [casadi.SX.sym(f"u{k}", self.n) for k in range(total)]
-        durations = [casadi.SX.sym(f"T{leg}") for leg in range(legs)]
-        places = casadi.SX.sym("discs", 3, discs)
-        steps, clear, spins = [], [], []
-        for k in range(total):
-            h = durations[k // intervals] / intervals
-            end, spin = advance(z[k], u[k], h)
-            steps.append(z[k + 1] - end)
-            spins.append(spin)
-            middle = between(z[k], z[k + 1], h)
-            for d in range(discs):
-                for point in (middle, z[k + 1][:2]):
-                    away = point - places[:2, d]
-                    clear.append(casadi.dot(away, away) / places[2, d] ** 2)
-        changes = [casadi.sumsqr(u[k + 1] - u[k]) for k in range(total - 1)]
-        rates = [c * intervals / durations[k // intervals] for k, c in enumerate(changes)]
-        # Motors idle afterwards.
-        rates.append(casadi.sumsqr(u[-1] - model.vehicle.command_min) * intervals / durations[-1])
-        smoothing, tidiness = casadi.SX.sym("smoothing"), casadi.SX.sym("tidiness")
-        rough = tidiness * sum(changes) / max(total - 1, 1) + smoothing * sum(rates)
-        variables = [part for pair in zip(z, u, strict=False) for part in pair]
-        x = casadi.vertcat(*variables, z[-1], *durations)
-        problem = {
-            "x": x,
-            "f": sum(durations) + rough,
-            "g": casadi.vertcat(*steps, *clear, *spins),
-            "p": casadi.vertcat(casadi.vec(places), smoothing, tidiness),
-        }
-        self._solve = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS)
-        self._clearances, self._spins = len(clear), total
+        w, settings, cost, rows = _interval(model, discs)
+        by_cost, by_rows = casadi.SX.sym("by_cost"), casadi.SX.sym("by_rows", *rows.shape)
+        curvature = casadi.hessian(by_cost * cost + casadi.dot(by_rows, rows), w)[0]
+        values = casadi.Function("values", [w, settings], [cost, rows])
+        slopes = casadi.Function("slopes", [w, settings], [casadi.jacobian(rows, w)])
+        curves = casadi.Function("curves", [w, settings, by_cost, by_rows], [curvature])
+
+        placed, idle = self._placed(model.vehicle.command_min)
+        x = casadi.MX.sym("x", placed.shape[1])
+        p = casadi.MX.sym("p", *settings.shape)
+        lam_f, lam_g = casadi.MX.sym("lam_f"), casadi.MX.sym("lam_g", rows.numel() * total)
+        each = casadi.reshape(placed @ x + idle, w.numel(), total)
+        # What motors do afterwards is not a change between intervals.
+        used = np.ones((settings.numel(), total))
+        used[-1] = np.append(np.ones(total - 1), 0) / max(total - 1, 1)
+        each = each, casadi.repmat(p, 1, total) * casadi.DM(used)
+        costs, constraints = values.map(total)(*each)
+        g = casadi.vec(constraints)
+        multipliers = casadi.repmat(lam_f, 1, total), casadi.reshape(lam_g, -1, total)
+
+        def along(blocks: Any) -> Any:
+            return casadi.diagcat(*casadi.horzsplit(blocks, w.numel())) @ placed
+
+        jacobian = along(slopes.map(total)(*each))
+        hessian = casadi.triu(placed.T @ along(curves.map(total)(*each, *multipliers)))
+        names = ["x", "p", "lam_f", "lam_g"]
+        self.solver = casadi.nlpsol(
+            "plan",
+            "ipopt",
+            {"x": x, "f": casadi.sum2(costs), "g": g, "p": p},
+            {
+                **_OPTIONS,
+                "jac_g": casadi.Function("jac_g", [x, p], [g, jacobian], names[:2], ["g", "jac"]),
+                "hess_lag": casadi.Function(
+                    "hess_lag", [x, p, lam_f, lam_g], [hessian], names, ["hess"]
+                ),
+            },
+        )
+
+    def _placed(self, idle: float) -> tuple[Any, Any]:
+        """Return matrix and offset from all variables to those of each interval.
+
+        An interval has state and command, those at its end, and its duration. Motors idle after the
+        last one.
+        """
+        total, node = self.intervals * self.legs, self.size + self.n
+        interval = np.arange(total)[:, None]
+        leg = total * node + self.size + interval // self.intervals
+        column = np.concatenate([interval * node + np.arange(2 * node), leg], axis=1)
+        share = np.ones(column.shape)
+        share[:, -1] = 1 / self.intervals
+        after = np.zeros(column.shape, dtype=bool)
+        after[-1, node + self.size : -1] = True
+        row, size = np.flatnonzero(~after), (column.size, int(leg[-1, 0]) + 1)
+        matrix = _casadi().DM.triplet(row, column[~after], share[~after], *size)
+        return matrix, idle * after.ravel()
 
     def solve(self, request: Request, guess: Path, final_yaw: float, tidiness: float) -> Solved:
         """Solve from a guess, for a goal with this yaw.
@@ -172,21 +198,22 @@ class Transcription:
         not affect the duration.
         """
         lower, upper = self._bounds(request, final_yaw, guess.durations)
-        steps = self.intervals * self.legs * self.size
-        clear, spin = np.ones(self._clearances), np.full(self._spins, request.limits.spin)
+        clear, free = np.ones(2 * len(request.keep_out)), np.full(2 * len(request.keep_out), np.inf)
+        steps, spin = np.zeros(self.size), request.limits.spin
+        total = self.intervals * self.legs
         with redirect_stderr(StringIO()):  # CasADi warns of Ctrl-C
-            found = self._solve(
+            found = self.solver(
                 x0=self._packed(guess.states, guess.commands, guess.durations),
                 lbx=lower,
                 ubx=upper,
-                lbg=np.concatenate([np.zeros(steps), clear, -spin]),
-                ubg=np.concatenate([np.zeros(steps), clear * np.inf, spin]),
+                lbg=np.tile([*steps, *clear, -spin], total),
+                ubg=np.tile([*steps, *free, spin], total),
                 p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
             )
         check_stopped()  # IPOPT ends as if it had found no plan
-        stats = self._solve.stats()
+        stats = self.solver.stats()
         states, commands, durations = self._unpacked(found["x"].full()[:, 0])
-        prices = found["lam_g"].full()[:steps, 0].reshape(-1, self.size)
+        prices = found["lam_g"].full().reshape(total, -1)[:, : self.size]
         touching = self._unpacked(found["lam_x"].full()[:, 0])[0][:, :2]
         return Solved(
             Path(durations, states, commands),
@@ -238,24 +265,34 @@ def program_for(model: Model, intervals: int, legs: int, discs: int) -> Transcri
     return Transcription(model, intervals, legs, discs)
 
 
-def _step_functions(model: Model) -> tuple[Any, Any]:
-    """Trace one step of the physics; also return yaw rate and position at half the step."""
+def _interval(model: Model, discs: int) -> tuple[Any, Any, Any, Any]:
+    """Return variables, settings, cost and constraints of one interval, in symbols.
+
+    Constraints are the step, the distances from the discs at half the interval and at its end, and
+    the yaw rate between; settings are discs, smoothing and tidiness.
+    """
     casadi = _casadi()
-    n = model.vehicle.n_propellers
-    z, u, h = casadi.SX.sym("z", _MOTION + n), casadi.SX.sym("u", n), casadi.SX.sym("h")
+    sym, n = casadi.SX.sym, model.vehicle.n_propellers
+    z, u, h = sym("z", _MOTION + n), sym("u", n), sym("h")
+    after, following = sym("after", _MOTION + n), sym("following", n)
+    places, smoothing, tidiness = sym("discs", 3, discs), sym("smoothing"), sym("tidiness")
 
     def advance(state: Any, command: Any, duration: Any) -> Any:
         half = step(np, model.dynamics, state, command, duration[0] / _SUBSTEPS)
         end = step(np, model.dynamics, half, command, duration[0] / _SUBSTEPS)
         return np.concatenate([end, half[5:6]])
 
-    following = with_symbols(advance, z, u, h)
-    after = casadi.SX.sym("after", _MOTION + n)
+    end = with_symbols(advance, z, u, h)
     # The midpoint of the cubic through both positions with both velocities.
     middle = (z[:2] + after[:2]) / 2 + h / 8 * (z[3:5] - after[3:5])
+    away = [point - places[:2, d] for d in range(discs) for point in (middle, after[:2])]
+    clear = [casadi.sumsqr(way) / places[2, k // 2] ** 2 for k, way in enumerate(away)]
+    change = casadi.sumsqr(following - u)
     return (
-        casadi.Function("step", [z, u, h], [following[:-1], following[-1]]),
-        casadi.Function("middle", [z, after, h], [middle]),
+        casadi.vertcat(z, u, after, following, h),
+        casadi.vertcat(casadi.vec(places), smoothing, tidiness),
+        h + (tidiness + smoothing / h) * change,
+        casadi.vertcat(after - end[:-1], *clear, end[-1]),
     )
 
 
