@@ -123,8 +123,8 @@ class Transcription:
     """The program for a model and a number of intervals, way points and discs; see `program_for`.
 
     The variables are state and command of each node in turn, then the final state and the durations
-    of the legs. All limits, start and goal are bounds, so a program is built once. Each interval has
-    the same cost and constraints, so only these are differentiated: by the variables of one
+    of the legs. All limits, start and goal are bounds, so a program is built once. Each interval
+    has the same cost and constraints, so only these are differentiated: by the variables of one
     interval, from which a matrix leads to all variables.
     """
 
