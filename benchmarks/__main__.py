@@ -103,7 +103,7 @@ def whole_processes(table: Table, folder: Path) -> None:
     data = dataset_folder() / TRAINING
     bag, model = folder / "bag", folder / "m.toml"
     identify = (*AIRPUCK, "identify", data, "-o", model, "-q")
-    warm = {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
+    warm = {"XDG_CACHE_HOME": str(folder / "compiled")}
 
     def timed(*command: object, cold: bool = False) -> Callable[[], float]:
         return lambda: run(command, COLD if cold else None).wall_s
@@ -135,7 +135,7 @@ def each_command(table: Table, folder: Path) -> None:
     if table.only and not any(name.startswith(table.only) for name in names):
         return
     peer = float(workload("peer", "--runs", 1).figures["cpu_s"])
-    stored = {"JAX_COMPILATION_CACHE_DIR": str(folder / "compiled")}
+    stored = {"XDG_CACHE_HOME": str(folder / "compiled")}
 
     def share(name: str, when: str) -> float:
         if when == "compiled":

@@ -309,6 +309,7 @@ HEAVY = {"casadi", "cyclonedds", "jax", "matplotlib", "rosbags", "scipy"}
         ("airpuck", {*HEAVY, "numpy", "pydantic", "jaxtyping"}),
         ("airpuck.cli", {*HEAVY, "numpy", "pydantic", "jaxtyping"}),
         ("airpuck.model.model_file", HEAVY),
+        ("airpuck_hockey.web.page", {"casadi", "jax", "matplotlib", "scipy.optimize"}),
         pytest.param(
             "airpuck.judgement.study",
             {"casadi", "matplotlib", "rosbags", "scipy.optimize", "scipy.stats"},

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from airpuck.control.law import Prediction
 from airpuck.craft.table import Table
@@ -79,7 +80,7 @@ def test_plans_are_drawn_where_they_lead_in_the_colour_of_what_holds_them_back(f
     lines = mpc.collections[0]
     np.testing.assert_allclose([s[0, 0] for s in lines.get_segments()], [0.05, 0.1, 0.2])
     wanted = [style.BOUND_COLORS[k] for k in ("nothing", "motor", "motion")]
-    assert [style.mpl.colors.to_hex(c) for c in lines.get_colors()] == wanted
+    assert [to_hex(c) for c in lines.get_colors()] == wanted
     *_, clearance = error_figure(flights).axes
     drawn = [line for line in clearance.lines if len(line.get_ydata()) > 2]
     for line, one in zip(drawn, flights, strict=True):

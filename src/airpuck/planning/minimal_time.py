@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 from platformdirs import user_cache_path
-from scipy.optimize import least_squares
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Section, read_packaged, read_toml, write_toml
@@ -263,6 +262,8 @@ def scaled(times: MinimalTimes, model: Model, progress: Callable[[int, int], Non
     other craft, s, c and a factor are fitted. Plans, and therefore the error, end at rest, as
     players require; times to pass are scaled in the same way.
     """
+    from scipy.optimize import least_squares  # takes half a second to import
+
     states, planned = _planned(model, times, progress)
 
     def stretched(logs: Float[np.ndarray, " 3"]) -> MinimalTimes:

@@ -10,15 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from airpuck.boundary.outputs import replacing
 from airpuck.model.quantities import QUANTITIES
 from airpuck.model.rungs import RUNGS
 from airpuck.report.style import drawn
 from airpuck.report.tables import PageTable as PageTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,8 @@
 """Shared style of figures: colours with fixed meanings, sizes, legends, grids of panels.
 
 The palette of Okabe and Ito suits all types of colour vision. Figures are plain
-`matplotlib.figure.Figure` objects: no pyplot, no global state.
+`matplotlib.figure.Figure` objects: no pyplot, no global state. Matplotlib is imported where it
+draws: pages in the browser need the colours only, and importing it takes a second.
 """
 
 from __future__ import annotations
@@ -12,23 +13,21 @@ import itertools
 import os
 from collections.abc import Callable, Iterable, Sequence
 from importlib import resources
-from typing import Any, Literal, ParamSpec
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
-import matplotlib as mpl
 import numpy as np
 from jaxtyping import Float
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 
 from airpuck.boundary.outputs import replacing
 from airpuck.control.law import Bound
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+    from matplotlib.lines import Line2D
 
 BLACK, GREY, LIGHT = "#222222", "#767676", "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
@@ -61,12 +60,16 @@ POSE = (("x", "m"), ("y", "m"), ("yaw", "rad"))
 #: Width of a figure that fills a page [in] and resolution of the PNG [1/in].
 PAGE_WIDTH, RESOLUTION = 8.6, 130
 
-#: What all figures look like.
-LOOK = mpl.rc_params_from_file(
-    str(resources.files("airpuck") / "packaged" / "figures.mplstyle"), use_default_template=False
-)
-
 Arguments = ParamSpec("Arguments")
+
+
+@functools.cache
+def _look() -> Any:
+    """Return what all figures look like, in matplotlib's words."""
+    from matplotlib import rc_params_from_file
+
+    file = resources.files("airpuck") / "packaged" / "figures.mplstyle"
+    return rc_params_from_file(str(file), use_default_template=False)
 
 
 def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
@@ -74,7 +77,9 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
     @functools.wraps(draw)
     def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
-        with mpl.rc_context(LOOK):
+        from matplotlib import rc_context
+
+        with rc_context(_look()):
             return draw(*args, **kwargs)
 
     return in_style
@@ -82,6 +87,10 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure with an Agg canvas, which needs no display."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
     figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.07, h_pad=0.05))
     FigureCanvasAgg(figure)
     return figure
@@ -89,11 +98,13 @@ def new_figure(width: float, height: float) -> Figure:
 
 def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     """Draw a figure in a format: PNG for pages and screens, PDF and SVG for papers."""
+    from matplotlib import rc_context
+
     buffer = io.BytesIO()
     # Without dates and versions, the same figure gives the same file.
     changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     metadata = changing[suffix]
-    with mpl.rc_context(LOOK):  # ticks are created on the first draw
+    with rc_context(_look()):  # ticks are created on the first draw
         layout = figure.get_layout_engine()
         if layout is not None:
             # The layout costs as much as drawing, so it runs once for all formats.
@@ -157,6 +168,8 @@ def panels(figure: Figure, count: int, columns: int, **sharing: Any) -> list[Axe
 
 def draw_rails(axes: Axes, table: Table, inset: float = 0.0, **look: Any) -> None:
     """Draw the rails of a table, or the limit at a distance from them [m]."""
+    from matplotlib.patches import Rectangle
+
     x, y = table.reach(inset)
     look = {"facecolor": "none", "edgecolor": RAIL, "lw": 2, **look}
     axes.add_patch(Rectangle((-x, -y), 2 * x, 2 * y, **look))
@@ -189,6 +202,8 @@ def note(
 
 def key(label: str, color: str = BLACK, **line: Any) -> Line2D:
     """Return a legend entry."""
+    from matplotlib.lines import Line2D
+
     return Line2D([], [], color=color, label=label, **line)
 
 

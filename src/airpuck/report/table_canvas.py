@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.colors import to_rgb
 
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle
@@ -20,8 +19,8 @@ from airpuck.report.scene import PAUSE, DiscPath, FlightScene, GameScene, Planne
 
 
 def _rgb(color: str) -> list[int]:
-    """Return red, green and blue from 0 to 255."""
-    return [round(255 * part) for part in to_rgb(color)]
+    """Return red, green and blue of "#rrggbb", from 0 to 255."""
+    return list(bytes.fromhex(color[1:]))
 
 
 #: Colours of the canvas on light pages.

@@ -57,13 +57,10 @@ def play(
     quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends the game."""
-    from airpuck.extend import low_latency
     from airpuck_hockey.web.page import play_in_browser
 
-    model = read_player(craft.model, quiet)
-    low_latency()
     figures = play_in_browser(
-        model,
+        read_player(craft.model, quiet),
         arena,
         level=craft.level,
         tactic=craft.tactic,
@@ -112,7 +109,6 @@ def play_live(
     model = read_player(craft.model, live.quiet)
     table = craft.twin or AirHockey()
     make = AllRounder if craft.tactic is None else tactic_maker(craft.tactic)
-    low_latency()
     score = Score(table)
     spectators: list[Spectator] = [score]
     with ExitStack() as stack:
@@ -127,6 +123,7 @@ def play_live(
             )
             spectators.append(LivePage(pages, score, craft.level))
             invite(pages, page.browser, say(live.quiet))
+        low_latency()
         figures = fly_live(
             lambda: Player(model, table, make(), level=LEVELS[craft.level], seed=craft.seed),
             model.vehicle,

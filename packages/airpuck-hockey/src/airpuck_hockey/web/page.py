@@ -20,6 +20,7 @@ from airpuck.extend import (
     default_twin_settings,
     hockey_shape,
     invite,
+    low_latency,
     packed_state,
     prioritize,
     served,
@@ -246,6 +247,7 @@ def play_in_browser(
     settings = settings or default_twin_settings()
     hello = hello_of(model, settings) | {"recorded": record is not None}
     with served(arena.host, arena.port, hello, page=GAME_PAGE) as pages:
+        low_latency()  # imports JAX, while the server starts
         session = Session(pages, model, settings, level, seed, tactic, record)
         invite(pages, arena.browser, tell)
         return session.run(arena.duration)
