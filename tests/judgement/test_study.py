@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -166,6 +167,25 @@ def test_a_study_learns_from_the_span_that_is_asked_for(span, share, monkeypatch
     with pytest.raises(InputError, match="enough"):
         airpuck.study(flight, span=span)
     assert seen[0].duration == pytest.approx(share * flight.duration, rel=0.02)
+
+
+def test_the_first_hour_of_a_long_recording_is_studied_and_this_is_told(monkeypatch):
+    seen = []
+
+    def structured(training, *_, **__):
+        seen.extend(training)
+        return airpuck.identify(training, "M0"), None
+
+    monkeypatch.setattr("airpuck.judgement.study.structured", structured)
+    monkeypatch.setattr("airpuck.judgement.study.judged", lambda fit, *_, **__: fit)
+    flight = replace(fly(TRUTH, 4.0, seed=1), source="long")
+    for hour, told in ((3.0, "long: only the first hour was used"), (4.0, None)):
+        monkeypatch.setattr("airpuck.judgement.study._LONGEST", hour)
+        fit: Any = airpuck.study(flight)
+        assert seen.pop().duration == pytest.approx(hour, abs=0.03)
+        assert [one for one in fit.warnings if "hour" in one][:1] == [
+            f"{told}; --span names another part"
+        ] * (told is not None)
 
 
 @pytest.mark.slow
