@@ -121,3 +121,14 @@ def test_uneven_stamps_are_respected():
     time = times(200, 0.02)
     rate = velocity(time, (2 * time)[:, None])[10:-10, 0]
     assert np.abs(rate - 2).max() < 0.05
+
+
+def test_one_longer_step_changes_the_smoothing_around_it_alone():
+    even = np.arange(200) / 240
+    late = even + np.where(np.arange(200) < 100, 0.0, 0.5 / 240)
+    cubic = (late**3 - 2 * late**2)[:, None]
+    # A cubic stays itself in its actual times, not in numbers of samples.
+    np.testing.assert_allclose(smooth(late, cubic), cubic, atol=1e-12)
+    noise = np.random.default_rng(0).normal(size=(200, 1))
+    changed = np.flatnonzero(smooth(late, noise)[:, 0] != smooth(even, noise)[:, 0])
+    np.testing.assert_array_equal(changed, np.arange(95, 105))

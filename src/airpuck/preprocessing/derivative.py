@@ -28,7 +28,7 @@ VELOCITY_TIME, ACCELERATION_TIME = 11 / 240, 15 / 240
 _FEWEST = 5
 #: Number of samples in windows that are processed at once, which bounds memory.
 _AT_ONCE = 1 << 20
-#: Deviation of a step from the period, relative to it, above which smoothing uses actual times.
+#: Deviation of a step from the period, relative to it, around which smoothing uses actual times.
 _UNEVEN = 0.1
 #: Weight of an interpolated pose, which only keeps local polynomials determined.
 _INTERPOLATED = 1e-6
@@ -78,8 +78,6 @@ def smooth(
     if window <= POLYNOMIAL_ORDER + 1:
         return values
     values, steps = _filled(time, values, window, measured), np.diff(time)
-    if own != np.median(steps) or np.abs(steps / own - 1).max() > _UNEVEN:
-        return _smooth_unevenly(time, values, window, np.ones_like(time), np.arange(len(time)))
     # Projects the samples of a window onto polynomials: row k is their value at sample k. SciPy's
     # filter gives the same result, but importing scipy.signal takes longer than all of
     # preprocessing.
@@ -88,7 +86,13 @@ def smooth(
     fitted = basis @ basis.T
     inner = np.lib.stride_tricks.sliding_window_view(values, window, axis=0) @ fitted[half]
     ends = fitted[:half] @ values[:window], fitted[half + 1 :] @ values[-window:]
-    return np.concatenate([ends[0], inner, ends[1]])
+    smoothed = np.concatenate([ends[0], inner, ends[1]])
+    uneven = (np.abs(steps / own - 1) > _UNEVEN) | (own != np.median(steps))
+    passed = np.concatenate([[0], np.cumsum(uneven)])
+    first = np.clip(np.arange(len(time)) - half, 0, len(time) - window)
+    places = np.flatnonzero(passed[first + window - 1] > passed[first])
+    smoothed[places] = _smooth_unevenly(time, values, window, np.ones_like(time), places)
+    return smoothed
 
 
 def _filled(
