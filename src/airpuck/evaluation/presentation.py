@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -96,12 +96,14 @@ class MainQuantity:
         return bool(free.any() if self.entry is None else free[self.entry])
 
 
-def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[MainQuantity]:
-    """List the quantities that people ask for first."""
+def main_quantities(
+    model: Model, speeds: tuple[float, ...] = (1.0,), *, in_si: bool = False
+) -> list[MainQuantity]:
+    """List the quantities that people ask for first, in units for people or in the file's."""
     listed = []
     for quantity in model.parameters.quantities:
         if quantity.name not in _BY_EFFECT:
-            listed += _entries(model, quantity)
+            listed += _entries(model, replace(quantity, shown=None) if in_si else quantity)
     # A linear curve is one number.
     linear = np.shape(model.parameters.thrust)[1] == 1
     for motor, channel in enumerate(model.vehicle.actuation.channels):
