@@ -29,6 +29,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import plain
 from airpuck.compute.process import usable_cores
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning
@@ -287,6 +288,16 @@ class ComparedQuantities:
     def values(self, model: Model) -> Float[np.ndarray, " K"]:
         """Compute the quantities of a model."""
         return np.array([quantity.value(model) for quantity in self._quantities])
+
+    def labelled(self, errors: Float[np.ndarray, " K"]) -> dict[str, float]:
+        """Return one number for each quantity, by label."""
+        return dict(zip(self.labels, errors.tolist(), strict=True))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return unit and scale of each quantity, by label."""
+        return plain(
+            {one.label: {"unit": one.unit, "scale": one.scale} for one in self._quantities}
+        )
 
     def relative_errors(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
         """Compute standard errors relative to the scales, for an uncertainty of this model.
