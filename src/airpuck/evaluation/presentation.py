@@ -60,10 +60,11 @@ def largest_accelerations(
 class MainQuantity:
     """A number that follows from a model's parameters."""
 
-    #: Name for a table, and for a sentence.
+    #: Name for a table.
     label: str
+    #: Name for a sentence.
     words: str
-    #: For people.
+    #: Unit of its values, errors and differences.
     unit: str
     #: The quantity of `Parameters` that it belongs to.
     parameter: str
