@@ -3,7 +3,7 @@
 
 # Errors, numbers and files: what a user may give, and what is wrong with it.
 from airpuck.boundary.arguments import checked_class as checked_class, numbers_of as numbers_of
-from airpuck.boundary.errors import nearest as nearest, unknown as unknown
+from airpuck.boundary.errors import about as about, nearest as nearest, unknown as unknown
 from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
 from airpuck.boundary import numbers as numbers
 from airpuck.boundary.outputs import check_output as check_output
@@ -17,7 +17,7 @@ from airpuck.boundary.public import public_names as public_names
 # Commands: options, tables for the terminal, progress, signals.
 from airpuck.cli.app import command as command
 from airpuck.cli import options as options
-from airpuck.cli.options import about as about, read_belief as read_belief
+from airpuck.cli.options import read_belief as read_belief
 from airpuck.cli.live import report_flight as report_flight
 from airpuck.cli.output import (
     console as console,

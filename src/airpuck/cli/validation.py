@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
@@ -284,7 +284,7 @@ def resid(
 
     judged = airpuck.read_model(model)
     trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
-    with options.about(recording):
+    with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)
         bands = bands_of_all_horizons(judged, trajectory, tests.innovations)
