@@ -239,7 +239,8 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     base, *terms = name.split("+")
     if base not in RUNGS:
         raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}{nearest(base, RUNGS)}",
+            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or for a fit auto"
+            f"{nearest(base, RUNGS)}",
             field="model",
         )
     rung = replace(RUNGS[base], degree=degree, frame=frame)
