@@ -38,9 +38,8 @@ from airpuck.compute.process import (
 
 # Items of campaigns, and their computation in processes.
 from airpuck.campaigns.campaign import completed as completed
-from airpuck.campaigns.items import (
-    Item as Item,
-    Row as Row,
+from airpuck.campaigns.items import Item as Item, Row as Row
+from airpuck.campaigns.fingerprints import (
     of_code as of_code,
     of_file as of_file,
     of_recording as of_recording,
