@@ -83,7 +83,7 @@ from airpuck.physics.puck import (
     walls_of as walls_of,
 )
 from airpuck.physics.puck_on_table import PuckOnTable as PuckOnTable, Touch as Touch
-from airpuck.physics.many_pucks import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
+from airpuck.physics.puck_on_table import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
 
 # The twin: its world, sensors and radio; the flight loop.
 from airpuck.twin.craft import Craft as Craft
