@@ -7,7 +7,7 @@ from airpuck.boundary.errors import about as about, nearest as nearest, unknown 
 from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
 from airpuck.boundary import numbers as numbers
 from airpuck.boundary.outputs import check_output as check_output
-from airpuck.boundary.user_code import UserCode as UserCode
+from airpuck.boundary.extensions import UserCode as UserCode
 
 # Settings, results, and public names that a stub file declares.
 from airpuck.boundary.settings import Setting as Setting, Settings as Settings

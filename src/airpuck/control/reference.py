@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError, about
+from airpuck.boundary.extensions import UserCode
 from airpuck.boundary.files import Section, read_toml
-from airpuck.boundary.user_code import UserCode
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0

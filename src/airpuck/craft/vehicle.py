@@ -18,6 +18,7 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.extensions import with_code
 from airpuck.boundary.files import (
     Fraction,
     NonNegative,
@@ -28,7 +29,6 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.boundary.user_code import with_code
 from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers
 from airpuck.craft.wheel import Wheel
 
