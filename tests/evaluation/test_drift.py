@@ -11,8 +11,8 @@ from airpuck.evaluation.drift import Change, drift
 from airpuck.evaluation.presentation import MainQuantity
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.noisy_flights import TRUTH
 
 
@@ -21,16 +21,8 @@ def estimated(rng, error=0.02, clusters=40):
     vector = TRUTH.parameters.to_vector()
     deviation = np.where(TRUTH.free, error * np.abs(vector), 0.0)
     estimate = vector + rng.normal(size=len(vector)) * deviation
-    known = Uncertainty(
-        estimate,
-        np.diag(deviation**2),
-        np.where(TRUTH.free, deviation, np.nan),
-        np.zeros((0, len(vector))),
-        clusters,
-        2.02,
-    )
-    parameters = TRUTH.parameters.with_vector(estimate)
-    return replace(TRUTH, parameters=parameters, uncertainty=known)
+    model = replace(TRUTH, parameters=TRUTH.parameters.with_vector(estimate))
+    return believed(model, deviation, clusters=clusters)
 
 
 @pytest.mark.slow
@@ -127,7 +119,6 @@ def timed(lag: float, delay: float):
     for name in ("motor_time_constant", "transport_delay"):
         spread[parameters.mask(frozenset({name}))] = 1e-4
     spread[parameters.mask(frozenset({"motor_time_constant"}))] *= lag > 0
-    errors = np.where(spread > 0, spread, np.nan)
     covariance = np.diag(spread**2)
     # As after a fit: the errors of lag and delay are opposite.
     (one,), (other,) = (
@@ -135,8 +126,7 @@ def timed(lag: float, delay: float):
         for name in ("motor_time_constant", "transport_delay")
     )
     covariance[one, other] = covariance[other, one] = -0.96 * spread[one] * spread[other]
-    known = Uncertainty(vector, covariance, errors, np.zeros((0, len(vector))), 40, 2.02)
-    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+    return believed(replace(TRUTH, parameters=parameters, free=free), covariance, clusters=40)
 
 
 @pytest.mark.slow
@@ -157,9 +147,7 @@ def test_a_curve_that_its_constraint_holds_is_not_accused():
     flat = np.array(TRUTH.parameters.thrust)
     flat[2] = [1e-6, 0.3, 0.3]
     later = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=flat))
-    vector, spread = later.parameters.to_vector(), np.where(TRUTH.free, 1e-4, 0.0)
-    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 40, 2.02)
-    found = drift(timed(0.03, 0.015), replace(later, uncertainty=known))
+    found = drift(timed(0.03, 0.015), believed(later, 1e-4 * TRUTH.free, clusters=40))
     motor = TRUTH.vehicle.propeller_names[2]
     held = [change.quantity.words for change in found.changes if change.held]
     assert held == [f"thrust of {motor} at φ = 0.5", f"thrust of {motor} at full speed"]
@@ -178,11 +166,8 @@ def of_effect(name: str, at_bound: bool, inertia: float, correlation: float):
     covariance = np.zeros((len(vector), len(vector)))
     shape = np.array([[1.0, correlation], [correlation, 1.0]])
     covariance[np.ix_(learned, learned)] = shape * np.outer(spread, spread)
-    known = Uncertainty(
-        *(vector, covariance, np.sqrt(np.diag(covariance)), np.zeros((0, len(vector))), 40, 2.02)
-    )
     free = np.isin(np.arange(len(vector)), learned)
-    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+    return believed(replace(TRUTH, parameters=parameters, free=free), covariance, clusters=40)
 
 
 @pytest.mark.parametrize("name", ["drag", "inflow", "pair_interaction", "voltage_sag", "idle_lag"])
