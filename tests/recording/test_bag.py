@@ -250,7 +250,7 @@ module builtin_interfaces {{ module msg {{ struct Time {{
     write_mcap(
         folder / "a_1.mcap",
         {"/drone/control": ("my_msgs/msg/Command", idl, messages)},
-        encoding="ros2idl",
+        schemas="ros2idl",
     )
     command = read_recording(folder)["command"]
     assert command.columns == ("left", "right")
@@ -496,6 +496,7 @@ def test_messages_in_another_encoding_are_refused_by_its_name(tmp_path: Path):
         ("/pose", "foxglove.PoseInFrame", "{}", messages),
         ("/command", "foxglove.Motors", "{}", messages),
         encoding="json",
+        schemas="jsonschema",
     )
     mapping = RecordingMapping(topics=Topics(pose="/pose", command="/command"))
     with pytest.raises(InputError, match=r"/pose: .* encoded as json, .*export the topic as CSV"):
@@ -514,7 +515,7 @@ def test_an_mcap_file_converted_from_ros_1_is_read(tmp_path: Path):
             found = [(t, data) for _, t, data in bag.messages([connection])]
             kind = connection.msgtype.replace("/msg", "")
             channels.append((connection.topic, kind, connection.msgdef.data, found))
-    path = write_channels(tmp_path / "a.mcap", *channels, encoding="ros1")
+    path = write_channels(tmp_path / "a.mcap", *channels, encoding="ros1", schemas="ros1msg")
     assert read_recording(path).streams == whole.streams
 
 
