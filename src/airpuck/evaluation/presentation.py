@@ -46,14 +46,13 @@ def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
     return thrust_scale(model)[:, None] * np.asarray(model.parameters.thrust)
 
 
-def largest_accelerations(
-    model: Model, speed: float = 1.0
+def propeller_accelerations(
+    model: Model,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return each propeller's effect on the craft, linear [m/s²] and angular [rad/s²]."""
-    coefficients = np.asarray(model.parameters.thrust)
-    force = thrust(coefficients, np.full(len(coefficients), speed))
-    matrix = np.asarray(model.dynamics.configuration)
-    return np.hypot(matrix[0], matrix[1]) * force, matrix[2] * force
+    """Return each propeller's effect at full speed, linear [m/s²] and angular [rad/s²]."""
+    full = np.asarray(model.parameters.thrust).sum(axis=1)
+    forward, left, angular = np.asarray(model.dynamics.configuration) * full
+    return np.hypot(forward, left), angular
 
 
 @dataclass(frozen=True)
