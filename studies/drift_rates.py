@@ -42,7 +42,7 @@ def learned(model: Model, seed: int, duration: float) -> Model:
 
 def moved(found: Drift) -> list[str]:
     """Return the quantities that drift reports as moved."""
-    return [change.words for change in found.changes if change.moved]
+    return [change.quantity.words for change in found.changes if change.moved]
 
 
 def pair(number: int, motor: str, loss: float, duration: float) -> tuple[list[str], list[str]]:

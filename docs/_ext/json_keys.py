@@ -26,6 +26,7 @@ COMMANDS = {
     "faults": "Strengths",
     "check": "LayoutCheck",
     "track": "Tracked",
+    "design": "Design CandidateFlight",
     "plan": "Plan",
     "race": "Race",
     "preflight": "Preflight",

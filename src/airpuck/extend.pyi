@@ -3,11 +3,11 @@
 
 # Errors, numbers and files: what a user may give, and what is wrong with it.
 from airpuck.boundary.arguments import checked_class as checked_class, numbers_of as numbers_of
-from airpuck.boundary.errors import nearest as nearest, unknown as unknown
+from airpuck.boundary.errors import about as about, nearest as nearest, unknown as unknown
 from airpuck.boundary.numbers import COORDINATE as COORDINATE, PAUSE as PAUSE, Range as Range
 from airpuck.boundary import numbers as numbers
 from airpuck.boundary.outputs import check_output as check_output
-from airpuck.boundary.user_code import UserCode as UserCode
+from airpuck.boundary.extensions import UserCode as UserCode
 
 # Settings, results, and public names that a stub file declares.
 from airpuck.boundary.settings import Setting as Setting, Settings as Settings
@@ -17,7 +17,7 @@ from airpuck.boundary.public import public_names as public_names
 # Commands: options, tables for the terminal, progress, signals.
 from airpuck.cli.app import command as command
 from airpuck.cli import options as options
-from airpuck.cli.options import about as about, read_belief as read_belief
+from airpuck.cli.options import read_belief as read_belief
 from airpuck.cli.live import report_flight as report_flight
 from airpuck.cli.output import (
     console as console,
@@ -38,9 +38,8 @@ from airpuck.compute.process import (
 
 # Items of campaigns, and their computation in processes.
 from airpuck.campaigns.campaign import completed as completed
-from airpuck.campaigns.items import (
-    Item as Item,
-    Row as Row,
+from airpuck.campaigns.items import Item as Item, Row as Row
+from airpuck.campaigns.fingerprints import (
     of_code as of_code,
     of_file as of_file,
     of_recording as of_recording,
@@ -84,7 +83,7 @@ from airpuck.physics.puck import (
     walls_of as walls_of,
 )
 from airpuck.physics.puck_on_table import PuckOnTable as PuckOnTable, Touch as Touch
-from airpuck.physics.many_pucks import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
+from airpuck.physics.puck_on_table import PUCK_NUMBERS as PUCK_NUMBERS, puck_paths as puck_paths
 
 # The twin: its world, sensors and radio; the flight loop.
 from airpuck.twin.craft import Craft as Craft

@@ -108,50 +108,33 @@ Types = Mapping[str, Any]
 Topic = tuple[str, str, list[tuple[int, bytes]]]
 
 
-def write_mcap(
-    path: Path,
-    topics: dict[str, Topic],
-    *,
-    encoding: str = "ros2msg",
-    in_order: bool = True,
-    **options,
-) -> Path:
-    """Write a file with the mcap package: topic -> (type, definition, [(time, message)])."""
-    from mcap.writer import CompressionType, Writer
-
-    options.setdefault("compression", CompressionType.ZSTD)
-    with path.open("wb") as file:
-        writer = Writer(file, **options)
-        writer.start("ros2", "not airpuck")
-        events = []
-        for name, (msgtype, text, messages) in topics.items():
-            schema = writer.register_schema(msgtype, encoding, text.encode())
-            channel = writer.register_channel(name, "cdr", schema)
-            events += [(time, channel, message) for time, message in messages]
-        if in_order:
-            events.sort(key=lambda event: event[0])
-        for time, channel, message in events:
-            writer.add_message(channel, time, message, time)
-        writer.finish()
-    return path
+def write_mcap(path: Path, topics: dict[str, Topic], **options: Any) -> Path:
+    """Write topic -> (type, definition, [(time, message)]); options as of `write_channels`."""
+    return write_channels(path, *((name, *topic) for name, topic in topics.items()), **options)
 
 
 def write_channels(
-    path: Path, *channels: tuple[str, str, str, list[tuple[int, bytes]]], encoding: str = "cdr"
+    path: Path,
+    *channels: tuple[str, str, str, list[tuple[int, bytes]]],
+    encoding: str = "cdr",
+    schemas: str = "ros2msg",
+    in_order: bool = True,
+    **options: Any,
 ) -> Path:
     """Write a channel for each topic, type, definition and messages; topics may repeat."""
     from mcap.writer import Writer
 
-    schemas = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
     with path.open("wb") as file:
-        writer = Writer(file)
+        writer = Writer(file, **options)
         writer.start("", "not airpuck")
         events = []
         for name, msgtype, text, messages in channels:
-            schema = writer.register_schema(msgtype, schemas[encoding], text.encode())
+            schema = writer.register_schema(msgtype, schemas, text.encode())
             channel = writer.register_channel(name, encoding, schema)
             events += [(time, channel, message) for time, message in messages]
-        for time, channel, message in sorted(events):
+        if in_order:
+            events.sort(key=lambda event: event[0])
+        for time, channel, message in events:
             writer.add_message(channel, time, message, time)
         writer.finish()
     return path

@@ -49,6 +49,7 @@ def test_what_is_no_argument_is_named(name):
         ),
         (partial(airpuck.compare, [M3, "M3"], None), "Model, but contains 'M3'"),
         (partial(airpuck.read_vehicle, 5), "path: must be a text or a path, not 5"),
+        (partial(airpuck.Twin, M3, pose=(0, 0)), r"sequence of 3 numbers, not \(0, 0\)"),
         (partial(airpuck.excite, M3, margin=np.nan), "margin: must be "),
         (partial(airpuck.Span, np.nan, 1.0, "gap"), "start: must be a finite number, not nan"),
         (partial(airpuck.LevenbergMarquardt, tolerance=np.inf), "tolerance: must be a finite"),

@@ -7,7 +7,7 @@ import pytest
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.user_code import UserCode
+from airpuck.boundary.extensions import UserCode
 from airpuck.control.law import Moment, law_named
 from airpuck.flight.loop import pilot_maker
 from tests.apparatus import typechecker

@@ -15,6 +15,7 @@ from airpuck.control.reference import (
     TimedPath,
     asked,
     check_inside,
+    read_setpoints,
 )
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
@@ -264,3 +265,13 @@ def test_set_points_lie_within_a_border_on_all_sides(x, y):
     for reference in (SetPoint(x, y, 0.0), SetPoints([0.0], [(x, y, 0.0)])):
         with pytest.raises(InputError, match="outside"):
             check_inside(reference, (1.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("x", "yaw", "words"), [(1.01, 0.0, "outside the geofence"), (0.0, 90.0, "is it in degrees")]
+)
+def test_a_set_point_from_a_file_is_refused_with_the_name_of_the_file(tmp_path, x, yaw, words):
+    path = tmp_path / "points.toml"
+    path.write_text(f"[[setpoints]]\nat_s = 0.0\nx_m = {x}\ny_m = 0.0\nyaw_rad = {yaw}\n")
+    with pytest.raises(InputError, match=rf"points\.toml: setpoint: .*{words}"):
+        check_inside(read_setpoints(path), (1.0, 0.5))

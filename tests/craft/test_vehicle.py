@@ -73,7 +73,8 @@ def test_reads_back_what_it_writes(quad, tmp_path):
     [
         ("mass_kg = 0.2", "mass_kg = -0.2", "mass_kg"),
         ("mass_kg = 0.2", "mass_g = 200.0", "mass_kg|mass_g"),
-        ('name = "right"', 'name = "left"', "same name"),
+        ('name = "right"', 'name = "left"', "same name, 'left'"),
+        ('["left", "right"]', '["left", "left"]', "pairs: 'left' can be in one pair only"),
         ('["left", "right"]', '["left", "middle"]', "unknown propeller 'middle'"),
         ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5], [0.2]", "equal numbers of coefficients"),
         ("[0.1, 0.5], [0.2, 0.6]", "[0.1, 0.5]", "1 curves for 2 propellers"),
@@ -136,7 +137,7 @@ def test_columns_without_names_are_in_the_order_of_the_vehicle():
         }
     )
     assert match_columns(renamed, unnamed_columns(6), source="x") == [5, 4, 3, 2, 1, 0]
-    with pytest.raises(InputError, match="has 4 motors"):
+    with pytest.raises(InputError, match=r"has 4 motors.*--vehicle"):
         match_columns(vehicle, unnamed_columns(4), source="x")
 
 

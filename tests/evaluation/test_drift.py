@@ -8,10 +8,11 @@ from scipy.stats import ttest_ind_from_stats
 
 from airpuck.boundary.errors import InputError
 from airpuck.evaluation.drift import Change, drift
+from airpuck.evaluation.presentation import MainQuantity
 from airpuck.model.model_file import published_model
 from airpuck.model.quantities import EFFECTS
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.noisy_flights import TRUTH
 
 
@@ -20,16 +21,8 @@ def estimated(rng, error=0.02, clusters=40):
     vector = TRUTH.parameters.to_vector()
     deviation = np.where(TRUTH.free, error * np.abs(vector), 0.0)
     estimate = vector + rng.normal(size=len(vector)) * deviation
-    known = Uncertainty(
-        estimate,
-        np.diag(deviation**2),
-        np.where(TRUTH.free, deviation, np.nan),
-        np.zeros((0, len(vector))),
-        clusters,
-        2.02,
-    )
-    parameters = TRUTH.parameters.with_vector(estimate)
-    return replace(TRUTH, parameters=parameters, uncertainty=known)
+    model = replace(TRUTH, parameters=TRUTH.parameters.with_vector(estimate))
+    return believed(model, deviation, clusters=clusters)
 
 
 @pytest.mark.slow
@@ -42,7 +35,7 @@ def test_nothing_moves_where_nothing_moved():
 def test_the_arithmetic_by_hand():
     rng = np.random.default_rng(4)
     one, two = estimated(rng), estimated(rng, clusters=20)
-    change = next(c for c in drift(one, two).changes if c.label == "I")
+    change = next(c for c in drift(one, two).changes if c.quantity.label == "I")
     before, after = (1e3 * m.parameters.inertia for m in (one, two))
     joint = np.hypot(1, 1) * 0.02 * 1e3 * TRUTH.parameters.inertia
     assert change.standard_error == pytest.approx(joint, rel=1e-6)
@@ -65,17 +58,18 @@ def test_probabilities_are_those_of_welchs_test():
 
 
 @pytest.mark.parametrize(
-    ("before", "relative", "says"),
+    ("before", "parameter", "says"),
     [
-        (4.0, True, "I rose by 25.0 % ± 5.0 % (z = 5.0)"),
-        (4.0, False, "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        (4.0, "inertia", "I rose by 25.0 % ± 5.0 % (z = 5.0)"),
         # Quantities that may be negative have no percentage.
-        (0.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
-        (-4.0, True, "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        (4.0, "tilt", "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        (0.0, "inertia", "I rose by 1 ± 0.2 mm (z = 5.0)"),
+        (-4.0, "inertia", "I rose by 1 ± 0.2 mm (z = 5.0)"),
     ],
 )
-def test_a_change_is_a_percentage_where_that_means_something(before, relative, says):
-    change = Change("I", "I", "mm", before, before + 1.0, 0.2, 5.0, 0.001, relative)
+def test_a_change_is_a_percentage_where_that_means_something(before, parameter, says):
+    quantity = MainQuantity("I", "I", "mm", parameter, 0, ".4g", lambda _: before)
+    change = Change(quantity, before, before + 1.0, 0.2, 5.0, 0.001)
     assert change.verdict == says
 
 
@@ -84,11 +78,11 @@ def test_a_propeller_that_lost_a_tenth_is_named(fits):
     motor = TRUTH.vehicle.propeller_names[2]
     found = drift(fits[0], fits[2])
     assert found.verdicts[0].startswith(f"thrust of {motor} at")
-    full = next(c for c in found.changes if c.label == f"F(1) {motor}")
+    full = next(c for c in found.changes if c.quantity.label == f"F(1) {motor}")
     assert full.moved
     assert f"thrust of {motor} at full speed fell by" in full.verdict
     assert abs(full.after / full.before - 0.9) < 4 * full.standard_error / full.before
-    others = {c.words for c in found.changes if c.moved and motor not in c.words}
+    others = {w for c in found.changes if c.moved and motor not in (w := c.quantity.words)}
     assert not others
 
 
@@ -125,7 +119,6 @@ def timed(lag: float, delay: float):
     for name in ("motor_time_constant", "transport_delay"):
         spread[parameters.mask(frozenset({name}))] = 1e-4
     spread[parameters.mask(frozenset({"motor_time_constant"}))] *= lag > 0
-    errors = np.where(spread > 0, spread, np.nan)
     covariance = np.diag(spread**2)
     # As after a fit: the errors of lag and delay are opposite.
     (one,), (other,) = (
@@ -133,14 +126,13 @@ def timed(lag: float, delay: float):
         for name in ("motor_time_constant", "transport_delay")
     )
     covariance[one, other] = covariance[other, one] = -0.96 * spread[one] * spread[other]
-    known = Uncertainty(vector, covariance, errors, np.zeros((0, len(vector))), 40, 2.02)
-    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+    return believed(replace(TRUTH, parameters=parameters, free=free), covariance, clusters=40)
 
 
 @pytest.mark.slow
 def test_a_delay_that_took_up_a_held_lag_is_not_accused():
     found = drift(timed(0.0, 0.040), timed(0.030, 0.015))
-    change = next(c for c in found.changes if c.label == "d")
+    change = next(c for c in found.changes if c.quantity.label == "d")
     # By hand: 25 ms, known to √2 · 0.1 ms.
     assert change.z == pytest.approx(-25 / (0.1 * np.sqrt(2)), rel=1e-3)
     assert change.held and not change.moved
@@ -155,11 +147,9 @@ def test_a_curve_that_its_constraint_holds_is_not_accused():
     flat = np.array(TRUTH.parameters.thrust)
     flat[2] = [1e-6, 0.3, 0.3]
     later = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=flat))
-    vector, spread = later.parameters.to_vector(), np.where(TRUTH.free, 1e-4, 0.0)
-    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 40, 2.02)
-    found = drift(timed(0.03, 0.015), replace(later, uncertainty=known))
+    found = drift(timed(0.03, 0.015), believed(later, 1e-4 * TRUTH.free, clusters=40))
     motor = TRUTH.vehicle.propeller_names[2]
-    held = [change.words for change in found.changes if change.held]
+    held = [change.quantity.words for change in found.changes if change.held]
     assert held == [f"thrust of {motor} at φ = 0.5", f"thrust of {motor} at full speed"]
     assert not any(words in sentence for words in held for sentence in found.verdicts)
 
@@ -176,11 +166,8 @@ def of_effect(name: str, at_bound: bool, inertia: float, correlation: float):
     covariance = np.zeros((len(vector), len(vector)))
     shape = np.array([[1.0, correlation], [correlation, 1.0]])
     covariance[np.ix_(learned, learned)] = shape * np.outer(spread, spread)
-    known = Uncertainty(
-        *(vector, covariance, np.sqrt(np.diag(covariance)), np.zeros((0, len(vector))), 40, 2.02)
-    )
     free = np.isin(np.arange(len(vector)), learned)
-    return replace(TRUTH, parameters=parameters, free=free, uncertainty=known)
+    return believed(replace(TRUTH, parameters=parameters, free=free), covariance, clusters=40)
 
 
 @pytest.mark.parametrize("name", ["drag", "inflow", "pair_interaction", "voltage_sag", "idle_lag"])
@@ -189,7 +176,7 @@ def test_what_takes_up_an_effect_that_is_at_its_bound_is_not_accused(name, corre
     """√(1 − 0.9²): beside a held effect the error of inertia is too small by more than half."""
     held, found = of_effect(name, True, 3e-4, 0.0), of_effect(name, False, 4e-4, correlation)
     for models in ((held, found), (found, held)):
-        (change,) = (c for c in drift(*models).changes if c.label == "I")
+        (change,) = (c for c in drift(*models).changes if c.quantity.label == "I")
         assert change.differs
         assert change.held == (abs(correlation) > 0.5)
     # Held in both: they are compared under the same condition.

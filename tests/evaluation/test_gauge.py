@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from airpuck.evaluation.presentation import largest_accelerations, physical_thrust, thrust_scale
+from airpuck.evaluation.presentation import physical_thrust, propeller_accelerations, thrust_scale
 from airpuck.model.model_file import published_model
 
 from ..apparatus.models import random_scales
@@ -31,15 +31,14 @@ def test_no_choice_of_scale_changes_what_is_compared():
     )
     np.testing.assert_allclose(physical_thrust(other), physical_thrust(published_m4))
     for ours, theirs in zip(
-        largest_accelerations(other), largest_accelerations(published_m4), strict=True
+        propeller_accelerations(other), propeller_accelerations(published_m4), strict=True
     ):
         np.testing.assert_allclose(ours, theirs)
 
 
 def test_accelerations_follow_newton():
     model = published_model("M3")
-    linear, angular = largest_accelerations(model, speed=0.5)
-    coefficients = np.asarray(model.parameters.thrust)
-    force = coefficients @ [0.5, 0.25, 0.125]
+    linear, angular = propeller_accelerations(model)
+    force = np.asarray(model.parameters.thrust) @ [1.0, 1.0, 1.0]
     np.testing.assert_allclose(linear, force / model.vehicle.mass_kg)
     assert (np.sign(angular) == [1, -1, 1, -1, 1, -1]).all()

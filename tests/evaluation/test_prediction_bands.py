@@ -9,12 +9,12 @@ from airpuck.boundary.errors import InputError
 from airpuck.estimate.axis_filter import Noise
 from airpuck.evaluation.innovations import innovations
 from airpuck.evaluation.prediction_bands import BAND, predict_with_errors, prediction_bands
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.motor import motor_step
 from airpuck.physics.rigid_body import rollout
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 
+from ..apparatus.beliefs import believed, uncertainty
 from ..apparatus.noisy_flights import POSE_NOISE, TRUTH, noisy
 from ..apparatus.predictions import predicted
 
@@ -30,9 +30,7 @@ def test_bands_hold_what_they_say_on_the_twin():
     flight = preprocess(excite(TRUTH, 20.0, seed=3))
     # An uncertainty of other parameters says nothing about the model.
     vector = TRUTH.parameters.to_vector()
-    other = Uncertainty(
-        1.01 * vector, np.diag(vector**2), np.abs(vector), np.zeros((0, len(vector))), 30, 2.0
-    )
+    other = uncertainty(1.01 * vector, vector)
     bands = prediction_bands(replace(TRUTH, uncertainty=other), flight)
     assert bands.by_parameters is None
     assert bands.horizon == pytest.approx(0.2, abs=0.003)
@@ -62,13 +60,7 @@ def test_the_band_by_lag_and_delay_is_that_of_models_drawn_from_their_covariance
     # As after a fit: the errors of lag and delay are opposite.
     covariance = np.zeros((size, size))
     covariance[np.ix_(learned, learned)] = 1e-8 * np.array([[1.0, -0.95], [-0.95, 1.0]])
-    model = replace(
-        TRUTH,
-        free=learned,
-        uncertainty=Uncertainty(
-            estimate, covariance, np.sqrt(np.diag(covariance)), np.zeros((0, size)), 30, 2.0
-        ),
-    )
+    model = believed(replace(TRUTH, free=learned), covariance)
     flight = noisy(duration=2.0, seed=5)
     known = innovations(TRUTH, flight, Noise(POSE_NOISE, (0.1, 0.1, 2.0), (0.0, 0.0, 0.0)))
     starts = np.array([150, 220])

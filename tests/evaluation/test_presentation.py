@@ -1,24 +1,19 @@
 """Presentation of a model."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from airpuck.evaluation.presentation import largest_acceleration, present
 from airpuck.model.model_file import published_model
-from airpuck.model.uncertainty import Uncertainty
+
+from ..apparatus.beliefs import believed
 
 MODEL = published_model("M3")
 
 
 @pytest.fixture
 def known():
-    vector = MODEL.parameters.to_vector()
-    errors = np.where(MODEL.free, 0.01 * np.abs(vector), np.nan)
-    covariance = np.diag(np.nan_to_num(errors) ** 2)
-    nothing = np.zeros((0, len(vector)))
-    return replace(MODEL, uncertainty=Uncertainty(vector, covariance, errors, nothing, 30, 2.0))
+    return believed(MODEL)
 
 
 def test_the_bandwidth_and_its_error_follow_from_the_lag(known):

@@ -19,9 +19,9 @@ from airpuck.experiment_design.forecast import (
 from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import named_rung
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import rollout
 
+from ..apparatus.beliefs import uncertainty
 from ..apparatus.synthetic_flights import fly
 
 MODEL = published_model("M3")
@@ -201,11 +201,7 @@ def test_a_flight_of_one_block_is_refused():
 
 
 def known(model, covariance, undetermined=()):
-    vector = model.parameters.to_vector()
-    return Uncertainty(
-        vector, covariance, np.sqrt(np.diag(covariance)),
-        np.array(undetermined).reshape(-1, len(vector)), 30, 2.0,
-    )  # fmt: skip
+    return uncertainty(model.parameters.to_vector(), covariance, lost=undetermined)
 
 
 def at(model, name):

@@ -12,11 +12,11 @@ from airpuck.faults.layout_check import check_layout
 from airpuck.faults.strengths import find_strengths, on_table_of, recording_findings, usual_rung
 from airpuck.identification.fit import identify
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly, record
 from ..apparatus.two_way_craft import triangle
 
@@ -152,10 +152,7 @@ def fitted(model: Model, error: float, rng=None) -> Model:
     for k, row in enumerate(full):
         columns = slice(k * len(row), (k + 1) * len(row))
         covariance[columns, columns] = error**2 * np.outer(row, row)
-    spread = np.where(free, np.sqrt(np.diag(covariance)), np.nan)
-    nothing = np.zeros((0, len(vector)))
-    known = Uncertainty(vector, covariance, spread, nothing, 40, 2.023)
-    return replace(model, parameters=parameters, free=free, uncertainty=known)
+    return believed(replace(model, parameters=parameters, free=free), covariance, quantile=2.023)
 
 
 @pytest.mark.parametrize("count", [3, 4, 6, 8])

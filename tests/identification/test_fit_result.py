@@ -11,8 +11,8 @@ import numpy as np
 from airpuck.identification.fit_result import Fit, outcome_words
 from airpuck.identification.method import Iteration
 from airpuck.model.model_file import published_model
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly
 
 MODEL = published_model("M3")
@@ -28,12 +28,9 @@ def fit(model=MODEL, trajectories=()) -> Fit:
 
 
 def test_a_parameter_is_identified_only_if_no_open_direction_contains_it():
-    vector = MODEL.parameters.to_vector()
     first, second = np.flatnonzero(MODEL.free)[:2]
-    spread = np.where(MODEL.free, 0.01, 0.0)
-    open_directions = np.eye(len(vector))[[first, second]]
-    known = Uncertainty(vector, np.diag(spread**2), spread, open_directions, 12, 2.0)
-    values = fit(replace(MODEL, uncertainty=known)).to_json()["values"]
+    lost = np.eye(len(MODEL.free))[[first, second]]
+    values = fit(believed(MODEL, 0.01 * MODEL.free, lost=lost)).to_json()["values"]
     expected = MODEL.free.copy()
     expected[[first, second]] = False
     assert [values[label]["identified"] for label in LABELS] == expected.tolist()

@@ -19,8 +19,8 @@ from airpuck.identification.missing_terms import (
 from airpuck.identification.objective import PredictionLoss, Quadratic
 from airpuck.model.model_file import nominal_model, published_model
 from airpuck.model.rungs import named_rung
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly
 
 
@@ -202,13 +202,12 @@ def test_shifts_are_linear_however_far_a_term_would_move_a_parameter(size):
 def test_the_quantity_that_a_term_shifts_most_is_named_if_errors_are_known():
     vector, mask = MODEL.parameters.to_vector(), MODEL.parameters.mask
     spread = 0.01 * np.abs(vector) * MODEL.free
-    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 40, 2.0)
     # Two standard errors of the lag, one of the inertia.
     direction = spread * (
         2.0 * mask(frozenset({"motor_time_constant"})) + mask(frozenset({"inertia"}))
     )
     term = MissingTerm("drag", 1e-9, 0.1, 0.1, (1.0,), direction)
-    (found,) = with_shifts(replace(MODEL, uncertainty=known), [term])
+    (found,) = with_shifts(believed(MODEL, spread), [term])
     assert (found.largest, found.unit) == ("τ", "ms")
     assert found.standard_errors == pytest.approx(2.0)
     (unknown,) = with_shifts(MODEL, [term])

@@ -19,7 +19,6 @@ from airpuck.identification.objective import Quadratic
 from airpuck.identification.residual import first_weights, with_residual
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import named_rung
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.effects import BodyMotion, Envelope, Residual
 from airpuck.physics.rigid_body import acceleration
 from airpuck.preprocessing.pipeline import preprocess
@@ -27,6 +26,8 @@ from airpuck.twin.batch import TwinBatch
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import Effects, default_twin_settings
 from airpuck.twin.twin import Twin
+
+from ..apparatus.beliefs import believed
 
 BASE = replace(published_model("M3"), frame="body")
 
@@ -176,11 +177,8 @@ class LinearInWeights:
 def test_training_finds_the_least_squares_of_three_blocks_in_four():
     mine = neural().parameters.mask(frozenset({"residual"}))
     loss = LinearInWeights(mine, 2.0)
-    vector, spread = BASE.parameters.to_vector(), 0.01 * np.ones(len(BASE.free))
-    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 12, 2.0)
-    fit = Fit(
-        replace(BASE, uncertainty=known), 1.0, (), True, "", 1, 0.0, (), objective=cast(Any, loss)
-    )
+    model = believed(BASE, 0.01 * np.ones(len(BASE.free)))
+    fit = Fit(model, 1.0, (), True, "", 1, 0.0, (), objective=cast(Any, loss))
     found = with_residual(fit).model
     held = np.arange(16) % 4 == 3
     rows, seen = loss.rows[~held].reshape(-1, mine.sum()), loss.seen[~held].ravel()

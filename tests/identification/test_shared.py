@@ -15,24 +15,20 @@ from airpuck.identification.structure import identify as identify_all
 from airpuck.model.model_file import published_model, read_model
 from airpuck.model.rungs import named_rung
 from airpuck.model.sections import OfRecording
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import Effects, default_twin_settings
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), frame="body")
 DELAYS, TILTS = (0.015, 0.028, 0.021), ((0.004, -0.002), (-0.003, 0.0), (0.0, 0.005))
 
 
-def believed(vector, covariance):
+def estimated(vector, covariance):
     """Return a model with these parameters and their covariance."""
-    errors = np.sqrt(np.diag(covariance))
-    errors[errors == 0] = np.nan
-    nothing = np.zeros((0, len(vector)))
-    known = Uncertainty(vector, covariance, errors, nothing, 50, 2.0)
-    return replace(MODEL, parameters=MODEL.parameters.with_vector(vector), uncertainty=known)
+    return believed(replace(MODEL, parameters=MODEL.parameters.with_vector(vector)), covariance)
 
 
 def precision(model):
@@ -58,7 +54,7 @@ def test_combined_fits_are_the_least_squares_solution_for_all_of_their_estimates
         covariance, vector = np.zeros((size, size)), truth.copy()
         covariance[np.ix_(used, used)] = root @ root.T
         vector[used] += root @ rng.normal(size=root.shape[1])
-        models.append(believed(vector, covariance))
+        models.append(estimated(vector, covariance))
         # Each estimate picks the shared values, and its own delay, out of the unknowns.
         pick = np.zeros((len(used), len(used) - 1 + 3))
         pick[:-1, : len(used) - 1] = np.eye(len(used) - 1)
@@ -85,7 +81,7 @@ def test_recordings_that_disagree_about_a_shared_value_are_noticed():
     covariance = np.diag((0.01 * np.abs(truth) * (MODEL.free | own)) ** 2)
     other = truth * np.where(MODEL.parameters.mask(frozenset({"inertia"})), 1.2, 1.0)
     for one, apart in ((truth, 0.0), (other, 20 / np.sqrt(2))):
-        models = [believed(truth, covariance), believed(one, covariance)]
+        models = [estimated(truth, covariance), estimated(one, covariance)]
         found = combined(models, [precision(model) for model in models], MODEL.free & ~own, own)
         # Half the difference, whose standard error is 1 % / sqrt(2).
         assert found.apart == pytest.approx(apart)
@@ -98,7 +94,7 @@ def test_a_fixed_parameter_keeps_the_value_of_each_fit():
     own = MODEL.parameters.mask(frozenset({"transport_delay"}))
     covariance = np.diag((0.01 * np.abs(truth) * (MODEL.free & ~own)) ** 2)
     moved = truth + 0.01 * own
-    models = [believed(truth, covariance), believed(moved, covariance)]
+    models = [estimated(truth, covariance), estimated(moved, covariance)]
     found = combined(models, [precision(model) for model in models], MODEL.free & ~own, own)
     assert found.vectors[0][own] == truth[own]
     assert found.vectors[1][own] == moved[own]

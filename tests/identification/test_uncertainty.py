@@ -31,6 +31,7 @@ from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import rollout
 
+from ..apparatus.beliefs import uncertainty
 from ..apparatus.disturbed_flights import TRUTH, noisy
 
 VEHICLE = default_vehicle()
@@ -553,8 +554,8 @@ def test_an_error_beyond_all_possible_values_is_none():
     for spread in (1e35, 1e-22):
         errors = np.full(len(vector), 1e-3)
         errors[entry] = spread
-        lost = np.eye(len(vector))[entry : entry + 1] if spread < 1 else np.zeros((0, len(vector)))
-        found = Uncertainty(vector, np.diag(errors**2), errors, lost, 30, 2.0)
+        lost = np.eye(len(vector))[entry : entry + (spread < 1)]
+        found = uncertainty(vector, errors, lost=lost)
         known = without_meaningless(found, parameters)
         model = replace(nominal_model(VEHICLE), uncertainty=known)
         assert np.isnan(model.standard_error(lambda m: 1e3 * m.parameters.motor_time_constant))
@@ -580,11 +581,7 @@ def test_intervals_of_a_short_lag_and_of_the_delay_hold():
         pair = np.flatnonzero(found.mask(LAG_AND_DELAY))
         covariance[np.ix_(pair, pair)] = slope**2 * np.array([[1, -1], [-1, 1]])
         covariance[pair[1], pair[1]] += 2e-4**2
-        errors = np.sqrt(np.diag(covariance))
-        known = Uncertainty(
-            found.to_vector(), covariance, np.where(errors > 0, errors, np.nan),
-            np.zeros((0, len(errors))), 100, 1.96,
-        )  # fmt: skip
+        known = uncertainty(found.to_vector(), covariance, quantile=1.96)
         for kept, one in ((linear, known), (held, with_lag_squared(known, found))):
             low, high = one.intervals[pair].T
             kept.append((low <= (true_lag, true_delay)) & ((true_lag, true_delay) <= high))

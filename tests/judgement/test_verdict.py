@@ -12,8 +12,8 @@ from airpuck.judgement.findings import LOW_LIMIT, Evidence
 from airpuck.judgement.rehearsal import Rehearsal
 from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, published_model
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), frame="body", indexing="start")
@@ -30,12 +30,10 @@ def scaled(factor: float) -> Model:
 def known(**errors: float) -> Model:
     """The model with standard errors of 1 % of each parameter, or as given by label [SI]."""
     vector = MODEL.parameters.to_vector()
-    spread = np.where(MODEL.free, 0.01 * np.abs(vector), np.nan)
+    spread = 0.01 * np.abs(vector) * MODEL.free
     for label, error in errors.items():
         spread[LABELS.index(label)] = error
-    covariance = np.diag(np.nan_to_num(spread) ** 2)
-    nothing = np.zeros((0, len(vector)))
-    return replace(MODEL, uncertainty=Uncertainty(vector, covariance, spread, nothing, 30, 2.0))
+    return believed(MODEL, spread)
 
 
 @pytest.fixture(scope="module")
@@ -362,20 +360,10 @@ def timed(lag_error: float, delay_error: float, correlation: float):
         for name in ("motor_time_constant", "transport_delay")
     ]
     lag, delay = (np.flatnonzero(mask)[0] for mask in masks)
-    vector = model.parameters.to_vector()
-    covariance = np.zeros((len(vector), len(vector)))
+    covariance = np.zeros((len(masks[0]),) * 2)
     covariance[lag, lag], covariance[delay, delay] = lag_error**2, delay_error**2
     covariance[lag, delay] = covariance[delay, lag] = correlation * lag_error * delay_error
-    spread = np.sqrt(np.diag(covariance))
-    known = Uncertainty(
-        vector,
-        covariance,
-        np.where(spread > 0, spread, np.nan),
-        np.zeros((0, len(vector))),
-        30,
-        2.0,
-    )
-    return replace(model, uncertainty=known, free=model.free | masks[1])
+    return believed(replace(model, free=model.free | masks[1]), covariance)
 
 
 def of_timing(model):

@@ -177,14 +177,14 @@ def test_a_bare_model_name_gets_a_hint_at_the_published_names(tmp_path, monkeypa
 
 def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path):
     default_vehicle().save(tmp_path / "craft.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a model"):
         read_model(tmp_path / "craft.toml")
     published_model("M3").save(tmp_path / "model.toml")
-    with pytest.raises(InputError, match=r"model.toml: is a model; another kind of file"):
+    with pytest.raises(InputError, match=r"model.toml: is a model; expected a vehicle"):
         read_vehicle(tmp_path / "model.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a mapping"):
         read_mapping(tmp_path / "craft.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; another kind of file"):
+    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a controller tuning"):
         read_tuning(tmp_path / "craft.toml")
 
 

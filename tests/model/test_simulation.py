@@ -15,8 +15,9 @@ from airpuck.boundary.errors import InputError
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.model.model_file import published_model
 from airpuck.model.simulation import linearize, trim
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.rigid_body import acceleration, derivative, rollout
+
+from ..apparatus.beliefs import believed
 
 M3, NAN = published_model("M3"), np.nan
 EFFECTS = replace(
@@ -168,11 +169,9 @@ def test_a_number_out_of_range_is_refused(field, value, used):
 
 def uncertain(errors: dict[int, float]) -> airpuck.Model:
     """M3 with independent standard errors of some entries."""
-    vector = M3.parameters.to_vector()
-    spread = np.zeros(len(vector))
+    spread = np.zeros(len(M3.free))
     spread[list(errors)] = list(errors.values())
-    known = Uncertainty(vector, np.diag(spread**2), spread, np.zeros((0, len(vector))), 20, 2.0)
-    return replace(M3, uncertainty=known)
+    return believed(M3, spread)
 
 
 @pytest.mark.slow

@@ -9,23 +9,15 @@ import pytest
 
 import airpuck
 from airpuck.model.model_file import published_model
-from airpuck.model.uncertainty import Uncertainty
 
+from ..apparatus.beliefs import believed
 from ..apparatus.synthetic_flights import fly
 
 M4 = published_model("M4")
 
 
-def uncertain() -> airpuck.Model:
-    vector = M4.parameters.to_vector()
-    spread = np.where(M4.free, 0.01 * np.abs(vector), 0.0)
-    errors = np.where(M4.free, spread, np.nan)
-    known = Uncertainty(vector, np.diag(spread**2), errors, np.zeros((0, len(vector))), 20, 2.0)
-    return replace(M4, uncertainty=known)
-
-
 def test_the_table_has_every_parameter_with_its_unit_and_interval():
-    table = uncertain().table()
+    table = believed(M4).table()
     assert list(table.index) == M4.parameters.labels(M4.vehicle.propeller_names)
     lag = table.loc["motor_time_constant"]
     assert lag["value"] == float(M4.parameters.motor_time_constant) and lag["unit"] == "s"
@@ -38,7 +30,7 @@ def test_the_table_has_every_parameter_with_its_unit_and_interval():
 
 
 def test_the_covariance_is_labelled():
-    model = uncertain()
+    model = believed(M4)
     table = model.covariance()
     lag = "motor_time_constant"
     assert list(table.index) == list(table.columns) and len(table) == M4.free.sum()
@@ -48,7 +40,7 @@ def test_the_covariance_is_labelled():
 
 def test_without_pandas_rows_are_dictionaries(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    row = uncertain().table()["motor_time_constant"]
+    row = believed(M4).table()["motor_time_constant"]
     assert row["unit"] == "s" and row["learned"] is True
 
 
@@ -73,10 +65,10 @@ class _Cells(HTMLParser):
 
 
 SHOWN = {
-    "model": lambda: replace(uncertain(), source="<b>bag</b>"),
+    "model": lambda: replace(believed(M4), source="<b>bag</b>"),
     "trajectory": lambda: fly(M4, 1.0),
     "evaluation": lambda: airpuck.evaluate(M4, fly(M4, 1.0)),
-    "presentation": lambda: airpuck.present(replace(uncertain(), source="<b>bag</b>")),
+    "presentation": lambda: airpuck.present(replace(believed(M4), source="<b>bag</b>")),
 }
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from airpuck.craft.table import AirHockey, Contact, Puck, Table
-from airpuck.physics.many_pucks import puck_paths
 from airpuck.physics.puck import PuckState
-from airpuck.physics.puck_on_table import PuckOnTable
+from airpuck.physics.puck_on_table import PuckOnTable, puck_paths
 
 PLAY = AirHockey()
 

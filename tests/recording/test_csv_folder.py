@@ -158,7 +158,7 @@ def test_out_of_order_and_duplicated_rows_stay_as_they_are(tmp_path: Path):
     stamps = read_recording(folder(tmp_path, pose=pose))["pose"].stamp_ns.tolist()
     assert stamps == [1709651570792686700, 1709651570788520097, 1709651570788520097]
     alone = read_recording(folder(tmp_path, pose=POSE_LINES[:1]))
-    with pytest.raises(InputError, match="the pose stream is empty"):
+    with pytest.raises(InputError, match=r"the pose stream is empty; .* another topic"):
         alone["pose"]
 
 

@@ -7,7 +7,6 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 
 from airpuck.model.model_file import published_model
-from airpuck.model.uncertainty import Uncertainty
 from airpuck.report.evaluation_report import sources_section
 from airpuck.report.fit_figures import (
     coefficient_rows,
@@ -19,6 +18,7 @@ from airpuck.report.fit_figures import (
 )
 from airpuck.report.fit_report import FitStudy, study_sections
 
+from ..apparatus.beliefs import believed
 from ..apparatus.models import fit_of, model_of
 
 RUNGS = ("M0", "M1", "M2", "M3", "M4")
@@ -60,11 +60,7 @@ PLAIN = published_model("M3")
 
 @pytest.fixture
 def known():
-    vector = PLAIN.parameters.to_vector()
-    errors = np.where(PLAIN.free, 0.01 * np.abs(vector), np.nan)
-    covariance = np.diag(np.nan_to_num(errors) ** 2)
-    nothing = np.zeros((0, len(vector)))
-    return replace(PLAIN, uncertainty=Uncertainty(vector, covariance, errors, nothing, 30, 2.0))
+    return believed(PLAIN)
 
 
 def bands(figure):

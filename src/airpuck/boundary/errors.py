@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -52,6 +53,16 @@ class InputError(ValueError):
         self.field = None if field is None else shortened(escaped(field), _LONGEST)
         where = ": ".join(part for part in (self.file, self.field) if part)
         super().__init__(f"{where}: {self.problem}" if where else self.problem)
+
+
+@contextmanager
+def about(file: str | os.PathLike[str] | None, field: str | None = None) -> Iterator[None]:
+    """Add the file, if it is known, and the field as the file calls it, to an InputError."""
+    try:
+        yield
+    except InputError as error:
+        field = field or error.field
+        raise InputError(error.problem, file=error.file or file, field=field) from error
 
 
 def shortened(text: str, most: int = 80) -> str:

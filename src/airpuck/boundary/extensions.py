@@ -1,16 +1,28 @@
-"""Other distributions: what they add to airpuck through entry points, and what to install."""
+"""What others add: entry points of other distributions, and users' code, named FILE.py:NAME.
+
+`UserCode` is the boundary around everything that a user's code does.
+"""
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
+import os
+import signal
+import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 from airpuck.boundary.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+
+Returned = TypeVar("Returned")
 
 #: Groups of entry points, which any distribution may use: kinds of actuators
 #: (`ActuatorKind`), commands (functions), effects (`Effect`),
@@ -70,7 +82,7 @@ def moved(name: str, known: Sequence[str]) -> Any:
         remedy = f"; use {_FORMER[name]}" if name in _FORMER else nearest(name, known)
         raise AttributeError(f"module 'airpuck' has no attribute {name!r}{remedy}")
     try:
-        return getattr(import_module("airpuck_hockey"), name)
+        return getattr(importlib.import_module("airpuck_hockey"), name)
     except ModuleNotFoundError as error:
         if error.name != "airpuck_hockey":
             raise
@@ -80,3 +92,125 @@ def moved(name: str, known: Sequence[str]) -> Any:
 def _needs_hockey(name: str) -> str:
     """Return the problem, and what to install, for a name that airpuck-hockey adds."""
     return f"{name} is part of airpuck-hockey, which is not installed: pip install airpuck-hockey"
+
+
+class UserCode:
+    """A class, or another callable, in a user's Python file; creating this object runs the file.
+
+    `run` calls its code, so that none of its exceptions ends this process, and its printed output
+    does not mix with our results.
+    """
+
+    def __init__(self, name: str, option: str) -> None:
+        path, _, self._attribute = name.rpartition(":")
+        self._path, self._option = Path(path), option
+        #: FILE.py:NAME.
+        self.name = name
+        if self._path.suffix != ".py" or not self._attribute:
+            example = f"such as my_{option.strip('-')}.py:Mine"
+            raise InputError(f"must be FILE.py:NAME, {example}, not {name!r}", field=option)
+        if self._path.is_dir():
+            raise InputError("is a folder; a file is expected", file=path, field=option)
+        if not self._path.is_file():
+            raise InputError("there is no such file", file=path, field=option)
+        #: The class.
+        self.kind = self.run("cannot be imported", self._imported)
+        if not callable(self.kind):
+            raise InputError(f"has no class {self._attribute!r}", file=path, field=option)
+
+    def run(self, what: str, function: Callable[..., Returned], *given: Any) -> Returned:
+        """Call a user's function; redirect its printed output to standard error.
+
+        Any exception becomes an `InputError` that begins with `what` and names file and line.
+        """
+        try:
+            with redirect_stdout(sys.stderr):
+                return function(*given)
+        # Catches `sys.exit`, too.
+        except BaseException as error:
+            if _is_signal(error):
+                raise
+            if isinstance(error, InputError) and error.file == self.name:
+                raise
+            line = self._line(error)
+            where = f"line {line}: {what}" if line else what
+            raise self._error(f"{where}: {_described(error)}") from error
+
+    def refuse(self, problem: str) -> NoReturn:
+        """Raise an `InputError` that names the class."""
+        raise self._error(problem)
+
+    def _error(self, problem: str) -> InputError:
+        return InputError(problem, file=self.name, field=self._option)
+
+    def _imported(self) -> Any:
+        """Run the file and return the named callable."""
+        specification = importlib.util.spec_from_file_location(
+            f"user_{self._path.stem}", self._path
+        )
+        assert specification is not None and specification.loader is not None
+        module = importlib.util.module_from_spec(specification)
+        # Dataclasses and pickles of the file look up their module by name.
+        sys.modules[specification.name] = module
+        # Modules beside the file can be imported; appended at the end, so that none hides an
+        # installed one.
+        folder = str(self._path.absolute().parent)
+        if folder not in sys.path:
+            sys.path.append(folder)
+        specification.loader.exec_module(module)
+        return getattr(module, self._attribute, None)
+
+    def _line(self, error: BaseException) -> int | None:
+        """Return the line of the file at which an exception was raised, if any."""
+        path = self._path.absolute()
+        if isinstance(error, SyntaxError) and error.filename and Path(error.filename) == path:
+            return error.lineno
+        frames = traceback.walk_tb(error.__traceback__)
+        lines = [line for frame, line in frames if Path(frame.f_code.co_filename) == path]
+        return lines[-1] if lines else None
+
+
+def users_class(name: str, option: str) -> Any:
+    """Import the class FILE.py:NAME or MODULE:NAME; a file runs once, so that its class remains."""
+    path, _, attribute = name.rpartition(":")
+    if path and not path.endswith(".py"):
+        try:
+            return getattr(importlib.import_module(path), attribute)
+        except (ImportError, AttributeError) as error:
+            raise InputError(f"cannot be imported: {error}", file=name, field=option) from error
+    return _in_file(name, option, Path(path).stat().st_mtime_ns if Path(path).is_file() else 0)
+
+
+@cache
+def _in_file(name: str, option: str, _changed: int) -> Any:
+    return UserCode(name, option).kind
+
+
+def with_code(name: str | os.PathLike[str], option: str) -> tuple[Any, tuple[Any, ...]]:
+    """Split ``file.toml+FILE.py:NAME`` into the file and the classes that its reader names."""
+    path, _, sources = str(name).partition(".toml+")
+    if not sources or Path(name).exists():
+        return name, ()
+    return f"{path}.toml", tuple(users_class(one, option) for one in sources.split("+"))
+
+
+def _is_signal(error: BaseException) -> bool:
+    """Return whether Ctrl-C or SIGTERM raised this exception, and not the user's own code.
+
+    Commands raise a subclass of KeyboardInterrupt, and their worker processes ignore Ctrl-C; only
+    Python's own handler raises the class itself.
+    """
+    if type(error) is KeyboardInterrupt:
+        return signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    return isinstance(error, KeyboardInterrupt)
+
+
+def _described(error: BaseException) -> str:
+    """Describe an exception, whose own description may fail."""
+    try:
+        text = str(error)
+    except BaseException:
+        text = "its message cannot be read"
+    if isinstance(error, InputError):
+        return text
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -247,7 +247,8 @@ def _explained(
     known = _keys(schema)
     kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
     if first["type"] in _UNKNOWN and kind and file is not None:
-        field, problem = "", f"is {_KINDS[kind]}; another kind of file is expected"
+        wanted = next((name for key, name in _KINDS.items() if key in known[0]), None)
+        field, problem = "", f"is {_KINDS[kind]}; expected {wanted or 'another kind of file'}"
     elif first["type"] in _UNKNOWN:
         near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
         hint = f"did you mean {near[0]}?" if near else "check its spelling"

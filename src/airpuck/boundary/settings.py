@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import os
+import re
 import sys
 import types
 import typing
@@ -114,8 +115,9 @@ def _words(hint: Any) -> str:
     if origin in (None, type(None)):
         return "None"
     if origin in (Sequence, tuple) and inner:
-        count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} values: "
-        return f"a sequence of {count}{_words(inner[0])}".replace("of a text", "of texts")
+        count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} "
+        kind = re.sub(r"^an? (\w+)$", r"\1s", _words(inner[0]))
+        return f"a sequence of {count}{kind}"
     if origin in _kinds():
         return _kinds()[origin][1]
     return getattr(origin, "__name__", str(origin))
@@ -125,7 +127,7 @@ def _shown(value: object) -> str:
     """Show a short value; for others, the type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    simple = value is None or isinstance(value, str | bool | Real)
+    simple = value is None or isinstance(value, str | bool | Real | tuple | list)
     return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"
 
 

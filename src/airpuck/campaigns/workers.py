@@ -18,7 +18,8 @@ import pydantic
 from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
-from airpuck.campaigns.items import Item, Row, program
+from airpuck.campaigns.fingerprints import program
+from airpuck.campaigns.items import Item, Row
 
 #: Number of dead workers after which an item counts as failed.
 DEADLY = 3

@@ -54,7 +54,7 @@ def preprocess(
     quiet: options.Quiet = False,
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, excluded spans."""
-    from airpuck.data.left_out import left_out_json, left_out_words
+    from airpuck.preprocessing.quality import left_out_json, left_out_words
 
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,7 +12,7 @@ from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.outputs import Output, check_output
 from airpuck.boundary.settings import Setting
 from airpuck.cli.output import is_stdout, warn
@@ -241,16 +239,6 @@ def load(
     return trajectory if span is None else trajectory.slice(*span)
 
 
-@contextmanager
-def about(file: str | Path, field: str | None = None) -> Iterator[None]:
-    """Add the file, and the field as the file calls it, to an InputError."""
-    try:
-        yield
-    except InputError as error:
-        field = field or error.field
-        raise InputError(error.problem, file=error.file or file, field=field) from error
-
-
 def read_belief(name: str) -> Model:
     """Read a model for the controller, which inverts its thrust curves."""
     from airpuck.physics.thrust import InverseThrust
@@ -297,9 +285,8 @@ def read_controls(path: Path | None, kind: str | None = None, *models: Model) ->
         words = "does not state the noise of its recordings; the controller assumes the packaged "
         warn([f"the model {models[0].name} {words}noise: identify it again"])
     tuning = tuning if kind is None else tuning.with_law(kind)
-    if path is not None:
-        with about(path):
-            lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s)
+    with about(path):
+        lqr_gain(tuning.of(LQRSettings).weights, tuning.period_s)
     check_law(path, tuning, *models)
     return tuning
 
@@ -311,7 +298,7 @@ def check_law(path: Path | None, tuning: Tuning, *models: Model) -> None:
     make = law_named(tuning.law.kind)
     if not getattr(make, "looks_ahead", True):
         return
-    with contextlib.nullcontext() if path is None else about(path):
+    with about(path):
         for model in models:
             make(model, tuning, LawOptions(compiled=False))
 

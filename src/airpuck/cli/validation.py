@@ -10,7 +10,7 @@ from typer import Argument, Option
 
 import airpuck
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
@@ -51,10 +51,10 @@ def evaluate(
     quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
-    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.comparison import better_from, coasting
     from airpuck.evaluation.evaluate import PROTOCOLS
     from airpuck.judgement.study import judged_on, reference_faults
+    from airpuck.preprocessing.quality import left_out_json, left_out_words
     from airpuck.report.tables import budget_table, error_tables
 
     judged = airpuck.read_model(model)
@@ -130,9 +130,9 @@ def faults(
     quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
-    from airpuck.data.left_out import left_out_words
     from airpuck.data.trajectory import vehicle_of
     from airpuck.faults.strengths import find_strengths, on_table_of, usual_rung
+    from airpuck.preprocessing.quality import left_out_words
     from airpuck.report.tables import span_table
 
     healthy = options.read_given(model, vehicle, airpuck.read_model)
@@ -277,14 +277,14 @@ def resid(
     quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and remaining effects of commands."""
-    from airpuck.data.left_out import left_out_json, left_out_words
     from airpuck.evaluation.fit_measures import measure_fit
     from airpuck.evaluation.prediction_bands import bands_of_all_horizons
+    from airpuck.preprocessing.quality import left_out_json, left_out_words
     from airpuck.report.tables import band_table, fit_table
 
     judged = airpuck.read_model(model)
     trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
-    with options.about(recording):
+    with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)
         bands = bands_of_all_horizons(judged, trajectory, tests.innovations)

@@ -12,10 +12,13 @@ from jaxtyping import Bool, Float, Int
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.numbers import percent
 from airpuck.boundary.results import Finding
-from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
 from airpuck.commissioning.pulse_evidence import (
     Effects,
     PulseEvidence,
+    corrected,
+    layout_findings,
+    matched,
+    measured,
     pulse_plan,
     uphill,
     with_lag,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.user_code import UserCode
+from airpuck.boundary.extensions import UserCode
 from airpuck.compute.compiled import program
 from airpuck.control.allocation import Outcome
 from airpuck.control.laws import check_law, law_class

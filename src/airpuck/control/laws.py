@@ -7,8 +7,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from airpuck.boundary.errors import InputError, unknown
-from airpuck.boundary.extensions import added, loaded
-from airpuck.boundary.user_code import users_class
+from airpuck.boundary.extensions import added, loaded, users_class
 
 #: Subclasses of `airpuck.control.law.Law`, or the location of a law that is slow to import.
 #: FILE.py:NAME names a user's law wherever a law is named; entry points (`airpuck.laws`) add more.

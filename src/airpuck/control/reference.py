@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
+from airpuck.boundary.extensions import UserCode
 from airpuck.boundary.files import Section, read_toml
-from airpuck.boundary.user_code import UserCode
 
 #: A little over three turns; the largest yaw that may be requested at once [rad].
 _MOST_YAW = 20.0
@@ -172,6 +172,8 @@ class SetPoints:
 
     def __init__(self, times: Numbers, poses: Sequence[Numbers] | np.ndarray) -> None:
         self.times, self.poses = _checked(times, poses, 1, "setpoint")
+        #: The file that they come from, for messages.
+        self.file: str | os.PathLike[str] | None = None
         at_rest = np.concatenate([self.poses, np.zeros_like(self.poses)], axis=1)
         self._targets = [Target(state, np.zeros(3)) for state in at_rest]
 
@@ -457,10 +459,10 @@ class _SetPointsFile(Section):
 def read_setpoints(path: str | os.PathLike[str]) -> SetPoints:
     """Read set points from a TOML file."""
     entries = read_toml(path, _SetPointsFile).setpoints
-    try:
-        return SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
-    except InputError as error:
-        raise InputError(error.problem, file=path, field="setpoints") from error
+    with about(path, "setpoints"):
+        points = SetPoints([e.at_s for e in entries], [(e.x_m, e.y_m, e.yaw_rad) for e in entries])
+    points.file = path
+    return points
 
 
 def check_inside(
@@ -471,12 +473,11 @@ def check_inside(
     A reference that is known in advance has `visits`: the poses that it leads through.
     """
     turns = not isinstance(reference, SetPoint | SetPoints)
-    for x, y, yaw in map(tuple, getattr(reference, "visits", ())):
-        if abs(x) > reach[0] or abs(y) > reach[1]:
-            raise InputError(
-                f"({x:g}, {y:g}) is outside {border}, ±{reach[0]:g} m by ±{reach[1]:g} m",
-                field="setpoint",
-            )
-        if abs(yaw) > _MOST_YAW and not turns:
-            words = f"yaw = {yaw:g} rad is {abs(yaw) / math.tau:.0f} turns; is it in degrees?"
-            raise InputError(words, field="setpoint")
+    with about(getattr(reference, "file", None), "setpoint"):
+        for x, y, yaw in map(tuple, getattr(reference, "visits", ())):
+            if abs(x) > reach[0] or abs(y) > reach[1]:
+                border = f"{border}, ±{reach[0]:g} m by ±{reach[1]:g} m"
+                raise InputError(f"({x:g}, {y:g}) is outside {border}")
+            if abs(yaw) > _MOST_YAW and not turns:
+                turned = f"{abs(yaw) / math.tau:.0f} turns"
+                raise InputError(f"yaw = {yaw:g} rad is {turned}; is it in degrees?")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -18,6 +18,7 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.extensions import with_code
 from airpuck.boundary.files import (
     Fraction,
     NonNegative,
@@ -28,7 +29,6 @@ from airpuck.boundary.files import (
     write_toml,
 )
 from airpuck.boundary.limits import PROPELLERS
-from airpuck.boundary.user_code import with_code
 from airpuck.craft.actuators import Actuators, ActuatorSet, Channel, Propellers
 from airpuck.craft.wheel import Wheel
 
@@ -176,8 +176,8 @@ class Vehicle(Section):
         object.__setattr__(self, "nominal", nominal)
         names = self.propeller_names
         two_way = {self.columns[k] for k in np.flatnonzero(self.actuation.two_way)}
-        if len(set(names)) != len(names):
-            raise ValueError("two propellers have the same name")
+        if twice := _repeated(names):
+            raise ValueError(f"two propellers have the same name, {twice!r}")
         if self.actuators.pulsed and any(one.reverse is not None for one in self.propellers):
             raise ValueError("propellers: on/off thrusters have no reverse")
         for pair in self.pairs:
@@ -187,8 +187,8 @@ class Vehicle(Section):
                 if name in two_way:
                     raise ValueError(f"pairs: {name!r} pushes both ways and needs no partner")
         paired = [name for pair in self.pairs for name in pair]
-        if len(set(paired)) != len(paired):
-            raise ValueError("pairs: a propeller can be in one pair only")
+        if twice := _repeated(paired):
+            raise ValueError(f"pairs: {twice!r} can be in one pair only")
         if self.command_min >= self.command_max:
             raise ValueError("command_min must be below command_max")
         curves = _nominal_thrust(nominal.thrust_N, len(self.propellers))
@@ -404,6 +404,11 @@ def default_vehicle() -> Vehicle:
     return read_packaged("holohover.toml", Vehicle)
 
 
+def _repeated(names: Sequence[str]) -> str:
+    """Return the first name that occurs again; empty if none does."""
+    return next((name for name in names if names.count(name) > 1), "")
+
+
 def unnamed_columns(n: int) -> tuple[str, ...]:
     """Name the columns of a command that was logged without names, in the vehicle's order."""
     return tuple(f"value_{number}" for number in range(1, n + 1))
@@ -416,7 +421,8 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
         wheels = f" and {len(vehicle.wheels)} wheels" if vehicle.wheels else ""
         raise InputError(
             f"has {len(columns)} motors ({', '.join(columns)}), but the vehicle {vehicle.name!r} "
-            f"has {len(vehicle.propellers)} propellers{wheels}; use the right file or model",
+            f"has {len(vehicle.propellers)} propellers{wheels}; pass the craft's vehicle file "
+            "(--vehicle), or a model of it",
             file=source,
         )
     if columns == unnamed_columns(len(columns)) and set(columns) != set(names):

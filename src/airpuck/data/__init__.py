@@ -1,4 +1,4 @@
 """Trajectories, windows, and commands held between events.
 
-Entry points: `windows.make_windows`, `left_out.left_out_words`, `trajectory.hold`.
+Entry points: `windows.make_windows`, `trajectory.hold`.
 """

@@ -26,12 +26,11 @@ _TAKES_UP = 0.5
 class Change(Result):
     """One quantity in two models."""
 
-    JSON = "label unit before after standard_error z p_value held moved"
+    JSON = (
+        "label=quantity.label unit=quantity.unit before after standard_error z p_value held moved"
+    )
 
-    #: The quantity.
-    label: str
-    words: str
-    unit: str
+    quantity: MainQuantity
     #: Values in the earlier and the later model.
     before: float
     after: float
@@ -42,8 +41,6 @@ class Change(Result):
     #: Two-sided, by Student's t with Welch and Satterthwaite's degrees of freedom, adjusted for the
     #: number of quantities (Holm).
     p_value: float
-    #: Whether a percentage is meaningful.
-    relative: bool
     #: Whether a bound or a flat thrust curve fixes it in one of the models. Its error there applies
     #: along the constraint, and is too small for a comparison.
     held: bool = False
@@ -63,10 +60,10 @@ class Change(Result):
         """One sentence."""
         by, error = abs(self.after - self.before), self.standard_error
         way = "rose" if self.after > self.before else "fell"
-        amount = f"{by:.2g} ± {error:.1g} {self.unit}"
-        if self.relative and self.before > 0:
+        amount = f"{by:.2g} ± {error:.1g} {self.quantity.unit}"
+        if self.quantity.positive and self.before > 0:
             amount = f"{100 * by / self.before:.1f} % ± {100 * error / self.before:.1f} %"
-        return f"{self.words} {way} by {amount} (z = {self.z:.1f})"
+        return f"{self.quantity.words} {way} by {amount} (z = {self.z:.1f})"
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ class Drift(Result):
             ]
         widest = max(judged, key=lambda change: abs(change.z))
         return [
-            f"nothing moved: of {len(judged)} quantities {widest.words} changed most, "
+            f"nothing moved: of {len(judged)} quantities {widest.quantity.words} changed most, "
             f"by {abs(widest.z):.1f} standard errors"
         ]
 
@@ -159,7 +156,7 @@ def drift(earlier: Model, later: Model) -> Drift:
         )
     changes = tuple(
         Change(
-            *(q.label, q.words, q.unit, before, after, joint, z, float(p), q.positive),
+            *(q, before, after, joint, z, float(p)),
             held=_holds(earlier, later, q) or _holds(later, earlier, q),
         )
         for (q, before, after, joint, z), p in zip(found, holm(np.array(p_values)), strict=True)
@@ -205,7 +202,7 @@ def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:
 
 def _held_notes(changes: Sequence[Change]) -> list[str]:
     """Return notes on differences that constraints may cause."""
-    held = [f"{change.words} (z = {change.z:.1f})" for change in changes if change.held]
+    held = [f"{change.quantity.words} (z = {change.z:.1f})" for change in changes if change.held]
     if not any(change.held and change.differs for change in changes):
         return []
     return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,24 +46,24 @@ def physical_thrust(model: Model) -> Float[np.ndarray, "n degree"]:
     return thrust_scale(model)[:, None] * np.asarray(model.parameters.thrust)
 
 
-def largest_accelerations(
-    model: Model, speed: float = 1.0
+def propeller_accelerations(
+    model: Model,
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return each propeller's effect on the craft, linear [m/s²] and angular [rad/s²]."""
-    coefficients = np.asarray(model.parameters.thrust)
-    force = thrust(coefficients, np.full(len(coefficients), speed))
-    matrix = np.asarray(model.dynamics.configuration)
-    return np.hypot(matrix[0], matrix[1]) * force, matrix[2] * force
+    """Return each propeller's effect at full speed, linear [m/s²] and angular [rad/s²]."""
+    full = np.asarray(model.parameters.thrust).sum(axis=1)
+    forward, left, angular = np.asarray(model.dynamics.configuration) * full
+    return np.hypot(forward, left), angular
 
 
 @dataclass(frozen=True)
 class MainQuantity:
     """A number that follows from a model's parameters."""
 
-    #: Name for a table, and for a sentence.
+    #: Name for a table.
     label: str
+    #: Name for a sentence.
     words: str
-    #: For people.
+    #: Unit of its values, errors and differences.
     unit: str
     #: The quantity of `Parameters` that it belongs to.
     parameter: str
@@ -96,12 +96,14 @@ class MainQuantity:
         return bool(free.any() if self.entry is None else free[self.entry])
 
 
-def main_quantities(model: Model, speeds: tuple[float, ...] = (1.0,)) -> list[MainQuantity]:
-    """List the quantities that people ask for first."""
+def main_quantities(
+    model: Model, speeds: tuple[float, ...] = (1.0,), *, in_si: bool = False
+) -> list[MainQuantity]:
+    """List the quantities that people ask for first, in units for people or in the file's."""
     listed = []
     for quantity in model.parameters.quantities:
         if quantity.name not in _BY_EFFECT:
-            listed += _entries(model, quantity)
+            listed += _entries(model, replace(quantity, shown=None) if in_si else quantity)
     # A linear curve is one number.
     linear = np.shape(model.parameters.thrust)[1] == 1
     for motor, channel in enumerate(model.vehicle.actuation.channels):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.results import plain
+from airpuck.boundary.results import Result
 from airpuck.control.settings import Criterion, ExcitationPlan, ProposedDuration, ProposedMargin
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.experiment_design.forecast import (
@@ -43,9 +43,16 @@ _FINALISTS, _FLIGHTS = 3, 3
 
 
 @dataclass(frozen=True, eq=False)
-class CandidateFlight:
+class CandidateFlight(Result):
     """An excitation and its expected accuracy."""
 
+    JSON = (
+        "amplitude=plan.amplitude hold_s=plan.hold_s duration_s=plan.duration_s "
+        "margin_m=plan.margin_m clearance_m=clearance score refused relative_error"
+    )
+
+    #: The quantities whose errors it predicts.
+    quantities: ComparedQuantities
     #: The excitation to fly.
     plan: ExcitationPlan
     #: Smallest distance to a rail in all its trials [m]; 0: it touched one.
@@ -58,14 +65,21 @@ class CandidateFlight:
     #: Reason for rejection; empty if it may be proposed.
     refused: str
 
+    @property
+    def relative_error(self) -> dict[str, float]:
+        """Relative standard error after the flight, by quantity; None: undetermined."""
+        return self.quantities.labelled(self.relative)
+
 
 @dataclass(frozen=True, eq=False)
-class Design:
+class Design(Result):
     """A proposal and its alternatives."""
+
+    JSON = "criterion residual_level quantities known usual proposal candidates"
 
     #: The true model of the trials, whose uncertainty is the prior knowledge.
     model: Model
-    #: The criterion for comparing candidates.
+    #: Unit of each quantity, and the scale of its errors.
     quantities: ComparedQuantities
     #: Relative standard errors before the flight; infinite where nothing is known.
     relative_before: Float[np.ndarray, " K"]
@@ -80,32 +94,10 @@ class Design:
     #: Variance of the residuals of the model's fit, relative to the twin's.
     residual_level: float
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``."""
-        q = self.quantities
-
-        def by_label(errors: Float[np.ndarray, " K"]) -> dict[str, float | None]:
-            return dict(zip(q.labels, plain(errors), strict=True))
-
-        def figures(candidate: CandidateFlight) -> dict[str, Any]:
-            return {
-                **asdict(candidate.plan),
-                "clearance_m": candidate.clearance,
-                "score": plain(candidate.score),
-                "refused": candidate.refused,
-                "relative_error": by_label(candidate.relative),
-            }
-
-        sizes = zip(q.labels, q.units, q.scales.tolist(), strict=True)
-        return {
-            "criterion": self.criterion,
-            "residual_level": self.residual_level,
-            "quantities": {label: {"unit": unit, "scale": scale} for label, unit, scale in sizes},
-            "known": by_label(self.relative_before),
-            "usual": figures(self.usual),
-            "proposal": figures(self.proposal),
-            "candidates": [figures(candidate) for candidate in self.candidates],
-        }
+    @property
+    def known(self) -> dict[str, float]:
+        """Relative standard error before the flight, by quantity; None: unknown."""
+        return self.quantities.labelled(self.relative_before)
 
 
 def design(
@@ -316,7 +308,7 @@ class _Search:
             after = forecast.of(joined(flights), plan.duration_s)
             relative = self.quantities.relative_errors(after)
         score = math.inf if refused else self._score(relative)
-        return CandidateFlight(plan, clearance, relative, score, refused)
+        return CandidateFlight(self.quantities, plan, clearance, relative, score, refused)
 
     def _score(self, relative: Float[np.ndarray, " K"]) -> float:
         """Compute the criterion from quantities that have a scale and no active constraint."""

@@ -29,11 +29,13 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.results import plain
 from airpuck.compute.process import usable_cores
 from airpuck.control.settings import ExcitationPlan
 from airpuck.control.tuning import Tuning
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
+from airpuck.evaluation.presentation import main_quantities, physical_thrust
 from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import retime_packets, spread_of, variance_of_mean
 from airpuck.identification.settings import PUBLISHED_WEIGHTS, Loss
@@ -45,7 +47,6 @@ from airpuck.identification.uncertainty import (
 )
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import fly_excitation
 from airpuck.twin.radio import as_received
@@ -272,7 +273,7 @@ class ComparedQuantities:
     """A model's learned parameters, as quantities with comparable errors."""
 
     def __init__(self, model: Model) -> None:
-        self._quantities = q = (*_of_propellers(model), *_scalars(model))
+        self._quantities = q = tuple(_compared(model))
         self.labels, self.units = [one.label for one in q], [one.unit for one in q]
         self.scales = np.array([one.scale for one in q])
         self._estimate = vector = model.parameters.to_vector()
@@ -287,6 +288,16 @@ class ComparedQuantities:
     def values(self, model: Model) -> Float[np.ndarray, " K"]:
         """Compute the quantities of a model."""
         return np.array([quantity.value(model) for quantity in self._quantities])
+
+    def labelled(self, errors: Float[np.ndarray, " K"]) -> dict[str, float]:
+        """Return one number for each quantity, by label."""
+        return dict(zip(self.labels, errors.tolist(), strict=True))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return unit and scale of each quantity, by label."""
+        return plain(
+            {one.label: {"unit": one.unit, "scale": one.scale} for one in self._quantities}
+        )
 
     def relative_errors(self, uncertainty: Uncertainty | None) -> Float[np.ndarray, " K"]:
         """Compute standard errors relative to the scales, for an uncertainty of this model.
@@ -307,33 +318,25 @@ class ComparedQuantities:
         return np.where(np.isfinite(self.scales), shares, np.nan)
 
 
-def _of_propellers(model: Model) -> Iterator[ComparedQuantity]:
-    """List the quantities of each propeller."""
-    learned = model.free[model.parameters.mask(frozenset({"thrust", "configuration_matrix"}))]
-    if not learned.any():
-        return
-    # A linear curve is one number.
-    speeds = _SPEEDS[-1:] if np.shape(model.parameters.thrust)[1] == 1 else _SPEEDS
-    for motor, name in enumerate(model.vehicle.propeller_names):
-        full = abs(_force(motor, 1.0, model)) or np.inf
-        for speed in speeds:
-            yield ComparedQuantity(f"F({speed:g}) {name}", "N", full, partial(_force, motor, speed))
-    if model.parameters.configuration_matrix is None:
-        return
+def _compared(model: Model) -> Iterator[ComparedQuantity]:
+    """List all learned quantities, the forces of the propellers first."""
+    scales = {"angle_offset": 1.0, "center_of_mass": model.radius_of_gyration}
+    full = np.abs(physical_thrust(model).sum(axis=1))
+    learned = [q for q in main_quantities(model, _SPEEDS, in_si=True) if q.learned(model)]
+    for q in sorted(learned, key=lambda one: one.motor is None):
+        natural = scales.get(q.parameter) if q.motor is None else full[q.motor]
+        yield ComparedQuantity(q.label, q.unit, natural or abs(q.value(model)) or np.inf, q.value)
+    if model.parameters.configuration_matrix is not None:
+        yield from _of_columns(model)
+
+
+def _of_columns(model: Model) -> Iterator[ComparedQuantity]:
+    """List the directions and lever arms of propellers in a directly learned Π."""
     for motor, name in enumerate(model.vehicle.propeller_names):
         ahead = np.asarray(model.dynamics.configuration)[:2, motor]
         yield ComparedQuantity(f"direction {name}", "rad", 1.0, partial(_direction, motor, ahead))
-        arm = 1 / model.radius_of_gyration
-        yield ComparedQuantity(
-            f"turn per push {name}", "rad/m", arm, partial(_turn_per_push, motor)
-        )
-
-
-def _force(motor: int, speed: float, model: Model) -> float:
-    """Return the force of a propeller [N]."""
-    push = np.hypot(*model.propeller_effects[:2, motor])
-    curve = np.asarray(model.parameters.thrust)[motor : motor + 1]
-    return float(model.vehicle.mass_kg * push * thrust(curve, np.array([speed]))[0])
+        arm, turn = 1 / model.radius_of_gyration, partial(_turn_per_push, motor)
+        yield ComparedQuantity(f"turn per push {name}", "rad/m", arm, turn)
 
 
 def _direction(motor: int, ahead: Float[np.ndarray, " 2"], model: Model) -> float:
@@ -346,29 +349,6 @@ def _turn_per_push(motor: int, model: Model) -> float:
     """Return the ratio of a propeller's angular to its linear acceleration [rad/m]."""
     x, y, turn = np.asarray(model.dynamics.configuration)[:, motor]
     return float(turn / np.hypot(x, y))
-
-
-def _scalars(model: Model) -> Iterator[ComparedQuantity]:
-    """List all learned quantities that belong to no propeller."""
-    scales = {"angle_offset": 1.0, "center_of_mass": model.radius_of_gyration}
-    names, degree = model.vehicle.propeller_names, np.shape(model.parameters.thrust)[1]
-    for quantity in model.parameters.quantities:
-        if quantity.name in ("thrust", "configuration_matrix"):
-            continue
-        free = model.free[model.parameters.mask(frozenset({quantity.name}))]
-        entries = quantity.entries(names, degree)
-        for k in np.flatnonzero(free):
-            value = partial(_entry, quantity.name, int(k))
-            scale = scales.get(quantity.name) or abs(value(model)) or np.inf
-            label, unit = f"{quantity.symbol} {entries[k]}".rstrip(), quantity.unit
-            if ", " in quantity.symbol:
-                label, unit = quantity.of_entry(int(k))
-            yield ComparedQuantity(label, unit, scale, value)
-
-
-def _entry(name: str, number: int, model: Model) -> float:
-    """Return one entry of a parameter."""
-    return float(np.ravel(getattr(model.parameters, name))[number])
 
 
 #: Called with the number done and the total.

@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import UserCode
 from airpuck.boundary.signals import Progress
-from airpuck.boundary.user_code import UserCode
 from airpuck.control.law import Law, Pilot, Prediction, Status, Step
 from airpuck.control.laws import check_law
 from airpuck.control.reference import Reference, asked, check_inside, sheltered

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from airpuck.boundary.results import Result
-from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.evaluation.presentation import delay_words
@@ -21,6 +20,7 @@ from airpuck.identification.uncertainty import Identifiability
 from airpuck.model.model_file import Model
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.physics.thrust import lowest_slope
+from airpuck.preprocessing.quality import left_out_words
 
 #: A motor whose command stays within this range reveals nothing about its thrust.
 _IDLE_RANGE = 0.02

@@ -99,52 +99,44 @@ def combined(
     own: Bool[np.ndarray, " P"],
 ) -> Combined:
     """Combine fits; `hessians` belong to their sums of squares."""
-    learned, s, k = shared | own, int(shared.sum()), int(own.sum())
-    size = s + len(models) * k
-    normal, right, start = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    places, weighted = [], []
-    for number, (model, hessian) in enumerate(zip(models, hessians, strict=True)):
-        place = np.zeros(len(shared), dtype=int)
-        place[shared], place[own] = np.arange(s), s + number * k + np.arange(k)
-        at, vector = place[learned], model.parameters.to_vector()[learned]
-        own_hessian = hessian[np.ix_(learned, learned)]
-        normal[np.ix_(at, at)] += own_hessian
-        right[at] += own_hessian @ vector
-        # Entries that nothing determines keep the last recording's values.
-        start[at] = vector
-        rows = np.zeros((size, len(at)))
-        rows[at] = own_hessian
-        places.append(at)
-        weighted.append(rows)
+    learned, s, count = shared | own, int(shared.sum()), len(models)
+    among = np.ix_(learned, learned)
+    # The unknowns are the shared parameters, then those of each recording.
+    common = shared[learned]
+    places = np.empty((count, len(common)), dtype=int)
+    places[:, common] = np.arange(s)
+    places[:, ~common] = s + np.arange(count * own.sum()).reshape(count, -1)
+    size = s + count * int(own.sum())
+    picks = np.eye(size)[places]
+    weights = np.array([hessian[among] for hessian in hessians])
+    vectors = np.array([model.parameters.to_vector() for model in models])
+    found = [model.uncertainty for model in models if model.uncertainty is not None]
+    spreads = np.array([known.covariance[among] for known in found])
+    normal = (picks.mT @ weights @ picks).sum(axis=0)
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=_UNKNOWN, hermitian=True)
     inverse /= np.outer(scale, scale)
-    solution = start + inverse @ (right - normal @ start)
     # How the result moves with each estimate, whose covariances are known.
-    moves, spreads = [inverse @ rows for rows in weighted], []
-    for model in models:
-        assert model.uncertainty is not None
-        spreads.append(model.uncertainty.covariance[np.ix_(learned, learned)])
-    total = np.sum([m @ c @ m.T for m, c in zip(moves, spreads, strict=True)], axis=0)
-    vectors, covariances, apart = [], [], np.zeros((len(models), s))
-    for number, (model, at) in enumerate(zip(models, places, strict=True)):
-        vector, covariance = model.parameters.to_vector(), np.zeros((len(shared),) * 2)
-        pick = np.eye(size)[at[at < s]] @ np.eye(size)[:, at]
-        alone = vector[shared]
-        vector[learned] = solution[at]
-        covariance[np.ix_(learned, learned)] = total[np.ix_(at, at)]
-        variance = np.zeros(s)
-        for other, (move, spread) in enumerate(zip(moves, spreads, strict=True)):
-            difference = (pick if other == number else 0.0) - move[:s]
-            variance += np.sum(difference @ spread * difference, axis=1)
+    moves = inverse @ picks.mT @ weights
+    # Entries that nothing determines keep the last recording's values.
+    start = np.append(vectors[-1, shared], vectors[:, own])
+    solution = start + np.einsum("nup,np->u", moves, vectors[:, learned] - picks @ start)
+    total = (moves @ spreads @ moves.mT).sum(axis=0)
+    apart = np.zeros((count, s))
+    for number in range(count):
+        differences = -moves[:, :s]
+        differences[number] += np.eye(len(common))[common]
+        variance = np.sum(differences @ spreads * differences, axis=(0, 2))
         sure = variance > _UNKNOWN * np.diag(total)[:s]
-        difference = np.abs(alone - solution[:s])
+        difference = np.abs(vectors[number, shared] - solution[:s])
         apart[number, sure] = difference[sure] / np.sqrt(variance[sure])
-        vectors.append(vector)
-        covariances.append(covariance)
+    vectors[:, learned] = picks @ solution
+    covariances = np.zeros((count, len(learned), len(learned)))
+    covariances[:, *among] = picks @ total @ picks.mT
     worst = int(apart.max(axis=0).argmax())
-    return Combined(vectors, covariances, float(apart.max()), int(np.flatnonzero(shared)[worst]))
+    entry = int(np.flatnonzero(shared)[worst])
+    return Combined([*vectors], [*covariances], float(apart.max()), entry)
 
 
 def _uncertainty(

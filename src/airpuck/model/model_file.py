@@ -17,9 +17,9 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.arguments import checked_class
 from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.extensions import with_code
 from airpuck.boundary.files import checked, load_toml, write_toml
 from airpuck.boundary.results import frame
-from airpuck.boundary.user_code import with_code
 from airpuck.compute.arrays import generator, namespace
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.authors_params import of_authors, read_params_json, read_params_yaml

@@ -12,8 +12,7 @@ from jaxtyping import Bool, Float
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError, nearest
-from airpuck.boundary.extensions import added, loaded
-from airpuck.boundary.user_code import users_class
+from airpuck.boundary.extensions import added, loaded, users_class
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own
 from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, quantity_of
@@ -239,7 +238,8 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     base, *terms = name.split("+")
     if base not in RUNGS:
         raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}{nearest(base, RUNGS)}",
+            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or for a fit auto"
+            f"{nearest(base, RUNGS)}",
             field="model",
         )
     rung = replace(RUNGS[base], degree=degree, frame=frame)

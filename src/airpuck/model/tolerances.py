@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,18 @@ _STEP = 1e-6
 
 def bar(model: Model, quantity: Callable[[Model], Any]) -> Float[np.ndarray, "*shape"]:
     """Compute a standard error that includes the tolerances; see `Model.standard_error`."""
-    vector, now, square = model.parameters.to_vector(), quantity(model), 0.0
-    for shift in geometry_shifts(model.parameters, model.vehicle, model.free):
-        parameters = model.parameters.with_vector(vector + shift)
-        moved = quantity(replace(model, parameters=parameters, uncertainty=None))
-        square = square + (np.asarray(moved) - now) ** 2
+    now = quantity(model)
+    square = sum((np.asarray(quantity(moved)) - now) ** 2 for moved in _moved(model))
     return np.asarray(np.hypot(model.standard_error(quantity), np.sqrt(square)))
+
+
+@lru_cache(maxsize=4)
+def _moved(model: Model) -> list[Model]:
+    """Return what the model would be with each error of the vehicle file, for all quantities."""
+    vector = model.parameters.to_vector()
+    shifts = geometry_shifts(model.parameters, model.vehicle, model.free)
+    moved = (model.parameters.with_vector(vector + shift) for shift in shifts)
+    return [replace(model, parameters=parameters, uncertainty=None) for parameters in moved]
 
 
 def geometry_shifts(

@@ -8,16 +8,17 @@ measured. Only a long pause remains a gap.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.errors import InputError
 from airpuck.data.sampling import longest_bridge, runs, usual_period
-from airpuck.data.trajectory import Span
+from airpuck.data.trajectory import Span, Trajectory
 from airpuck.preprocessing.derivative import ACCELERATION_TIME, JUMP, window_length
 from airpuck.recording.stream import Stream
 
@@ -54,6 +55,14 @@ _FEW = 20
 _LONGEST = 0.125
 #: Fraction of lost frames that is mentioned.
 _MENTIONED = 0.001
+#: Causes that are described in words, singular and plural.
+_NOUNS = {
+    "gap": ("gap", "gaps"),
+    "frozen pose": ("frozen pose", "frozen poses"),
+    "jumping pose": ("jump", "jumps"),
+    "no commands": ("pause of the commands", "pauses of the commands"),
+    "contact": ("contact", "contacts"),
+}
 
 
 class Samples(NamedTuple):
@@ -373,3 +382,44 @@ def lost_frames_words(
         f"{100 * share:.1f} % of the frames are lost (up to {longest:.3f} s in a row); they count "
         "as poses that were not measured",
     )
+
+
+def left_out_words(trajectory: Trajectory) -> str:
+    """Describe which fraction of the time must not be used, and why.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The trajectory, possibly with faults excluded, too.
+
+    Returns
+    -------
+    str
+        For example ``left out: 3.1 % (2 gaps, 14 jumps; longest 0.21 s at 31.2 s)``.
+    """
+    first, last = trajectory.time[[0, -1]]
+    spans = [s for s in trajectory.excluded if s.stop >= first and s.start <= last]
+    if not spans:
+        return "left out: nothing"
+    causes = Counter(span.cause for span in spans)
+    counted = ", ".join(_counted(cause, count) for cause, count in causes.items())
+    longest = max(spans, key=lambda span: span.stop - span.start)
+    return (
+        f"left out: {100 * (1 - trajectory.usable_share):.1f} % ({counted}; longest "
+        f"{longest.stop - longest.start:.2f} s at {longest.start:.1f} s)"
+    )
+
+
+def left_out_json(trajectory: Trajectory) -> dict[str, Any]:
+    """Return the usable fraction of the time, and all excluded spans."""
+    return {
+        "usable": trajectory.usable_share,
+        "excluded": [vars(span) for span in trajectory.excluded],
+    }
+
+
+def _counted(cause: str, count: int) -> str:
+    """Write how often a cause occurred."""
+    if cause in _NOUNS:
+        return f"{count} {_NOUNS[cause][count > 1]}"
+    return cause if count == 1 else f"{count} × {cause}"

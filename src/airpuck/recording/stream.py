@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64, Shaped
 from numpy.typing import ArrayLike
 
 from airpuck.boundary.arguments import checked, checked_class
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
@@ -256,7 +256,7 @@ class Recording:
             raise InputError(problem, file=source, field="poses")
         axes = 2 if pose.shape[1] == 3 else 3
         kind = "yaw" if axes == 2 else "quaternion"
-        try:
+        with about(source):
             values = poses_of(pose[:, :axes], pose[:, axes:], kind, mapping.pose)
             at = stamps_of(stamps, mapping.pose)
             seen = Stream(at, at, values, COLUMNS["pose"])
@@ -264,8 +264,6 @@ class Recording:
             at = stamps_of(command_stamps, own)
             names = propellers_of(unnamed_columns(command.shape[1]), own)
             commanded = Stream(at, at, commands_of(command, own), names)
-        except InputError as error:
-            raise InputError(error.problem, file=source, field=error.field) from error
         whole = cls({"pose": seen, "command": commanded}, source, warnings=lost + gone)
         return of_cameras(whole, mapping)
 
@@ -285,7 +283,8 @@ class Recording:
                 file=self.source,
             )
         if len(stream) == 0:
-            raise InputError(f"the {name} stream is empty", file=self.source)
+            problem = f"the {name} stream is empty; record it, or name another topic in a mapping"
+            raise InputError(problem, file=self.source)
         return stream
 
 

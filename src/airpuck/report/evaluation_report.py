@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.data.left_out import left_out_words
 from airpuck.data.trajectory import Span, Trajectory
 from airpuck.evaluation.error_budget import OWNERS, UNEXPLAINED, ErrorBudget
 from airpuck.evaluation.evaluate import Evaluation, evaluate
@@ -21,6 +20,7 @@ from airpuck.evaluation.fit_measures import FitMeasures
 from airpuck.faults.strengths import STRENGTH_HEADINGS, Strengths, find_strengths, strength_rows
 from airpuck.judgement.verdict import Verdict, verdict
 from airpuck.model.model_file import Model
+from airpuck.preprocessing.quality import left_out_words
 from airpuck.report import style
 from airpuck.report.craft import actuator_words, craft_section
 from airpuck.report.fit_figures import thrust_figure

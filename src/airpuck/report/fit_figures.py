@@ -17,9 +17,9 @@ from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.evaluation.presentation import (
     NOT_IDENTIFIED,
-    largest_accelerations,
     main_quantities,
     physical_thrust,
+    propeller_accelerations,
     thrust_scale,
 )
 from airpuck.experiment_design.design import Design
@@ -123,8 +123,8 @@ def effect_rows(models: Sequence[Model]) -> list[Row]:
 
     return [
         *rows("m‖Π_xy‖", "–", thrust_scale, ".3f"),
-        *rows("‖Π_xy‖ F(1)", "m/s²", lambda model: largest_accelerations(model)[0], ".3f"),
-        *rows("Π_yaw F(1)", "rad/s²", lambda model: largest_accelerations(model)[1], ".1f"),
+        *rows("‖Π_xy‖ F(1)", "m/s²", lambda model: propeller_accelerations(model)[0], ".3f"),
+        *rows("Π_yaw F(1)", "rad/s²", lambda model: propeller_accelerations(model)[1], ".1f"),
     ]
 
 
@@ -290,7 +290,7 @@ def parameter_figure(
     names = models[0].vehicle.propeller_names
     figure = style.new_figure(style.PAGE_WIDTH, 1.35 + 0.3 * len(names))
     linear, angular, scalars = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
-    full = {m.name: _ratios(m, reference[m.name], largest_accelerations) for m in models}
+    full = {m.name: _ratios(m, reference[m.name], propeller_accelerations) for m in models}
     for kind, axes, quantity in ((0, linear, "linear"), (1, angular, "angular")):
         _draw_ratios(axes, names, {name: ratio[:, kind] for name, ratio in full.items()})
         axes.set_title(f"{quantity} acceleration at φ = 1", loc="left")

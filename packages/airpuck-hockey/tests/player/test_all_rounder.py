@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck import InputError
 from airpuck.control.reference import SetPoint
 from airpuck.planning.minimal_time import MinimalTimes
 from airpuck_hockey.player.all_rounder import AllRounder, Strategy
@@ -39,6 +40,12 @@ def test_the_first_that_has_something_to_propose_does_it():
     found = AllRounder(strategies).decide(view_of((0.3, 0, 0, 0, 0, 0)))
     assert found.reference.x == -0.5
     assert [one.asked for one in strategies] == [1, 1, 0]
+
+
+@pytest.mark.parametrize("strange", [3, "wait", [Says(), "wait"]])
+def test_what_is_no_strategy_is_refused(strange):
+    with pytest.raises(InputError, match=r"strategies: must be .*Strategy"):
+        AllRounder(strange)
 
 
 def test_where_nobody_proposes_anything_it_keeps_its_goal():

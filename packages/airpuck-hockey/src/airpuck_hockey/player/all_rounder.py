@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from airpuck.extend import checked_class
 from airpuck_hockey.player.attack import SPEEDS, Shoot
 from airpuck_hockey.player.defence import Blind, Catch, Defend, Free, Wait
 from airpuck_hockey.player.interception import Outlook, Searcher
@@ -57,6 +58,7 @@ class Turns:
         return last + searcher.every, last, searcher.every
 
 
+@checked_class
 class AllRounder:
     """Shoots, defends, catches and frees the puck, and waits; a `Tactic`.
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airpuck.commissioning.correction import corrected, layout_findings, matched, measured
+from airpuck.commissioning.pulse_evidence import corrected, layout_findings, matched, measured
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.model_file import nominal_model
 from airpuck.physics.rigid_body import acceleration_map, turned

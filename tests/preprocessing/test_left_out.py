@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airpuck.data.left_out import left_out_json, left_out_words
 from airpuck.data.trajectory import Span, Trajectory
+from airpuck.preprocessing.quality import left_out_json, left_out_words
 
 N = 1001
 FLIGHT = Trajectory(
