@@ -46,8 +46,6 @@ OWNERS = (
     "structure",
 )
 UNEXPLAINED = "unexplained"
-#: Time before a window in which commands may still matter [s].
-_REMEMBERED_S = 0.3
 #: Predictions made at once, which bounds the memory.
 _BATCH = 1024
 
@@ -186,9 +184,6 @@ class _Again:
     ) -> None:
         self._model, self._windows, self._encoder = model, windows, encoder
         self._past, self._hindsight = past, hindsight
-        self._remembered = windows.trajectories[0].steps(_REMEMBERED_S)
-        #: What was known, commands, gains and errors of earlier predictions.
-        self._done: list[tuple[frozenset[str], Any, Any, Any]] = []
 
     def predicted(self, known: frozenset[str]) -> Float[np.ndarray, "3 W"]:
         """Predict again; return the errors at the horizon."""
@@ -200,9 +195,9 @@ class _Again:
         for fault in found.faults:
             if fault.owner not in known:
                 gain[:, self._touched(fault)] = 0.0
-        errors, changed = self._unless(known, windows.input, gain)
+        errors = np.empty((3, len(windows)))
         for length in np.unique(self._past).tolist():
-            alike = np.flatnonzero((self._past == length) & changed)
+            alike = np.flatnonzero(self._past == length)
             for first in range(0, len(alike), _BATCH):
                 part = alike[first : first + _BATCH]
                 starts = windows.starts[part]
@@ -213,26 +208,7 @@ class _Again:
                 commands, durations, measured = windows.future(starts)
                 errors[:, part] = rollout(np, now, state, commands, durations)[-1, :3]
                 errors[:, part] -= measured[-1, :3]
-        self._done.append((known, windows.input, gain, errors))
         return errors
-
-    def _unless(
-        self, known: frozenset[str], held: Float[np.ndarray, "N n"], gain: Float[np.ndarray, "n W"]
-    ) -> tuple[Float[np.ndarray, "3 W"], Bool[np.ndarray, " W"]]:
-        """Return errors of an earlier prediction, and which windows must be predicted again."""
-        windows = self._windows
-        best, changed = np.empty((3, len(windows))), np.full(len(windows), True)
-        for before, commands, strength, errors in self._done:
-            if (before ^ known) & {"start", "structure"}:
-                continue
-            rows = np.concatenate([[0], np.cumsum((held != commands).any(axis=1))])
-            last = windows.present + windows.prediction_length
-            # Motor speeds remember earlier commands.
-            first = np.maximum(windows.starts - self._remembered, 0)
-            differs = (rows[last] > rows[first]) | (gain != strength).any(axis=0)
-            if differs.sum() < changed.sum():
-                best, changed = errors.copy(), differs
-        return best, changed
 
     def _known_start(
         self, dynamics: Dynamics, windows: Windows, part: Int[np.ndarray, " B"]
