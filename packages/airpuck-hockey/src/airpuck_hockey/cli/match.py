@@ -1,4 +1,4 @@
-"""The command for games of two players, and the models of craft that play."""
+"""Commands for games of two players and for leagues, and the models of craft that play."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
+
+from typer import Argument
 
 import airpuck
 import airpuck_hockey
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 
     from airpuck import Model
     from airpuck_hockey.game.game import Game
-    from airpuck_hockey.matches.match import MatchResult
+    from airpuck_hockey.matches.match import LeagueResult, MatchResult
 
 
 def read_player(name: str, quiet: bool) -> airpuck.Model:
@@ -266,3 +268,75 @@ def _picture(game: Game) -> str:
     left, right = game.score
     names = f"{game.sides[0].name}  {left} : {right}  {game.sides[1].name}"
     return "\n".join([names.center(columns + 2), edge, *lines, edge])
+
+
+@command("Air hockey")
+def league(
+    rules: GameRules,
+    players: Annotated[
+        list[str] | None,
+        Argument(
+            metavar="PLAYER", help=f"{PLAYER} By default our levels, predecessor and all hands."
+        ),
+    ] = None,
+    games: Annotated[
+        int, Setting("Number of games of each pair; sides alternate.", numbers.GAMES, "N")
+    ] = 2,
+    seed: options.Seed = 0,
+    model: Annotated[str, Setting("Model of the craft.", metavar="MODEL")] = Pairing.model,
+    twin: options.ReadTwin = None,
+    workers: options.Workers = None,
+    only: Annotated[
+        str | None, Setting("Play only pairs that include this player.", metavar="PLAYER")
+    ] = None,
+    output: Annotated[
+        Path | None, options.output("DIR", "Folder for results; games in it are not played again.")
+    ] = None,
+    json_file: options.Json = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Let every player play every other.
+
+    Drag and bounces of the puck differ from game to game, and no player knows them exactly.
+    """
+    from airpuck_hockey.matches.match import PLAYERS
+
+    if players:
+        read_craft(model, players, quiet)
+    else:
+        read_player(model, quiet)
+    with show_time_left("games", quiet) as progress:
+        found = airpuck_hockey.league(
+            players or PLAYERS,
+            games,
+            seed=seed,
+            model=model,
+            settings=twin,
+            rules=rules,
+            output=output,
+            workers=workers,
+            only=only,
+            progress=progress,
+        )
+    report(found.to_json(), json_file, _standings(found))
+
+
+def _standings(found: LeagueResult) -> Table:
+    """Tabulate the players, by points per game: a draw is half a win."""
+    sums = {name: found.total(name) for name in ("games", "wins", "goals", "duration_s")}
+    points = found.total("points").sum(axis=1) / sums["games"].sum(axis=1).clip(1)
+    rows = []
+    for number in (-points).argsort(kind="stable"):
+        games, wins, scored, seconds = (sums[name][number].sum() for name in sums)
+        lost, conceded = (sums[name][:, number].sum() for name in ("wins", "goals"))
+        rows.append(
+            [
+                found.players[number],
+                f"{points[number]:.2f}",
+                *(f"{count:.0f}" for count in (wins, games - wins - lost, lost)),
+                f"{scored:.0f}:{conceded:.0f}",
+                f"{60 * scored / seconds:.2f}",
+            ]
+        )
+    headings = ("player", "points per game", "won", "drawn", "lost", "goals", "goals per min")
+    return table(headings, rows, title=f"{len(found.games)} games")
