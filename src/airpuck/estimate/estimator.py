@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,6 +15,16 @@ from airpuck.model.model_file import Model
 
 #: How the names of a controller's figures about its motors begin.
 FOUND = "found: "
+#: What a craft that learns also finds, beyond the model, and standard deviations of the prior:
+#: linear drag [1/s], offset of the centre of mass along the body's axes [m], and slope of the table
+#: [rad].
+BEYOND = {
+    "drag": 0.2,
+    "center_of_mass x": 2e-3,
+    "center_of_mass y": 2e-3,
+    "tilt x": 5e-3,
+    "tilt y": 5e-3,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +42,9 @@ class ActuationEstimate:
     delay_deviation: float = 0.0
     #: Fraction that control uses, if not the estimated one: it ignores changes that may be none.
     used: Float[np.ndarray, " n"] | None = None
+    #: What a craft that learns finds beyond its model: name (`BEYOND`) → value and standard
+    #: deviation.
+    beyond: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def figures(self, propellers: Sequence[str]) -> dict[str, str]:
         """Return what was found in words: the thrust of each propeller, and the delay."""
