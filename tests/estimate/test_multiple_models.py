@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.multiple_models import MultipleModels, States
-from airpuck.model.model_file import read_model
+from airpuck.estimate.multiple_models import MultipleModels, States, drift, sensitivity
+from airpuck.model.model_file import published_model, read_model
+from airpuck.physics.effects import Drag
+from airpuck.physics.rigid_body import acceleration
 
 DYNAMICS = read_model("paper:M3").dynamics
 NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.2, 3.0))
@@ -131,7 +134,9 @@ def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
 def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(ratio):
     """The poses of an idle craft, pushed by white accelerations of a known density."""
-    learns = replace(states(1), learned_s=120.0)
+    # Five more unknowns: drag, centre of mass and slope.
+    priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
+    learns = replace(states(1), covariance=priors, learned_s=120.0)
     models, random, period = MultipleModels(DYNAMICS, NOISE, learns), np.random.default_rng(1), 0.01
     density = ratio * np.array(NOISE.acceleration)
     # Exact steps of a double integrator that white noise drives.
@@ -154,3 +159,48 @@ def test_what_is_not_learned_keeps_its_density():
     known = models.begin(np.zeros(3), None, 0.0)
     pieces = np.zeros(6), np.array([0.01]), np.zeros((1, 6))
     assert not models.use_pose(np, *known, *pieces, np.full(3, 0.01))[3].any()
+
+
+MOTION = 0.7, 0.3, -0.5, 4.0  # yaw, velocity, spin
+SPEEDS = np.array([0.9, 0.1, 0.4, 0.2, 0.8, 0.3])
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(share):
+    model = replace(published_model("M3"), frame="body")
+    parameters, step = model.parameters, 1e-6
+    gyration = model.radius_of_gyration**2
+    given = MOTION, SPEEDS, SPEEDS, share * np.ones(6), gyration
+    _, by_e = sensitivity(np, model.dynamics, *given)
+
+    def rates(offset=(0.0, 0.0), drag=0.0):
+        center = parameters.center_of_mass + np.array(offset)
+        moved = replace(parameters, center_of_mass=center, thrust=share * parameters.thrust)
+        dynamics = replace(model, parameters=moved).dynamics
+        dynamics = replace(dynamics, effects=(Drag(drag),))
+        return np.array(acceleration(np, dynamics, MOTION, SPEEDS))
+
+    changes = {"drag": step}, {"offset": (step, 0.0)}, {"offset": (0.0, step)}
+    for column, change in zip(by_e.T[7:10], changes, strict=True):
+        expected = (rates(**change) - rates()) / step
+        # Terms of second order in the offset of the centre of mass are left out.
+        np.testing.assert_allclose(column, expected, rtol=0.01, atol=0.1)
+        assert np.abs(expected).max() > 0.2
+    assert not by_e[:, 10:].any()
+
+
+def test_a_disturbance_returns_to_the_slope():
+    mean = np.zeros(SIZE + 5)
+    mean[6:9], mean[-2:] = (0.3, -0.2, 4.0), (4e-3, -2e-3)
+    idle = np.zeros(6)
+
+    def after(duration):
+        given = mean, idle, np.array([duration]), idle[None], 1.0
+        matrix, offset, *_ = drift(np, DYNAMICS, *given)
+        return (matrix @ mean + offset)[6:9]
+
+    np.testing.assert_allclose(after(0.0), mean[6:9])
+    slope = GRAVITY * mean[-2:]
+    # One time constant is a second; the disturbance of the yaw does not return.
+    expected = slope + np.exp(-1) * (mean[6:8] - slope)
+    np.testing.assert_allclose(after(1.0), [*expected, 4.0])

@@ -46,6 +46,9 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 _KNOCK = 8.0
 #: Standard deviations from which on a learned change is used.
 _CERTAIN = 2.5
+#: Speed from which on drag can be learned [m/s]: of a craft at rest only the noise of the velocity
+#: is seen, which looks like drag.
+_MOVES = 0.02
 #: Time in which a disturbance returns to the acceleration of the slope [s].
 _RETURNS_S = 1.0
 #: Indices of p, v, d and e.
@@ -422,7 +425,8 @@ def by_body(xp: Any, motion: Any, pushed: Any, gyration: float) -> Any:
     yaw, vx, vy, spin = motion
     cos, sin = xp.cos(yaw), xp.sin(yaw)
     fx, fy, turn = pushed
-    columns = [[-vx, -vy, 0.0]]
+    moves = xp.where(vx**2 + vy**2 > _MOVES**2, 1.0, 0.0)
+    columns = [[-moves * vx, -moves * vy, 0.0]]
     for x, y in ((cos, sin), (-sin, cos)):
         columns.append(
             [y * turn + x * spin**2, y * spin**2 - x * turn, (y * fx - x * fy) / gyration]
