@@ -10,7 +10,7 @@ from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.estimator import BEYOND
+from airpuck.estimate.estimator import BEYOND, ActuationEstimate
 from airpuck.estimate.kalman import ActuationFilter
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
@@ -214,6 +214,17 @@ def test_an_unchanged_craft_does_not_use_drag(learning):
         assert (np.abs(value) < 2.5 * deviation).all()
 
 
+def test_without_a_disturbance_there_is_no_slope():
+    still = Noise(QUIET.pose, QUIET.acceleration, (0.0, 0.0, 0.0))
+    learning = ActuationFilter(M3, still, learned=30.0, compiled=False)
+    learning.pose(0.0, np.zeros(3))
+    for k in range(1, 20):
+        learning.pose(k / 100, np.full(3, 1e-3 * k * k))
+    found = learning.predict(0.2)
+    assert not found.disturbance.any()
+    assert found.actuation.beyond["tilt x"] == (0.0, 0.0)
+
+
 def test_the_tuning_names_it():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
@@ -227,4 +238,13 @@ def test_a_craft_with_two_way_propellers_and_a_wheel_learns(tmp_path):
     fly(controller, Twin(model), 1.0)
     found = controller.predict(1.0).actuation
     names = [f"found: {name}" for name in model.vehicle.propeller_names]
-    assert list(found.figures(model.vehicle.propeller_names)) == [*names, "found: delay"]
+    names += ["found: delay", "found: drag linear", "found: center of mass x"]
+    names += ["found: center of mass y", "found: tilt x", "found: tilt y"]
+    assert list(found.figures(model.vehicle.propeller_names)) == names
+
+
+def test_figures_have_the_units_of_the_quantities():
+    beyond = {"drag linear": (0.123, 0.0456), "center_of_mass y": (-1.5e-3, 4e-4)}
+    found = ActuationEstimate(np.ones(2), np.ones(2), beyond=beyond).figures(["left", "right"])
+    assert found["found: drag linear"] == "+0.12 ± 0.046 1/s"
+    assert found["found: center of mass y"] == "-1.5 ± 0.4 mm"

@@ -349,7 +349,7 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def forget(self) -> None:
-        """Forget estimates of the motors, with `states`; the motion and the delay in use stay."""
+        """Forget what `states` describe, as of the motors; motion and delay in use stay."""
         assert self._time is not None
         last, _ = self.predict_with(self._predict, self._time - self.later)
         self._history.clear()
@@ -463,8 +463,11 @@ class ActuationFilter(KalmanFilter):
         # Motors without lag give no information about the delay: their speed jumps.
         lags = float(model.dynamics.motor_time_constant) > 0
         covariance[:, n, n] = delay_deviation**2 * lags
-        lasts = range(n + 1, size)
-        covariance[0, lasts, lasts] = np.square(list(BEYOND.values()))[: len(lasts)]
+        if learned is not None:
+            body = np.square(list(BEYOND.values()))
+            # The slope is the mean of the disturbance, if there is one.
+            body[-2:] *= np.array(noise.disturbance[:2]) > 0
+            covariance[0, range(n + 1, size), range(n + 1, size)] = body
         weight = np.array([prior.weight for prior in priors])
         names = tuple(prior.name for prior in priors)
         jitter = model.delay_jitter.standard_deviation_s if model.delay_jitter else _JITTER

@@ -170,8 +170,8 @@ class MultipleModels:
         means, covariances, weights, density = self.renewed(xp, tuple(belief), total)
         path = xp.sum(weights[:, None] * means, axis=0)
         gyration = None if self.states.learned_s is None else self.states.squared_gyration
-        given = self.dynamics, path, speed, durations, commands
-        transition, offset, speed, slopes = drift(xp, *given, gyration)
+        given = xp, self.dynamics, path, speed, durations, commands, gyration
+        transition, offset, speed, slopes = drift(*given)
         # e does not change, so only the rows of the axes need products.
         half = small_product(xp, transition, covariances)
         cross, block = half[:, :, ACTUATION], covariances[:, ACTUATION, ACTUATION]
