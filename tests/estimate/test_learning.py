@@ -219,7 +219,7 @@ def test_without_a_disturbance_there_is_no_slope():
     learning = ActuationFilter(M3, still, learned=30.0, compiled=False)
     learning.pose(0.0, np.zeros(3))
     for k in range(1, 20):
-        learning.pose(k / 100, np.full(3, 1e-3 * k * k))
+        learning.pose(k / 100, np.full(3, 1e-5 * k * k))
     found = learning.predict(0.2)
     assert not found.disturbance.any()
     assert found.actuation.beyond["tilt x"] == (0.0, 0.0)
