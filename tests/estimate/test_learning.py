@@ -185,7 +185,7 @@ def test_drag_offset_of_mass_and_slope_are_learned_together_with_motors(learning
     assert list(found.beyond) == list(BEYOND)
     value, deviation = np.array(list(found.beyond.values())).T
     assert (np.abs(value - true) < 3 * deviation).all()
-    assert (deviation < 0.5 * np.array(list(BEYOND.values()))).all()
+    assert (deviation < 0.6 * np.array(list(BEYOND.values()))).all()
 
 
 def test_without_motion_intervals_of_the_body_return_to_the_prior_and_nothing_drifts(learning):

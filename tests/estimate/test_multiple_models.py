@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.multiple_models import MultipleModels, States, drift, sensitivity
+from airpuck.estimate.multiple_models import MultipleModels, States, averaged, sensitivity
 from airpuck.model.model_file import published_model, read_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration
@@ -189,18 +189,22 @@ def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(sh
     assert not by_e[:, 10:].any()
 
 
-def test_a_disturbance_returns_to_the_slope():
-    mean = np.zeros(SIZE + 5)
-    mean[6:9], mean[-2:] = (0.3, -0.2, 4.0), (4e-3, -2e-3)
-    idle = np.zeros(6)
-
-    def after(duration):
-        given = mean, idle, np.array([duration]), idle[None], 1.0
-        matrix, offset, *_ = drift(np, DYNAMICS, *given)
-        return (matrix @ mean + offset)[6:9]
-
-    np.testing.assert_allclose(after(0.0), mean[6:9])
-    slope = GRAVITY * mean[-2:]
-    # One time constant is a second; the disturbance of the yaw does not return.
-    expected = slope + np.exp(-1) * (mean[6:8] - slope)
-    np.testing.assert_allclose(after(1.0), [*expected, 4.0])
+def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
+    """Posterior of a constant in white noise of 0.1 m/s²/√Hz, from a prior of 5 mrad."""
+    means, _, *rest = belief(1)
+    means = np.pad(means, ((0, 0), (0, 5)))
+    means[0, 6:8] = 0.05, -0.08
+    covariances = np.diag([1e-4] * (SIZE + 3) + [25e-6] * 2)[None]
+    known, seconds = (means, covariances, *rest), 20
+    for _ in range(240 * seconds):
+        known = averaged(np, known, 1 / 240)
+    variance = 1 / (1 / 25e-6 + seconds * GRAVITY**2 / 0.1**2)
+    np.testing.assert_allclose(known[1][0, -2:, -2:], variance * np.eye(2))
+    np.testing.assert_allclose(known[1][0, :-2, :-2], covariances[0, :-2, :-2])
+    share = 1 - variance / 25e-6
+    np.testing.assert_allclose(known[0][0, -2:], share * np.array([0.05, -0.08]) / GRAVITY)
+    # A contact pushes harder than that, but counts as 0.3 m/s².
+    means[0, 6] = 30.0
+    pushed = averaged(np, (means, covariances, *rest), 1 / 240)[0]
+    gain = 25e-6 / (25e-6 + 240 * (0.1 / GRAVITY) ** 2)
+    assert pushed[0, -2] == pytest.approx(gain * 0.3 / GRAVITY)

@@ -8,8 +8,8 @@ the model's. Along the yaw, which the cameras measure well, everything is linear
 
 where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
 A craft that learns has more in e: drag, for which aᵢ is -v; the offset of the centre of mass, which
-changes the moments of all thrusts; and the slope of the table. The slope is the mean to which d
-returns, so d contains its acceleration.
+changes the moments of all thrusts; and the slope of the table. The slope is the mean of d, so d
+contains its acceleration.
 Every packet has its own delay, too, modelled as white noise along da/dt. Without it one large
 change of the commands would determine the delay, which only many packets can.
 Several states of the craft with different priors of e compete, each with its own Kalman filter: an
@@ -49,8 +49,9 @@ _CERTAIN = 2.5
 #: Speed from which on drag can be learned [m/s]: of a craft at rest only the noise of the velocity
 #: is seen, which looks like drag.
 _MOVES = 0.02
-#: Time in which a disturbance returns to the acceleration of the slope [s].
-_RETURNS_S = 1.0
+#: Density of disturbances around the slope's acceleration, below 0.5 Hz [m/s²/√Hz], from replays of
+#: five real flights (studies/learning.md); and the largest that counts [m/s²].
+_WANDERS, _PUSH = 0.1, 0.3
 #: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -211,6 +212,8 @@ class MultipleModels:
             square = innovation**2 * xp.sum(weights[:, None] / spread, axis=0)
             belief[3] = learned_density(xp, density, square, xp.sum(moving[-2]))
         belief = self.measure(xp, tuple(belief), rows, innovation, variances)
+        if self.states.learned_s is not None:
+            belief = averaged(xp, belief, xp.sum(moving[-2]))
         return *belief, speed, innovation
 
     def use_imu(
@@ -304,6 +307,24 @@ def learned_density(xp: Any, density: Any, square: Any, duration: Any) -> Any:
     return xp.clip(density + duration / _DENSITY_S * surplus, *_DENSITY)
 
 
+def averaged(xp: Any, belief: Belief, duration: Any) -> Belief:
+    """Use the disturbance that was found as a measurement of the slope, over a duration.
+
+    The filter's own disturbance is a random walk, which has no mean. If it returned to one, laws
+    would feel a weak motor that is not certain yet.
+    """
+    means, covariances, weights, density = belief
+    d = xp.sum(weights[:, None] * means, axis=0)[DISTURBANCE][:2]
+    surplus = xp.clip(d / GRAVITY - means[:, -2:], -_PUSH / GRAVITY, _PUSH / GRAVITY)
+    variance = xp.diagonal(covariances, axis1=1, axis2=2)[:, -2:]
+    gain = variance / (variance + (_WANDERS / GRAVITY) ** 2 / xp.maximum(duration, 1e-6))
+    size = means.shape[1]
+    means = means + xp.pad(gain * surplus, ((0, 0), (size - 2, 0)))
+    # The slope is independent of all other unknowns.
+    used = xp.pad(gain[:, :, None] * np.eye(2), ((0, 0), (size - 2, 0), (size - 2, 0)))
+    return means, covariances * (1 - used), weights, density
+
+
 def certain(xp: Any, value: Any, variance: Any) -> Any:
     """Shrink an estimate to zero if it may be zero; leave it nearly alone if it cannot."""
     square = value * value
@@ -373,16 +394,11 @@ def drift(
         slopes = slopes + h * by_e[:, None, n] * by_e[None, :, n]
         total = total + h
     eye, none = xp.eye(3), xp.zeros((3, 3))
-    d_by_d, d_by_e = eye, xp.zeros((3, size))
-    if gyration is not None:
-        returns = -xp.expm1(-total / _RETURNS_S) * np.eye(3)[:, :2]
-        d_by_d = eye - returns @ np.eye(2, 3)
-        d_by_e = xp.concatenate([xp.zeros((3, size - 2)), GRAVITY * returns], axis=1)
     transition = xp.concatenate(
         [
             xp.concatenate([eye, total * eye, total * total / 2 * eye, p_by_e], axis=1),
             xp.concatenate([none, eye, total * eye, v_by_e], axis=1),
-            xp.concatenate([none, none, d_by_d, d_by_e], axis=1),
+            xp.eye(9 + size)[6:9],
         ]
     )
     return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3)]), speed, slopes
