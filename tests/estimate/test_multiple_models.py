@@ -7,7 +7,13 @@ import pytest
 
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.multiple_models import MultipleModels, States, averaged, sensitivity
+from airpuck.estimate.multiple_models import (
+    MultipleModels,
+    States,
+    averaged,
+    certain_changes,
+    sensitivity,
+)
 from airpuck.model.model_file import published_model, read_model
 from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration
@@ -187,6 +193,29 @@ def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(sh
         np.testing.assert_allclose(column, expected, rtol=0.01, atol=0.1)
         assert np.abs(expected).max() > 0.2
     assert not by_e[:, 10:].any()
+
+
+@pytest.mark.parametrize(
+    ("drag", "used"), [(0.1, 0.0), (0.5, 0.5), (-0.2, -0.2), (-4.0, -0.3), (9.0, 1.0)]
+)
+def test_certain_drag_of_a_plausible_size_is_used(drag, used):
+    means, covariances = np.zeros((1, SIZE + 5)), 0.05**2 * np.eye(SIZE + 5)[None]
+    means[0, SIZE], means[0, -2:] = drag, 5.0
+    found = certain_changes(np, means, covariances, 6)
+    # Motors, delay, drag, and an offset of mass that is never used.
+    np.testing.assert_allclose(found, [[*[0.0] * 7, used, 0.0, 0.0]], rtol=0.2)
+
+
+def test_laws_feel_certain_drag_as_a_disturbance():
+    priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
+    learns = replace(states(1), covariance=priors, learned_s=120.0)
+    models = MultipleModels(DYNAMICS, NOISE, learns)
+    means, covariances = np.zeros((1, SIZE + 5)), 1e-4 * np.eye(SIZE + 5)[None]
+    means[0, 3:5], means[0, 6:8], means[0, SIZE] = (0.4, -0.2), (0.05, 0.03), 0.5
+    idle, now = np.zeros(6), (np.zeros(1), np.zeros((1, 6)))
+    given = means, covariances, np.ones(1), np.zeros(3), idle, *now
+    disturbance = models.predict(np, *given)[2]
+    np.testing.assert_allclose(disturbance, [0.05 - 0.2, 0.03 + 0.1, 0.0], rtol=0.01)
 
 
 def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():

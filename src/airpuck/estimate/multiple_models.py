@@ -49,6 +49,8 @@ _CERTAIN = 2.5
 #: Speed from which on drag can be learned [m/s]: of a craft at rest only the noise of the velocity
 #: is seen, which looks like drag.
 _MOVES = 0.02
+#: Bounds of the drag that is used [1/s]: no drag pushes a craft for long, as a hand may.
+_DRAG = -0.3, 1.0
 #: Density of disturbances around the slope's acceleration, below 0.5 Hz [m/s²/√Hz], from replays of
 #: five real flights (studies/learning.md); and the largest that counts [m/s²].
 _WANDERS, _PUSH = 0.1, 0.3
@@ -342,7 +344,8 @@ def certain_changes(xp: Any, means: Any, covariances: Any, n: int) -> Any:
     common, spread = xp.mean(e, axis=1)[:, None], xp.mean(rows, axis=1)[:, None]
     own = xp.diagonal(block, axis1=1, axis2=2) - 2 * rows + spread
     changes = certain(xp, common, spread) + certain(xp, e - common, own)
-    drag = certain(xp, means[:, 10 + n], covariances[:, 10 + n, 10 + n])[:, None]
+    drag = certain(xp, means[:, 10 + n], covariances[:, 10 + n, 10 + n])
+    drag = xp.clip(drag, *_DRAG)[:, None]
     none = xp.zeros((len(means), 2))
     return xp.concatenate([changes, none[:, :1], drag, none], axis=1)
 
