@@ -92,7 +92,7 @@ def changes(seed: int) -> dict[str, Change]:
         slope = random.uniform(-5e-3, 5e-3, 2).tolist()
         center = MODEL.parameters.center_of_mass + np.array(offset)
         truth = replace(MODEL, parameters=replace(MODEL.parameters, center_of_mass=center))
-        effects = Effects(drag_linear_1_s=drag, tilt_rad=tuple(slope))
+        effects = Effects.model_validate({"drag_linear_1_s": drag, "tilt_rad": slope})
         settings = usual.model_copy(update={"effects": effects})
         return Change(truth, settings, ones, waits, known=False, body=(drag, *offset, *slope))
 
@@ -188,8 +188,9 @@ def summary(rows: list[dict[str, Any]]) -> None:
                     f"  within 95 %: {np.mean(off < 1.96):.3f} of {off.size}" if off.size else ""
                 )
                 print(text)
-                if estimator == "learning":
-                    print(bodies(own))
+                told = [row for row in own if "body_off" in row]
+                if told:
+                    print(bodies(told))
 
 
 def bodies(rows: list[dict[str, Any]]) -> str:
