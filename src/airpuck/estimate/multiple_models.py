@@ -54,6 +54,8 @@ _DRAG = -0.3, 1.0
 #: Density of disturbances around the slope's acceleration, below 0.5 Hz [m/s²/√Hz], from replays of
 #: five real flights (studies/learning.md); and the largest that counts [m/s²].
 _WANDERS, _PUSH = 0.1, 0.3
+#: Time for which the error of an estimated disturbance lasts [s].
+_ERROR_LASTS = 1.0
 #: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -316,10 +318,13 @@ def averaged(xp: Any, belief: Belief, duration: Any) -> Belief:
     would feel a weak motor that is not certain yet.
     """
     means, covariances, weights, density = belief
-    d = xp.sum(weights[:, None] * means, axis=0)[DISTURBANCE][:2]
+    mean, covariance = mixed(xp, belief)
+    d, unknown = mean[6:8], xp.diagonal(covariance)[6:8]
+    # While a weak motor may be a disturbance, neither is known.
+    density_of_d = (_WANDERS**2 + 2 * _ERROR_LASTS * unknown) / GRAVITY**2
     surplus = xp.clip(d / GRAVITY - means[:, -2:], -_PUSH / GRAVITY, _PUSH / GRAVITY)
     variance = xp.diagonal(covariances, axis1=1, axis2=2)[:, -2:]
-    gain = variance / (variance + (_WANDERS / GRAVITY) ** 2 / xp.maximum(duration, 1e-6))
+    gain = variance / (variance + density_of_d / xp.maximum(duration, 1e-6))
     size = means.shape[1]
     means = means + xp.pad(gain * surplus, ((0, 0), (size - 2, 0)))
     # The slope is independent of all other unknowns.
