@@ -8,8 +8,8 @@ Kalman filter, by the learning estimator, and with the changed model (`knows`, w
 there from the beginning). Each line of the file is one flight: the root mean square distance from
 the circle from 2 s after the change on, the largest overshoot over set points, the largest distance
 in the last half second of one, the fastest contact with a rail, and for `learning` how many of the
-final intervals (95 %) contain the truth. An interrupted study resumes; `--summary` only reads the
-file.
+final intervals (95 %) contain the truth, and the errors of drag, offset of mass and slope. An
+interrupted study resumes; `--summary` only reads the file.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from kept import Kept
 from airpuck import SetPoints, TrackingController, Twin, fly
 from airpuck.control.reference import Target
 from airpuck.control.tuning import default_tuning, tuning_for
+from airpuck.estimate.estimator import BEYOND
 from airpuck.model.model_file import Model, published_model
 from airpuck.twin.radio import as_received
 from airpuck.twin.settings import Effects, Motors, TwinSettings, Weakness, default_twin_settings
@@ -59,11 +60,13 @@ class Change(NamedTuple):
     gains: np.ndarray
     later_s: float = 0.0
     known: bool = True
+    #: Drag [1/s], offset of the centre of mass [m] and slope [rad], as in `BEYOND`.
+    body: tuple[float, ...] = (0.0,) * 5
 
 
-def changes(motor: int) -> dict[str, Change]:
-    """Return all changes; `motor` is the one that fails."""
-    delay = MODEL.transport_delay
+def changes(seed: int) -> dict[str, Change]:
+    """Return all changes; the seed determines which motor fails, and the body's numbers."""
+    motor, delay = seed % 6, MODEL.transport_delay
     usual = default_twin_settings().with_usual_delay(delay)
     ones = np.ones(6)
     # Packets do not overtake each other, so jitter makes the mean delay longer.
@@ -83,6 +86,16 @@ def changes(motor: int) -> dict[str, Change]:
         settings = default_twin_settings().with_usual_delay(delay + later)
         return Change(truth, settings, factor * ones, later + waits)
 
+    def body() -> Change:
+        random = np.random.default_rng([53, seed])
+        drag, *offset = random.uniform([0.0, -2e-3, -2e-3], [0.3, 2e-3, 2e-3]).tolist()
+        slope = random.uniform(-5e-3, 5e-3, 2).tolist()
+        center = MODEL.parameters.center_of_mass + np.array(offset)
+        truth = replace(MODEL, parameters=replace(MODEL.parameters, center_of_mass=center))
+        effects = Effects.model_validate({"drag_linear_1_s": drag, "tilt_rad": slope})
+        settings = usual.model_copy(update={"effects": effects})
+        return Change(truth, settings, ones, waits, known=False, body=(drag, *offset, *slope))
+
     sag = 0.27 / 45
     battery = usual.model_copy(update={"effects": Effects(battery_sag_1_s=sag)})
     return {
@@ -96,6 +109,7 @@ def changes(motor: int) -> dict[str, Change]:
         "thrust x 0.7": thrust(0.7),
         "thrust x 1.2, + 20 ms": thrust(1.2, 0.02),
         "motor dead": fails(0.0),
+        "drag, offset, slope": body(),
     }
 
 
@@ -134,6 +148,9 @@ def flown(change: Change, law: str, estimator: str, seed: int) -> dict[str, Any]
         off = (found.effectiveness - change.gains) / found.deviation
         late = (found.delay - change.later_s) / found.delay_deviation
         row["off"] = np.append(off, late).round(3).tolist()
+        value, deviation = np.array(list(found.beyond.values())).T
+        row["body_error"] = (value - change.body).tolist()
+        row["body_off"] = ((value - change.body) / deviation).round(3).tolist()
     return row
 
 
@@ -171,6 +188,19 @@ def summary(rows: list[dict[str, Any]]) -> None:
                     f"  within 95 %: {np.mean(off < 1.96):.3f} of {off.size}" if off.size else ""
                 )
                 print(text)
+                told = [row for row in own if "body_off" in row]
+                if told:
+                    print(bodies(told))
+
+
+def bodies(rows: list[dict[str, Any]]) -> str:
+    """Return the errors of drag, offset and slope, and how many intervals hold."""
+    errors, off = (np.array([row[key] for row in rows]) for key in ("body_error", "body_off"))
+    text = ""
+    for name, error, own in zip(BEYOND, errors.T, off.T, strict=True):
+        held, rms = np.mean(np.abs(own) < 1.96), math.sqrt(np.mean(error**2))
+        text += f"  {name} error {rms:.2g}, within 95 %: {held:.3f}"
+    return text
 
 
 def main() -> None:
@@ -181,7 +211,7 @@ def main() -> None:
     options = parser.parse_args()
     kept = Kept(options.output)
     for seed in range(0 if options.summary else options.flights):
-        for name, change in changes(seed % 6).items():
+        for name, change in changes(seed).items():
             for law in ("lqr", "mpc"):
                 for estimator in ESTIMATORS if change.known else ESTIMATORS[:2]:
                     row = {"law": law, "change": name, "estimator": estimator, "seed": seed}

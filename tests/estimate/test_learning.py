@@ -10,6 +10,7 @@ from airpuck.control.reference import SetPoint, SetPoints
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import default_tuning
 from airpuck.estimate.axis_filter import Noise
+from airpuck.estimate.estimator import BEYOND, ActuationEstimate
 from airpuck.estimate.kalman import ActuationFilter
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import nominal_model, published_model
@@ -25,9 +26,14 @@ QUIET = Noise(
 )
 
 
-def changed(share, model=M3):
-    thrust = model.parameters.thrust * np.reshape(share, (-1, 1))
-    return replace(model, parameters=replace(model.parameters, thrust=thrust))
+def changed(share, drag=0.0, offset=(0.0, 0.0), slope=(0.0, 0.0)):
+    known = M3.parameters
+    thrust, center = known.thrust * np.reshape(share, (-1, 1)), known.center_of_mass + offset
+    parameters = replace(known, thrust=thrust, center_of_mass=center)
+    if drag or any(slope):
+        parameters = replace(parameters, drag=np.array([drag, 0, 0, 0]), tilt=np.array(slope))
+    # A real centre of mass turns with the craft.
+    return replace(M3, parameters=parameters, frame="body" if any(offset) else M3.frame)
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +49,9 @@ def learning(compiled):
     return fresh
 
 
-def taught(learning, share, *, later=0.0, seed=0, lasting=5.0):
+def taught(learning, share, *, later=0.0, seed=0, lasting=5.0, **body):
     """Feed the first part of a flight of a changed craft, whose commands act later."""
-    flight = random_flight(changed(share), 5.0, seed)
+    flight = random_flight(changed(share, **body), lasting if body else 5.0, seed)
     noise = np.random.default_rng(seed).normal(size=(len(flight.time), 3)) * QUIET.pose
     poses = [
         (time, 1, pose) for time, pose in zip(flight.time, flight.state[:, :3] + noise, strict=True)
@@ -169,6 +175,56 @@ def test_changes_that_may_be_none_are_not_used_and_certain_ones_are(learning):
     assert abs(learning.later - 0.015) < 0.003
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_drag_offset_of_mass_and_slope_are_learned_together_with_motors(learning, seed):
+    true = np.array([0.25, 2e-3, -1.5e-3, 4e-3, -3e-3])
+    true[1:] *= (-1.0, 1.0)[seed % 2]
+    body = {"drag": true[0], "offset": true[1:3], "slope": true[3:]}
+    taught(learning, [1, 1, 0.8, 1, 1, 1], seed=seed, lasting=20.0, **body)
+    found = learning.predict(20.0).actuation
+    assert list(found.beyond) == list(BEYOND)
+    value, deviation = np.array(list(found.beyond.values())).T
+    assert (np.abs(value - true) < 3 * deviation).all()
+    assert (deviation < 0.6 * np.array(list(BEYOND.values()))).all()
+
+
+def test_without_motion_intervals_of_the_body_return_to_the_prior_and_nothing_drifts(learning):
+    random = np.random.default_rng(0)
+    taught(learning, np.ones(6), lasting=20.0, drag=0.25, offset=(2e-3, 0.0), slope=(4e-3, 0.0))
+    before = np.array(list(learning.predict(20.0).actuation.beyond.values()))
+    learning.command(20.0, np.zeros(6))
+    learning.restart(21.0, np.zeros(3))
+    for k in range(1, 60 * 100):
+        learning.pose(21.0 + k / 100, random.normal(size=3) * QUIET.pose)
+    after = np.array(list(learning.predict(81.0).actuation.beyond.values()))
+    # A craft at rest shows that the table is level; of the rest it tells nothing.
+    np.testing.assert_allclose(after[:3, 0], before[:3, 0], rtol=0.02, atol=1e-4)
+    priors = np.array(list(BEYOND.values()))
+    assert (after[:3, 1] > 0.85 * priors[:3]).all()
+    assert (np.abs(after[3:, 0]) < after[3:, 1]).all()
+    assert (after[:, 1] < priors).all()
+
+
+def test_an_unchanged_craft_does_not_use_drag(learning):
+    for seed in range(3):
+        learning.reset()
+        taught(learning, np.ones(6), seed=seed)
+        found = learning.predict(5.0)
+        value, deviation = np.array(list(found.actuation.beyond.values())).T
+        assert (np.abs(value) < 2.5 * deviation).all()
+
+
+def test_without_a_disturbance_there_is_no_slope():
+    still = Noise(QUIET.pose, QUIET.acceleration, (0.0, 0.0, 0.0))
+    learning = ActuationFilter(M3, still, learned=30.0, compiled=False)
+    learning.pose(0.0, np.zeros(3))
+    for k in range(1, 20):
+        learning.pose(k / 100, np.full(3, 1e-5 * k * k))
+    found = learning.predict(0.2)
+    assert not found.disturbance.any()
+    assert found.actuation.beyond["tilt x"] == (0.0, 0.0)
+
+
 def test_the_tuning_names_it():
     tuning = default_tuning().with_estimator("learning")
     controller = TrackingController(M3, SetPoints([0.0], [(0, 0, 0)]), tuning, compiled=False)
@@ -182,4 +238,13 @@ def test_a_craft_with_two_way_propellers_and_a_wheel_learns(tmp_path):
     fly(controller, Twin(model), 1.0)
     found = controller.predict(1.0).actuation
     names = [f"found: {name}" for name in model.vehicle.propeller_names]
-    assert list(found.figures(model.vehicle.propeller_names)) == [*names, "found: delay"]
+    names += ["found: delay", "found: drag linear", "found: center of mass x"]
+    names += ["found: center of mass y", "found: tilt x", "found: tilt y"]
+    assert list(found.figures(model.vehicle.propeller_names)) == names
+
+
+def test_figures_have_the_units_of_the_quantities():
+    beyond = {"drag linear": (0.123, 0.0456), "center_of_mass y": (-1.5e-3, 4e-4)}
+    found = ActuationEstimate(np.ones(2), np.ones(2), beyond=beyond).figures(["left", "right"])
+    assert found["found: drag linear"] == "+0.12 ± 0.046 1/s"
+    assert found["found: center of mass y"] == "-1.5 ± 0.4 mm"

@@ -5,9 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
-from airpuck.estimate.multiple_models import MultipleModels, States
-from airpuck.model.model_file import read_model
+from airpuck.estimate.multiple_models import (
+    MultipleModels,
+    States,
+    averaged,
+    certain_changes,
+    sensitivity,
+)
+from airpuck.model.model_file import published_model, read_model
+from airpuck.physics.effects import Drag
+from airpuck.physics.rigid_body import acceleration
 
 DYNAMICS = read_model("paper:M3").dynamics
 NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.2, 3.0))
@@ -131,7 +140,9 @@ def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
 def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(ratio):
     """The poses of an idle craft, pushed by white accelerations of a known density."""
-    learns = replace(states(1), learned_s=120.0)
+    # Five more unknowns: drag, centre of mass and slope.
+    priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
+    learns = replace(states(1), covariance=priors, learned_s=120.0)
     models, random, period = MultipleModels(DYNAMICS, NOISE, learns), np.random.default_rng(1), 0.01
     density = ratio * np.array(NOISE.acceleration)
     # Exact steps of a double integrator that white noise drives.
@@ -154,3 +165,79 @@ def test_what_is_not_learned_keeps_its_density():
     known = models.begin(np.zeros(3), None, 0.0)
     pieces = np.zeros(6), np.array([0.01]), np.zeros((1, 6))
     assert not models.use_pose(np, *known, *pieces, np.full(3, 0.01))[3].any()
+
+
+MOTION = 0.7, 0.3, -0.5, 4.0  # yaw, velocity, spin
+SPEEDS = np.array([0.9, 0.1, 0.4, 0.2, 0.8, 0.3])
+
+
+@pytest.mark.parametrize("share", [1.0, 0.6])
+def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(share):
+    model = replace(published_model("M3"), frame="body")
+    parameters, step = model.parameters, 1e-6
+    gyration = model.radius_of_gyration**2
+    given = MOTION, SPEEDS, SPEEDS, share * np.ones(6), gyration
+    _, by_e = sensitivity(np, model.dynamics, *given)
+
+    def rates(offset=(0.0, 0.0), drag=0.0):
+        center = parameters.center_of_mass + np.array(offset)
+        moved = replace(parameters, center_of_mass=center, thrust=share * parameters.thrust)
+        dynamics = replace(model, parameters=moved).dynamics
+        dynamics = replace(dynamics, effects=(Drag(drag),))
+        return np.array(acceleration(np, dynamics, MOTION, SPEEDS))
+
+    changes = {"drag": step}, {"offset": (step, 0.0)}, {"offset": (0.0, step)}
+    for column, change in zip(by_e.T[7:10], changes, strict=True):
+        expected = (rates(**change) - rates()) / step
+        # Terms of second order in the offset of the centre of mass are left out.
+        np.testing.assert_allclose(column, expected, rtol=0.01, atol=0.1)
+        assert np.abs(expected).max() > 0.2
+    assert not by_e[:, 10:].any()
+
+
+@pytest.mark.parametrize(
+    ("drag", "used"), [(0.1, 0.0), (0.5, 0.5), (-0.2, -0.2), (-4.0, -0.3), (9.0, 1.0)]
+)
+def test_certain_drag_of_a_plausible_size_is_used(drag, used):
+    means, covariances = np.zeros((1, SIZE + 5)), 0.05**2 * np.eye(SIZE + 5)[None]
+    means[0, SIZE], means[0, -2:] = drag, 5.0
+    found = certain_changes(np, means, covariances, 6)
+    # Motors, delay, drag, and an offset of mass that is never used.
+    np.testing.assert_allclose(found, [[*[0.0] * 7, used, 0.0, 0.0]], rtol=0.2)
+
+
+def test_laws_feel_certain_drag_as_a_disturbance():
+    priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
+    learns = replace(states(1), covariance=priors, learned_s=120.0)
+    models = MultipleModels(DYNAMICS, NOISE, learns)
+    means, covariances = np.zeros((1, SIZE + 5)), 1e-4 * np.eye(SIZE + 5)[None]
+    means[0, 3:5], means[0, 6:8], means[0, SIZE] = (0.4, -0.2), (0.05, 0.03), 0.5
+    idle, now = np.zeros(6), (np.zeros(1), np.zeros((1, 6)))
+    given = means, covariances, np.ones(1), np.zeros(3), idle, *now
+    disturbance = models.predict(np, *given)[2]
+    np.testing.assert_allclose(disturbance, [0.05 - 0.2, 0.03 + 0.1, 0.0], rtol=0.01)
+
+
+def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
+    """Posterior of a constant in white noise of 0.1 m/s²/√Hz, from a prior of 5 mrad."""
+    means, _, *rest = belief(1)
+    means = np.pad(means, ((0, 0), (0, 5)))
+    means[0, 6:8] = 0.05, -0.08
+    covariances = np.diag([1e-9] * (SIZE + 3) + [25e-6] * 2)[None]
+    known, seconds = (means, covariances, *rest), 20
+    for _ in range(240 * seconds):
+        known = averaged(np, known, 1 / 240)
+    variance = 1 / (1 / 25e-6 + seconds * GRAVITY**2 / 0.1**2)
+    np.testing.assert_allclose(known[1][0, -2:, -2:], variance * np.eye(2), rtol=1e-5)
+    np.testing.assert_allclose(known[1][0, :-2, :-2], covariances[0, :-2, :-2])
+    share = 1 - variance / 25e-6
+    np.testing.assert_allclose(known[0][0, -2:], share * np.array([0.05, -0.08]) / GRAVITY, 1e-5)
+    # A contact pushes harder than that, but counts as 0.3 m/s².
+    means[0, 6] = 30.0
+    pushed = averaged(np, (means, covariances, *rest), 1 / 240)[0]
+    gain = 25e-6 / (25e-6 + 240 * (0.1 / GRAVITY) ** 2)
+    assert pushed[0, -2] == pytest.approx(gain * 0.3 / GRAVITY, rel=1e-5)
+    # One that is known to 1 m/s² counts less: its error lasts for a second.
+    covariances[0, 6, 6] = 1.0
+    unsure = averaged(np, (means, covariances, *rest), 1 / 240)[0]
+    assert unsure[0, -2] == pytest.approx(gain * 0.3 / GRAVITY * 0.01 / 2.01, rel=0.02)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from airpuck.compute.compiled import program
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
-from airpuck.estimate.estimator import ActuationEstimate, Estimate, HeldCommands
+from airpuck.estimate.estimator import BEYOND, ActuationEstimate, Estimate, HeldCommands
 from airpuck.estimate.multiple_models import MultipleModels, States, certain
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
@@ -233,13 +233,14 @@ class KalmanFilter:
     def _apply_delay(self) -> None:
         """Let commands act as late as is certain; the equations are linear around that delay."""
         means, covariances, weights, density = self._belief
-        rest = float(weights @ means[:, -1])
-        variance = float(weights @ (covariances[:, -1, -1] + (means[:, -1] - rest) ** 2))
+        at = 9 + self.model.vehicle.n_propellers
+        rest = float(weights @ means[:, at])
+        variance = float(weights @ (covariances[:, at, at] + (means[:, at] - rest) ** 2))
         later = float(np.clip(certain(np, self.later + rest, variance), *_LATER))
         change = float(np.clip(later - self.later, -_CHANGE, _CHANGE))
         self._commands.later += change
         means = np.array(means)
-        means[:, -1] -= change
+        means[:, at] -= change
         self._belief = means, covariances, weights, density
         tau, idle = self.model.dynamics.lag, self.model.dynamics.idle_lag
         assert self._time is not None
@@ -317,9 +318,13 @@ class KalmanFilter:
         if self._states is not None:
             e, deviation, weights, *following = following
             probability = dict(zip(self._states.names, weights.tolist(), strict=True))
-            delay = self.later + float(e[-1]), float(deviation[-1])
-            found = 1 + e[:-1], deviation[:-1], probability
-            actuation = ActuationEstimate(*found, *delay, used=effectiveness)
+            n = len(effectiveness)
+            delay = self.later + float(e[n]), float(deviation[n])
+            found = 1 + e[:n], deviation[:n], probability
+            pairs = zip(e[n + 1 :].tolist(), deviation[n + 1 :].tolist(), strict=True)
+            # Only a craft that learns has these.
+            beyond = dict(zip(BEYOND, pairs, strict=False))
+            actuation = ActuationEstimate(*found, *delay, used=effectiveness, beyond=beyond)
         return Estimate(time, state, speed, disturbance, actuation), following
 
     def restart(self, time: float, pose: Float[np.ndarray, " 3"]) -> None:
@@ -344,7 +349,7 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def forget(self) -> None:
-        """Forget estimates of the motors, with `states`; the motion and the delay in use stay."""
+        """Forget what `states` describe, as of the motors; motion and delay in use stay."""
         assert self._time is not None
         last, _ = self.predict_with(self._predict, self._time - self.later)
         self._history.clear()
@@ -452,11 +457,17 @@ class ActuationFilter(KalmanFilter):
         priors, n = encoder.priors, model.vehicle.n_propellers
         if learned is not None:
             priors, delay_deviation = (LEARNED, *priors[1:]), _LEARNED_DELAY
-        covariance = np.zeros((len(priors), n + 1, n + 1))
+        size = n + 1 if learned is None else n + 1 + len(BEYOND)
+        covariance = np.zeros((len(priors), size, size))
         covariance[:, :n, :n] = [prior.covariance(n) for prior in priors]
         # Motors without lag give no information about the delay: their speed jumps.
         lags = float(model.dynamics.motor_time_constant) > 0
         covariance[:, n, n] = delay_deviation**2 * lags
+        if learned is not None:
+            body = np.square(list(BEYOND.values()))
+            # The slope is the mean of the disturbance, if there is one.
+            body[-2:] *= np.array(noise.disturbance[:2]) > 0
+            covariance[0, range(n + 1, size), range(n + 1, size)] = body
         weight = np.array([prior.weight for prior in priors])
         names = tuple(prior.name for prior in priors)
         jitter = model.delay_jitter.standard_deviation_s if model.delay_jitter else _JITTER
@@ -469,5 +480,6 @@ class ActuationFilter(KalmanFilter):
             encoder.tempering,
             learned,
             jitter_s=jitter if learned is not None else 0.0,
+            squared_gyration=model.radius_of_gyration**2,
         )
         super().__init__(model, noise, states=states, compiled=compiled)

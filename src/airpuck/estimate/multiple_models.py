@@ -1,13 +1,15 @@
 """The equations of the multiple-model filters: pure functions over an array namespace.
 
 The unknowns are x = (p, v, d, e). p, v and d are position, velocity and disturbance of the axes x,
-y, γ. e is the deviation of the actuation from the model: each motor's effectiveness minus one, and
-last the delay beyond the model's. Along the yaw, which the cameras measure well, everything is
-linear:
+y, γ. e is the deviation from the model: each motor's effectiveness minus one, and the delay beyond
+the model's. Along the yaw, which the cameras measure well, everything is linear:
 
     p' = v,   v' = a + d + Σᵢ eᵢ aᵢ + w₁,   d' = w₂,
 
 where a are the modelled accelerations, aᵢ the contribution of motor i, and for the delay -da/dt.
+A craft that learns has more in e: drag, for which aᵢ is -v; the offset of the centre of mass, which
+changes the moments of all thrusts; and the slope of the table. The slope is the mean of d, so d
+contains its acceleration.
 Every packet has its own delay, too, modelled as white noise along da/dt. Without it one large
 change of the commands would determine the delay, which only many packets can.
 Several states of the craft with different priors of e compete, each with its own Kalman filter: an
@@ -25,6 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.compute.arrays import small_product
+from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import (
     INITIAL_DISTURBANCE,
     INITIAL_VELOCITY,
@@ -43,6 +46,16 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 _KNOCK = 8.0
 #: Standard deviations from which on a learned change is used.
 _CERTAIN = 2.5
+#: Speed from which on drag can be learned [m/s]: of a craft at rest only the noise of the velocity
+#: is seen, which looks like drag.
+_MOVES = 0.02
+#: Bounds of the drag that is used [1/s]: no drag pushes a craft for long, as a hand may.
+_DRAG = -0.3, 1.0
+#: Density of disturbances around the slope's acceleration, below 0.5 Hz [m/s²/√Hz], from replays of
+#: five real flights (studies/learning.md); and the largest that counts [m/s²].
+_WANDERS, _PUSH = 0.1, 0.3
+#: Time for which the error of an estimated disturbance lasts [s].
+_ERROR_LASTS = 1.0
 #: Indices of p, v, d and e.
 POSITION, VELOCITY, DISTURBANCE = slice(0, 3), slice(3, 6), slice(6, 9)
 ACTUATION = slice(9, None)
@@ -81,6 +94,8 @@ class States:
     learned_s: float | None = None
     #: Standard deviation of a packet's own delay [s].
     jitter_s: float = 0.0
+    #: I/m, the squared radius of gyration of a craft that learns [m²].
+    squared_gyration: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +111,9 @@ class MultipleModels:
         states = self.states
         if before is None:
             covariances = _padded(states.covariance)
+            # No state draws these again, so the priors of others have zeros there.
+            lasting = slice(10 + self.dynamics.configuration.shape[1], None)
+            covariances[1:, lasting, lasting] = covariances[0, lasting, lasting]
             means, weights = np.zeros(covariances.shape[:2]), states.weight
             density = np.zeros(3)
         else:
@@ -156,11 +174,20 @@ class MultipleModels:
         total = xp.sum(durations)
         means, covariances, weights, density = self.renewed(xp, tuple(belief), total)
         path = xp.sum(weights[:, None] * means, axis=0)
-        learns = self.states.learned_s is not None
-        given = self.dynamics, path, speed, durations, commands
-        transition, offset, speed, slopes = drift(xp, *given, learns=learns)
+        gyration = None if self.states.learned_s is None else self.states.squared_gyration
+        given = xp, self.dynamics, path, speed, durations, commands, gyration
+        transition, offset, speed, slopes = drift(*given)
+        # e does not change, so only the rows of the axes need products.
         half = small_product(xp, transition, covariances)
-        moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
+        cross, block = half[:, :, ACTUATION], covariances[:, ACTUATION, ACTUATION]
+        axes = small_product(xp, half, transition.T)
+        moved = xp.concatenate(
+            [
+                xp.concatenate([axes, cross], axis=2),
+                xp.concatenate([xp.swapaxes(cross, 1, 2), block], axis=2),
+            ],
+            axis=1,
+        )
         unexplained = np.square(self.noise.acceleration) * xp.exp(density)
         densities = unexplained, np.square(self.noise.disturbance)
         added = process_noise(xp, total, *densities)
@@ -172,7 +199,8 @@ class MultipleModels:
         late = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
         by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
-        means = xp.sum(transition * means[:, None, :], axis=2) + offset
+        axes = xp.sum(transition * means[:, None, :], axis=2) + offset
+        means = xp.concatenate([axes, means[:, ACTUATION]], axis=1)
         return means, covariances, weights, density, speed
 
     def use_pose(self, xp: Any, *given: Any) -> Any:
@@ -188,6 +216,8 @@ class MultipleModels:
             square = innovation**2 * xp.sum(weights[:, None] / spread, axis=0)
             belief[3] = learned_density(xp, density, square, xp.sum(moving[-2]))
         belief = self.measure(xp, tuple(belief), rows, innovation, variances)
+        if self.states.learned_s is not None:
+            belief = averaged(xp, belief, xp.sum(moving[-2]))
         return *belief, speed, innovation
 
     def use_imu(
@@ -201,7 +231,8 @@ class MultipleModels:
         """Use an inertial measurement at given motor speeds and commands."""
         mean, _ = mixed(np, belief)
         motion = mean[2], *mean[VELOCITY]
-        modelled, by_e = sensitivity(np, self.dynamics, motion, *motors)
+        gyration = None if self.states.learned_s is None else self.states.squared_gyration
+        modelled, by_e = sensitivity(np, self.dynamics, motion, *motors, gyration=gyration)
         rows = np.zeros((3, len(mean)))
         rows[:, DISTURBANCE] = np.diag([1.0, 1.0, 0.0])
         rows[:2, ACTUATION] = by_e[:2]
@@ -253,12 +284,15 @@ class MultipleModels:
         variances = xp.diagonal(covariances, axis1=1, axis2=2) + (means - mean) ** 2
         deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
         e = mean[ACTUATION]
+        n = self.dynamics.configuration.shape[1]
         if self.states.learned_s is not None:
             # What is not certain is not used: then the craft is as if nothing had been learned.
-            means = conditioned(xp, means, covariances, certain_changes(xp, means, covariances))
+            means = conditioned(xp, means, covariances, certain_changes(xp, means, covariances, n))
             mean = xp.sum(weights[:, None] * means, axis=0)
+            braked = mean[VELOCITY][:2] * mean[10 + n]
+            mean = mean - xp.pad(braked, (6, len(mean) - 8))
         # The delay is left out: each command in transit has its own.
-        effectiveness = 1 + mean[ACTUATION][:-1]
+        effectiveness = 1 + mean[ACTUATION][:n]
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
         axes, speed = propagate(xp, effective, xp.reshape(mean[:9], (3, 3)).T, *given[1:])
         state = xp.ravel(axes[:, :2].T)
@@ -277,29 +311,57 @@ def learned_density(xp: Any, density: Any, square: Any, duration: Any) -> Any:
     return xp.clip(density + duration / _DENSITY_S * surplus, *_DENSITY)
 
 
+def averaged(xp: Any, belief: Belief, duration: Any) -> Belief:
+    """Use the disturbance that was found as a measurement of the slope, over a duration.
+
+    The filter's own disturbance is a random walk, which has no mean. If it returned to one, laws
+    would feel a weak motor that is not certain yet.
+    """
+    means, covariances, weights, density = belief
+    mean, covariance = mixed(xp, belief)
+    d, unknown = mean[6:8], xp.diagonal(covariance)[6:8]
+    # While a weak motor may be a disturbance, neither is known.
+    density_of_d = (_WANDERS**2 + 2 * _ERROR_LASTS * unknown) / GRAVITY**2
+    surplus = xp.clip(d / GRAVITY - means[:, -2:], -_PUSH / GRAVITY, _PUSH / GRAVITY)
+    variance = xp.diagonal(covariances, axis1=1, axis2=2)[:, -2:]
+    gain = variance / (variance + density_of_d / xp.maximum(duration, 1e-6))
+    size = means.shape[1]
+    means = means + xp.pad(gain * surplus, ((0, 0), (size - 2, 0)))
+    # The slope is independent of all other unknowns.
+    used = xp.pad(gain[:, :, None] * np.eye(2), ((0, 0), (size - 2, 0), (size - 2, 0)))
+    return means, covariances * (1 - used), weights, density
+
+
 def certain(xp: Any, value: Any, variance: Any) -> Any:
     """Shrink an estimate to zero if it may be zero; leave it nearly alone if it cannot."""
     square = value * value
     return value * xp.maximum(1 - (_CERTAIN**2 * variance / xp.maximum(square, 1e-30)) ** 2, 0.0)
 
 
-def certain_changes(xp: Any, means: Any, covariances: Any) -> Any:
-    """Return the certain part of e in each state, without the delay: common, then of each motor."""
-    e, block = means[:, 9:-1], covariances[:, 9:-1, 9:-1]
+def certain_changes(xp: Any, means: Any, covariances: Any, n: int) -> Any:
+    """Return the e to use in each state, without the slope, which is part of d.
+
+    That is the certain part of the common change of n motors, of each motor's own, and of drag. The
+    delay is used elsewhere, and the offset of the centre of mass is not used.
+    """
+    e, block = means[:, 9 : 9 + n], covariances[:, 9 : 9 + n, 9 : 9 + n]
     rows = xp.mean(block, axis=2)
     common, spread = xp.mean(e, axis=1)[:, None], xp.mean(rows, axis=1)[:, None]
     own = xp.diagonal(block, axis1=1, axis2=2) - 2 * rows + spread
     changes = certain(xp, common, spread) + certain(xp, e - common, own)
-    return xp.concatenate([changes, xp.zeros((len(means), 1))], axis=1)
+    drag = certain(xp, means[:, 10 + n], covariances[:, 10 + n, 10 + n])
+    drag = xp.clip(drag, *_DRAG)[:, None]
+    none = xp.zeros((len(means), 2))
+    return xp.concatenate([changes, none[:, :1], drag, none], axis=1)
 
 
 def conditioned(xp: Any, means: Any, covariances: Any, values: Any) -> Any:
-    """Return the means if e has certain values."""
+    """Return the means if the first of e have certain values."""
+    columns = covariances[:, :, 9 : 9 + values.shape[1]]
     for k in range(values.shape[1]):
-        column = covariances[:, :, 9 + k]
-        gain = column / xp.maximum(column[:, 9 + k], 1e-30)[:, None]
+        gain = columns[:, :, k] / xp.maximum(columns[:, 9 + k, k], 1e-30)[:, None]
         means = means + gain * (values[:, k] - means[:, 9 + k])[:, None]
-        covariances = covariances - gain[:, :, None] * column[:, None, :]
+        columns = columns - gain[:, :, None] * columns[:, 9 + k, None, :]
     return means
 
 
@@ -310,19 +372,18 @@ def drift(
     speed: Any,
     durations: Any,
     commands: Any,
-    *,
-    learns: bool = False,
+    gyration: float | None = None,
 ) -> tuple[Any, Any, Any, Any]:
     """Integrate the accelerations over intervals with one command each.
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
-    matrix and the offset that advance any x, the motor speeds, and the integral of da/dt (da/dt)ᵀ.
-    If the craft `learns`, the delay acts on the thrusts found in flight, otherwise on the modelled
-    ones.
+    matrix and the offset that advance p, v and d, the motor speeds, and the integral of
+    da/dt (da/dt)ᵀ. If the craft learns, with this squared radius of gyration, the delay acts on the
+    thrusts found in flight, otherwise on the modelled ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
-    size = len(e)
+    size, n = len(e), dynamics.configuration.shape[1]
     # Effects of e on v and p, and contributions of a itself.
     v_by_e, p_by_e = xp.zeros((3, size)), xp.zeros((3, size))
     v_by_a, p_by_a = xp.zeros(3), xp.zeros(3)
@@ -331,32 +392,39 @@ def drift(
         h, command = durations[k], commands[k]
         middle = motor_step(xp, speed, command, h / 2, tau, idle)
         motion = p[2] + h / 2 * v[2], v[0], v[1], v[2]
-        delayed = 1 + e[:-1] if learns else 1.0
-        a, by_e = sensitivity(xp, dynamics, motion, middle, command, delayed)
+        delayed = 1.0 if gyration is None else 1 + e[:n]
+        a, by_e = sensitivity(xp, dynamics, motion, middle, command, delayed, gyration)
         rate = a + d + small_product(xp, by_e, e)
         p_by_e, v_by_e = p_by_e + h * v_by_e + h * h / 2 * by_e, v_by_e + h * by_e
         p_by_a, v_by_a = p_by_a + h * v_by_a + h * h / 2 * a, v_by_a + h * a
         p, v = p + h * v + h * h / 2 * rate, v + h * rate
         speed = motor_step(xp, speed, command, h, tau, idle)
-        slopes = slopes + h * by_e[:, None, -1] * by_e[None, :, -1]
+        slopes = slopes + h * by_e[:, None, n] * by_e[None, :, n]
         total = total + h
     eye, none = xp.eye(3), xp.zeros((3, 3))
     transition = xp.concatenate(
         [
             xp.concatenate([eye, total * eye, total * total / 2 * eye, p_by_e], axis=1),
             xp.concatenate([none, eye, total * eye, v_by_e], axis=1),
-            xp.eye(9 + size)[6:],
+            xp.eye(9 + size)[6:9],
         ]
     )
-    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed, slopes
+    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3)]), speed, slopes
 
 
 def sensitivity(
-    xp: Any, dynamics: Dynamics, motion: Any, speed: Any, command: Any, delayed: Any = 1.0
+    xp: Any,
+    dynamics: Dynamics,
+    motion: Any,
+    speed: Any,
+    command: Any,
+    delayed: Any = 1.0,
+    gyration: float | None = None,
 ) -> tuple[Any, Any]:
     """Return the modelled accelerations and their derivatives with respect to e.
 
-    The delay acts on these fractions of the motors' thrusts.
+    The delay acts on these fractions of the motors' thrusts. A squared radius of gyration belongs
+    to a craft that learns.
     """
     by_motor, rest = motor_accelerations(xp, dynamics, motion, speed)
     a = xp.sum(by_motor, axis=1) + rest
@@ -366,7 +434,28 @@ def sensitivity(
     slope = (command - speed) / xp.maximum(lag, little)
     earlier = motor_accelerations(xp, dynamics, motion, speed - little * slope)
     by_delay = (xp.sum(delayed * (earlier[0] - by_motor), axis=1) + earlier[1] - rest) / little
-    return a, xp.concatenate([by_motor, by_delay[:, None]], axis=1)
+    parts = [by_motor, by_delay[:, None]]
+    if gyration is not None:
+        parts += [by_body(xp, motion, xp.sum(delayed * by_motor, axis=1), gyration)]
+    return a, xp.concatenate(parts, axis=1)
+
+
+def by_body(xp: Any, motion: Any, pushed: Any, gyration: float) -> Any:
+    """Return derivatives of the accelerations: by drag, centre of mass (x, y) and slope (none).
+
+    The motors alone cause the accelerations `pushed`. The force turns the craft about another
+    centre, and the measured point moves about it (eq. acc_corr).
+    """
+    yaw, vx, vy, spin = motion
+    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    fx, fy, turn = pushed
+    moves = xp.where(vx**2 + vy**2 > _MOVES**2, 1.0, 0.0)
+    columns = [[-moves * vx, -moves * vy, 0.0]]
+    for x, y in ((cos, sin), (-sin, cos)):
+        columns.append(
+            [y * turn + x * spin**2, y * spin**2 - x * turn, (y * fx - x * fy) / gyration]
+        )
+    return xp.concatenate([xp.array(columns).T, xp.zeros((3, 2))], axis=1)
 
 
 def mixed(xp: Any, belief: Belief) -> tuple[Any, Any]:

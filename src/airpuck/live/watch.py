@@ -95,7 +95,7 @@ class Observer:
 
     @property
     def found(self) -> dict[str, str]:
-        """What controllers say that they have found about motors and delay."""
+        """What controllers say that they have found about motors, delay, drag and slope."""
         recent = [f for came, _, f in self.beats.values() if self.clock.now - came < GONE]
         told = [item for figures in recent for item in figures.items()]
         return {key.removeprefix(FOUND): text for key, text in told if key.startswith(FOUND)}
