@@ -29,7 +29,7 @@ from airpuck.model.sections import ModelFile
 from airpuck.planning.plan import _PlanFile
 from airpuck.recording.mapping import RecordingMapping
 from airpuck.twin.settings import TwinSettings, default_twin_settings
-from airpuck_hockey.matches.match_item import Match
+from airpuck_hockey.matches.match import Match
 
 
 class Format(NamedTuple):

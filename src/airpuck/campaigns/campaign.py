@@ -248,7 +248,10 @@ def completed(
     results = {}
     for entry in entries:
         result = read_result(folder, entry.key)
-        if result and (_is_whole(entry.item, result) if result.failure is None else not retry):
+        if result is None or (retry and result.failure is not None):
+            continue
+        # The files that it wrote must be unchanged.
+        if result.failure is not None or entry.item.written() in (None, result.written):
             results[entry.key] = result
     # Equal items, as of copies of one player, are computed once.
     missing = list({entry.key: entry for entry in entries if entry.key not in results}.values())
@@ -267,11 +270,6 @@ def completed(
         failed += result.failure is not None
         progress(len(results), len(entries), failed)
     return Campaign(tuple(entries), tuple(results[e.key] for e in entries), len(missing))
-
-
-def _is_whole(item: Item, result: ItemResult) -> bool:
-    """Return whether the files that an item wrote are unchanged."""
-    return item.written() in (None, result.written)
 
 
 def read_result(folder: Path, key: str) -> ItemResult | None:

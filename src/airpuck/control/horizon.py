@@ -284,37 +284,33 @@ def _limits(
     others: Num[Any, "K 5"],
 ) -> tuple[Num[Any, "N c 6"], Num[Any, "N c"], Num[Any, "N c"]]:
     """Write the limits as bounded linear functions of changes of the states."""
-    count, one = len(states), np.eye(6)
-
-    def all_of(value: Any) -> Any:
-        return xp.broadcast_to(value, (count,))
-
+    count, one, free = len(states), np.eye(6), xp.zeros((len(states), 1))
     # Limit a craft that moves towards the fence only at a later time, and require that it can still
     # brake: at speed v, a position |v|/2a later lies v²/2a further on.
     later = limits.headway_s + xp.abs(states[:, 3:5]) / (2 * brake)
-    rows = [one[i] + later[:, i, None] * one[3 + i] for i in (0, 1)]
     # A craft that turns pushes in an unintended direction when a packet is late or lost.
     room = xp.minimum(TURNING * xp.abs(states[:, 5:]), MOST_ROOM)
     room = xp.minimum(room, (fence[1] - fence[0]) / 2)
-    low, high = [[*(fence[0] + room).T], [*(fence[1] - room).T]]
-    if limits.speed_m_s is not None:
+    low, high = (fence[0] + room).T, (fence[1] - room).T
+    bounded = [(one[i] + later[:, i, None] * one[3 + i], low[i], high[i]) for i in (0, 1)]
+    if (most := limits.speed_m_s) is not None:
         along = _direction(xp, states[:, 3:5])
-        rows.append(xp.concatenate([xp.zeros((count, 3)), along, xp.zeros((count, 1))], axis=1))
-        low.append(all_of(-np.inf))
-        high.append(all_of(limits.speed_m_s))
-    if limits.spin_rad_s is not None:
-        rows.append(xp.broadcast_to(one[5], (count, 6)))
-        low.append(all_of(-limits.spin_rad_s))
-        high.append(all_of(limits.spin_rad_s))
+        bounded.append((xp.concatenate([free, free, free, along, free], axis=1), -np.inf, most))
+    if (most := limits.spin_rad_s) is not None:
+        bounded.append((one[5], -most, most))
     for other in others:
         given = xp.abs(other[2]) + xp.abs(other[3]) > 0
         away = xp.where(given, other[2:4], _direction(xp, states[:, :2] - other[:2]))
-        rows.append(xp.concatenate([away, xp.zeros((count, 4))], axis=1))
-        low.append(away @ other[:2] + other[4])
-        high.append(all_of(np.inf))
-    limited = xp.stack(rows, axis=1)
+        row = xp.concatenate([away, xp.zeros((count, 4))], axis=1)
+        bounded.append((row, away @ other[:2] + other[4], np.inf))
+
+    def each(values: Any, *shape: int) -> Any:
+        return xp.stack([xp.broadcast_to(value, (count, *shape)) for value in values], axis=1)
+
+    rows, lows, highs = zip(*bounded, strict=True)
+    limited = each(rows, 6)
     now = xp.sum(limited * states[:, None], axis=-1)
-    return limited, xp.stack(low, axis=1) - now, xp.stack(high, axis=1) - now
+    return limited, each(lows) - now, each(highs) - now
 
 
 def _direction(xp: Any, vectors: Num[Any, "N 2"]) -> Num[Any, "N 2"]:

@@ -56,8 +56,8 @@ class ActuationEstimate:
         for name, (value, deviation) in self.beyond.items():
             [quantity] = [one for one in QUANTITIES if one.name == name.split()[0]]
             unit, factor, _ = quantity.shown or (quantity.of_entry(0)[1], 1.0, "")
-            text = f"{factor * value:+.2g} ± {factor * deviation:.2g} {unit}"
-            found[f"{FOUND}{name.replace('_', ' ')}"] = text
+            words = f"{FOUND}{name.replace('_', ' ')}"
+            found[words] = f"{factor * value:+.2g} ± {factor * deviation:.2g} {unit}"
         return found
 
 

@@ -177,17 +177,8 @@ class MultipleModels:
         gyration = None if self.states.learned_s is None else self.states.squared_gyration
         given = xp, self.dynamics, path, speed, durations, commands, gyration
         transition, offset, speed, slopes = drift(*given)
-        # e does not change, so only the rows of the axes need products.
         half = small_product(xp, transition, covariances)
-        cross, block = half[:, :, ACTUATION], covariances[:, ACTUATION, ACTUATION]
-        axes = small_product(xp, half, transition.T)
-        moved = xp.concatenate(
-            [
-                xp.concatenate([axes, cross], axis=2),
-                xp.concatenate([xp.swapaxes(cross, 1, 2), block], axis=2),
-            ],
-            axis=1,
-        )
+        moved = small_product(xp, transition, xp.swapaxes(half, 1, 2))
         unexplained = np.square(self.noise.acceleration) * xp.exp(density)
         densities = unexplained, np.square(self.noise.disturbance)
         added = process_noise(xp, total, *densities)
@@ -199,8 +190,7 @@ class MultipleModels:
         late = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
         by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
-        axes = xp.sum(transition * means[:, None, :], axis=2) + offset
-        means = xp.concatenate([axes, means[:, ACTUATION]], axis=1)
+        means = xp.sum(transition * means[:, None, :], axis=2) + offset
         return means, covariances, weights, density, speed
 
     def use_pose(self, xp: Any, *given: Any) -> Any:
@@ -377,9 +367,9 @@ def drift(
     """Integrate the accelerations over intervals with one command each.
 
     Each interval uses the values at its middle, so that the error is of second order. Returns the
-    matrix and the offset that advance p, v and d, the motor speeds, and the integral of
-    da/dt (da/dt)ᵀ. If the craft learns, with this squared radius of gyration, the delay acts on the
-    thrusts found in flight, otherwise on the modelled ones.
+    matrix and the offset that advance any x, the motor speeds, and the integral of da/dt (da/dt)ᵀ.
+    If the craft learns, with this squared radius of gyration, the delay acts on the thrusts found
+    in flight, otherwise on the modelled ones.
     """
     tau, idle = dynamics.lag, dynamics.idle_lag
     p, v, d, e = mean[POSITION], mean[VELOCITY], mean[DISTURBANCE], mean[ACTUATION]
@@ -406,10 +396,10 @@ def drift(
         [
             xp.concatenate([eye, total * eye, total * total / 2 * eye, p_by_e], axis=1),
             xp.concatenate([none, eye, total * eye, v_by_e], axis=1),
-            xp.eye(9 + size)[6:9],
+            xp.eye(9 + size)[6:],
         ]
     )
-    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3)]), speed, slopes
+    return transition, xp.concatenate([p_by_a, v_by_a, xp.zeros(3 + size)]), speed, slopes
 
 
 def sensitivity(

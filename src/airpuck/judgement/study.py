@@ -35,6 +35,7 @@ from airpuck.recording.mapping import RecordingMapping
 #: Of a longer recording this much is studied [s]: random errors are then far below those of the
 #: model, and memory stays at some 3 GiB.
 _LONGEST = 3600.0
+_PART = "only the first hour was used; --span names another part"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,7 +187,8 @@ def study(
     training = load_all(recordings, vehicle, mapping)
     if span is not None:
         training = [one.slice(*span) for one in training]
-    training, cut = zip(*map(_within_memory, training), strict=True)
+    told = tuple(f"{t.source}: {_PART}" for t in training if t.duration > _LONGEST)
+    training = [t.slice(0.0, _LONGEST / max(t.duration, _LONGEST)) for t in training]
     other = None
     if validation is not None:
         other = load_trajectory(validation, vehicle, mapping=mapping)
@@ -197,7 +199,7 @@ def study(
         problem = "resamples neither recordings with their own parameters nor +residual"
         raise InputError(problem, field="bootstrap")
     fit, structure = structured(training, model, each=each, **options)
-    fit = replace(fit, warnings=(*filter(None, cut), *fit.warnings))
+    fit = replace(fit, warnings=told + fit.warnings)
     if fit.model.recordings:
         return judged(fit, structure, training[-1:], other, mapping=mapping, laws=laws)
     if bootstrap:
@@ -243,14 +245,6 @@ def judged_on(
         causes += map(_lacking, lacking_on(model, trajectory))
     axes = AXES if mapping is None else mapping.pose.axes
     return verdict(model, trajectory, evaluation, causes=causes, laws=laws, axes=axes)
-
-
-def _within_memory(trajectory: Trajectory) -> tuple[Trajectory, str | None]:
-    """Return the part of a recording that is studied, and a warning if it is not the whole."""
-    if trajectory.duration <= _LONGEST:
-        return trajectory, None
-    told = f"{trajectory.source}: only the first hour was used; --span names another part"
-    return trajectory.slice(0.0, _LONGEST / trajectory.duration), told
 
 
 def _lacking(term: MissingTerm) -> Finding:

@@ -159,19 +159,12 @@ class Transcription:
 
         jacobian = along(slopes.map(total)(*each))
         hessian = casadi.triu(placed.T @ along(curves.map(total)(*each, *multipliers)))
-        names = ["x", "p", "lam_f", "lam_g"]
-        self.solver = casadi.nlpsol(
-            "plan",
-            "ipopt",
-            {"x": x, "f": casadi.sum2(costs), "g": g, "p": p},
-            {
-                **_OPTIONS,
-                "jac_g": casadi.Function("jac_g", [x, p], [g, jacobian], names[:2], ["g", "jac"]),
-                "hess_lag": casadi.Function(
-                    "hess_lag", [x, p, lam_f, lam_g], [hessian], names, ["hess"]
-                ),
-            },
-        )
+        derivatives = {
+            "jac_g": casadi.Function("jac_g", [x, p], [g, jacobian]),
+            "hess_lag": casadi.Function("hess_lag", [x, p, lam_f, lam_g], [hessian]),
+        }
+        problem = {"x": x, "f": casadi.sum2(costs), "g": g, "p": p}
+        self.solver = casadi.nlpsol("plan", "ipopt", problem, _OPTIONS | derivatives)
 
     def _placed(self, idle: float) -> tuple[Any, Any]:
         """Return matrix and offset from all variables to those of each interval.

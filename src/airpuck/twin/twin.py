@@ -163,7 +163,7 @@ class Twin:
     def observe(self, time: float) -> None:
         """Take the due samples; see `airpuck.twin.play.WorldObserver`."""
         if self._logs and self._sensors.sensors[0].due <= time:
-            self._log_truth(time)
+            self._truth.append((time, self.state))
         self._sensors.observe(time)
 
     def send(self, command: Float[np.ndarray, " n"]) -> None:
@@ -235,10 +235,6 @@ class Twin:
         if self._announced:
             streams["reference"] = log_stream(self._announced, COLUMNS["reference"], latency=0.0)
         return Recording(streams=streams, source=f"twin of {self.model.name}")
-
-    def _log_truth(self, time: float) -> None:
-        """Store the state at a frame of the motion capture."""
-        self._truth.append((time, self.state))
 
     def _true_value(self, kind: str) -> Float[np.ndarray, " k"]:
         """Return noise-free readings."""

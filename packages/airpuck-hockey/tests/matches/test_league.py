@@ -7,7 +7,7 @@ import pytest
 
 from airpuck.boundary.errors import InputError
 from airpuck_hockey.game.rules import Rules
-from airpuck_hockey.matches import match_item
+from airpuck_hockey.matches import match
 from airpuck_hockey.matches.match import LeagueResult, league
 from tests.apparatus.commands import airpuck
 
@@ -17,14 +17,14 @@ PLAYERS = ("keeper", "striker:hard", "human")
 
 def test_all_pairs_play_once_then_on_the_other_sides_and_never_again(tmp_path, monkeypatch):
     played = []
-    original = match_item.Game
+    original = match.Game
 
     def noted(left, right, **given):
         played.append((left.name, right.name, given["seed"], given["settings"].puck))
         assert given["believed"].puck != given["settings"].puck
         return original(left, right, **given)
 
-    monkeypatch.setattr(match_item, "Game", noted)
+    monkeypatch.setattr(match, "Game", noted)
     found = league(PLAYERS, 2, seed=7, rules=SHORT, workers=1, output=tmp_path)
     assert [game[:3] for game in played] == [
         ("keeper", "striker:hard", 7),

@@ -21,9 +21,7 @@ from airpuck.campaigns.campaign import read_spec
 from airpuck.recording.read import read_recording
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.matches import match as match_module
-from airpuck_hockey.matches import match_item
-from airpuck_hockey.matches.match import match
-from airpuck_hockey.matches.match_item import Match
+from airpuck_hockey.matches.match import Match, match
 from tests.apparatus.commands import airpuck, refused
 
 SHORT = Rules(goals=2, limit_s=8.0)
@@ -42,13 +40,13 @@ def test_games_add_up_and_are_played_once(tmp_path, monkeypatch):
     goals = recording["game"].values[-1, :2].tolist()
     assert goals == [figures["results"][1][f"{side}_goals"] for side in ("left", "right")]
     played = []
-    original = match_item.Game
+    original = match_module.Game
 
     def noted(*args, **kwargs):
         played.append(kwargs["seed"])
         return original(*args, **kwargs)
 
-    monkeypatch.setattr(match_item, "Game", noted)
+    monkeypatch.setattr(match_module, "Game", noted)
     again = match("human:hard", "human:easy", 4, seed=5, rules=SHORT, workers=1, output=tmp_path)
     assert played == [8]
     assert again.games[:3] == first.games
