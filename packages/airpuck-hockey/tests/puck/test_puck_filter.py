@@ -11,7 +11,6 @@ from airpuck.craft.table import AirHockey, Contact, Puck
 from airpuck.physics.puck import PuckState
 from airpuck.physics.puck_on_table import PuckOnTable
 from airpuck_hockey.puck.prediction import (
-    ACCELERATION_DENSITY,
     PuckBelief,
     PuckModel,
     drawn_path,
@@ -253,10 +252,7 @@ def test_the_uncertainty_of_a_crossing_is_that_of_many_pucks():
         one = PuckBelief(0.0, mean + deviation * rng.normal(size=6), np.zeros((6, 6)))
         other = predict_crossing(PuckModel(KNOWN), one, 0.8)
         assert other is not None
-        # Air and slope push each puck away, and it crosses where and when its line leads.
-        push = rng.normal(size=2) * ACCELERATION_DENSITY * math.sqrt(other.time**3 / 3)
-        later = -push[0] / other.state.vx
-        drawn.append((other.time + later, other.state.y + push[1] + later * other.state.vy))
+        drawn.append((other.time, other.state.y))
     # There is one bounce on the path.
     assert found.state.vy < 0
     np.testing.assert_allclose(found.covariance, np.cov(np.transpose(drawn)), rtol=0.3, atol=1e-6)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
@@ -24,8 +25,6 @@ _BEYOND = 1e-8
 _NO_DRAG = 1e-12
 #: For at most this many times, plain numbers are faster than arrays.
 _FEW = 4
-#: Spacing of the times between which a crossing is looked for [s].
-_FINE = 1e-3
 #: Times at which a path is drawn, in addition to its bounces [s].
 _DRAWN = np.arange(0.0, 1.2, 0.02)
 
@@ -265,27 +264,57 @@ def predict_crossing(
     PuckCrossing or None
         The crossing; None if there is none in time.
     """
-    after = np.append(np.arange(0.0, horizon, _FINE), horizon)
-    path = predict_path(model.equipment, replace(belief, time=0.0), after)
-    sides = np.sign(path[:, 0] - x)
-    crossed = np.flatnonzero(sides[1:] * sides[:-1] < 0)
-    if not len(crossed):
+    end = belief.time + horizon
+    middle = _crossing(model.equipment, belief, x, end)
+    if middle is None:
         return None
-    before = path[crossed[0]]
-    rest = time_of(model.equipment.puck.drag_1_s, (x - before[0]) / before[3])
-    time = float(belief.time + after[crossed[0]] + rest)
-    found = predict_puck(model, belief, [time])
-    vx, vy = found.mean[0, 3:5]
-    # A puck that is behind crosses later, and has moved along the line until then.
-    by_place = np.array([[-1 / vx, 0.0], [-vy / vx, 1.0]])
-    covariance = by_place @ found.covariance[0, :2, :2] @ by_place.T
-    return PuckCrossing(time, PuckState(*found.mean[0].tolist()), covariance)
+    centre = np.array([middle[0], middle[1].y])
+    columns = []
+    for above, below in _both_sides(model, belief):
+        found = [_crossing(*above, x, end), _crossing(*below, x, end)]
+        # A variant that does not cross in time is assumed to mirror its counterpart.
+        ends = [np.array([time, state.y]) - centre for time, state in filter(None, found)]
+        if found[1] is not None:
+            ends[-1] = -ends[-1]
+        columns.append(np.mean(ends, axis=0) if ends else np.zeros(2))
+    deviation = np.array(columns)
+    return PuckCrossing(*middle, deviation.T @ deviation)
 
 
 def _axes(belief: PuckBelief) -> Float[np.ndarray, "6 6"]:
     """Return the axes of a belief in rows, each a standard deviation long."""
     variance, axes = np.linalg.eigh(belief.covariance)
     return (axes * np.sqrt(np.maximum(variance, 0.0))).T
+
+
+def _both_sides(
+    model: PuckModel, belief: PuckBelief
+) -> Iterator[tuple[tuple[AirHockey, PuckBelief], tuple[AirHockey, PuckBelief]]]:
+    """Yield table and belief a standard deviation to both sides: of the state, of the numbers."""
+    for step in filter(np.any, _axes(belief)):
+        above, below = (
+            PuckBelief(belief.time, mean, belief.covariance)
+            for mean in (belief.mean + step, belief.mean - step)
+        )
+        yield (model.equipment, above), (model.equipment, below)
+    for upper, lower in model.variants:
+        yield (upper, belief), (lower, belief)
+
+
+def _crossing(
+    equipment: AirHockey, belief: PuckBelief, x: float, end: float
+) -> tuple[float, PuckState] | None:
+    """Return when a puck crosses a line, and its state there: free puck_paths are straight in σ."""
+    puck, last = _untouched(equipment, belief), end - belief.time
+    while puck.time < last and not puck.goal:
+        now, start = puck.time, puck.state
+        until = min(puck.next_meeting + _BEYOND, last)
+        sigma = (x - start.x) / start.vx if start.vx else -1.0
+        after = time_of(equipment.puck.drag_1_s, sigma) if sigma >= 0 else math.inf
+        if now + after <= until:
+            return belief.time + now + after, coast(equipment.puck, start, after)
+        puck.run(until)
+    return None
 
 
 def process_noise(
