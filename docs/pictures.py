@@ -399,7 +399,7 @@ def commissioning() -> None:
     settings = default_twin_settings().without_on_board()
     found = airpuck.commission(airpuck.Twin(truth(), settings, seed=4), stated, tell=print)
     for name, draw in (("intervals", interval_figure), ("flights", flights_figure)):
-        with mpl.rc_context(style.LOOK | TEXT):
+        with mpl.rc_context(style.look() | TEXT):
             figure = draw(found, WIDTH)
             figure.set_dpi(RESOLUTION)
             figure.savefig(FOLDER / f"commissioning_{name}.png", facecolor="white")
@@ -463,7 +463,7 @@ def main(names: list[str]) -> None:
         if name in ANIMATIONS:
             ANIMATIONS[name]()
             continue
-        with mpl.rc_context(style.LOOK | TEXT):
+        with mpl.rc_context(style.look() | TEXT):
             PICTURES[name]().savefig(FOLDER / f"guide_{name}.png", dpi=RESOLUTION)
         print(FOLDER / f"guide_{name}.png")
 

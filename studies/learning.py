@@ -8,8 +8,8 @@ Kalman filter, by the learning estimator, and with the changed model (`knows`, w
 there from the beginning). Each line of the file is one flight: the root mean square distance from
 the circle from 2 s after the change on, the largest overshoot over set points, the largest distance
 in the last half second of one, the fastest contact with a rail, and for `learning` how many of the
-final intervals (95 %) contain the truth, and the errors of drag, offset of mass and slope. An
-interrupted study resumes; `--summary` only reads the file.
+final intervals (95 %) contain the truth, and the errors of drag, offset of the centre of mass and
+slope. An interrupted study resumes; `--summary` only reads the file.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.multiple_models import (
     MultipleModels,
     States,
-    averaged,
-    certain_changes,
     sensitivity,
+    with_slope,
 )
 from airpuck.model.model_file import published_model, read_model
 from airpuck.physics.effects import Drag
@@ -195,27 +194,18 @@ def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(sh
     assert not by_e[:, 10:].any()
 
 
-@pytest.mark.parametrize(
-    ("drag", "used"), [(0.1, 0.0), (0.5, 0.5), (-0.2, -0.2), (-4.0, -0.3), (9.0, 1.0)]
-)
-def test_certain_drag_of_a_plausible_size_is_used(drag, used):
-    means, covariances = np.zeros((1, SIZE + 5)), 0.05**2 * np.eye(SIZE + 5)[None]
-    means[0, SIZE], means[0, -2:] = drag, 5.0
-    found = certain_changes(np, means, covariances, 6)
-    # Motors, delay, drag, and an offset of mass that is never used.
-    np.testing.assert_allclose(found, [[*[0.0] * 7, used, 0.0, 0.0]], rtol=0.2)
-
-
-def test_laws_feel_certain_drag_as_a_disturbance():
+def test_laws_do_not_use_learned_drag_and_offsets():
     priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
     learns = replace(states(1), covariance=priors, learned_s=120.0)
     models = MultipleModels(DYNAMICS, NOISE, learns)
     means, covariances = np.zeros((1, SIZE + 5)), 1e-4 * np.eye(SIZE + 5)[None]
-    means[0, 3:5], means[0, 6:8], means[0, SIZE] = (0.4, -0.2), (0.05, 0.03), 0.5
+    means[0, 3:5], means[0, 6:8], means[0, SIZE:] = (0.4, -0.2), (0.05, 0.03), 0.5
+    # Together with drag the disturbance was found; without it, it would be 0.4 times as much less.
+    covariances[0, 6, SIZE] = covariances[0, SIZE, 6] = 4e-5
     idle, now = np.zeros(6), (np.zeros(1), np.zeros((1, 6)))
     given = means, covariances, np.ones(1), np.zeros(3), idle, *now
     disturbance = models.predict(np, *given)[2]
-    np.testing.assert_allclose(disturbance, [0.05 - 0.2, 0.03 + 0.1, 0.0], rtol=0.01)
+    np.testing.assert_allclose(disturbance, [0.05 - 0.4 * 0.5, 0.03, 0.0], atol=1e-9)
 
 
 def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
@@ -226,7 +216,7 @@ def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
     covariances = np.diag([1e-9] * (SIZE + 3) + [25e-6] * 2)[None]
     known, seconds = (means, covariances, *rest), 20
     for _ in range(240 * seconds):
-        known = averaged(np, known, 1 / 240)
+        known = with_slope(np, known, 1 / 240)
     variance = 1 / (1 / 25e-6 + seconds * GRAVITY**2 / 0.1**2)
     np.testing.assert_allclose(known[1][0, -2:, -2:], variance * np.eye(2), rtol=1e-5)
     np.testing.assert_allclose(known[1][0, :-2, :-2], covariances[0, :-2, :-2])
@@ -234,10 +224,10 @@ def test_the_slope_is_the_mean_of_a_disturbance_with_a_flat_spectrum():
     np.testing.assert_allclose(known[0][0, -2:], share * np.array([0.05, -0.08]) / GRAVITY, 1e-5)
     # A contact pushes harder than that, but counts as 0.3 m/s².
     means[0, 6] = 30.0
-    pushed = averaged(np, (means, covariances, *rest), 1 / 240)[0]
+    pushed = with_slope(np, (means, covariances, *rest), 1 / 240)[0]
     gain = 25e-6 / (25e-6 + 240 * (0.1 / GRAVITY) ** 2)
     assert pushed[0, -2] == pytest.approx(gain * 0.3 / GRAVITY, rel=1e-5)
     # One that is known to 1 m/s² counts less: its error lasts for a second.
     covariances[0, 6, 6] = 1.0
-    unsure = averaged(np, (means, covariances, *rest), 1 / 240)[0]
+    unsure = with_slope(np, (means, covariances, *rest), 1 / 240)[0]
     assert unsure[0, -2] == pytest.approx(gain * 0.3 / GRAVITY * 0.01 / 2.01, rel=0.02)

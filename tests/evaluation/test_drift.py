@@ -1,5 +1,6 @@
 """Changes between two models of one craft."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,8 @@ def test_nothing_moves_where_nothing_moved():
 def test_the_arithmetic_by_hand():
     rng = np.random.default_rng(4)
     one, two = estimated(rng), estimated(rng, clusters=20)
-    change = next(c for c in drift(one, two).changes if c.quantity.label == "I")
+    found = pickle.loads(pickle.dumps(drift(one, two)))  # as to workers and back
+    change = next(c for c in found.changes if c.quantity.label == "I")
     before, after = (1e3 * m.parameters.inertia for m in (one, two))
     joint = np.hypot(1, 1) * 0.02 * 1e3 * TRUTH.parameters.inertia
     assert change.standard_error == pytest.approx(joint, rel=1e-6)

@@ -169,7 +169,7 @@ def test_a_study_learns_from_the_span_that_is_asked_for(span, share, monkeypatch
     assert seen[0].duration == pytest.approx(share * flight.duration, rel=0.02)
 
 
-def test_the_first_hour_of_a_long_recording_is_studied_and_this_is_told(monkeypatch):
+def test_the_first_hour_of_a_long_recording_is_studied_and_reported(monkeypatch):
     seen = []
 
     def structured(training, *_, **__):
@@ -179,12 +179,12 @@ def test_the_first_hour_of_a_long_recording_is_studied_and_this_is_told(monkeypa
     monkeypatch.setattr("airpuck.judgement.study.structured", structured)
     monkeypatch.setattr("airpuck.judgement.study.judged", lambda fit, *_, **__: fit)
     flight = replace(fly(TRUTH, 4.0, seed=1), source="long")
-    for hour, told in ((3.0, "long: only the first hour was used"), (4.0, None)):
+    for hour, told in ((3.0, "long: only the first hour of its poses was used"), (4.0, None)):
         monkeypatch.setattr("airpuck.judgement.study._LONGEST", hour)
         fit: Any = airpuck.study(flight)
         assert seen.pop().duration == pytest.approx(hour, abs=0.03)
         assert [one for one in fit.warnings if "hour" in one][:1] == [
-            f"{told}; --span names another part"
+            f"{told}; a span names another part"
         ] * (told is not None)
 
 

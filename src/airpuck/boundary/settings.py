@@ -104,6 +104,10 @@ def _names(hint: Any) -> tuple[str, ...]:
     return typing.get_args(hint) if typing.get_origin(hint) is Literal else ()
 
 
+#: A sequence with fewer items than this is shown in messages.
+_FEW = 10
+
+
 def _words(hint: Any) -> str:
     """Describe a kind."""
     alternatives = _alternatives(hint)
@@ -115,9 +119,9 @@ def _words(hint: Any) -> str:
     if origin in (None, type(None)):
         return "None"
     if origin in (Sequence, tuple) and inner:
-        count = "" if len(inner) == 1 or inner[-1] is ... else f"{len(inner)} "
-        kind = re.sub(r"^an? (\w+)$", r"\1s", _words(inner[0]))
-        return f"a sequence of {count}{kind}"
+        kind, named = re.subn(r"^a ((?:whole )?number|text)$", r"\1s", _words(inner[0]))
+        several = f"{len(inner)} {kind}" if named else f"{len(inner)} values: {kind}"
+        return f"a sequence of {kind if len(inner) == 1 or inner[-1] is ... else several}"
     if origin in _kinds():
         return _kinds()[origin][1]
     return getattr(origin, "__name__", str(origin))
@@ -127,7 +131,8 @@ def _shown(value: object) -> str:
     """Show a short value; for others, the type."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
-    simple = value is None or isinstance(value, str | bool | Real | tuple | list)
+    values = value if isinstance(value, tuple | list) and len(value) < _FEW else [value]
+    simple = all(isinstance(one, str | bool | Real | None) for one in values)
     return repr(value) if simple and len(repr(value)) < 40 else f"a {type(value).__name__}"
 
 

@@ -473,7 +473,7 @@ def check_inside(
     A reference that is known in advance has `visits`: the poses that it leads through.
     """
     turns = not isinstance(reference, SetPoint | SetPoints)
-    with about(getattr(reference, "file", None), "setpoint"):
+    with about(reference.file if isinstance(reference, SetPoints) else None, "setpoint"):
         for x, y, yaw in map(tuple, getattr(reference, "visits", ())):
             if abs(x) > reach[0] or abs(y) > reach[1]:
                 border = f"{border}, ±{reach[0]:g} m by ±{reach[1]:g} m"

@@ -349,7 +349,7 @@ class KalmanFilter:
         self._belief = self._equations.begin(pose, before, elapsed)
 
     def forget(self) -> None:
-        """Forget what `states` describe, as of the motors; motion and delay in use stay."""
+        """Reset what `states` describe, such as motors; keep the motion and the delay in use."""
         assert self._time is not None
         last, _ = self.predict_with(self._predict, self._time - self.later)
         self._history.clear()

@@ -46,11 +46,9 @@ from airpuck.physics.rigid_body import Dynamics, motor_accelerations
 _KNOCK = 8.0
 #: Standard deviations from which on a learned change is used.
 _CERTAIN = 2.5
-#: Speed from which on drag can be learned [m/s]: of a craft at rest only the noise of the velocity
-#: is seen, which looks like drag.
+#: Drag is learned only above this speed [m/s]: of a craft at rest only the noise of the velocity is
+#: seen, which looks like drag.
 _MOVES = 0.02
-#: Bounds of the drag that is used [1/s]: no drag pushes a craft for long, as a hand may.
-_DRAG = -0.3, 1.0
 #: Density of disturbances around the slope's acceleration, below 0.5 Hz [m/s²/√Hz], from replays of
 #: five real flights (studies/learning.md); and the largest that counts [m/s²].
 _WANDERS, _PUSH = 0.1, 0.3
@@ -111,7 +109,7 @@ class MultipleModels:
         states = self.states
         if before is None:
             covariances = _padded(states.covariance)
-            # No state draws these again, so the priors of others have zeros there.
+            # What is learned about the body is known in all states alike.
             lasting = slice(10 + self.dynamics.configuration.shape[1], None)
             covariances[1:, lasting, lasting] = covariances[0, lasting, lasting]
             means, weights = np.zeros(covariances.shape[:2]), states.weight
@@ -191,7 +189,10 @@ class MultipleModels:
         by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
         means = xp.sum(transition * means[:, None, :], axis=2) + offset
-        return means, covariances, weights, density, speed
+        belief = means, covariances, weights, density
+        if gyration is not None:
+            belief = with_slope(xp, belief, total)
+        return *belief, speed
 
     def use_pose(self, xp: Any, *given: Any) -> Any:
         """Advance, then use a pose, the last argument; the last result is the innovation."""
@@ -206,8 +207,6 @@ class MultipleModels:
             square = innovation**2 * xp.sum(weights[:, None] / spread, axis=0)
             belief[3] = learned_density(xp, density, square, xp.sum(moving[-2]))
         belief = self.measure(xp, tuple(belief), rows, innovation, variances)
-        if self.states.learned_s is not None:
-            belief = averaged(xp, belief, xp.sum(moving[-2]))
         return *belief, speed, innovation
 
     def use_imu(
@@ -279,8 +278,6 @@ class MultipleModels:
             # What is not certain is not used: then the craft is as if nothing had been learned.
             means = conditioned(xp, means, covariances, certain_changes(xp, means, covariances, n))
             mean = xp.sum(weights[:, None] * means, axis=0)
-            braked = mean[VELOCITY][:2] * mean[10 + n]
-            mean = mean - xp.pad(braked, (6, len(mean) - 8))
         # The delay is left out: each command in transit has its own.
         effectiveness = 1 + mean[ACTUATION][:n]
         effective = replace(self.dynamics, thrust=self.dynamics.thrust * effectiveness[:, None])
@@ -301,11 +298,11 @@ def learned_density(xp: Any, density: Any, square: Any, duration: Any) -> Any:
     return xp.clip(density + duration / _DENSITY_S * surplus, *_DENSITY)
 
 
-def averaged(xp: Any, belief: Belief, duration: Any) -> Belief:
+def with_slope(xp: Any, belief: Belief, duration: Any) -> Belief:
     """Use the disturbance that was found as a measurement of the slope, over a duration.
 
-    The filter's own disturbance is a random walk, which has no mean. If it returned to one, laws
-    would feel a weak motor that is not certain yet.
+    The filter's own disturbance is a random walk, which has no mean. With one, a weak motor that is
+    not certain yet would be rejected less.
     """
     means, covariances, weights, density = belief
     mean, covariance = mixed(xp, belief)
@@ -317,7 +314,7 @@ def averaged(xp: Any, belief: Belief, duration: Any) -> Belief:
     gain = variance / (variance + density_of_d / xp.maximum(duration, 1e-6))
     size = means.shape[1]
     means = means + xp.pad(gain * surplus, ((0, 0), (size - 2, 0)))
-    # The slope is independent of all other unknowns.
+    # Beside the filter, the slope does not depend on the other unknowns.
     used = xp.pad(gain[:, :, None] * np.eye(2), ((0, 0), (size - 2, 0), (size - 2, 0)))
     return means, covariances * (1 - used), weights, density
 
@@ -331,18 +328,15 @@ def certain(xp: Any, value: Any, variance: Any) -> Any:
 def certain_changes(xp: Any, means: Any, covariances: Any, n: int) -> Any:
     """Return the e to use in each state, without the slope, which is part of d.
 
-    That is the certain part of the common change of n motors, of each motor's own, and of drag. The
-    delay is used elsewhere, and the offset of the centre of mass is not used.
+    That is the certain part of the common change of n motors, and of each motor's own. The delay is
+    used elsewhere; drag and the offset of the centre of mass are not.
     """
     e, block = means[:, 9 : 9 + n], covariances[:, 9 : 9 + n, 9 : 9 + n]
     rows = xp.mean(block, axis=2)
     common, spread = xp.mean(e, axis=1)[:, None], xp.mean(rows, axis=1)[:, None]
     own = xp.diagonal(block, axis1=1, axis2=2) - 2 * rows + spread
     changes = certain(xp, common, spread) + certain(xp, e - common, own)
-    drag = certain(xp, means[:, 10 + n], covariances[:, 10 + n, 10 + n])
-    drag = xp.clip(drag, *_DRAG)[:, None]
-    none = xp.zeros((len(means), 2))
-    return xp.concatenate([changes, none[:, :1], drag, none], axis=1)
+    return xp.concatenate([changes, xp.zeros((len(means), 4))], axis=1)
 
 
 def conditioned(xp: Any, means: Any, covariances: Any, values: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -110,18 +111,22 @@ def main_quantities(
         name, wheel = channel.name, channel.is_wheel
         what, unit = ("torque", "N m") if wheel else ("thrust", "N")
         for speed in speeds[-1:] if linear or wheel else speeds:
-
-            def force(m: Model, motor: int = motor, speed: float = speed) -> Any:
-                return thrust(physical_thrust(m)[motor : motor + 1], np.array([speed]))[0]
-
             at = "full speed" if speed == 1 else f"φ = {speed:g}"
             listed.append(
                 MainQuantity(
                     f"F({speed:g}) {name}", f"{what} of {name} at {at}", unit, "thrust", None,
-                    ".4g" if wheel else ".4f", force, motor=motor,
+                    ".4g" if wheel else ".4f", partial(_force, motor, speed), motor=motor,
                 )
             )  # fmt: skip
     return listed
+
+
+def _force(motor: int, speed: float, model: Model) -> Any:
+    return thrust(physical_thrust(model)[motor : motor + 1], np.array([speed]))[0]
+
+
+def _entry(name: str, k: int, factor: float, model: Model) -> Any:
+    return factor * np.ravel(getattr(model.parameters, name))[k]
 
 
 def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
@@ -131,15 +136,22 @@ def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
     degree = np.shape(model.parameters.thrust)[1]
     listed = []
     for k, entry in enumerate(quantity.entries(model.vehicle.propeller_names, degree)):
-
-        def value(m: Model, k: int = k) -> Any:
-            return factor * np.ravel(getattr(m.parameters, quantity.name))[k]
-
         words = f"{quantity.name.replace('_', ' ')} {entry}".strip()
         label = f"{symbol} {entry}".strip()
         if "," in symbol:  # each entry has its own name
             label, unit = quantity.of_entry(k)
-        listed.append(MainQuantity(label, words, unit, quantity.name, k, form, value, factor))
+        listed.append(
+            MainQuantity(
+                label,
+                words,
+                unit,
+                quantity.name,
+                k,
+                form,
+                partial(_entry, quantity.name, k, factor),
+                factor,
+            )
+        )
     return listed
 
 

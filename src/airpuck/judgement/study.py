@@ -35,7 +35,7 @@ from airpuck.recording.mapping import RecordingMapping
 #: Of a longer recording this much is studied [s]: random errors are then far below those of the
 #: model, and memory stays at some 3 GiB.
 _LONGEST = 3600.0
-_PART = "only the first hour was used; --span names another part"
+_PART = "only the first hour of its poses was used; a span names another part"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -187,8 +187,9 @@ def study(
     training = load_all(recordings, vehicle, mapping)
     if span is not None:
         training = [one.slice(*span) for one in training]
-    told = tuple(f"{t.source}: {_PART}" for t in training if t.duration > _LONGEST)
-    training = [t.slice(0.0, _LONGEST / max(t.duration, _LONGEST)) for t in training]
+    parts = [min(_LONGEST / (t.sample_period * len(t)), 1.0) for t in training]
+    told = [f"{t.source}: {_PART}" for t, part in zip(training, parts, strict=True) if part < 1]
+    training = [t.slice(0.0, part) for t, part in zip(training, parts, strict=True)]
     other = None
     if validation is not None:
         other = load_trajectory(validation, vehicle, mapping=mapping)
@@ -199,7 +200,7 @@ def study(
         problem = "resamples neither recordings with their own parameters nor +residual"
         raise InputError(problem, field="bootstrap")
     fit, structure = structured(training, model, each=each, **options)
-    fit = replace(fit, warnings=told + fit.warnings)
+    fit = replace(fit, warnings=(*told, *fit.warnings))
     if fit.model.recordings:
         return judged(fit, structure, training[-1:], other, mapping=mapping, laws=laws)
     if bootstrap:

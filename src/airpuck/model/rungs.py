@@ -238,7 +238,7 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
     base, *terms = name.split("+")
     if base not in RUNGS:
         raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or for a fit auto"
+            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or auto, to fit"
             f"{nearest(base, RUNGS)}",
             field="model",
         )

@@ -124,8 +124,8 @@ class Transcription:
 
     The variables are state and command of each node in turn, then the final state and the durations
     of the legs. All limits, start and goal are bounds, so a program is built once. Each interval
-    has the same cost and constraints, so only these are differentiated: by the variables of one
-    interval, from which a matrix leads to all variables.
+    has the same cost and constraints. They are differentiated once, with respect to one interval's
+    variables, and a constant matrix places the results among all variables.
     """
 
     def __init__(self, model: Model, intervals: int, legs: int, discs: int) -> None:

@@ -64,7 +64,7 @@ Arguments = ParamSpec("Arguments")
 
 
 @functools.cache
-def _look() -> Any:
+def look() -> Any:
     """Return what all figures look like, in matplotlib's words."""
     from matplotlib import rc_params_from_file
 
@@ -79,7 +79,7 @@ def styled(draw: Callable[Arguments, Figure]) -> Callable[Arguments, Figure]:
     def in_style(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Figure:
         from matplotlib import rc_context
 
-        with rc_context(_look()):
+        with rc_context(look()):
             return draw(*args, **kwargs)
 
     return in_style
@@ -104,7 +104,7 @@ def drawn(figure: Figure, suffix: Literal["png", "pdf", "svg"]) -> bytes:
     # Without dates and versions, the same figure gives the same file.
     changing = {"png": {"Software": None}, "pdf": {"CreationDate": None}, "svg": {"Date": None}}
     metadata = changing[suffix]
-    with rc_context(_look()):  # ticks are created on the first draw
+    with rc_context(look()):  # ticks are created on the first draw
         layout = figure.get_layout_engine()
         if layout is not None:
             # The layout costs as much as drawing, so it runs once for all formats.
