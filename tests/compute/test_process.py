@@ -1,16 +1,12 @@
 """Settings of the process."""
 
 import os
-import signal
 import subprocess
 import sys
-from contextlib import suppress
 
 import pytest
 
-from airpuck.boundary.signals import Stopped, forget_stopped, stoppable
 from airpuck.cli import main
-from airpuck.compute.process import low_latency
 
 from ..apparatus.commands import airpuck_process
 
@@ -51,15 +47,6 @@ def test_large_programs_run_in_the_calling_thread_if_set_in_time(set_):
     in_time, share = done.stdout.split()
     assert in_time == str(set_ == "early")
     assert (float(share) > 0.5) == (set_ == "early")
-
-
-def test_a_signal_that_an_import_dropped_still_ends_the_command():
-    with stoppable():
-        with suppress(Stopped):
-            signal.raise_signal(signal.SIGINT)
-        with pytest.raises(Stopped):
-            low_latency()
-        forget_stopped()
 
 
 @pytest.fixture

@@ -6,8 +6,6 @@ import os
 import warnings
 from contextlib import suppress
 
-from airpuck.boundary.signals import check_stopped
-
 #: Priority above ordinary processes, below the system's own.
 _PRIORITY = 10
 #: XLA reads the size of its thread pool from here; it has no option for that.
@@ -78,7 +76,6 @@ def low_latency() -> bool:
             del os.environ[_POOL]
         else:
             os.environ[_POOL] = before
-    check_stopped()  # a library may drop Ctrl-C while it is imported
     return large_programs_are_fast()
 
 
