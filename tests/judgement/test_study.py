@@ -182,7 +182,10 @@ def test_the_first_hour_of_a_long_recording_is_studied_and_reported(monkeypatch)
     for hour, told in ((3.0, "long: only the first hour of its poses was used"), (4.0, None)):
         monkeypatch.setattr("airpuck.judgement.study._LONGEST", hour)
         fit: Any = airpuck.study(flight)
-        assert seen.pop().duration == pytest.approx(hour, abs=0.03)
+        part = seen.pop()
+        assert part.duration == pytest.approx(hour, abs=0.03)
+        # What is known of a whole recording stays known.
+        assert (part is flight) == (told is None)
         assert [one for one in fit.warnings if "hour" in one][:1] == [
             f"{told}; a span names another part"
         ] * (told is not None)

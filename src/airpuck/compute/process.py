@@ -1,4 +1,4 @@
-"""Cores, threads and caches of the whole process; only commands change its settings."""
+"""Cores, threads and caches of the whole process; only commands and games change its settings."""
 
 from __future__ import annotations
 

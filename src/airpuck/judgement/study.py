@@ -187,9 +187,9 @@ def study(
     training = load_all(recordings, vehicle, mapping)
     if span is not None:
         training = [one.slice(*span) for one in training]
-    parts = [min(_LONGEST / (t.sample_period * len(t)), 1.0) for t in training]
-    told = [f"{t.source}: {_PART}" for t, part in zip(training, parts, strict=True) if part < 1]
-    training = [t.slice(0.0, part) for t, part in zip(training, parts, strict=True)]
+    parts = [(t, _LONGEST / (t.sample_period * len(t))) for t in training]
+    told = [f"{t.source}: {_PART}" for t, part in parts if part < 1]
+    training = [t.slice(0.0, part) if part < 1 else t for t, part in parts]
     other = None
     if validation is not None:
         other = load_trajectory(validation, vehicle, mapping=mapping)

@@ -145,11 +145,11 @@ class Transcription:
         x = casadi.MX.sym("x", placed.shape[1])
         p = casadi.MX.sym("p", *settings.shape)
         lam_f, lam_g = casadi.MX.sym("lam_f"), casadi.MX.sym("lam_g", rows.numel() * total)
-        each = casadi.reshape(placed @ x + idle, w.numel(), total)
+        points = casadi.reshape(placed @ x + idle, w.numel(), total)
         # What motors do afterwards is not a change between intervals.
         used = np.ones((settings.numel(), total))
         used[-1] = np.append(np.ones(total - 1), 0) / max(total - 1, 1)
-        each = each, casadi.repmat(p, 1, total) * casadi.DM(used)
+        each = points, casadi.repmat(p, 1, total) * casadi.DM(used)
         costs, constraints = values.map(total)(*each)
         g = casadi.vec(constraints)
         multipliers = casadi.repmat(lam_f, 1, total), casadi.reshape(lam_g, -1, total)
@@ -191,7 +191,7 @@ class Transcription:
         not affect the duration.
         """
         lower, upper = self._bounds(request, final_yaw, guess.durations)
-        clear, free = np.ones(2 * len(request.keep_out)), np.full(2 * len(request.keep_out), np.inf)
+        clear = np.ones(2 * len(request.keep_out))
         steps, spin = np.zeros(self.size), request.limits.spin
         total = self.intervals * self.legs
         with redirect_stderr(StringIO()):  # CasADi warns of Ctrl-C
@@ -200,7 +200,7 @@ class Transcription:
                 lbx=lower,
                 ubx=upper,
                 lbg=np.tile([*steps, *clear, -spin], total),
-                ubg=np.tile([*steps, *free, spin], total),
+                ubg=np.tile([*steps, *(np.inf * clear), spin], total),
                 p=[*request.keep_out.ravel(), request.limits.smoothing, tidiness],
             )
         check_stopped()  # IPOPT ends as if it had found no plan
