@@ -21,7 +21,6 @@ from airpuck.cli.options import read_belief as read_belief
 from airpuck.cli.live import report_flight as report_flight
 from airpuck.cli.output import (
     console as console,
-    is_stdout as is_stdout,
     report as report,
     say as say,
     show_time_left as show_time_left,

@@ -5,13 +5,22 @@ import re
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
 from airpuck.boundary.errors import InputError, escaped
 from airpuck.boundary.numbers import Range
 from airpuck.cli.app import known_commands
-from airpuck.cli.output import origin, report, show_time_left, table
+from airpuck.cli.output import (
+    origin,
+    output_for,
+    report,
+    show_progress,
+    show_time_left,
+    table,
+    warn,
+)
 from airpuck.model.model_file import published_model, read_model
 from airpuck.recording.bag import write_bag
 
@@ -116,7 +125,7 @@ def test_what_commands_a_terminal_is_escaped():
 
 
 def test_tables_lines_and_errors_print_names_as_they_are(capsys):
-    report({}, None, EVIL, table([EVIL, "x"], [[EVIL, "[red]1[/red]"]], title=EVIL))
+    report({}, EVIL, table([EVIL, "x"], [[EVIL, "[red]1[/red]"]], title=EVIL))
     printed = capsys.readouterr().out
     assert "\x1b" not in printed and "\x9b" not in printed and "\u202e" not in printed
     assert printed.replace("\n", "").count(SHOWN) == 4
@@ -255,12 +264,31 @@ def test_the_shell_completes():
 
 
 def test_time_that_is_left_is_said_while_there_is_some(capsys):
-    with show_time_left("flights", quiet=False) as progress:
+    with show_time_left("flights") as progress:
         for done in (0.5, 1.0):
             progress(done, 1.0)
     first, last = capsys.readouterr().err.splitlines()
     assert first.startswith("flights: 50 %, about ")
     assert last == "flights: 100 %"
+
+
+def test_quiet_hides_progress_and_warnings_but_no_results(capsys):
+    def shown(**given):
+        with output_for(given):
+            with show_time_left("flights") as progress, show_progress() as tell:
+                progress(1.0, 1.0)
+                tell("iteration 1")
+            warn(["the radio is slow"])
+            report({"a": 1}, "a is 1")
+        captured = capsys.readouterr()
+        return captured.out, captured.err
+
+    said = "flights: 100 %\niteration 1\nwarning: the radio is slow\n"
+    assert shown() == ("a is 1\n", said)
+    assert shown(quiet=True) == ("a is 1\n", "")
+    assert shown(json_file=Path("-")) == ('{\n  "a": 1\n}\n', said)
+    # A command's options end with it.
+    assert shown() == ("a is 1\n", said)
 
 
 def test_the_shell_finds_the_completion():

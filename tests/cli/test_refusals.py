@@ -92,7 +92,6 @@ def test_lengths_that_differ_are_refused_where_nothing_checks_shapes(archive, tm
         (("identify", "{bag}", "--bootstrap", "3"), ("--bootstrap",)),
         (("identify", "{bag}", "--model", "M4", "--com-frame", "world"), ("no effect on M4",)),
         (("identify", "{bag}", "--seed", "1"), ("--seed: has no effect without --bootstrap",)),
-        (("identify", "{bag}", "-v", "-q"), ("--verbose: has no effect with --quiet",)),
         (("identify", "{bag}", "{bag}", "-o", "m.toml"), ("twice",)),
         (("identify", "{bag}", "-o", "m.toml", "--json", "m.toml"), ("--json", "m.toml")),
         (("identify", "{bag}", "-o", "m.toml", "--json", "/proc/x.json"), ("--json",)),

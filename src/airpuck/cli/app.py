@@ -28,7 +28,7 @@ from typer.main import get_command
 from airpuck.boundary.errors import InputError, escaped, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
-from airpuck.cli.options import check_inputs, refuse_empty
+from airpuck.cli.options import Json, Quiet, check_inputs, refuse_empty
 from airpuck.cli.views import ALL_OPTIONS, OptionView, viewed
 from airpuck.compute.process import keep_compiled_programs, single_threaded_algebra
 
@@ -237,14 +237,19 @@ app = typer.Typer(
 )
 
 
-def command(panel: str, rare: Sequence[str] = ()) -> Callable[..., Any]:
+def command(
+    panel: str, rare: Sequence[str] = (), *, figures: bool = True, progress: bool = False
+) -> Callable[..., Any]:
     """Return a decorator for the function of a command: its place in the help.
 
-    The help shows `rare` options on request only.
+    The help shows `rare` options on request only. A command that reports figures has --json; one
+    that shows progress or warnings has --quiet (`airpuck.cli.output` obeys both).
     """
+    more = {"json_file": Json} if figures else {}
+    more |= {"quiet": Quiet} if progress else {}
 
     def mark(function: Callable[..., Any]) -> Callable[..., Any]:
-        function.shown = panel, rare  # pyright: ignore[reportFunctionMemberAccess]
+        function.shown = panel, rare, more  # pyright: ignore[reportFunctionMemberAccess]
         return function
 
     return mark
@@ -252,9 +257,9 @@ def command(panel: str, rare: Sequence[str] = ()) -> Callable[..., Any]:
 
 def _built(name: str, function: Callable[..., Any]) -> Any:
     """Return the command of a function."""
-    panel, rare = _shown(function)
+    panel, rare, more = _shown(function)
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    alone.command(name, cls=Command, rich_help_panel=panel)(viewed(function, rare))
+    alone.command(name, cls=Command, rich_help_panel=panel)(viewed(function, rare, more))
     return get_command(alone)
 
 
@@ -263,8 +268,8 @@ def _listed(name: str, function: Callable[..., Any]) -> Any:
     return TyperCommand(name, help=inspect.getdoc(function), rich_help_panel=_shown(function)[0])
 
 
-def _shown(function: Callable[..., Any]) -> tuple[str, Sequence[str]]:
-    return getattr(function, "shown", ("Extensions", ()))
+def _shown(function: Callable[..., Any]) -> tuple[str, Sequence[str], dict[str, Any]]:
+    return getattr(function, "shown", ("Extensions", (), {}))
 
 
 @functools.cache

@@ -40,7 +40,6 @@ def replay(
     span: options.Span = None,
     mapping: options.ReadMapping = None,
     output: options.PageFolder = None,
-    json_file: options.Json = None,
 ) -> None:
     """Feed a recorded flight to the controller; compare its commands with the recorded ones."""
     from airpuck.report.tables import agreement_table, controller_tables
@@ -56,7 +55,7 @@ def replay(
     )
     tables = agreement_table(result), *controller_tables(result)
     written = page(output, "control_report.replay_report", result, craft, settings.period_s)
-    report(result.to_json(), json_file, *tables, written)
+    report(result.to_json(), *tables, written)
 
 
 @command(PANEL, rare=("tuning", "twin", "seed"))
@@ -74,7 +73,6 @@ def excite(
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     csv: Annotated[bool, Option("--csv", help="Record CSV files instead of a bag.")] = False,
-    json_file: options.Json = None,
 ) -> None:
     """Fly the excitation experiment on the twin and record it."""
     from airpuck.twin.experiments import fly_excitation
@@ -91,7 +89,7 @@ def excite(
         "paused_s": excited.paused,
         "rail_contacts_s": list(excited.contacts),
     }
-    report(figures, json_file, _excitation_line(excited), output)
+    report(figures, _excitation_line(excited), output)
 
 
 @command(PANEL, rare=("controller", "estimator", "truth", "tuning"))
@@ -125,7 +123,6 @@ def track(
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     output: options.PageFolder = None,
-    json_file: options.Json = None,
 ) -> None:
     """Fly set points on the twin: by default the paper's, compared with the real flights.
 
@@ -177,10 +174,10 @@ def track(
         warn(flight.warnings)
     # The top level holds the last model's keys, too: with one model there is nothing to look up.
     flown = [flight.to_json() for flight in tracked]
-    report({**flown[-1], "flights": flown}, json_file, *tracking_tables(tracked), written)
+    report({**flown[-1], "flights": flown}, *tracking_tables(tracked), written)
 
 
-@command(PANEL)
+@command(PANEL, figures=False)
 def animate(
     recording: Annotated[
         Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSV files.")
@@ -247,7 +244,6 @@ def fleet(
         Path | None,
         options.output("FILE", "Animation of the flight to write, a GIF.", "--animation"),
     ] = None,
-    json_file: options.Json = None,
 ) -> None:
     """Fly several craft on one twin, without collisions.
 
@@ -260,7 +256,7 @@ def fleet(
     written = page(output, "fleet_report.fleet_report", flight, flown)
     if animation is not None:
         write_fleet_gif(flight, flown, animation)
-    report(flight.to_json(), json_file, *sentences(flight), written, animation)
+    report(flight.to_json(), *sentences(flight), written, animation)
 
 
 @command(PANEL)
@@ -282,8 +278,6 @@ def export(
         Path | None, Setting("A plan by `airpuck plan` that the controller tracks.", metavar="FILE")
     ] = None,
     twin: options.TwinFile = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Write a model, or its whole controller, for other tools."""
     from airpuck.planning.plan import read_plan
@@ -305,8 +299,6 @@ def export(
     shown = [table(("", ""), rows, left=("",))] if rows else []
     report(
         written.to_json(),
-        json_file,
         *shown,
         *(output / name for name in written.files),
-        quiet=quiet,
     )

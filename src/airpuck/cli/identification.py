@@ -16,7 +16,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import is_stdout, origin, report, show_progress, show_time_left, table, warn
+from airpuck.cli.output import origin, report, show_progress, show_time_left, table, warn
 from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ ComFrame = Annotated[
 ]
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def preprocess(
     recording: options.RecordingPath,
     output: Annotated[Path, options.output("FILE", "Trajectory file to write, such as traj.npz.")],
@@ -50,17 +50,13 @@ def preprocess(
     delay: Annotated[
         float | None, Setting("Transport delay; by default it is estimated.", numbers.DELAY, "S")
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Turn a recording into a trajectory: states, commands, delay, excluded spans."""
     from airpuck.preprocessing.quality import left_out_json, left_out_words
 
     if output.suffix != ".npz":
         raise InputError("must end in .npz", file=output, field="-o")
-    trajectory = options.load(
-        recording, vehicle, mapping, delay=delay, quiet=quiet or is_stdout(json_file)
-    )
+    trajectory = options.load(recording, vehicle, mapping, delay=delay)
     trajectory.save(output)
     figures = {
         "samples": len(trajectory),
@@ -72,11 +68,9 @@ def preprocess(
     found = f"{1e3 * trajectory.delay:.1f} ms" if trajectory.delay_known else "compensated"
     report(
         figures,
-        json_file,
         f"{len(trajectory)} samples, {trajectory.duration:.1f} s, transport delay {found}",
         left_out_words(trajectory),
         output,
-        quiet=quiet,
     )
 
 
@@ -103,6 +97,7 @@ def _rung_names() -> list[str]:
         "seed",
         "each",
     ),
+    progress=True,
 )
 def identify(
     recordings: Recordings,
@@ -126,9 +121,7 @@ def identify(
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     span: options.Span = None,
-    json_file: options.Json = None,
     verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
     degree: Degree = None,
     com_frame: ComFrame = "body",
     stride: Stride = None,
@@ -166,12 +159,10 @@ def identify(
             f"has no effect on {model}, which learns no centre of mass; leave it out",
             field="--com-frame",
         )
-    if verbose and quiet:
-        raise InputError("has no effect with --quiet; leave out one of them", field="--verbose")
     if seed and bootstrap is None:
         raise InputError("has no effect without --bootstrap; leave it out", field="--seed")
-    training = [options.load(path, vehicle, mapping, span=span, quiet=quiet) for path in recordings]
-    other = None if validation is None else options.load(validation, vehicle, mapping, quiet=quiet)
+    training = [options.load(path, vehicle, mapping, span=span) for path in recordings]
+    other = None if validation is None else options.load(validation, vehicle, mapping)
     # These take a second to import, too long before a recording is refused.
     from airpuck.judgement.study import study
     from airpuck.report.tables import error_tables
@@ -179,7 +170,7 @@ def identify(
     loss = replace(loss, weights=(1.0, 1.0, yaw_weight))
     if stride is not None:
         loss = replace(loss, spacing=stride * training[0].sample_period)
-    with show_progress(quiet) as progress, show_time_left("resamplings", quiet) as tell:
+    with show_progress() as progress, show_time_left("resamplings") as tell:
         found = study(
             training,
             vehicle,
@@ -199,12 +190,12 @@ def identify(
     found.model.save(output)
     if report_folder is not None:
         _write_report(found, report_folder)
-    warn(found.fit.warnings, quiet)
+    warn(found.fit.warnings)
     judged = []
     if found.evaluation is not None and other is not None:
         judged = error_tables([found.model.name], [found.evaluation], other)[:1]
     told = *found.sentences, *judged, *_fit_summary(found.fit, verbose), output
-    report(found.to_json(), json_file, *told, quiet=quiet)
+    report(found.to_json(), *told)
     found.verdict.check_recording(recordings[0])
 
 

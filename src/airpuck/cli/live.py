@@ -15,7 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import is_stdout, page, report, say, show, write_json
+from airpuck.cli.output import is_quiet, json_on_stdout, page, report, say, show
 from airpuck.cli.views import Without
 from airpuck.live.settings import LiveSettings
 
@@ -74,7 +74,6 @@ class Guarded(Settings):
         craft: Model,
         controls: Tuning,
         live: LiveSettings,
-        json_file: Path | None,
     ) -> None:
         """Fly a pilot on the graph, and report."""
         from airpuck.compute.process import low_latency
@@ -86,7 +85,7 @@ class Guarded(Settings):
         pause = longest_pause(craft, controls)
         limits = SafetyLimits(geofence=self.bounds(craft)[0], pose_timeout=pause)
         figures = fly_live(make, craft.vehicle, limits, live, period=controls.period_s)
-        report_flight(figures, json_file, live.quiet)
+        report_flight(figures)
 
 
 @command(_PANEL)
@@ -114,7 +113,6 @@ def twin(
         ),
     ] = None,
     seed: options.Seed = 0,
-    json_file: options.Json = None,
 ) -> None:
     """Put a simulated table on the graph: poses out, commands in, in real time."""
     from airpuck.live.twin import serve_twin
@@ -127,10 +125,8 @@ def twin(
     figures = serve_twin(truth, live, settings, seed=seed, pose=pose, puck=start, human=human)
     report(
         figures,
-        json_file,
         f"{figures['duration_s']:.1f} s: {figures['poses']} poses sent, {figures['commands']} "
         f"commands received, motors stopped {figures['stops']} times for lack of commands",
-        quiet=live.quiet,
     )
 
 
@@ -166,7 +162,6 @@ def fly(
     estimator: options.Estimator = None,
     guarded: Guarded,
     live: LiveSettings,
-    json_file: options.Json = None,
 ) -> None:
     """Fly a craft on the graph, real or a twin, to set points or on a path; Ctrl-C lands it."""
     from airpuck.flight.loop import pilot_named
@@ -197,7 +192,7 @@ def fly(
         where = FollowedSetPoint(fence) if follow else _planned(setpoints, dwell, file, fence)
         ours = partial(airpuck.TrackingController, craft, where, controls, table=rails)
         make = partial(own, craft, where) if own else ours
-    guarded.fly(make, craft, controls, live, json_file)
+    guarded.fly(make, craft, controls, live)
 
 
 def _planned(
@@ -225,7 +220,6 @@ def fly_fleet(
     scenario: Annotated[str, _SCENARIO],
     craft: Annotated[str, Setting("Craft of the scenario to fly.", metavar="NAME", option="--as")],
     live: LiveSettings,
-    json_file: options.Json = None,
 ) -> None:
     """Fly one craft of a fleet on the graph; the others are other processes. Ctrl-C lands it.
 
@@ -235,7 +229,7 @@ def fly_fleet(
     from airpuck.live.fleet import fly_in_fleet
 
     low_latency()
-    report_flight(fly_in_fleet(airpuck.read_fleet(scenario), craft, live), json_file, live.quiet)
+    report_flight(fly_in_fleet(airpuck.read_fleet(scenario), craft, live))
 
 
 @command(_PANEL)
@@ -243,7 +237,6 @@ def twin_fleet(
     scenario: Annotated[str, _SCENARIO],
     live: LiveSettings,
     seed: options.Seed = 0,
-    json_file: options.Json = None,
 ) -> None:
     """Put all craft of a scenario on one simulated table on the graph, in real time."""
     from airpuck.live.twin import serve_fleet
@@ -251,7 +244,7 @@ def twin_fleet(
     figures = serve_fleet(airpuck.read_fleet(scenario), live, seed=seed)
     contacts = len(figures["contacts"])
     words = f"{figures['duration_s']:.1f} s: {contacts} contacts between craft"
-    report(figures, json_file, words, quiet=live.quiet)
+    report(figures, words)
 
 
 @command(_PANEL, rare=("tuning", "domain", "topics", "seed", "vehicle"))
@@ -264,7 +257,6 @@ def fly_excitation(
     ] = None,
     vehicle: options.ReadVehicle = None,
     seed: options.Seed = 0,
-    json_file: options.Json = None,
 ) -> None:
     """Fly the excitation experiment on the graph; it needs no model."""
     from airpuck.control.excitation import Excitation
@@ -282,7 +274,7 @@ def fly_excitation(
     )
     make()  # before joining the graph, rejects signals that the craft cannot produce
     live = replace(live, duration=experiment.duration_s)
-    guarded.fly(make, craft, controls, live, json_file)
+    guarded.fly(make, craft, controls, live)
 
 
 @command(_PANEL)
@@ -290,14 +282,13 @@ def record(
     output: options.NewBag,
     live: LiveSettings,
     vehicle: options.ReadVehicle = None,
-    json_file: options.Json = None,
 ) -> None:
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
     figures = record(output, live, motors=() if vehicle is None else vehicle.columns)
     counts = [f"{count:8d}  {topic}" for topic, count in figures["messages"].items()]
-    report(figures, json_file, *counts, output, quiet=live.quiet)
+    report(figures, *counts, output)
 
 
 @command(_PANEL)
@@ -311,14 +302,13 @@ def preflight(
     rounds: Annotated[
         int, Setting("Number of pulses for each motor.", numbers.PULSE_ROUNDS, "N")
     ] = 2,
-    json_file: options.Json = None,
 ) -> None:
     """Give each motor short pulses; report errors of order, signs, frame, units and delay."""
     from airpuck.flight.pulses import PulsePlan
     from airpuck.live.fly import preflight_live
 
     plan = PulsePlan(level=level, rounds=rounds)
-    _report_checks(preflight_live(options.model_or_nominal(model, vehicle), plan, live), json_file)
+    _report_checks(preflight_live(options.model_or_nominal(model, vehicle), plan, live))
 
 
 @command(_PANEL)
@@ -327,32 +317,31 @@ def preflight_recording(
     model: Annotated[str | None, options.BELIEVED] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
 ) -> None:
     """Evaluate a recorded test of `airpuck preflight`."""
     from airpuck.flight.preflight import judge_recording
 
     craft = options.model_or_nominal(model, vehicle)
     flown = airpuck.read_recording(recording, mapping=mapping)
-    _report_checks(judge_recording(craft, flown), json_file)
+    _report_checks(judge_recording(craft, flown))
 
 
-def _report_checks(found: Preflight, json_file: Path | None) -> None:
+def _report_checks(found: Preflight) -> None:
     """Report the checks of a preflight; raise InputError if one failed."""
     checks = [f"{check.verdict:6s}{check.name:17s}{check.words}" for check in found.checks]
-    report(found.to_json(), json_file, *checks)
+    report(found.to_json(), *checks)
     if not found.ready:
         wrong = [check.name for check in found.checks if check.verdict == "wrong"]
         raise InputError(f"not ready to fly: fix {', '.join(wrong)}, then check again")
 
 
 @command(_PANEL)
-def watch(model: options.ModelName, live: LiveSettings, json_file: options.Json = None) -> None:
+def watch(model: options.ModelName, live: LiveSettings) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    tell = (lambda _: None) if live.quiet or is_stdout(json_file) else show
-    write_json(json_file, watch_live(options.read_belief(model), tell, live))
+    tell = (lambda _: None) if is_quiet() or json_on_stdout() else show
+    report(watch_live(options.read_belief(model), tell, live))
 
 
 @command(_PANEL)
@@ -363,12 +352,11 @@ def view(
     host: Annotated[
         str, Setting("Address to serve on; by default this machine only.", metavar="ADDRESS")
     ] = "127.0.0.1",
-    json_file: options.Json = None,
 ) -> None:
     """Show the table in the browser, live; drag the set point of `airpuck fly --follow`."""
     from airpuck.web.view import view_live
 
-    write_json(json_file, view_live(options.read_belief(model), live, host=host, port=port))
+    report(view_live(options.read_belief(model), live, host=host, port=port))
 
 
 def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
@@ -385,20 +373,16 @@ def _time_optimal(path: Path, craft: Model, fence: tuple[float, float]) -> Plan:
     return found
 
 
-def report_flight(
-    figures: dict[str, Any], json_file: Path | None, quiet: bool, *lines: str
-) -> None:
+def report_flight(figures: dict[str, Any], *lines: str) -> None:
     """Report the results of a flight on the graph below the given lines."""
     outcomes = ", ".join(f"{count} {name}" for name, count in figures["outcomes"].items())
     jitter, latency = figures["period_jitter_ms"], figures["pose_to_command_ms"]
     report(
         figures,
-        json_file,
         *lines,
         f"{figures['duration_s']:.1f} s, periods: {outcomes}",
         f"period jitter p99 {jitter['p99']:.2f} ms, pose to command p50 {latency['p50']:.2f} "
         f"ms, p99 {latency['p99']:.2f} ms, {figures['missed_deadlines']} missed deadlines",
-        quiet=quiet,
     )
 
 
@@ -414,7 +398,6 @@ def commission(
     twin: options.ReadTwin = None,
     table: options.ReadTable = None,
     seed: options.Seed = 0,
-    json_file: options.Json = None,
 ) -> None:
     """Fly a new craft from rest to a trusted model, alone: pulses, hover, excitations, studies.
 
@@ -424,12 +407,11 @@ def commission(
     craft = vehicle or airpuck.default_vehicle()
     if truth is None and twin is not None:
         raise InputError("needs --truth MODEL, which the twin flies", field="--twin")
-    tell = say(live.quiet)
     if truth is None:
         from airpuck.commissioning.on_graph import commission_live
 
         rails = None if table is None else table.table
-        found = commission_live(craft, output, live, table=rails, seed=seed, tell=tell)
+        found = commission_live(craft, output, live, table=rails, seed=seed, tell=say)
     else:
         from airpuck.live.fly import keyboard
 
@@ -441,10 +423,10 @@ def commission(
         check_same_craft(craft, true.vehicle)
         link = airpuck.Twin(true, twin, seed=seed)
         with keyboard() as pressed:
-            given = {"tell": tell, "stopped": lambda: bool(pressed and pressed())}
+            given = {"tell": say, "stopped": lambda: bool(pressed and pressed())}
             rails = link.settings.table
             found = airpuck.commission(link, craft, output, table=rails, seed=seed, **given)
     written = page(output, "commissioning_report.commissioning_report", found)
-    report(found.to_json(), json_file, *found.sentences, written, quiet=live.quiet)
+    report(found.to_json(), *found.sentences, written)
     if not found.trusted:
         raise InputError(f"not trusted: {found.findings[0].sentence.removesuffix('.')}")

@@ -231,11 +231,10 @@ def load(
     *,
     span: tuple[float, float] | None = None,
     delay: float | None = None,
-    quiet: bool = True,
 ) -> Trajectory:
     """Load and preprocess a recording, or the part named by --span, and print warnings."""
     trajectory = airpuck.load_trajectory(recording, vehicle, mapping=mapping, delay=delay)
-    warn(trajectory.warnings, quiet)
+    warn(trajectory.warnings)
     return trajectory if span is None else trajectory.slice(*span)
 
 

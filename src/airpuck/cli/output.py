@@ -8,10 +8,9 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
 
 #: Latest date that `datetime` supports, the end of 9999 [s].
 _LATEST = 253402300799
+#: The options of the running command.
+_asked: dict[str, Any] = {}
 
 
 def origin() -> Origin:
@@ -65,9 +66,25 @@ def _reported(name: str) -> Any:
     return getattr(import_module(f"airpuck.report.{module}"), function)
 
 
-def say(quiet: bool) -> Any:
-    """Return a function that prints progress messages."""
-    return (lambda _: None) if quiet else partial(show, error=True)
+@contextmanager
+def output_for(given: Mapping[str, Any]) -> Iterator[None]:
+    """Let all output, of every thread, obey the options --json and --quiet of a command."""
+    _asked.update(given)
+    try:
+        yield
+    finally:
+        _asked.clear()
+
+
+def is_quiet() -> bool:
+    """Return whether the running command shows neither progress nor warnings."""
+    return bool(_asked.get("quiet"))
+
+
+def say(message: str) -> None:
+    """Print a progress message, unless --quiet is given."""
+    if not is_quiet():
+        show(message, error=True)
 
 
 def show(text: str | Path, *, error: bool = False) -> None:
@@ -75,11 +92,10 @@ def show(text: str | Path, *, error: bool = False) -> None:
     print(escaped(str(text)), file=sys.stderr if error else sys.stdout, flush=True)
 
 
-def warn(warnings: Any, quiet: bool = False) -> None:
-    """Print warnings on standard error."""
-    if not quiet:
-        for warning in warnings:
-            show(f"warning: {warning}", error=True)
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings on standard error, unless --quiet is given."""
+    for warning in warnings:
+        say(f"warning: {warning}")
 
 
 def console(error: bool = False) -> Console:
@@ -93,15 +109,15 @@ def console(error: bool = False) -> Console:
     return Console(file=file, width=None if file.isatty() else 160, markup=False, emoji=False)
 
 
-def report(figures: Any, json_file: Path | None, *shown: Any, quiet: bool = False) -> None:
+def report(figures: Any, *shown: Any) -> None:
     """Write figures to the --json file, and print the rest unless it would interfere.
 
     Items to print are lines, paths and tables; None is skipped.
     """
     from airpuck.report.tables import PageTable
 
-    write_json(json_file, figures)
-    if quiet or is_stdout(json_file):
+    write_json(_asked.get("json_file"), figures)
+    if json_on_stdout():
         return
     for part in shown:
         if isinstance(part, (str, Path)):
@@ -137,6 +153,11 @@ def is_stdout(json_file: Path | None) -> bool:
     return json_file is not None and str(json_file) == "-"
 
 
+def json_on_stdout() -> bool:
+    """Return whether the running command prints JSON, and nothing else, on standard output."""
+    return is_stdout(_asked.get("json_file"))
+
+
 def write_json(json_file: Path | None, figures: Any) -> None:
     """Write figures to the --json file; null stands for a number that is not finite."""
     if json_file is None:
@@ -152,20 +173,20 @@ def write_json(json_file: Path | None, figures: Any) -> None:
 
 
 @contextmanager
-def show_time_left(what: str, quiet: bool) -> Iterator[Callable[..., None]]:
+def show_time_left(what: str) -> Iterator[Callable[..., None]]:
     """Show how long some work will take: on a terminal as a bar, else in words."""
     began, said = time.monotonic(), 0
 
     def in_words(done: float, total: float, failed: int = 0) -> None:
         nonlocal said
         tenths = int(10 * done / total)
-        if tenths > said and not quiet:
+        if tenths > said:
             said, left = tenths, (time.monotonic() - began) * (total / done - 1)
             rest = f", {failed} failed" if failed else ""
             rest += f", about {left:.0f} s left" if done < total else ""
-            print(f"{what}: {10 * tenths} %{rest}", file=sys.stderr, flush=True)
+            say(f"{what}: {10 * tenths} %{rest}")
 
-    if quiet or not sys.stderr.isatty():
+    if is_quiet() or not sys.stderr.isatty():
         yield in_words
         return
     from rich.console import Console
@@ -179,14 +200,12 @@ def show_time_left(what: str, quiet: bool) -> Iterator[Callable[..., None]]:
 
 
 @contextmanager
-def show_progress(quiet: bool) -> Iterator[Any]:
+def show_progress() -> Iterator[Any]:
     """Show an optimiser's iterations: one live line on a terminal, plain lines elsewhere."""
-    if quiet:
-        yield lambda _: None
-    elif sys.stderr.isatty():
+    if sys.stderr.isatty() and not is_quiet():
         from rich.console import Console
 
         with Console(stderr=True).status("compiling …") as status:
             yield lambda iteration: status.update(str(iteration))
     else:
-        yield lambda iteration: print(iteration, file=sys.stderr)
+        yield lambda iteration: say(str(iteration))

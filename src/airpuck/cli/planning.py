@@ -91,7 +91,6 @@ def plan(
         Path | None,
         options.output("FILE", "Figure of path and thrusts to write, a PNG.", "--figure"),
     ] = None,
-    json_file: options.Json = None,
 ) -> None:
     """Plan the fastest flight from one state to another, with a lower bound on its time."""
     from airpuck.craft.table import Table as Rails
@@ -110,10 +109,10 @@ def plan(
     if output is not None:
         found.save(output)
     drawn = draw(figure, "plot.plan_figure", found, rails)
-    report(found.to_json(), json_file, _starts_table(found), _sentence(found), output, drawn)
+    report(found.to_json(), _starts_table(found), _sentence(found), output, drawn)
 
 
-@command(_PANEL)
+@command(_PANEL, progress=True)
 def race(
     model: options.RacingModel = "paper:M3",
     course: Annotated[
@@ -142,8 +141,6 @@ def race(
             "FILE", "Animation of the first flight to write, as GIF or HTML.", "--animation"
         ),
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Fly a plan on the twin; without points and discs, also fly to its goal as a set point."""
     from airpuck.planning.plan import is_plan, read_plan
@@ -160,7 +157,7 @@ def race(
         planned = read_plan(course, belief)
     else:
         raise InputError(unknown(course, [*racing.COURSES, "PLAN.toml"]), field="COURSE")
-    with show_time_left("flights", quiet) as progress:
+    with show_time_left("flights") as progress:
         found = racing.race(
             planned,
             airpuck.read_model(truth),
@@ -172,7 +169,7 @@ def race(
     draw(figure, "plot.race_figure", found, settings.table)
     if animation is not None:
         airpuck.animate(found.recording, animation, vehicle=belief.vehicle)
-    report(found.to_json(), json_file, _race_table(found), figure, animation)
+    report(found.to_json(), _race_table(found), figure, animation)
 
 
 def _race_table(found: Race) -> Table:
@@ -244,7 +241,7 @@ def _starts_table(found: Plan) -> Table:
 _SHOWN = 8
 
 
-@command(_PANEL, rare=("criterion", "mapping", "tuning", "seed"))
+@command(_PANEL, rare=("criterion", "mapping", "tuning", "seed"), progress=True)
 def design(
     model: options.ModelName = "paper:M3",
     after: Annotated[
@@ -264,14 +261,12 @@ def design(
     tuning: options.TuningFile = None,
     mapping: options.ReadMapping = None,
     seed: options.Seed = 0,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Propose the excitation that best reduces the largest parameter errors."""
     craft = airpuck.read_model(model)
     if after:
-        craft = _fitted(craft, after, mapping, quiet)
-    with show_time_left("trial flights", quiet) as progress:
+        craft = _fitted(craft, after, mapping)
+    with show_time_left("trial flights") as progress:
         found = airpuck.design(
             craft,
             duration=duration,
@@ -286,16 +281,14 @@ def design(
         found.proposal.plan.save(output)
     draw(figure, "fit_figures.design_figure", found)
     tables = _candidate_table(found), error_table(found)
-    report(found.to_json(), json_file, *tables, *summary(found), output, figure)
+    report(found.to_json(), *tables, *summary(found), output, figure)
 
 
-def _fitted(
-    craft: Model, recordings: list[Path], mapping: RecordingMapping | None, quiet: bool
-) -> Model:
+def _fitted(craft: Model, recordings: list[Path], mapping: RecordingMapping | None) -> Model:
     """Fit a model's rung to recordings, starting from it."""
     from airpuck.experiment_design.forecast import loss_of
 
-    trajectories = [options.load(path, craft.vehicle, mapping, quiet=quiet) for path in recordings]
+    trajectories = [options.load(path, craft.vehicle, mapping) for path in recordings]
     fit = airpuck.identify(
         trajectories,
         craft.rung,
@@ -303,7 +296,7 @@ def _fitted(
         initial=craft.parameters,
         loss=loss_of(craft),
     )
-    warn(fit.warnings, quiet)
+    warn(fit.warnings)
     return fit.model
 
 

@@ -27,21 +27,19 @@ if TYPE_CHECKING:
 _SHOWN = 10
 
 
-@command("Many at once")
+@command("Many at once", progress=True)
 def campaign(
     spec: Annotated[Path, Argument(metavar="SPEC", help="The spec file, such as spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
     workers: options.Workers = None,
     retry: Annotated[bool, Option("--retry", help="Run failed items again.")] = False,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Run many independent flights or fits; skip whatever is already done."""
-    with show_time_left("items", quiet) as progress:
+    with show_time_left("items") as progress:
         found = airpuck.campaign(spec, output, workers=workers, retry=retry, progress=progress)
     figures = found.to_json()
     write_json(output / "summary.json", figures)
-    report(figures, json_file, *_summary(found), output / "results.csv")
+    report(figures, *_summary(found), output / "results.csv")
     if len(found.failures) == len(found.entries):
         raise InputError(f"every item failed; the first: {found.failures[0][1]}", file=spec)
 
@@ -74,7 +72,7 @@ _LEFT = ("name", "licence", "content")
 Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 
-@command(PANEL)
+@command(PANEL, figures=False, progress=True)
 def fetch(
     name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = "holohover",
     everything: Annotated[
@@ -85,7 +83,6 @@ def fetch(
         Path | None,
         options.output("DIR", "Folder to download to; by default the user's cache folder."),
     ] = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Download and verify a public dataset, by default the paper's (or verify $AIRPUCK_DATA)."""
     from airpuck.recording.dataset import dataset, dataset_names
@@ -95,37 +92,35 @@ def fetch(
         rows = [(n, f"{d.size_MB:g} MB", d.licence, d.title) for n, d in found.items()]
         console().print(table(("name", "size", "licence", "content"), rows, left=_LEFT))
         return
-    chosen, tell = dataset(name), say(quiet)
+    chosen = dataset(name)
     for line in (chosen.title, f"by {chosen.authors}; licence: {chosen.licence}", chosen.url):
-        tell(line)
+        say(line)
     fetched = airpuck.fetch(
         name,
         all=everything,
         folder=output,
-        progress=lambda done, of, file: tell(f"{done + 1}/{of} {file}") if file else None,
+        progress=lambda done, of, file: say(f"{done + 1}/{of} {file}") if file else None,
     )
     for line in chosen.next:
-        tell("next: " + line.replace("FOLDER", shlex.quote(str(fetched))))
+        say("next: " + line.replace("FOLDER", shlex.quote(str(fetched))))
     show(fetched)
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def reproduce(
     data: Annotated[
         Path | None, Option(metavar="DIR", help="Folder of the public dataset.")
     ] = None,
     output: Out = Path("out"),
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Reproduce the paper's tables and figures, published against ours."""
-    result = airpuck.reproduce(data, output, progress=say(quiet), origin=origin())
-    report(result.to_json(), json_file, output / "index.html")
+    result = airpuck.reproduce(data, output, progress=say, origin=origin())
+    report(result.to_json(), output / "index.html")
 
 
-@command(PANEL)
-def demo(output: Out = Path("demo"), quiet: options.Quiet = False) -> None:
+@command(PANEL, figures=False, progress=True)
+def demo(output: Out = Path("demo")) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.reproduce import demo
 
-    show(demo(output, progress=say(quiet), origin=origin()))
+    show(demo(output, progress=say, origin=origin()))

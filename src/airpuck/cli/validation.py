@@ -33,7 +33,7 @@ _MOST_SPANS = 30
 _MODEL_FILES = (".toml", ".json")
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def evaluate(
     model: options.ModelName,
     recording: options.RecordingPath,
@@ -47,8 +47,6 @@ def evaluate(
     ] = False,
     law: options.JudgedLaw = None,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Measure how well a model predicts a recording."""
     from airpuck.evaluation.comparison import better_from, coasting
@@ -58,7 +56,7 @@ def evaluate(
     from airpuck.report.tables import budget_table, error_tables
 
     judged = airpuck.read_model(model)
-    trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+    trajectory = options.load(recording, judged.vehicle, mapping, span=span)
     chosen = PROTOCOLS[protocol].after(horizon).suited(judged, trajectory)
     found = airpuck.evaluate(judged, trajectory, protocol=chosen, encoder=encoder)
     said = judged_on(judged, trajectory, found, mapping, [law] if law else [])
@@ -83,9 +81,7 @@ def evaluate(
         "verdict": said.to_json(),
         **left_out_json(trajectory),
     }
-    report(
-        figures, json_file, *said.sentences, *shown, str(since), left_out_words(trajectory), written
-    )
+    report(figures, *said.sentences, *shown, str(since), left_out_words(trajectory), written)
     said.check_recording(recording)
 
 
@@ -94,7 +90,6 @@ def check(
     recording: options.RecordingPath,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
 ) -> None:
     """Check that motor order and signs of a vehicle file agree with a recording."""
     from airpuck.data.trajectory import vehicle_of
@@ -102,17 +97,17 @@ def check(
 
     names = mapping or RecordingMapping()
     trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names)
-    warn(trajectory.warnings, quiet=False)
+    warn(trajectory.warnings)
     craft = vehicle or vehicle_of([trajectory])
     result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
-    report(result.to_json(), json_file, *result.lines)
+    report(result.to_json(), *result.lines)
     if not result.agrees:
         said = f"does not agree with the vehicle {craft.name!r}: {', '.join(result.wrong)}"
         problem = said if result.conclusive else "tells too little to judge the vehicle file"
         raise InputError(problem, file=recording)
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def faults(
     recording: options.RecordingPath,
     model: Annotated[
@@ -126,8 +121,6 @@ def faults(
     span: options.Span = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Find when motors, radio or cameras failed, or something hit the craft."""
     from airpuck.data.trajectory import vehicle_of
@@ -137,11 +130,11 @@ def faults(
 
     healthy = options.read_given(model, vehicle, airpuck.read_model)
     craft = healthy.vehicle if healthy else vehicle
-    trajectory = options.load(recording, craft, mapping, span=span, quiet=quiet)
+    trajectory = options.load(recording, craft, mapping, span=span)
     if healthy is None:
         craft = craft or vehicle_of([trajectory])
         fit = airpuck.identify(trajectory, usual_rung(trajectory, craft), vehicle=craft)
-        warn(fit.exclusion.warnings if fit.exclusion else (), quiet)
+        warn(fit.exclusion.warnings if fit.exclusion else ())
         healthy = fit.model
     found = airpuck.find_faults(trajectory, on_table_of(healthy, trajectory))
     strengths = find_strengths(healthy, trajectory)
@@ -163,21 +156,21 @@ def faults(
     what = "temporary faults" if strengths.remarkable else "any fault"
     share = f"{100 * usable:.1f} % of {trajectory.duration:.1f} s without {what}"
     left, throughout = left_out_words(healthy_part), strengths.sentences
-    report(figures, json_file, shown, folded, left, share, *throughout, written)
+    report(figures, shown, folded, left, share, *throughout, written)
 
 
 @command(PANEL)
-def present(model: options.ModelName, json_file: options.Json = None) -> None:
+def present(model: options.ModelName) -> None:
     """Present a model: structure, parameters with errors, derived quantities, fit details."""
     from airpuck.judgement.verdict import verdict
 
     read = airpuck.read_model(model)
     presentation, said = airpuck.present(read), verdict(read)
     figures = {**presentation.to_json(), "verdict": said.to_json()}
-    report(figures, json_file, *said.sentences, *_presented(presentation))
+    report(figures, *said.sentences, *_presented(presentation))
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def compare(
     models: Annotated[
         list[str],
@@ -192,8 +185,6 @@ def compare(
     horizon: options.Horizon = 0.2,
     encoder: options.EncoderName = "paper",
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Compare models on one recording; report the drift between two learned models."""
     from airpuck.evaluation.comparison import model_differences
@@ -216,9 +207,7 @@ def compare(
         figures["drift"] = drift.to_json()
         shown += _drift_lines(called, drift)
     if not alone:
-        trajectory = options.load(
-            Path(models[-1]), read[0].vehicle, mapping, span=span, quiet=quiet
-        )
+        trajectory = options.load(Path(models[-1]), read[0].vehicle, mapping, span=span)
         evaluations = airpuck.compare(read, trajectory, protocol=chosen, encoder=encoder)
         fits = [measure_fit(model, trajectory, horizon=horizon) for model in read]
         faults = reference_faults(trajectory, read[0].vehicle)
@@ -244,7 +233,7 @@ def compare(
         said = {"names": called, "differences": verdicts, "fits": fits, "faults": faults}
         content = read, evaluations, trajectory
         shown.append(page(output, "evaluation_report.evaluation_report", *content, **said))
-    report(figures, json_file, *shown)
+    report(figures, *shown)
 
 
 def _drift_of(models: Sequence[Model], alone: bool) -> Drift | None:
@@ -265,7 +254,7 @@ def _short_names(names: Sequence[str]) -> list[str]:
     return called if len(set(called)) == len(called) else list(names)
 
 
-@command(PANEL)
+@command(PANEL, progress=True)
 def resid(
     model: options.ModelName,
     recording: options.RecordingPath,
@@ -273,8 +262,6 @@ def resid(
     output: options.PageFolder = None,
     lags: Annotated[int, Setting("Largest lag, in samples.", numbers.LAGS, "N")] = 25,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Test the one-step innovations of a model: whiteness, and remaining effects of commands."""
     from airpuck.evaluation.fit_measures import measure_fit
@@ -283,7 +270,7 @@ def resid(
     from airpuck.report.tables import band_table, fit_table
 
     judged = airpuck.read_model(model)
-    trajectory = options.load(recording, judged.vehicle, mapping, span=span, quiet=quiet)
+    trajectory = options.load(recording, judged.vehicle, mapping, span=span)
     with about(recording):
         tests = airpuck.resid(judged, trajectory, lags=lags)
         fit = measure_fit(judged, trajectory, filtered=tests.innovations)
@@ -296,7 +283,7 @@ def resid(
     lines = [f"{model}: {outcome}, {tests.samples} one-step innovations, 1 % level"]
     lines += [left_out_words(trajectory), *(f"  {sentence}" for sentence in tests.verdicts)]
     tables = band_table(bands), fit_table([model], [fit])
-    report({**figures, "name": model}, json_file, *lines, *tables, written)
+    report({**figures, "name": model}, *lines, *tables, written)
 
 
 def listed_spans(spans: Sequence[Span], most: int) -> list[Span]:
@@ -337,8 +324,6 @@ def vehicle(
     output: Annotated[
         Path | None, options.output("FILE", "Drawing to write: craft.svg, .png or .pdf.")
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Show a vehicle file: its propellers, and the motions they can produce."""
     from airpuck.boundary.outputs import replacing
@@ -356,12 +341,10 @@ def vehicle(
             temporary.write_bytes(draw_craft(model.vehicle, output.suffix))
     report(
         {**model.vehicle.model_dump(mode="json"), "motions": found.to_json()},
-        json_file,
         _propeller_table(model),
         _motion_table(found),
         *found.sentences,
         output,
-        quiet=quiet,
     )
 
 

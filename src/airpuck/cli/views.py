@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, dataclass, is_dataclass, replace
 from inspect import Parameter
@@ -17,6 +17,7 @@ from typer import Exit, Option
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Declared, Setting, Settings, declared, setting_of, undressed
+from airpuck.cli.output import output_for
 
 
 @dataclass(frozen=True)
@@ -37,20 +38,22 @@ class Without:
     fields: tuple[str, ...]
 
 
-def viewed(command: Callable[..., Any], rare: Sequence[str] = ()) -> Callable[..., Any]:
+def viewed(
+    command: Callable[..., Any], rare: Sequence[str] = (), more: Mapping[str, Any] | None = None
+) -> Callable[..., Any]:
     """Return a command in the form that Typer expects.
 
     A parameter whose type is a settings class becomes an option for each of its fields, under the
     heading of the class. A parameter whose type carries a `Setting` becomes that option. The result
     has the `declared` options by name, for its `airpuck.cli.app.Command`; `rare` names those that
-    the help shows on request only.
+    the help shows on request only. What it prints obeys `more` options, which it does not take.
     """
     signature = inspect.signature(command, eval_str=True)
     views = [_View.of(parameter) for parameter in signature.parameters.values()]
 
     @functools.wraps(command)
     def run(settings_file: Path | None = None, help_all: bool = False, **given: Any) -> Any:
-        with _as_typed(options):
+        with _as_typed(options), output_for(given):
             return command(**{view.name: view.value(given) for view in views})
 
     parameters = [parameter for view in views for parameter in view.parameters]
@@ -59,6 +62,7 @@ def viewed(command: Callable[..., Any], rare: Sequence[str] = ()) -> Callable[..
         for view in views
         for name, one in view.options.items()
     }
+    parameters += [_option(name, kind, None) for name, kind in (more or {}).items()]
     if rare:
         assert options.keys() >= set(rare), f"{command.__name__}: no such rare options"
         parameters += [_option("settings_file", _SETTINGS_FILE, None)]

@@ -124,7 +124,7 @@ def test_from_the_command_line(tmp_path):
     assert "human:hard" in shown.stdout
     assert "times real time" in shown.stdout
     watched = airpuck("watch-match", *who, "--limit", "1", cwd=tmp_path)
-    assert "over" in watched.stdout
+    assert "over" in watched.stderr
     assert "times real time" not in watched.stdout  # it is shown in real time
     refused(airpuck("match", "--left", "robot", cwd=tmp_path), "robot", "unknown player")
     hands = "--left", "human", "--right", "wall", "--model", "paper:M2"

@@ -11,7 +11,7 @@ import airpuck
 from airpuck.extend import command, options, report, table, warn
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def identify_puck(
     recordings: Annotated[
         list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one puck.")
@@ -20,19 +20,17 @@ def identify_puck(
     output: Annotated[Path | None, options.output("FILE", "Table file to write.")] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Identify drag and bounces of a puck from recordings."""
     from airpuck_hockey.puck import identification
 
     seen = [airpuck.read_recording(path, mapping=mapping, needs=("puck",)) for path in recordings]
     for recording in seen:
-        warn(recording.warnings, quiet)
+        warn(recording.warnings)
     fit = identification.identify_puck(seen, play, vehicle)
     if output is not None:
         fit.play.save(output)
-    warn(fit.notes, quiet)
+    warn(fit.notes)
     puck = fit.play.puck
     rows = [
         [name, f"{identification.value_of(puck, name):.4g}", f"{error:.2g}"]
@@ -48,10 +46,8 @@ def identify_puck(
     found = table(("puck", "value", "standard error"), rows, title="identified on this table")
     report(
         fit.to_json(),
-        json_file,
         found,
         summary,
         along,
         output or "add -o table.toml to keep it",
-        quiet=quiet,
     )

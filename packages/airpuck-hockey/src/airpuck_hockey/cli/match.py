@@ -24,7 +24,6 @@ from airpuck.extend import (
     about,
     command,
     console,
-    is_stdout,
     numbers,
     options,
     read_belief,
@@ -43,7 +42,7 @@ if TYPE_CHECKING:
     from airpuck_hockey.matches.match import LeagueResult, MatchResult
 
 
-def read_player(name: str, quiet: bool) -> airpuck.Model:
+def read_player(name: str) -> airpuck.Model:
     """Read a model for a player; first plan its shortest times if they are unknown."""
     from airpuck.extend import minimal_times_of
     from airpuck_hockey.player.player import check_player
@@ -56,12 +55,12 @@ def read_player(name: str, quiet: bool) -> airpuck.Model:
         @cache
         def progress() -> Callable[[float, float], None]:  # shown only if there is any work
             words = "planning this craft's shortest times, once"
-            return stack.enter_context(show_time_left(words, quiet))
+            return stack.enter_context(show_time_left(words))
 
         with about(name):
             times = minimal_times_of(model, lambda done, of: progress()(done, of))
     if times.margin > 0:
-        say(quiet)(
+        say(
             f"{name}: this craft's shortest times are uncertain by {times.error['p95']:.2f} s; its "
             f"player allows {times.margin:.2f} s more for each move and tries fewer shots"
         )
@@ -96,18 +95,18 @@ class Pairing(Settings):
     twin: options.ReadTwin = None
 
 
-def read_craft(model: str, players: Sequence[str], quiet: bool) -> Model:
+def read_craft(model: str, players: Sequence[str]) -> Model:
     """Read the model of the craft; hands need none, so they take the default alone."""
     from airpuck_hockey.game.contestant import contestant
 
     if any(contestant(name).player for name in players):
-        return read_player(model, quiet)
+        return read_player(model)
     if model != Pairing.model:
         raise InputError("has no effect: all players are hands; leave it out", field="--model")
     return read_belief(model)
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def match(
     pairing: Pairing,
     rules: GameRules,
@@ -119,12 +118,10 @@ def match(
             "DIR", "Folder for the games, as bags; existing games are not played again."
         ),
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Let two players play air hockey against each other."""
-    read_craft(pairing.model, (pairing.left, pairing.right), quiet)
-    with show_time_left("games", quiet) as progress:
+    read_craft(pairing.model, (pairing.left, pairing.right))
+    with show_time_left("games") as progress:
         found = airpuck_hockey.match(
             pairing.left,
             pairing.right,
@@ -137,10 +134,10 @@ def match(
             workers=workers,
             progress=progress,
         )
-    report(found.to_json(), json_file, *_lines(found, output))
+    report(found.to_json(), *_lines(found, output))
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def watch_match(
     pairing: Pairing,
     rules: GameRules,
@@ -150,8 +147,6 @@ def watch_match(
             "Show the game in the browser, on a page at this port.", numbers.PORT, "N", "--page"
         ),
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Show one game of two players in real time, in the terminal or the browser."""
     from airpuck.extend import low_latency
@@ -161,20 +156,20 @@ def watch_match(
 
     names = pairing.left, pairing.right
     players = [contestant(name) for name in names]
-    craft = read_craft(pairing.model, names, quiet)
+    craft = read_craft(pairing.model, names)
     low_latency()
     game = Game(*players, settings=pairing.twin, rules=rules, model=craft, seed=pairing.seed)
     began = time.monotonic()
     if port is None:
-        _watch(game, is_stdout(json_file), quiet)
+        _watch(game)
     else:
         from airpuck_hockey.web.page import watch_in_browser
         from airpuck_hockey.web.settings import ArenaSettings
 
-        watch_in_browser(game, craft, ArenaSettings(port), say(quiet))
+        watch_in_browser(game, craft, ArenaSettings(port), say)
     wall = time.monotonic() - began
     found = MatchResult(*names, (pairing.seed,), (game.figures(),), wall)
-    report(found.to_json(), json_file, *_summary(found))
+    report(found.to_json(), *_summary(found))
 
 
 def _lines(found: MatchResult, output: Path | None) -> Iterator[str | Table | Path]:
@@ -216,18 +211,18 @@ def _summary(found: MatchResult) -> Iterator[str | Table]:
     )
 
 
-def _watch(game: Game, error: bool, quiet: bool) -> None:
+def _watch(game: Game) -> None:
     """Show a game in the terminal, in real time, or as fast as it can be computed."""
     from rich.live import Live
 
     began, drawn = time.monotonic(), 0.0
-    with Live(console=console(error), auto_refresh=False, transient=True) as live:
+    with Live(console=console(error=True), auto_refresh=False, transient=True) as live:
         while game.phase != "over":
             for event in game.step():
-                if event.kind in _TOLD and not quiet:
+                if event.kind in _TOLD:
                     side = {-1: "left", 0: "nobody", 1: "right"}[event.side]
                     left, right = game.score
-                    live.console.print(
+                    say(
                         f"{event.time:6.1f} s  {event.kind.replace('_', ' '):8s} {side:6s}  "
                         f"{left} : {right}"
                     )
@@ -270,7 +265,7 @@ def _picture(game: Game) -> str:
     return "\n".join([names.center(columns + 2), edge, *lines, edge])
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def league(
     rules: GameRules,
     players: Annotated[
@@ -292,8 +287,6 @@ def league(
     output: Annotated[
         Path | None, options.output("DIR", "Folder for results; games in it are not played again.")
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Let every player play every other.
 
@@ -302,10 +295,10 @@ def league(
     from airpuck_hockey.matches.match import PLAYERS
 
     if players:
-        read_craft(model, players, quiet)
+        read_craft(model, players)
     else:
-        read_player(model, quiet)
-    with show_time_left("games", quiet) as progress:
+        read_player(model)
+    with show_time_left("games") as progress:
         found = airpuck_hockey.league(
             players or PLAYERS,
             games,
@@ -318,7 +311,7 @@ def league(
             only=only,
             progress=progress,
         )
-    report(found.to_json(), json_file, _standings(found))
+    report(found.to_json(), _standings(found))
 
 
 def _standings(found: LeagueResult) -> Table:

@@ -45,7 +45,7 @@ class PlayingCraft(Settings):
     ] = None
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def play(
     craft: PlayingCraft,
     arena: ArenaSettings,
@@ -53,29 +53,25 @@ def play(
         Path | None,
         options.output("DIR", "Record every game as a bag, and say so on the page.", "--record"),
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Play air hockey against the craft, in the browser; Ctrl-C ends the game."""
     from airpuck_hockey.web.page import play_in_browser
 
     figures = play_in_browser(
-        read_player(craft.model, quiet),
+        read_player(craft.model),
         arena,
         level=craft.level,
         tactic=craft.tactic,
         settings=craft.twin,
         seed=craft.seed,
         record=record,
-        tell=say(quiet),
+        tell=say,
     )
     left, right = figures["score"]
     report(
         figures,
-        json_file,
         f"airpuck {left} : {right} you; physics behind real time at most "
         f"{figures['behind_real_time_ms']['max']:.1f} ms",
-        quiet=quiet,
     )
     if figures["page_server_ended"]:
         print("airpuck: the page server has ended, and the game with it", file=sys.stderr)
@@ -92,7 +88,6 @@ def play_live(
     browser: Annotated[
         bool, Setting("Whether to open the page in a browser.", option="--browser/--no-browser")
     ] = True,
-    json_file: options.Json = None,
 ) -> None:
     """Play on a ROS 2 graph: fly the craft, on the left half, against the mallet on the table."""
     from airpuck import AirHockey
@@ -106,7 +101,7 @@ def play_live(
 
     if not (port or browser):
         raise InputError("has no effect with --port 0; leave it out", field="--no-browser")
-    model = read_player(craft.model, live.quiet)
+    model = read_player(craft.model)
     table = craft.twin or AirHockey()
     make = AllRounder if craft.tactic is None else tactic_maker(craft.tactic)
     score = Score(table)
@@ -122,7 +117,7 @@ def play_live(
                 )
             )
             spectators.append(LivePage(pages, score, craft.level))
-            invite(pages, page.browser, say(live.quiet))
+            invite(pages, page.browser, say)
         low_latency()
         figures = fly_live(
             lambda: Player(model, table, make(), level=LEVELS[craft.level], seed=craft.seed),
@@ -134,31 +129,27 @@ def play_live(
         )
     left, right = figures["score"]
     said = f"{NAMES[0]} {left} : {right} {NAMES[1]}"
-    report_flight(figures, json_file, live.quiet, said)
+    report_flight(figures, said)
 
 
-@command("Air hockey")
+@command("Air hockey", progress=True)
 def skills(
     craft: Annotated[PlayingCraft, Without(("level",))],
     episodes: Annotated[int, Setting("Number of episodes per skill.", numbers.EPISODES, "N")] = 100,
     only: Annotated[
         Literal["defend", "hit", "prepare"] | None, Setting("One skill; by default all.")
     ] = None,
-    json_file: options.Json = None,
-    quiet: options.Quiet = False,
 ) -> None:
     """Measure how well the craft defends, hits and prepares, on the twin."""
     from airpuck_hockey.game.skills import SKILLS
     from airpuck_hockey.game.skills import skills as measured
 
-    tell = say(quiet)
-
     def progress(name: str, done: int, successes: int) -> None:
         if done % 20 == 0 or done == episodes:
-            tell(f"{name}: {successes} of {done}")
+            say(f"{name}: {successes} of {done}")
 
     found = measured(
-        read_player(craft.model, quiet),
+        read_player(craft.model),
         settings=craft.twin,
         episodes=episodes,
         seed=craft.seed,
@@ -172,4 +163,4 @@ def skills(
         low, high = skill.interval_95
         share = skill.successes / skill.episodes
         lines.append(f"{name:8}{share:6.1%} of {skill.episodes} ({low:.1%} to {high:.1%})")
-    report(figures, json_file, *lines)
+    report(figures, *lines)
