@@ -28,7 +28,7 @@ from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import ESTIMATORS, default_tuning
 from airpuck.flight.track import Track
 from airpuck.model.model_file import Model, published_model
-from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import pose_difference
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, Stall, TwinSettings, Weakness, default_twin_settings

@@ -54,7 +54,7 @@ ORDER = (
     "cli",
 )
 #: The same of airpuck_hockey, and its modules.
-HOCKEY_ORDER = ("puck", "player", "game", "live", "matches", "export", "web", "cli")
+HOCKEY_ORDER = ("puck", "player", "game", "matches", "export", "web", "cli")
 MODULES = sorted(ROOT.rglob("*.py"))
 HOCKEY_ROOT = HOCKEY / "src" / "airpuck_hockey"
 HOCKEY_MODULES = sorted(HOCKEY_ROOT.rglob("*.py"))
@@ -62,7 +62,7 @@ HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 EXAMPLES = TESTS.parent / "examples"
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 44_416
+MOST_LINES = 44_406
 MOST_HOCKEY_LINES = 4_870
 #: Names in `airpuck.extend`.
 MOST_EXTEND = 131

@@ -19,8 +19,7 @@ from airpuck.control.lqr import cost_to_go, point_mass
 from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import preview
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
-from airpuck.physics.rigid_body import Dynamics, acceleration, step
+from airpuck.physics.rigid_body import Dynamics, acceleration, step, wrapped
 
 #: Commands of the first guess.
 _FIRST = 0.3

@@ -13,7 +13,7 @@ from airpuck.faults.layout_findings import (
     layout_findings,
 )
 from airpuck.model.model_file import published_model
-from airpuck.physics.angle import to_body
+from airpuck.physics.rigid_body import to_body
 
 from ..apparatus.synthetic_flights import fly
 

@@ -24,7 +24,7 @@ from airpuck.live.fly import LAST_COMMANDS
 from airpuck.live.safety import Guard, GuardedPilot, SafetyLimits, within_rails
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
-from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import pose_difference
 from airpuck.recording.stream import COLUMNS, Recording
 from airpuck.twin.sensors import log_stream
 

@@ -23,8 +23,7 @@ from airpuck.compute.arrays import scan, slopes
 from airpuck.control.predictive import PredictiveSettings
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
-from airpuck.physics.rigid_body import Dynamics, acceleration, step
+from airpuck.physics.rigid_body import Dynamics, acceleration, step, wrapped
 from airpuck.physics.thrust import thrust, thrust_curvature
 
 #: Bounds of the effectiveness used in the prediction. A dead motor keeps a little, so that the

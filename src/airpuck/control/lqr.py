@@ -22,8 +22,7 @@ from airpuck.control.allocation import ThrustAllocator, all_finite, problem
 from airpuck.control.law import Law, LawOptions, Moment, Step
 from airpuck.control.tuning import LawSettings, Tuning, scaled
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import Dynamics, acceleration_map
+from airpuck.physics.rigid_body import Dynamics, acceleration_map, pose_difference
 from airpuck.physics.thrust import InverseThrust, inverse_thrust, thrust
 
 #: Bounds of the effectiveness used by the allocation. A motor that seems dead still gets a small

@@ -13,9 +13,8 @@ from jaxtyping import Float
 
 from airpuck.boundary.results import Result
 from airpuck.compute.arrays import small_product
-from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import motor_step
-from airpuck.physics.rigid_body import Dynamics, acceleration
+from airpuck.physics.rigid_body import Dynamics, acceleration, pose_difference
 
 
 @dataclass(frozen=True)

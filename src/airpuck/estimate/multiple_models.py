@@ -36,9 +36,8 @@ from airpuck.estimate.axis_filter import (
     propagate,
     to_world,
 )
-from airpuck.physics.angle import pose_difference
 from airpuck.physics.motor import lag_at, motor_step
-from airpuck.physics.rigid_body import Dynamics, motor_accelerations
+from airpuck.physics.rigid_body import Dynamics, motor_accelerations, pose_difference
 
 #: An innovation beyond this many standard deviations in every state means contact with a rail or a
 #: hand; a motor would need ten frames for it. The velocities become unknown, and no motor is

@@ -24,7 +24,7 @@ from airpuck.deviation.motor_regression import (
 from airpuck.estimate.actuation import ActuationEncoder, residual_covariance
 from airpuck.estimate.estimator import HeldCommands
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 
 #: A motor commanded to less than this rests, and starts with the first command above [1].
 RESTS_BELOW = 0.05

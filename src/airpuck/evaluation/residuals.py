@@ -47,7 +47,7 @@ from airpuck.evaluation.statistical_tests import (
 )
 from airpuck.evaluation.structure import Structure, cut, find_structure, missing_accelerations
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import to_body
+from airpuck.physics.rigid_body import to_body
 
 #: Fraction of the largest eigenvalue of a regression below which a direction is not in the data.
 _NONE = 1e-10

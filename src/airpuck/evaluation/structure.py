@@ -26,7 +26,7 @@ from airpuck.deviation.significance import LEVEL, holm
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import to_body
+from airpuck.physics.rigid_body import to_body
 
 #: Number of bins, with equally many samples each.
 BINS = 6

@@ -16,7 +16,7 @@ from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.kinds import refuse_actuators
 from airpuck.model.model_file import Model, read_model
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.twin.experiments import COURSES, arrived, passes
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose

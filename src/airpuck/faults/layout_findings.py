@@ -20,7 +20,7 @@ from airpuck.faults.propeller_check import (
     TURNS,
     PropellerCheck,
 )
-from airpuck.physics.angle import to_body
+from airpuck.physics.rigid_body import to_body
 
 #: If the forces are turned by 180 degrees to within this angle, two more flips are assumed.
 _HALF_TURN = 0.5

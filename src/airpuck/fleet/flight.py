@@ -17,7 +17,7 @@ from airpuck.fleet.path import Following
 from airpuck.fleet.pilot import FleetPilot, Sighting, sighted
 from airpuck.fleet.scenario import Fleet, Network
 from airpuck.flight.loop import control
-from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import pose_difference
 from airpuck.twin.play import World
 from airpuck.twin.twin import Twin
 

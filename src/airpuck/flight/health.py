@@ -19,8 +19,7 @@ from airpuck.estimate.estimator import HeldCommands
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.estimate.starts import FailedStart, StartMonitor
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import acceleration_map, rollout
+from airpuck.physics.rigid_body import acceleration_map, pose_difference, rollout
 from airpuck.physics.thrust import thrust
 
 #: Prediction horizon, and the largest lateness of packets [s].

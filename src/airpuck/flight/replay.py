@@ -18,7 +18,7 @@ from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.estimate.estimator import Estimate
 from airpuck.flight.track import recorded_set_points
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import pose_difference
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.camera_clock import at_exposure
 from airpuck.preprocessing.clock import seconds

@@ -14,7 +14,7 @@ from airpuck.boundary.results import Result
 from airpuck.control.reference import SetPoints
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.sampling import hold
-from airpuck.physics.angle import pose_difference, wrapped
+from airpuck.physics.rigid_body import pose_difference, wrapped
 from airpuck.preprocessing.clock import seconds
 from airpuck.preprocessing.derivative import unwrap_yaw
 from airpuck.preprocessing.pipeline import clean_streams

@@ -26,7 +26,7 @@ from airpuck.identification.cameras import cameras_of
 from airpuck.judgement.findings import next_step
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
-from airpuck.physics.angle import pose_difference
+from airpuck.physics.rigid_body import pose_difference
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin

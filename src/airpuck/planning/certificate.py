@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.data.sampling import runs
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.planning.request import Goal, Request, gravity, has_bounds, largest_moment
 from airpuck.planning.yaw_program import LEAST_MOMENT, Fineness, Weight, YawProgram
 

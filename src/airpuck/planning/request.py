@@ -20,8 +20,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
 from airpuck.physics.effects import Envelope
+from airpuck.physics.rigid_body import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.planning.settings import Limits
 

@@ -17,8 +17,7 @@ from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import pose_difference
-from airpuck.physics.rigid_body import acceleration, acceleration_map
+from airpuck.physics.rigid_body import acceleration, acceleration_map, pose_difference
 from airpuck.physics.thrust import InverseThrust, thrust
 from airpuck.planning.plan import Plan
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.planning.request import (
     Request,
     added_accelerations,

@@ -18,7 +18,7 @@ from airpuck.control.lqr import rotation_error
 from airpuck.data.sampling import runs
 from airpuck.flight.replay import Replay
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.report import style
 from airpuck.report.animation import Mover, animate, moving_drawing
 from airpuck.report.page import Origin, PageSection, PageTable, Picture, Text, write_page

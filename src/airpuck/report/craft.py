@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Wedge
 
 from airpuck.craft.vehicle import Vehicle
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.report import style
 from airpuck.report.page import PageSection, Picture, packaged_text
 

@@ -15,7 +15,7 @@ from airpuck.control.law import Bound
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, match_columns
 from airpuck.flight.loop import FlightLog
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.preprocessing.quality import (

@@ -19,8 +19,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_batches
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.physics.angle import wrapped
-from airpuck.physics.rigid_body import Dynamics, register_pytrees
+from airpuck.physics.rigid_body import Dynamics, register_pytrees, wrapped
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands, radio_delay

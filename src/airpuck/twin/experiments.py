@@ -21,7 +21,7 @@ from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.craft.vehicle import Vehicle
 from airpuck.flight.loop import FlightLog, PilotMaker, fly, pilot_named
 from airpuck.model.model_file import Model, nominal_model
-from airpuck.physics.angle import wrapped
+from airpuck.physics.rigid_body import wrapped
 from airpuck.planning.plan import Plan, plan
 from airpuck.planning.settings import Limits
 from airpuck.planning.tracking import for_plans

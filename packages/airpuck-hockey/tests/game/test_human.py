@@ -14,8 +14,8 @@ from airpuck.live.settings import LiveSettings
 from airpuck.live.twin import BEGINS
 from airpuck.physics.puck import PuckState
 from airpuck.recording.message import StreamCodec
+from airpuck_hockey.game.human import Human
 from airpuck_hockey.game.scorekeeper import Scorekeeper
-from airpuck_hockey.live.human import Human
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 

@@ -1,1 +1,0 @@
-"""A human opponent for games on the ROS 2 graph."""
