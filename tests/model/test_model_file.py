@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.control.tuning import read_tuning
+from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
 from airpuck.model.model_file import nominal_model, published_model, read_model
 from airpuck.recording.mapping import read_mapping
@@ -175,17 +177,23 @@ def test_a_bare_model_name_gets_a_hint_at_the_published_names(tmp_path, monkeypa
         read_model(tmp_path)
 
 
-def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path):
-    default_vehicle().save(tmp_path / "craft.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a model"):
-        read_model(tmp_path / "craft.toml")
-    published_model("M3").save(tmp_path / "model.toml")
-    with pytest.raises(InputError, match=r"model.toml: is a model; expected a vehicle"):
-        read_vehicle(tmp_path / "model.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a mapping"):
-        read_mapping(tmp_path / "craft.toml")
-    with pytest.raises(InputError, match=r"craft.toml: is a vehicle; expected a controller tuning"):
-        read_tuning(tmp_path / "craft.toml")
+@pytest.mark.parametrize(
+    ("file", "read", "problem"),
+    [
+        ("craft", read_model, "is a vehicle; expected a model"),
+        ("craft", read_mapping, "is a vehicle; expected a mapping"),
+        ("craft", read_tuning, "is a vehicle; expected a controller tuning"),
+        ("craft", airpuck.read_table, "is a vehicle; expected a table"),
+        ("model", read_vehicle, "is a model; expected a vehicle"),
+        ("model", airpuck.read_fleet, "is a model; expected a scenario of several craft"),
+        ("table", read_model, "is a table; expected a model"),
+    ],
+)
+def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path, file, read, problem):
+    made = {"craft": default_vehicle(), "model": published_model("M3"), "table": AirHockey()}
+    made[file].save(tmp_path / f"{file}.toml")
+    with pytest.raises(InputError, match=rf"{file}.toml: {problem}"):
+        read(tmp_path / f"{file}.toml")
 
 
 def test_a_model_of_a_matrix_needs_three_rows(tmp_path):

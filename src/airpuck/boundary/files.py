@@ -120,6 +120,8 @@ _KINDS = {
     "radio": "settings of the twin",
     "motion_capture": "settings of the twin",
     "estimation": "a controller tuning",
+    "table": "a table",
+    "craft": "a scenario of several craft",
 }
 
 

@@ -191,7 +191,7 @@ Estimator = Annotated[
     Literal["kalman", "actuation", "learning"] | None,
     Setting(
         "kalman; actuation, which also estimates what each motor does; or learning, which "
-        "remembers it; by default the tuning's."
+        "remembers it, and learns delay, drag and slope; by default the tuning's."
     ),
 ]
 LawName = Annotated[

@@ -480,6 +480,6 @@ class ActuationFilter(KalmanFilter):
             encoder.tempering,
             learned,
             jitter_s=jitter if learned is not None else 0.0,
-            squared_gyration=model.radius_of_gyration**2,
+            squared_gyration=None if learned is None else model.radius_of_gyration**2,
         )
         super().__init__(model, noise, states=states, compiled=compiled)

@@ -91,8 +91,8 @@ class States:
     learned_s: float | None = None
     #: Standard deviation of a packet's own delay [s].
     jitter_s: float = 0.0
-    #: I/m, the squared radius of gyration of a craft that learns [m²].
-    squared_gyration: float = 1.0
+    #: I/m, the squared radius of gyration of a craft that learns; None if it does not [m²].
+    squared_gyration: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +171,7 @@ class MultipleModels:
         total = xp.sum(durations)
         means, covariances, weights, density = self.renewed(xp, tuple(belief), total)
         path = xp.sum(weights[:, None] * means, axis=0)
-        gyration = None if self.states.learned_s is None else self.states.squared_gyration
+        gyration = self.states.squared_gyration
         given = xp, self.dynamics, path, speed, durations, commands, gyration
         transition, offset, speed, slopes = drift(*given)
         half = small_product(xp, transition, covariances)
@@ -189,7 +189,7 @@ class MultipleModels:
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
         means = xp.sum(transition * means[:, None, :], axis=2) + offset
         belief = means, covariances, weights, density
-        if gyration is not None:
+        if self.states.learned_s is not None:
             belief = with_slope(xp, belief, total)
         return *belief, speed
 
@@ -219,7 +219,7 @@ class MultipleModels:
         """Use an inertial measurement at given motor speeds and commands."""
         mean, _ = mixed(np, belief)
         motion = mean[2], *mean[VELOCITY]
-        gyration = None if self.states.learned_s is None else self.states.squared_gyration
+        gyration = self.states.squared_gyration
         modelled, by_e = sensitivity(np, self.dynamics, motion, *motors, gyration=gyration)
         rows = np.zeros((3, len(mean)))
         rows[:, DISTURBANCE] = np.diag([1.0, 1.0, 0.0])
