@@ -297,8 +297,4 @@ def export(
     )
     rows = [(name, str(value)) for name, value in written.facts.items()]
     shown = [table(("", ""), rows, left=("",))] if rows else []
-    report(
-        written.to_json(),
-        *shown,
-        *(output / name for name in written.files),
-    )
+    report(written.to_json(), *shown, *(output / name for name in written.files))

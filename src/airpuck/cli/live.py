@@ -69,11 +69,7 @@ class Guarded(Settings):
         return self.geofence, table.model_copy(update={"length_m": x, "width_m": y})
 
     def fly(
-        self,
-        make: Callable[[], Pilot],
-        craft: Model,
-        controls: Tuning,
-        live: LiveSettings,
+        self, make: Callable[[], Pilot], craft: Model, controls: Tuning, live: LiveSettings
     ) -> None:
         """Fly a pilot on the graph, and report."""
         from airpuck.compute.process import low_latency
@@ -234,9 +230,7 @@ def fly_fleet(
 
 @command(_PANEL)
 def twin_fleet(
-    scenario: Annotated[str, _SCENARIO],
-    live: LiveSettings,
-    seed: options.Seed = 0,
+    scenario: Annotated[str, _SCENARIO], live: LiveSettings, seed: options.Seed = 0
 ) -> None:
     """Put all craft of a scenario on one simulated table on the graph, in real time."""
     from airpuck.live.twin import serve_fleet
@@ -278,11 +272,7 @@ def fly_excitation(
 
 
 @command(_PANEL)
-def record(
-    output: options.NewBag,
-    live: LiveSettings,
-    vehicle: options.ReadVehicle = None,
-) -> None:
+def record(output: options.NewBag, live: LiveSettings, vehicle: options.ReadVehicle = None) -> None:
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 
@@ -392,8 +382,7 @@ def commission(
     live: Annotated[LiveSettings, Without(("duration",))],
     vehicle: options.ReadVehicle = None,
     truth: Annotated[
-        str | None,
-        Setting("Fly the twin of this true model, not the graph.", metavar="MODEL"),
+        str | None, Setting("Fly the twin of this true model, not the graph.", metavar="MODEL")
     ] = None,
     twin: options.ReadTwin = None,
     table: options.ReadTable = None,

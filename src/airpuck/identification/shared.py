@@ -140,9 +140,7 @@ def combined(
 
 
 def _uncertainty(
-    models: Sequence[Model],
-    vector: Float[np.ndarray, " P"],
-    covariance: Float[np.ndarray, "P P"],
+    models: Sequence[Model], vector: Float[np.ndarray, " P"], covariance: Float[np.ndarray, "P P"]
 ) -> Uncertainty:
     """Return what all recordings together know about the parameters of one."""
     every = [model.uncertainty for model in models if model.uncertainty is not None]

@@ -44,10 +44,4 @@ def identify_puck(
     if "rail.grip" in puck.assumed:
         along += " (assumed)"
     found = table(("puck", "value", "standard error"), rows, title="identified on this table")
-    report(
-        fit.to_json(),
-        found,
-        summary,
-        along,
-        output or "add -o table.toml to keep it",
-    )
+    report(fit.to_json(), found, summary, along, output or "add -o table.toml to keep it")
