@@ -119,6 +119,21 @@ def test_without_packets_only_smoothing_is_left(flight, fit):
 
 
 @pytest.mark.slow
+def test_weights_of_windows_count(flight, fit):
+    """The mean of those of the first half and of the second is that of the whole."""
+    starts = fit.objective.windows.starts
+    first = np.where(starts < np.median(starts), 1.0, 0.0)
+    whole, early, late = (
+        np.diag(
+            found(replace(fit, objective=replace(fit.objective, multiplicity=weight)), [flight])[1]
+        )
+        for weight in (None, first, 1.0 - first)
+    )
+    np.testing.assert_allclose((early + late) / 2, whole, rtol=0.02)
+    assert (np.abs(early / late - 1) > 0.2).sum() > 5
+
+
+@pytest.mark.slow
 def test_all_packets_later_is_a_longer_delay_and_nothing_else(flight, fit):
     """Prepared data keep the mean of the packets' delays, whatever constant is added."""
     (own,) = fit.packet_delays

@@ -238,16 +238,18 @@ def prepared_gradients(
         for trajectory, delays in zip(trajectories, packets, strict=True)
     ]
     past, ahead = loss.windows.encoder_length, loss.windows.prediction_length
-    starts, found = _sparse(loss.windows.starts, past + ahead), []
+    chosen, found = _sparse(loss.windows.starts, past + ahead), []
+    starts, weight = loss.windows.starts[chosen], loss.multiplicity
+    weight = None if weight is None else weight[chosen]
     for variant in zip(*prepared, strict=True):
         windows = replace(make_windows(variant, past, ahead), starts=starts)
-        sparse = replace(loss, windows=windows, multiplicity=None, clusters=None)
+        sparse = replace(loss, windows=windows, multiplicity=weight, clusters=None)
         found.append(sparse.quadratic(first.parameters))
     return np.array([quadratic.gradient for quadratic in found]), found[0].hessian
 
 
 def _sparse(starts: Int[np.ndarray, " W"], length: int) -> Int[np.ndarray, " V"]:
-    """Return some of a fit's windows, `_DENSITY` per window length, at irregular distances.
+    """Return the numbers of some windows, `_DENSITY` per window length, at irregular distances.
 
     Regular distances may be a multiple of the valves' PWM period: all windows would then begin at
     the same phase of the pulses, where all velocities have the same error.
@@ -256,7 +258,7 @@ def _sparse(starts: Int[np.ndarray, " W"], length: int) -> Int[np.ndarray, " V"]
     size = max(1, round(length / _DENSITY / stride))
     group = np.arange(-(-len(starts) // size))
     member = size * group + np.floor(size * (_GOLDEN * group % 1)).astype(int)
-    return starts[np.minimum(member, len(starts) - 1)]
+    return np.minimum(member, len(starts) - 1)
 
 
 def _prepared(
