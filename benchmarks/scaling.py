@@ -102,7 +102,7 @@ WHOLE = (
         of_workload("crowd", "--craft"),
         wide=True,
     ),
-    Axis("flights of 20 s in a campaign", (1, 10, 100), campaign, wide=True),
+    Axis("flights of 20 s in a campaign", (1, 10, 100, 1000), campaign, wide=True),
 )
 
 
