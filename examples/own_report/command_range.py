@@ -8,7 +8,7 @@ from airpuck.extend import PageSection, PageTable, Picture, write_page
 
 def command_range(trajectory):
     """Return a section; `write_page` and `fit_report(…, more=[…])` take it."""
-    figure = Figure((6.0, 3.0))
+    figure = Figure((6.0, 3.0), layout="constrained")
     axes = figure.add_subplot(xlabel="motor", ylabel="command")
     axes.boxplot(trajectory.input)
     quartiles = np.quantile(trajectory.input, [0.25, 0.5, 0.75], axis=0).T
