@@ -21,7 +21,8 @@ class PID(airpuck.Law):
         craft, _ = moment.foresee()
         error = moment.reference.at(moment.now, 0.0).state - craft.state
         error[2] = np.remainder(error[2] + np.pi, 2 * np.pi) - np.pi
-        state = np.clip(state + self.period * error[:3], -0.05, 0.05)
+        near = np.abs(error[:3]) < [0.05, 0.05, 0.2]  # far away the integral would only wind up
+        state = np.clip(state + self.period * near * error[:3], -0.05, 0.05)
         wanted = [8, 8, 30] * error[:3] + [5, 5, 10] * error[3:] + 4 * state
         matrix, offset = airpuck.acceleration_map(np, self.dynamics, craft.state[2], craft.state[5])
         force = np.linalg.pinv(matrix) @ (wanted - offset) + 0.1
