@@ -33,7 +33,7 @@ SPEC = """
 kind = "recovery"
 seeds = {count}
 [base]
-duration_s = 20.0
+duration_s = 10.0
 """
 
 
@@ -102,7 +102,7 @@ WHOLE = (
         of_workload("crowd", "--craft"),
         wide=True,
     ),
-    Axis("flights of 20 s in a campaign", (1, 10, 100, 1000), campaign, wide=True),
+    Axis("flights of 10 s in a campaign", (1, 10, 100, 1000), campaign, wide=True),
 )
 
 

@@ -13,6 +13,6 @@ set -- --vehicle "$data/vehicle.toml" --mapping "$data/mapping.toml"
 airpuck check "$flight" "$@" || true
 
 airpuck identify "$flight" "$@" --report "$out/report" -o "$out/whole.toml"
-airpuck identify "$flight" "$@" --span 0 0.6 --quiet -o "$out/start.toml"
+airpuck identify "$flight" "$@" --span 0 0.6 --quiet -o "$out/start.toml" > /dev/null
 python "$here/table.py" "$data" "$out/whole.toml" "$out/start.toml"
 echo "The page is $out/report/index.html"

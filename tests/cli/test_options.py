@@ -274,7 +274,7 @@ def test_time_that_is_left_is_said_while_there_is_some(capsys):
 
 def test_quiet_hides_progress_and_warnings_but_no_results(capsys):
     def shown(**given):
-        with output_for(given):
+        with output_for(**given):
             with show_time_left("flights") as progress, show_progress() as tell:
                 progress(1.0, 1.0)
                 tell("iteration 1")

@@ -55,6 +55,30 @@ def test_wrong_use_is_refused(file, tmp_path):
 pytestmark = pytest.mark.slow
 
 
+def test_what_was_read_with_a_warning_says_so(tmp_path):
+    """A recording whose log ends in the middle, in commands that only read it."""
+    bag = tmp_path / "bag"
+    write_bag(record(duration=4.0), bag)
+    [log] = bag.glob("*.mcap")
+    content = log.read_bytes()
+    log.write_bytes(content[: int(0.9 * len(content))])
+    shown = "-o", tmp_path / "flight.html"
+    assert "is damaged: it is cut short" in ran("animate", bag, *shown).stderr
+    assert not ran("animate", bag, *shown, "-q").stderr
+
+
+def test_preprocessed_recordings_are_checked(tmp_path):
+    write_bag(record(duration=8.0), tmp_path / "bag")
+    ran("preprocess", tmp_path / "bag", "-o", tmp_path / "t.npz", "-q")
+    assert "agree" in ran("check", tmp_path / "t.npz").stdout
+
+
+def test_one_file_under_two_names_is_no_output_twice(tmp_path):
+    (tmp_path / "in").mkdir()
+    out = ("-o", tmp_path / "m.toml", "--json", tmp_path / "in" / ".." / "m.toml")
+    assert refused(airpuck("identify", "bag", *out), "is also the output of -o")
+
+
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     """A bag, and two models, each learned from one half of it."""

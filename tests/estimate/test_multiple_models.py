@@ -8,6 +8,7 @@ import pytest
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.multiple_models import (
+    Memory,
     MultipleModels,
     States,
     sensitivity,
@@ -141,7 +142,7 @@ def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(rati
     """The poses of an idle craft, pushed by white accelerations of a known density."""
     # Five more unknowns: drag, centre of mass and slope.
     priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
-    learns = replace(states(1), covariance=priors, learned_s=120.0, squared_gyration=1.0)
+    learns = replace(states(1), covariance=priors, memory=Memory(120.0, 1.0, 0.0))
     models, random, period = MultipleModels(DYNAMICS, NOISE, learns), np.random.default_rng(1), 0.01
     density = ratio * np.array(NOISE.acceleration)
     # Exact steps of a double integrator that white noise drives.
@@ -196,7 +197,7 @@ def test_drag_and_offset_of_mass_accelerate_the_craft_like_those_of_its_model(sh
 
 def test_laws_do_not_use_learned_drag_and_offsets():
     priors = np.pad(states(1).covariance, ((0, 0), (0, 5), (0, 5)))
-    learns = replace(states(1), covariance=priors, learned_s=120.0, squared_gyration=1.0)
+    learns = replace(states(1), covariance=priors, memory=Memory(120.0, 1.0, 0.0))
     models = MultipleModels(DYNAMICS, NOISE, learns)
     means, covariances = np.zeros((1, SIZE + 5)), 1e-4 * np.eye(SIZE + 5)[None]
     means[0, 3:5], means[0, 6:8], means[0, SIZE:] = (0.4, -0.2), (0.05, 0.03), 0.5

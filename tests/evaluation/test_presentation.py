@@ -1,10 +1,13 @@
 """Presentation of a model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from airpuck.evaluation.presentation import largest_acceleration, present
+from airpuck.evaluation.presentation import largest_acceleration, main_quantities, present
 from airpuck.model.model_file import published_model
+from airpuck.model.quantities import QUANTITIES
 
 from ..apparatus.beliefs import believed
 
@@ -60,3 +63,19 @@ def test_structure_says_what_is_free_and_fixed():
     assert "fixed: moment of inertia" in lines
     assert "no standard errors" in shown.notes[0]
     assert all(value.interval is None for value in shown.parameters)
+
+
+@pytest.mark.parametrize("quantity", [*QUANTITIES[1:]], ids=lambda quantity: quantity.name)
+def test_every_number_is_shown_in_the_unit_that_stands_beside_it(quantity):
+    entries = len(quantity.entries(MODEL.vehicle.propeller_names, 3))
+    values = 1e-3 * np.arange(1.0, entries + 1)
+    value = values if entries > 1 else values[0]
+    if quantity.name == "configuration_matrix":
+        value = values.reshape(3, 6)
+    model = replace(MODEL, parameters=replace(MODEL.parameters, **{quantity.name: value}))
+    unit, factor, _ = quantity.shown or (None, 1.0, "")
+    shown = [one for one in main_quantities(model) if one.parameter == quantity.name]
+    assert len(shown) in (0, entries)
+    for k, one in enumerate(shown):
+        assert one.value(model) == pytest.approx(factor * values[k])
+        assert one.unit == (unit or quantity.of_entry(min(k, quantity.symbol.count(",")))[1])

@@ -122,7 +122,10 @@ _KINDS = {
     "estimation": "a controller tuning",
     "table": "a table",
     "craft": "a scenario of several craft",
+    "kind": "a campaign",
 }
+#: Those that may also be a stray key in a file of the right kind.
+_COMMON = ("table", "craft", "kind")
 
 
 class Section(pydantic.BaseModel):
@@ -248,6 +251,8 @@ def _explained(
     problem = _OF_LENGTH.sub(r"must have \1", problem)
     known = _keys(schema)
     kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
+    if kind in _COMMON and _KINDS.keys() & content.keys() & known[0]:
+        kind = None
     if first["type"] in _UNKNOWN and kind and file is not None:
         wanted = next((name for key, name in _KINDS.items() if key in known[0]), None)
         field, problem = "", f"is {_KINDS[kind]}; expected {wanted or 'another kind of file'}"

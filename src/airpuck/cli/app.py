@@ -237,19 +237,16 @@ app = typer.Typer(
 )
 
 
-def command(
-    panel: str, rare: Sequence[str] = (), *, figures: bool = True, progress: bool = False
-) -> Callable[..., Any]:
+def command(panel: str, rare: Sequence[str] = (), *, figures: bool = True) -> Callable[..., Any]:
     """Return a decorator for the function of a command: its place in the help.
 
-    The help shows `rare` options on request only. A command that reports figures has --json; one
-    that shows progress or warnings has --quiet (`airpuck.cli.output` obeys both).
+    The help shows `rare` options on request only. Every command has --quiet, and --json if it
+    reports `figures`: what it prints by `airpuck.cli.output` obeys both.
     """
-    more = {"json_file": Json} if figures else {}
-    more |= {"quiet": Quiet} if progress else {}
+    shared = {"json_file": Json, "quiet": Quiet} if figures else {"quiet": Quiet}
 
     def mark(function: Callable[..., Any]) -> Callable[..., Any]:
-        function.shown = panel, rare, more  # pyright: ignore[reportFunctionMemberAccess]
+        function.shown = panel, rare, shared  # pyright: ignore[reportFunctionMemberAccess]
         return function
 
     return mark
@@ -257,9 +254,9 @@ def command(
 
 def _built(name: str, function: Callable[..., Any]) -> Any:
     """Return the command of a function."""
-    panel, rare, more = _shown(function)
+    panel, rare, shared = _shown(function)
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    alone.command(name, cls=Command, rich_help_panel=panel)(viewed(function, rare, more))
+    alone.command(name, cls=Command, rich_help_panel=panel)(viewed(function, rare, shared))
     return get_command(alone)
 
 

@@ -47,7 +47,7 @@ def replay(
     craft = options.read_belief(model)
     settings = options.read_controls(tuning, law, craft)
     result = airpuck.replay(
-        airpuck.read_recording(flight, mapping=mapping),
+        options.read_recording(flight, mapping),
         craft,
         tuning=settings,
         fit_gains=fit_gains,
@@ -58,7 +58,7 @@ def replay(
     report(result.to_json(), *tables, written)
 
 
-@command(PANEL, rare=("tuning", "twin", "seed"))
+@command(PANEL, rare=("margin_m", "tuning", "twin", "seed"))
 def excite(
     output: options.NewBag,
     experiment: options.Experiment,
@@ -159,7 +159,7 @@ def track(
     tracked = airpuck.tracking_study(
         beliefs,
         plant,
-        flights=[None if path is None else airpuck.read_recording(path) for path in paths],
+        flights=[path and options.read_recording(path, None) for path in paths],
         set_points=None if setpoints is None else read_setpoints(setpoints),
         dwell=dwell,
         seed=seed,
@@ -210,7 +210,7 @@ def animate(
 def _flight(path: Path, mapping: RecordingMapping | None) -> Recording:
     """Read the flight of a craft; a game between two hands has none."""
     try:
-        return airpuck.read_recording(path, mapping=mapping)
+        return options.read_recording(path, mapping)
     except InputError:
         streams = airpuck.read_recording(path, mapping=mapping, needs=("pose",)).streams
         if "game" in streams and "command" not in streams:

@@ -41,7 +41,7 @@ ComFrame = Annotated[
 ]
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def preprocess(
     recording: options.RecordingPath,
     output: Annotated[Path, options.output("FILE", "Trajectory file to write, such as traj.npz.")],
@@ -97,7 +97,6 @@ def _rung_names() -> list[str]:
         "seed",
         "each",
     ),
-    progress=True,
 )
 def identify(
     recordings: Recordings,

@@ -15,7 +15,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting, Settings
 from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import is_quiet, json_on_stdout, page, report, say, show
+from airpuck.cli.output import json_on_stdout, page, report, say, show
 from airpuck.cli.views import Without
 from airpuck.live.settings import LiveSettings
 
@@ -312,7 +312,7 @@ def preflight_recording(
     from airpuck.flight.preflight import judge_recording
 
     craft = options.model_or_nominal(model, vehicle)
-    flown = airpuck.read_recording(recording, mapping=mapping)
+    flown = options.read_recording(recording, mapping)
     _report_checks(judge_recording(craft, flown))
 
 
@@ -330,7 +330,7 @@ def watch(model: options.ModelName, live: LiveSettings) -> None:
     """Compare a craft in flight with its model: prediction errors, each propeller, delay."""
     from airpuck.live.watch import watch_live
 
-    tell = (lambda _: None) if is_quiet() or json_on_stdout() else show
+    tell = (lambda _: None) if json_on_stdout() else show
     report(watch_live(options.read_belief(model), tell, live))
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from airpuck.data.trajectory import Trajectory
     from airpuck.model.model_file import Model
     from airpuck.recording.mapping import RecordingMapping
+    from airpuck.recording.stream import Recording
     from airpuck.twin.settings import TwinSettings
 
 
@@ -41,7 +42,7 @@ _SHOWN = 40
 def check_written(context: Any, option: str, path: Path, kind: Output) -> None:
     """Reject an output that cannot be written, or that another option uses, before any work."""
     taken: dict[Path, str] = context.meta.setdefault(_OUTPUTS, {})
-    whole = path.absolute()
+    whole = Path(os.path.realpath(path))  # a link to itself is refused below
     if whole in taken:
         raise InputError(f"is also the output of {taken[whole]}", file=path, field=option)
     check_output(path, kind, field=option)
@@ -222,6 +223,13 @@ Horizon = Annotated[
 EncoderName = Annotated[
     str, Setting("paper, or actuation, which also estimates the effectiveness of each motor.")
 ]
+
+
+def read_recording(path: Path, mapping: RecordingMapping | None, **needs: Any) -> Recording:
+    """Read a recording, and print its warnings."""
+    recording = airpuck.read_recording(path, mapping=mapping, **needs)
+    warn(recording.warnings)
+    return recording
 
 
 def load(

@@ -8,7 +8,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import import_module
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 #: Latest date that `datetime` supports, the end of 9999 [s].
 _LATEST = 253402300799
-#: The options of the running command.
-_asked: dict[str, Any] = {}
+#: The options --json and --quiet of the running command.
+_options: dict[str, Any] = {"json_file": None, "quiet": False}
 
 
 def origin() -> Origin:
@@ -67,23 +67,19 @@ def _reported(name: str) -> Any:
 
 
 @contextmanager
-def output_for(given: Mapping[str, Any]) -> Iterator[None]:
+def output_for(json_file: Path | None = None, quiet: bool = False, **_: Any) -> Iterator[None]:
     """Let all output, of every thread, obey the options --json and --quiet of a command."""
-    _asked.update(given)
+    before = dict(_options)
+    _options.update(json_file=json_file, quiet=quiet)
     try:
         yield
     finally:
-        _asked.clear()
-
-
-def is_quiet() -> bool:
-    """Return whether the running command shows neither progress nor warnings."""
-    return bool(_asked.get("quiet"))
+        _options.update(before)
 
 
 def say(message: str) -> None:
     """Print a progress message, unless --quiet is given."""
-    if not is_quiet():
+    if not _options["quiet"]:
         show(message, error=True)
 
 
@@ -116,7 +112,7 @@ def report(figures: Any, *shown: Any) -> None:
     """
     from airpuck.report.tables import PageTable
 
-    write_json(_asked.get("json_file"), figures)
+    write_json(_options["json_file"], figures)
     if json_on_stdout():
         return
     for part in shown:
@@ -155,7 +151,7 @@ def is_stdout(json_file: Path | None) -> bool:
 
 def json_on_stdout() -> bool:
     """Return whether the running command prints JSON, and nothing else, on standard output."""
-    return is_stdout(_asked.get("json_file"))
+    return is_stdout(_options["json_file"])
 
 
 def write_json(json_file: Path | None, figures: Any) -> None:
@@ -186,7 +182,7 @@ def show_time_left(what: str) -> Iterator[Callable[..., None]]:
             rest += f", about {left:.0f} s left" if done < total else ""
             say(f"{what}: {10 * tenths} %{rest}")
 
-    if is_quiet() or not sys.stderr.isatty():
+    if _options["quiet"] or not sys.stderr.isatty():
         yield in_words
         return
     from rich.console import Console
@@ -202,7 +198,7 @@ def show_time_left(what: str) -> Iterator[Callable[..., None]]:
 @contextmanager
 def show_progress() -> Iterator[Any]:
     """Show an optimiser's iterations: one live line on a terminal, plain lines elsewhere."""
-    if sys.stderr.isatty() and not is_quiet():
+    if sys.stderr.isatty() and not _options["quiet"]:
         from rich.console import Console
 
         with Console(stderr=True).status("compiling …") as status:

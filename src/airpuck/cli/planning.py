@@ -112,7 +112,7 @@ def plan(
     report(found.to_json(), _starts_table(found), _sentence(found), output, drawn)
 
 
-@command(_PANEL, progress=True)
+@command(_PANEL)
 def race(
     model: options.RacingModel = "paper:M3",
     course: Annotated[
@@ -241,7 +241,7 @@ def _starts_table(found: Plan) -> Table:
 _SHOWN = 8
 
 
-@command(_PANEL, rare=("criterion", "mapping", "tuning", "seed"), progress=True)
+@command(_PANEL, rare=("criterion", "mapping", "tuning", "seed"))
 def design(
     model: options.ModelName = "paper:M3",
     after: Annotated[

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _SHOWN = 10
 
 
-@command("Many at once", progress=True)
+@command("Many at once")
 def campaign(
     spec: Annotated[Path, Argument(metavar="SPEC", help="The spec file, such as spec.toml.")],
     output: Annotated[Path, options.output("DIR", "Folder of the results.")],
@@ -72,7 +72,7 @@ _LEFT = ("name", "licence", "content")
 Out = Annotated[Path, options.output("DIR", "Folder to write to.", "-o", "--output", "--out")]
 
 
-@command(PANEL, figures=False, progress=True)
+@command(PANEL, figures=False)
 def fetch(
     name: Annotated[str, Argument(metavar="[NAME]", help="Name of the dataset.")] = "holohover",
     everything: Annotated[
@@ -106,7 +106,7 @@ def fetch(
     show(fetched)
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def reproduce(
     data: Annotated[
         Path | None, Option(metavar="DIR", help="Folder of the public dataset.")
@@ -118,7 +118,7 @@ def reproduce(
     report(result.to_json(), output / "index.html")
 
 
-@command(PANEL, figures=False, progress=True)
+@command(PANEL, figures=False)
 def demo(output: Out = Path("demo")) -> None:
     """Run the whole study on simulated recordings: no download, no hardware."""
     from airpuck.report.reproduce import demo

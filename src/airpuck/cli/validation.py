@@ -33,7 +33,7 @@ _MOST_SPANS = 30
 _MODEL_FILES = (".toml", ".json")
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def evaluate(
     model: options.ModelName,
     recording: options.RecordingPath,
@@ -95,11 +95,10 @@ def check(
     from airpuck.data.trajectory import vehicle_of
     from airpuck.recording.mapping import RecordingMapping
 
-    names = mapping or RecordingMapping()
-    trajectory = airpuck.load_trajectory(recording, vehicle, mapping=names)
-    warn(trajectory.warnings)
+    trajectory = options.load(recording, vehicle, mapping)
     craft = vehicle or vehicle_of([trajectory])
-    result = airpuck.check_layout(trajectory, craft, axes=names.pose.axes)
+    axes = (mapping or RecordingMapping()).pose.axes
+    result = airpuck.check_layout(trajectory, craft, axes=axes)
     report(result.to_json(), *result.lines)
     if not result.agrees:
         said = f"does not agree with the vehicle {craft.name!r}: {', '.join(result.wrong)}"
@@ -107,7 +106,7 @@ def check(
         raise InputError(problem, file=recording)
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def faults(
     recording: options.RecordingPath,
     model: Annotated[
@@ -170,7 +169,7 @@ def present(model: options.ModelName) -> None:
     report(figures, *said.sentences, *_presented(presentation))
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def compare(
     models: Annotated[
         list[str],
@@ -254,7 +253,7 @@ def _short_names(names: Sequence[str]) -> list[str]:
     return called if len(set(called)) == len(called) else list(names)
 
 
-@command(PANEL, progress=True)
+@command(PANEL)
 def resid(
     model: options.ModelName,
     recording: options.RecordingPath,

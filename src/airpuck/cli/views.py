@@ -39,21 +39,22 @@ class Without:
 
 
 def viewed(
-    command: Callable[..., Any], rare: Sequence[str] = (), more: Mapping[str, Any] | None = None
+    command: Callable[..., Any], rare: Sequence[str] = (), shared: Mapping[str, Any] | None = None
 ) -> Callable[..., Any]:
     """Return a command in the form that Typer expects.
 
     A parameter whose type is a settings class becomes an option for each of its fields, under the
     heading of the class. A parameter whose type carries a `Setting` becomes that option. The result
     has the `declared` options by name, for its `airpuck.cli.app.Command`; `rare` names those that
-    the help shows on request only. What it prints obeys `more` options, which it does not take.
+    the help shows on request only. The function does not take the `shared` options, which its
+    output obeys.
     """
     signature = inspect.signature(command, eval_str=True)
     views = [_View.of(parameter) for parameter in signature.parameters.values()]
 
     @functools.wraps(command)
     def run(settings_file: Path | None = None, help_all: bool = False, **given: Any) -> Any:
-        with _as_typed(options), output_for(given):
+        with _as_typed(options), output_for(**given):
             return command(**{view.name: view.value(given) for view in views})
 
     parameters = [parameter for view in views for parameter in view.parameters]
@@ -62,7 +63,8 @@ def viewed(
         for view in views
         for name, one in view.options.items()
     }
-    parameters += [_option(name, kind, None) for name, kind in (more or {}).items()]
+    own = {one.name for one in parameters}
+    parameters += [_option(k, kind, None) for k, kind in (shared or {}).items() if k not in own]
     if rare:
         assert options.keys() >= set(rare), f"{command.__name__}: no such rare options"
         parameters += [_option("settings_file", _SETTINGS_FILE, None)]

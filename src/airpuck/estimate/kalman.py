@@ -20,7 +20,7 @@ from airpuck.compute.compiled import program
 from airpuck.estimate.actuation import LEARNED, ActuationEncoder
 from airpuck.estimate.axis_filter import IndependentAxes, Noise
 from airpuck.estimate.estimator import BEYOND, ActuationEstimate, Estimate, HeldCommands
-from airpuck.estimate.multiple_models import MultipleModels, States, certain
+from airpuck.estimate.multiple_models import Memory, MultipleModels, States, certain
 from airpuck.model.model_file import Model
 from airpuck.physics.motor import motor_step
 
@@ -185,7 +185,7 @@ class KalmanFilter:
             # It passed the check once: a late measurement must not change that.
             self._remember("pose", (time, np.array(pose, dtype=float)))
         self._settle(time, tuple(belief), speed)
-        if self._states is not None and self._states.learned_s is not None:
+        if self._states is not None and self._states.memory is not None:
             self._apply_delay()
         return True
 
@@ -463,23 +463,16 @@ class ActuationFilter(KalmanFilter):
         # Motors without lag give no information about the delay: their speed jumps.
         lags = float(model.dynamics.motor_time_constant) > 0
         covariance[:, n, n] = delay_deviation**2 * lags
+        memory = None
         if learned is not None:
+            jitter = model.delay_jitter.standard_deviation_s if model.delay_jitter else _JITTER
+            memory = Memory(learned, model.radius_of_gyration**2, jitter)
             body = np.square(list(BEYOND.values()))
             # The slope is the mean of the disturbance, if there is one.
             body[-2:] *= np.array(noise.disturbance[:2]) > 0
             covariance[0, range(n + 1, size), range(n + 1, size)] = body
         weight = np.array([prior.weight for prior in priors])
         names = tuple(prior.name for prior in priors)
-        jitter = model.delay_jitter.standard_deviation_s if model.delay_jitter else _JITTER
-        states = States(
-            names,
-            weight / weight.sum(),
-            covariance,
-            lasting,
-            encoder.tail,
-            encoder.tempering,
-            learned,
-            jitter_s=jitter if learned is not None else 0.0,
-            squared_gyration=None if learned is None else model.radius_of_gyration**2,
-        )
+        drawn = names, weight / weight.sum(), covariance, lasting
+        states = States(*drawn, encoder.tail, encoder.tempering, memory)
         super().__init__(model, noise, states=states, compiled=compiled)

@@ -66,6 +66,18 @@ _DENSITY_S, _DENSITY, _INNOVATION = 2.0, (math.log(0.01), math.log(25.0)), 9.0
 Belief = tuple[Any, Any, Any, Any]
 
 
+@dataclass(frozen=True)
+class Memory:
+    """What a craft that learns keeps."""
+
+    #: Time over which what was learned about the first state's e becomes uncertain again [s].
+    lasting: float
+    #: I/m, the squared radius of gyration [m²].
+    squared_gyration: float
+    #: Standard deviation of a packet's own delay [s].
+    jitter: float
+
+
 @dataclass(frozen=True, eq=False)
 class States:
     """Competing states of the craft, and the transitions between them.
@@ -86,13 +98,8 @@ class States:
     tail: float
     #: Exponent of the likelihood by which states compete.
     tempering: float
-    #: Time over which what was learned about the first state's e becomes uncertain again [s]; None:
-    #: nothing is learned, and e is drawn around zero.
-    learned_s: float | None = None
-    #: Standard deviation of a packet's own delay [s].
-    jitter_s: float = 0.0
-    #: I/m, the squared radius of gyration of a craft that learns; None if it does not [m²].
-    squared_gyration: float | None = None
+    #: None: nothing is learned, and e is drawn around zero.
+    memory: Memory | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +158,7 @@ class MultipleModels:
         they have found. Its covariance grows towards the prior's.
         """
         states, prior = self.states, _padded(self.states.covariance)
-        if states.learned_s is None:
+        if states.memory is None:
             return 0.0, prior, 0.0
         e = np.concatenate([np.zeros(9), np.ones(len(mean) - 9)])
         block, first = e[:, None] * e, (np.arange(len(prior)) == 0)[:, None]
@@ -159,7 +166,7 @@ class MultipleModels:
         base = xp.where(first, mean, means[0]) * e
         own, is_first = covariances[0] * block, first[:, :, None]
         drawn = xp.where(is_first, covariance * block, own + prior)
-        growth = -xp.expm1(-duration / states.learned_s) * (prior[0] - own)
+        growth = -xp.expm1(-duration / states.memory.lasting) * (prior[0] - own)
         return base, drawn, xp.where(is_first, growth, 0.0)
 
     def advance(self, xp: Any, *given: Any) -> Any:
@@ -171,7 +178,8 @@ class MultipleModels:
         total = xp.sum(durations)
         means, covariances, weights, density = self.renewed(xp, tuple(belief), total)
         path = xp.sum(weights[:, None] * means, axis=0)
-        gyration = self.states.squared_gyration
+        memory = self.states.memory
+        gyration = memory and memory.squared_gyration
         given = xp, self.dynamics, path, speed, durations, commands, gyration
         transition, offset, speed, slopes = drift(*given)
         half = small_product(xp, transition, covariances)
@@ -184,12 +192,13 @@ class MultipleModels:
         # A packet that is late by δ changes the velocity by δ times the step of acceleration. White
         # noise along da/dt of this squared density gives the same variance over one lag, and more
         # for smooth commands, whose packets add up.
-        late = 2 * self.dynamics.motor_time_constant * self.states.jitter_s**2
+        jitter = memory.jitter if memory else 0.0
+        late = 2 * self.dynamics.motor_time_constant * jitter**2
         by_axis = xp.reshape(by_axis, (9, 9)) + xp.pad(late * slopes, (3, 3))
         covariances = moved + xp.pad(by_axis, (0, means.shape[1] - 9))
         means = xp.sum(transition * means[:, None, :], axis=2) + offset
         belief = means, covariances, weights, density
-        if self.states.learned_s is not None:
+        if memory:
             belief = with_slope(xp, belief, total)
         return *belief, speed
 
@@ -201,7 +210,7 @@ class MultipleModels:
         expected = xp.sum(weights[:, None] * means, axis=0)[POSITION]
         innovation = pose_difference(xp, pose, expected)
         rows, variances = np.eye(means.shape[1])[POSITION], np.square(self.noise.pose)
-        if self.states.learned_s is not None:
+        if self.states.memory is not None:
             spread = xp.diagonal(covariances, axis1=1, axis2=2)[:, POSITION] + variances
             square = innovation**2 * xp.sum(weights[:, None] / spread, axis=0)
             belief[3] = learned_density(xp, density, square, xp.sum(moving[-2]))
@@ -219,7 +228,7 @@ class MultipleModels:
         """Use an inertial measurement at given motor speeds and commands."""
         mean, _ = mixed(np, belief)
         motion = mean[2], *mean[VELOCITY]
-        gyration = self.states.squared_gyration
+        gyration = self.states.memory and self.states.memory.squared_gyration
         modelled, by_e = sensitivity(np, self.dynamics, motion, *motors, gyration=gyration)
         rows = np.zeros((3, len(mean)))
         rows[:, DISTURBANCE] = np.diag([1.0, 1.0, 0.0])
@@ -273,7 +282,7 @@ class MultipleModels:
         deviation = xp.sqrt(xp.sum(weights[:, None] * variances, axis=0)[ACTUATION])
         e = mean[ACTUATION]
         n = self.dynamics.configuration.shape[1]
-        if self.states.learned_s is not None:
+        if self.states.memory is not None:
             # What is not certain is not used: then the craft is as if nothing had been learned.
             means = conditioned(xp, means, covariances, certain_changes(xp, means, covariances, n))
             mean = xp.sum(weights[:, None] * means, axis=0)

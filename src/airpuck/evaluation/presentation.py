@@ -139,7 +139,8 @@ def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
         words = f"{quantity.name.replace('_', ' ')} {entry}".strip()
         label = f"{symbol} {entry}".strip()
         if "," in symbol:  # each entry has its own name
-            label, unit = quantity.of_entry(k)
+            label, of_file = quantity.of_entry(k)
+            unit = unit if quantity.shown else of_file
         listed.append(
             MainQuantity(
                 label,

@@ -153,9 +153,7 @@ def fly_live(
 
 
 def preflight_live(
-    model: Model,
-    plan: PulsePlan | None = None,
-    settings: LiveSettings | None = None,
+    model: Model, plan: PulsePlan | None = None, settings: LiveSettings | None = None
 ) -> Preflight:
     """Give each motor of a craft on the graph short pulses, and judge the response."""
     pilot = PulseTest(model.vehicle, plan)

@@ -215,8 +215,8 @@ def _meanings(models: Sequence[Model]) -> str:
     """Explain the symbols of the parameters in use."""
     used = [
         f"{q.symbol}: {q.meaning.partition(';')[0]}"
-        for q in QUANTITIES
-        if q.shown and any(getattr(m.parameters, q.name) is not None for m in models)
+        for q in QUANTITIES[1:]  # the first are thrust curves, shown as forces
+        if any(getattr(m.parameters, q.name) is not None for m in models)
     ]
     return "; ".join(used)
 

@@ -7,11 +7,10 @@ from typing import Annotated
 
 from typer import Argument
 
-import airpuck
 from airpuck.extend import command, options, report, table, warn
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def identify_puck(
     recordings: Annotated[
         list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one puck.")
@@ -24,9 +23,7 @@ def identify_puck(
     """Identify drag and bounces of a puck from recordings."""
     from airpuck_hockey.puck import identification
 
-    seen = [airpuck.read_recording(path, mapping=mapping, needs=("puck",)) for path in recordings]
-    for recording in seen:
-        warn(recording.warnings)
+    seen = [options.read_recording(path, mapping, needs=("puck",)) for path in recordings]
     fit = identification.identify_puck(seen, play, vehicle)
     if output is not None:
         fit.play.save(output)

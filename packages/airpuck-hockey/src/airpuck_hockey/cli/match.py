@@ -106,7 +106,7 @@ def read_craft(model: str, players: Sequence[str]) -> Model:
     return read_belief(model)
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def match(
     pairing: Pairing,
     rules: GameRules,
@@ -137,7 +137,7 @@ def match(
     report(found.to_json(), *_lines(found, output))
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def watch_match(
     pairing: Pairing,
     rules: GameRules,
@@ -265,7 +265,7 @@ def _picture(game: Game) -> str:
     return "\n".join([names.center(columns + 2), edge, *lines, edge])
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def league(
     rules: GameRules,
     players: Annotated[

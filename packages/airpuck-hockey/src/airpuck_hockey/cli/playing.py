@@ -45,7 +45,7 @@ class PlayingCraft(Settings):
     ] = None
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def play(
     craft: PlayingCraft,
     arena: ArenaSettings,
@@ -132,7 +132,7 @@ def play_live(
     report_flight(figures, said)
 
 
-@command("Air hockey", progress=True)
+@command("Air hockey")
 def skills(
     craft: Annotated[PlayingCraft, Without(("level",))],
     episodes: Annotated[int, Setting("Number of episodes per skill.", numbers.EPISODES, "N")] = 100,
