@@ -113,7 +113,7 @@ def test_other_ways_of_packing(tmp_path: Path, flight, method: int):
 
 
 @pytest.mark.parametrize(
-    ("method", "flags", "says"), [(8, 1, "encrypted"), (99, 0, "another method")]
+    ("method", "flags", "says"), [(8, 1, "encrypted"), (99, 0, "a method other than deflate")]
 )
 def test_encrypted_and_unknown_members(tmp_path: Path, method: int, flags: int, says: str):
     content = zip_member("about.npy", b"x" * 50, says=50, method=method, flags=flags)

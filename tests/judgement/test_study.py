@@ -187,7 +187,7 @@ def test_the_first_hour_of_a_long_recording_is_studied_and_reported(monkeypatch)
         # What is known of a whole recording stays known.
         assert (part is flight) == (told is None)
         assert [one for one in fit.warnings if "hour" in one][:1] == [
-            f"{told}; a span names another part"
+            f"{told}; a span selects another part"
         ] * (told is not None)
 
 

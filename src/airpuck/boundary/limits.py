@@ -248,10 +248,10 @@ class Archive:
         """Read a member, counting unpacked bytes; KeyError for an unknown name."""
         member = self._zip.getinfo(name)
         if member.flag_bits & 1:
-            raise InputError("is encrypted; store it without", file=self._path, field=name)
+            raise InputError("is encrypted; store it decrypted", file=self._path, field=name)
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise InputError(
-                "is packed by another method than deflate; store it again",
+                "is packed by a method other than deflate; store it again",
                 file=self._path,
                 field=name,
             )
@@ -320,7 +320,7 @@ def csv_rows(path: Path, separator: str = ",") -> Iterator[tuple[int, list[str]]
                     unfinished = 0
                     cells += len(row)
                     if len(row) > COLUMNS:
-                        remedy = "keep those that are needed"
+                        remedy = "keep only those that are needed"
                         raise refused("has too many columns", COLUMNS, remedy, file=path)
                     if cells > CELLS:
                         raise refused("has too many cells", CELLS, "cut it into parts", file=path)

@@ -119,7 +119,7 @@ PAGE_PORT = Range(0, 65_535, "TCP has 65535 ports; with 0 there is no page")
 GAMES = Range(1, 100_000, "each takes about a minute of one core")
 GOALS = Range(1, 1000, "someone must be able to win")
 GAME_TIME = Range(0.01, 1e6, "at least one step, at most some days", "s")
-PAUSE = Range(0, 1e10, "pauses are not negative", "s")
+PAUSE = Range(0, 1e10, "pauses cannot be negative", "s")
 WORKERS = Range(1, 1024, "each is a process of its own")
 
 # Ranges for fits and evaluations.

@@ -140,8 +140,8 @@ def identify(
     each: Annotated[
         str,
         Setting(
-            "Parameters that are fitted for each recording separately, such as delay,tilt; all "
-            "others are shared. model.toml has the last one's values, model.toml#1 the first's.",
+            "Parameters fitted for each recording separately, such as delay,tilt; all others are "
+            "shared. model.toml has the last recording's values, model.toml#1 the first's.",
             metavar="NAMES",
             heading="Structure of the model",
         ),

@@ -102,7 +102,7 @@ def check(
     report(result.to_json(), *result.lines)
     if not result.agrees:
         said = f"does not agree with the vehicle {craft.name!r}: {', '.join(result.wrong)}"
-        problem = said if result.conclusive else "tells too little to judge the vehicle file"
+        problem = said if result.conclusive else "contains too little to judge the vehicle file"
         raise InputError(problem, file=recording)
 
 

@@ -25,14 +25,14 @@ class _Limit:
 
 @dataclass(frozen=True)
 class Fence(_Limit):
-    """A rectangle around the craft's centre; the craft can brake before it.
+    """A rectangle that the craft's centre must not leave; the craft can stop before its edge.
 
     Parameters
     ----------
     low_x, low_y, high_x, high_y : float
         Lowest and highest coordinates of the craft's centre [m].
     hard : bool, default False
-        Whether the limit is never exceeded by a plan, rather than by as little as possible.
+        Whether plans never exceed the limit; otherwise they may, by as little as possible.
 
     Raises
     ------
@@ -68,7 +68,7 @@ class KeepOut(_Limit):
     radius : float
         Smallest distance of the craft's centre from it [m].
     hard : bool, default False
-        As of `Fence`.
+        As for `Fence`.
 
     Raises
     ------
@@ -107,7 +107,7 @@ class HalfPlane(_Limit):
     direction : float
         Direction from the line to the allowed side, from the x axis [rad].
     hard : bool, default False
-        As of `Fence`.
+        As for `Fence`.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class MPC(Law):
     tuning : Tuning
         `PredictiveSettings`, and the LQR's settings.
     options : LawOptions, optional
-        Options, including the table whose rails the law avoids, and the limits of the beginning;
+        Options, including the table whose rails the law avoids, and the initial limits;
         the gain is for the LQR.
 
     Raises

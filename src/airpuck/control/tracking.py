@@ -55,8 +55,8 @@ class TrackingController(Pilot):
         The table whose rails a predictive law avoids; by default the paper's.
     limits : sequence of Fence, KeepOut and HalfPlane, optional
         Limits that a predictive law keeps; may be replaced at any time. Discs and half planes add
-        to the tuning's limits. A fence replaces the tuning's and the table's rails; of several, all
-        hold.
+        to the tuning's limits. A fence replaces the tuning's and the table's rails; several fences
+        all hold.
     gain : array, shape (3, 6), optional
         Gain of the law `LQR`.
     reject_disturbance : bool, default True
@@ -148,7 +148,7 @@ class TrackingController(Pilot):
         The controller ignores a pose that is not finite, not newer than the last, or implausibly
         far from its prediction. A pose is too old after `airpuck.control.pose_gate.longest_pause`,
         which is 50 ms for the paper's craft and cameras. Poses that agree with each other for that
-        long are accepted, wherever they are. A pose that is older than the last by more shows that
+        long are accepted anywhere. A pose that is older than the last by more than that shows that
         the last stamp was wrong, and is accepted at once; so is the first pose after such a gap.
 
         Parameters

@@ -48,7 +48,7 @@ class LawSettings(Section):
     Attributes
     ----------
     law : str
-        Name of the law; of a law in a file, the name of its class.
+        Name of the law; for a law in a file, the name of its class.
 
     Examples
     --------
@@ -213,8 +213,8 @@ class Tuning(Section):
     modulation : Modulation
         Pulses of on/off thrusters; without effect on propellers.
     least_command : float, default 0
-        Lowest command of a law, if above the vehicle's. Motors that never rest need not start, and
-        some starts fail.
+        Lowest command of a law, if above the vehicle's. Motors that never rest need no start, which
+        can fail.
 
     Examples
     --------

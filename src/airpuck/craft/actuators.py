@@ -37,7 +37,7 @@ class ActuatorKind(Section):
     """Base of all kinds of thrusters: its physics, for recordings, controllers and the twin alike.
 
     A subclass names itself by the default of `kind`. It overrides `possible` if its actuators can
-    follow some commands only, and `changes` if a command causes several drives, one after another.
+    follow only some commands, and `changes` if a command causes several drives, one after another.
 
     Examples
     --------

@@ -296,7 +296,7 @@ class Trajectory:
 
     @cached_property
     def bridged(self) -> np.ndarray:
-        """Shape (N,): False at lost frames in longer pauses than smoothing bridges."""
+        """Shape (N,): False at lost frames in pauses too long for smoothing to bridge."""
         return bridged(self.time, self.measured)
 
     @cached_property

@@ -65,7 +65,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         ) from error
     if about.get("format") != FORMAT:
         raise InputError(
-            f"has another format than this version reads ({FORMAT!r}); preprocess the recording "
+            f"is not in the format that this version reads ({FORMAT!r}); preprocess the recording "
             "again",
             file=path,
         )

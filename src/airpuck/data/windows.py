@@ -189,7 +189,7 @@ def make_windows(
     for trajectory in trajectories:
         if trajectory.propellers != trajectories[0].propellers:
             raise InputError(
-                "has other propellers than the first recording "
+                "has different propellers from the first recording "
                 f"({', '.join(trajectory.propellers)}); identify each craft separately",
                 file=trajectory.source,
             )
@@ -200,7 +200,7 @@ def make_windows(
         if len(found) == 0:
             raise InputError(
                 f"is too short: a window needs {length} samples in a row "
-                f"({encoder_length} to encode, {prediction_length} to predict), the longest "
+                f"({encoder_length} to encode, {prediction_length} to predict); the longest "
                 f"usable stretch has {_longest_stretch(trajectory)}",
                 file=trajectory.source,
             )

@@ -102,8 +102,8 @@ class ErrorBudget(Result):
         Returns
         -------
         dict
-            ``owners``: for each ``share`` and ``rmse_if_known`` of each channel, the latter of all
-            causes for ``unexplained``; ``windows``, ``packets_late_or_early``, ``faults``.
+            ``owners``: ``share`` and ``rmse_if_known`` of each, by channel (``unexplained``: if all
+            were known); ``windows``, ``packets_late_or_early``, ``faults``.
         """
         both = ("share", self.shares), ("rmse_if_known", self.bounds)
         return {
@@ -127,7 +127,7 @@ def error_budget(
 ) -> ErrorBudget:
     """Divide the squared error of predictions among its causes.
 
-    Predictions begin at every eighth sample at 240 Hz, which halves the starts of `evaluate`. What
+    Predictions begin at every eighth sample at 240 Hz, half as many starts as in `evaluate`. What
     happened is known from the recording itself, so the bounds are hindsight: no predictor has them.
 
     Parameters

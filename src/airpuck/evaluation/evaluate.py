@@ -249,7 +249,7 @@ class Evaluation(Result):
         Parameters
         ----------
         faults : sequence of Span
-            Faults that a model which is not under test found.
+            Faults found by a model that is not under test.
 
         Returns
         -------

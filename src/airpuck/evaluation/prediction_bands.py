@@ -64,9 +64,9 @@ class PredictionBands(Result):
         standard error. None if the model has no uncertainty; nan where the prediction depends on
         undetermined parameters.
     total : array, shape (T, 3, W)
-        Half the band that should contain measured poses: the root of the sum of squares of the
-        former and of 1.96 standard deviations of unmodelled effects, the initial state and the
-        measured pose.
+        Half the band that should contain measured poses: the root of the sum of squares of
+        `by_parameters` and of 1.96 standard deviations of unmodelled effects, the initial state
+        and the measured pose.
 
     Examples
     --------

@@ -313,8 +313,8 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
     n, usable = len(trajectory.propellers), int(trajectory.usable.sum())
     if lags < 5 or usable < 4 * lags * n:
         raise InputError(
-            f"{lags} lags of {n} motors need at least {4 * max(lags, 5) * n} usable poses, there "
-            f"are {usable}; lags can be from 5 to {usable // (4 * n)}",
+            f"{lags} lags of {n} motors need at least {4 * max(lags, 5) * n} usable poses, but "
+            f"there are {usable}; lags can be from 5 to {usable // (4 * n)}",
             field="lags",
         )
     found = innovations(model, trajectory)

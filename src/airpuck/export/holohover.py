@@ -65,7 +65,7 @@ def params_json(model: Model) -> dict[str, Any]:
     known, vehicle, values = default_vehicle(), model.vehicle, model.parameters
     for name in ("positions", "directions"):
         if not np.allclose(getattr(vehicle, name), getattr(known, name), rtol=0, atol=_SAME):
-            cannot(f"other {name} of propellers than the paper's craft", "params.json")
+            cannot(f"propeller {name} other than the paper craft's", "params.json")
     order = np.shape(values.thrust)[1]
     if order > 3:
         cannot(f"thrust curves of degree {order}", "params.json; the highest is 3")

@@ -306,8 +306,8 @@ def _poses(check: LayoutCheck) -> list[Finding]:
     swapped = "agrees" in verdicts and not verdicts <= set(HARMLESS)
     if abs(check.rotation) > TURNED and not (swapped or check.reversed or check.exchanged):
         cause = f"The whole layout is turned by {np.rad2deg(check.rotation):.0f} degrees"
-        remedy = "Align the rigid body of the motion capture with the craft; if motors that lie "
-        remedy += "alike are plugged in a circle, correct their order."
+        remedy = "Align the rigid body of the motion capture with the craft; if the cables of "
+        remedy += "equivalent motors are shifted round the craft, correct their order."
         found.append(Finding("axes", cause, "against the measured yaw", remedy))
         if np.pi - abs(check.rotation) < TURNED:
             signs = check.signs

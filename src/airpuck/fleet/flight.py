@@ -44,9 +44,9 @@ class FleetFlight(Result):
     poses : array, shape (N, n, 3)
         True poses.
     paths : array, shape (N, n, 2)
-        Where their agreed paths lead them, at the same times.
+        Positions on their agreed paths, at the same times.
     arrived : dict of str to float
-        When each craft came to stay at its last goal [s]; infinite if it did not.
+        When each craft reached its last goal for good [s]; infinite if it did not.
     died : dict of str to float
         When craft died [s].
     contacts : tuple of (float, str, str, float)

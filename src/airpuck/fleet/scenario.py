@@ -88,7 +88,7 @@ class Scenario(Section):
     craft : tuple of FleetCraft
         The craft; models may differ.
     formation : tuple of Pose
-        Poses for the craft without goals; each takes one, so that squared distances are least.
+        Poses for the craft without goals, assigned so that squared distances have the least sum.
     obstacles : tuple of Obstacle
         Discs to avoid.
     network : Network
@@ -178,8 +178,8 @@ class Fleet:
     Raises
     ------
     InputError
-        If two craft have one name, starts or goals overlap or are off the table, or a formation
-        does not have a pose for each craft without goals.
+        If two craft have the same name, starts or goals overlap or are off the table, or a
+        formation does not have a pose for each craft without goals.
 
     Examples
     --------
@@ -224,7 +224,7 @@ class Fleet:
         Returns
         -------
         Agreement
-            At its path of the opening, with the others at theirs.
+            On its path of the opening, with the others on theirs.
         """
         paths = [one.start for one in self.members]
         if start is not None:

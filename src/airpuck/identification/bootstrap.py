@@ -95,7 +95,7 @@ def resampled_estimates(
     count = int(clusters.max()) + 1
     if count < _FEWEST:
         raise InputError(
-            f"needs at least {_FEWEST} blocks of two seconds, this recording has {count}",
+            f"needs at least {_FEWEST} blocks of two seconds; this recording has {count}",
             field="bootstrap",
         )
     rng = np.random.default_rng(seed)

@@ -353,7 +353,7 @@ def _with_held_lags(
         changes.append(error * held)
         slopes.append(error * quadratic.hessian @ held)
         note = f"the lag, {1e3 * float(model.parameters.motor_time_constant):.3g} ± "
-        note += f"{1e3 * error:.3g} ms, is the vehicle file's: the poses determine it less well"
+        note += f"{1e3 * error:.3g} ms, comes from the vehicle file: poses determine it less well"
         known = replace(known, notes=(*known.notes, note))
     for k, wheel in enumerate(vehicle.wheels):
         error = wheel.lag_error

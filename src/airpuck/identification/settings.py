@@ -211,7 +211,7 @@ class Loss(Settings):
 
 @dataclass(frozen=True)
 class Preparation(Settings):
-    """Preparation of the data for the last fit by first fits.
+    """How earlier fits prepare the data for the last one.
 
     Attributes
     ----------
@@ -223,7 +223,7 @@ class Preparation(Settings):
         Whether the transport delay is learned, as a continuous parameter for all recordings;
         otherwise each recording's own delay is used, in whole samples. None: `LevenbergMarquardt`
         learns it for rungs with a motor lag, unless a recording was prepared by others: each of
-        those was shifted by another delay.
+        those was shifted by a different delay.
     retimings : int
         How often commands are moved to the arrival of their packets, and velocities smoothed with
         the model, using the previous fit (`airpuck.identification.retiming`). Applies if the delay

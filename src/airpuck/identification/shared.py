@@ -67,7 +67,7 @@ def identify_each(
     for name in each:
         entries = last.model.parameters.mask(frozenset({_EACH[name]}))
         if not free[entries].any():
-            problem = f"{name} is not learned from these recordings, so none has its own"
+            problem = f"{name} is not learned from these recordings, so it cannot differ in them"
             raise InputError(problem, field="each")
     hessians = [fit.windows * _quadratic(fit, fit.model.parameters).hessian for fit in fits]
     joint = combined([fit.model for fit in fits], hessians, free & ~mask, free & mask)
@@ -163,8 +163,8 @@ def _joined(fits: Sequence[Fit], found: Sequence[OfRecording], joint: Combined) 
     if joint.apart > -stdtrit(max(fewest - 1, 1), _DISAGREE / 2 / entries):
         label = last.model.parameters.labels(last.model.vehicle.propeller_names)[joint.entry]
         warnings.append(
-            f"{names} do not agree on {label}: {joint.apart:.1f} standard errors apart; let each "
-            "have more of its own, or leave one out"
+            f"{names} do not agree on {label}: {joint.apart:.1f} standard errors apart; fit "
+            "more parameters separately (each), or leave a recording out"
         )
     data = {key: digest for fit in fits for key, digest in fit.model.data.items()}
     model = replace(

@@ -225,7 +225,7 @@ def _widened(fit: Fit, missing: Sequence[MissingTerm], bent: bool) -> Fit:
         notes.append(f"errors include what the model lacks: {lacking}")
     if bent:
         changes.append(unseen_level(fit.model, loss))
-        notes.append("errors of thrusts include what the curves may do at the slowest commands")
+        notes.append("errors of thrusts allow for what the curves may do at the slowest commands")
     wider = with_held(known, np.where(sure, changes, 0.0), held=np.zeros_like(sure))
     wider = replace(wider, notes=tuple(notes))
     return replace(fit, model=replace(fit.model, uncertainty=wider))

@@ -219,7 +219,7 @@ def sandwich(
     covariance = (covariance + covariance.T) / 2
     rank = space.basis.shape[1]
     rough = (
-        f"{rank} parameters from {count} blocks of time: standard errors are rough, use a longer "
+        f"{rank} parameters from {count} blocks of time: standard errors are rough; use a longer "
         "recording"
     )
     warnings = (rough,) if count <= rank else ()

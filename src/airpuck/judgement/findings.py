@@ -139,7 +139,7 @@ def too_quiet(evidence: Evidence) -> list[Finding]:
         found.append(
             f"The commands of {vehicle.propeller_names[lazy]} reach only "
             f"{percent(float(reached[lazy]))} of the range; thrusts beyond are a guess, and "
-            f"{percent(_REACHED)} are needed. If the commands were larger than this, check the "
+            f"{percent(_REACHED)} is needed. If the commands were larger than this, check the "
             "unit in which they were logged; if no motor may go further, say so in the vehicle "
             "file (command_max)"
         )
@@ -203,7 +203,7 @@ def next_step(model: Model) -> str:
     if model.name.partition("+")[0] != _CHOSEN:
         return "Leave out `--model`: the structure is then chosen by the recording."
     return (
-        "No term that airpuck tests explains it beyond those named here: `airpuck resid` shows "
+        "Beyond those named here, no term that airpuck tests explains it: `airpuck resid` shows "
         "which motors or times are wrong."
     )
 
@@ -266,8 +266,8 @@ def clock_suspect(
         return [
             Finding(
                 "clock",
-                "A clock steps within the recording, and no times of arrival tell before or after "
-                "which step the stamps are right",
+                "A clock steps within the recording, and without times of arrival it is unknown "
+                "before or after which step the stamps are right",
                 f"{sum(span.stop - span.start for span in stepped):.1f} s are left out",
                 "Record a bag, which has times of arrival, or name the right part with `--span`.",
             )

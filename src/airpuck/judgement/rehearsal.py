@@ -155,7 +155,7 @@ def rehearse(
     seen = as_seen(model, effects)
     cameras = cameras_of(seen, [trajectory])
     if cameras is None:
-        return Rehearsal(0.0, "The recording is too short to know its cameras.")
+        return Rehearsal(0.0, "The recording is too short to determine its cameras' noise.")
     if model.cameras is None:
         model = replace(model, cameras=cameras)
     if weakest_effort(model) < _HELD * weakest_effort(nominal_model(model.vehicle)):

@@ -35,7 +35,7 @@ from airpuck.recording.mapping import RecordingMapping
 #: Of a longer recording this much is studied [s]: random errors are then far below those of the
 #: model, and memory stays at some 3 GiB.
 _LONGEST = 3600.0
-_PART = "only the first hour of its poses was used; a span names another part"
+_PART = "only the first hour of its poses was used; a span selects another part"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,7 +142,7 @@ def study(
     Parameters
     ----------
     recordings : path-like, Recording, Trajectory, or a sequence of these
-        Recordings of one craft; of a longer one the first hour is studied.
+        Recordings of one craft; only the first hour of a longer one is studied.
     vehicle : Vehicle, optional
         The craft; by default the one of the trajectories, or the paper's.
     model : str or Rung, optional

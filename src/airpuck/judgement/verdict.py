@@ -278,7 +278,7 @@ def _parameters(evidence: Evidence, findings: Sequence[Finding]) -> ParametersVe
         when = "later" if effects.later > 0 else "earlier"
         why.append(f"Commands act {1e3 * abs(effects.later):.1f} ms {when} than modelled")
     if abs(low := float(np.median(effects.low))) > _LEAST_LOW:
-        why.append(f"Thrusts at low speed are {percent(abs(low))} wrong")
+        why.append(f"Thrusts at low speed are wrong by {percent(abs(low))}")
     return ParametersVerdict(not why, tuple(f"{one}." for one in why))
 
 

@@ -103,7 +103,7 @@ class FleetOnGraph(Result):
             if letter.message.sender != sender:
                 raise ValueError(f"it says that it is from {letter.message.sender!r}")
         except ValueError as error:
-            self._events.log("warning", f"refused from {sender}: {error}", kind="message")
+            self._events.log("warning", f"rejected message from {sender}: {error}", kind="message")
             return None
         self._heard += 1
         return letter

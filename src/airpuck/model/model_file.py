@@ -88,7 +88,7 @@ class Model:
     delay_jitter : DelayJitter or None
         Spread of the transport delay between packets, if it was learned here.
     cameras : Cameras or None
-        Rate, noise and stamp errors of those poses; default tunings follow them.
+        Rate, noise and stamp errors of the poses behind the fit; default tunings follow them.
     recordings : tuple of OfRecording
         What each recording says, if some parameters are each recording's own; the model takes its
         values from the last one.
@@ -281,7 +281,7 @@ class Model:
         Raises
         ------
         InputError
-            If the model has no uncertainty, or too few draws are a possible craft.
+            If the model has no uncertainty, or too few draws describe a possible craft.
         """
         field = f"model {self.name}"
         if self.known is None:

@@ -179,7 +179,7 @@ def read_own(
             )
         quantity = quantity_of(found, one.source, one.start, one.bounds)
         if quantity.name != name or set(quantity.entries((), 0)) != set(one.start):
-            problem = f"was learned with another {name} than {one.source}: identify it again"
+            problem = f"was learned with a {name} that differs from {one.source}: identify it again"
             raise InputError(problem, field=f"effects.{name}")
         yield quantity
 

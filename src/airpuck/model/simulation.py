@@ -117,7 +117,7 @@ def draw(
             found.append(candidate)
         elif drawn * _LEAST_SHARE > len(found) + 1:
             raise InputError(
-                "too few draws keep to the bounds with rising thrust curves: the parameters are "
+                "too few draws lie within the bounds with rising thrust curves: the parameters are "
                 "too uncertain",
                 field=field,
             )

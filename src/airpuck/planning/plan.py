@@ -379,7 +379,7 @@ def plan(
     start : array, shape (3,), (6,) or (6 + n,)
         x, y [m], γ [rad]; their rates, by default 0; the motor speeds, by default idle.
     goal : Goal or array, shape (3,) or (6,)
-        Goal. Plain numbers mean a yaw the shorter way round, and rates that are 0 by default.
+        Goal. Plain numbers mean the shorter turn to the yaw, and rates that are 0 by default.
     via : sequence of (x, y), optional
         Points that the craft's centre passes, in this order [m].
     table : Table, optional
@@ -411,7 +411,7 @@ def plan(
     """
     numbers.INTERVALS.check(intervals, "intervals")
     if warm is not None and len(warm.commands) % (len(via) + 1):
-        raise InputError("has another number of legs than this request", field="warm")
+        raise InputError("has a different number of legs from this request", field="warm")
     request = checked_request(model, start, goal, via, table, keep_out, limits or Limits())
     near = None if warm is None else warm.path(len(request.via) + 1)
     solved, tried = search(request, intervals, near)

@@ -169,8 +169,8 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
         row, column = np.argwhere(bad)[0]
         raise InputError(
             f"{int(bad.any(axis=1).sum())} of {len(stream)} {kind}s are not finite, the first at "
-            f"{time[row]:.3f} s (row {row + 1}); remove these rows, what is missing is then "
-            "treated as a gap",
+            f"{time[row]:.3f} s (row {row + 1}); remove these rows (missing samples are "
+            "then treated as a gap)",
             file=source,
             field=stream.columns[column],
         )
@@ -194,7 +194,7 @@ def drop_disorder(
         first = int(np.argmax(lost))
         raise InputError(
             f"{int(lost.sum())} of {len(time)} {kind}s have stamps before earlier ones, from "
-            f"row {first + 1} on, which goes back by {latest[first] - time[first]:.3f} s: its "
+            f"row {first + 1} on, where time goes back by {latest[first] - time[first]:.3f} s: its "
             "clock was set back, or recordings were joined; cut it there",
             field="time",
         )

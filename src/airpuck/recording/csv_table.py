@@ -334,7 +334,7 @@ def check_digits(table: CsvTable, stream: Any) -> None:
         f"lines {table.lines[which]} and {table.lines[which + 1]}, and {repeats - 1} other pairs"
     )
     raise InputError(
-        f"{where} have the same time and other numbers: the times have lost digits (write seconds "
+        f"{where} have the same time but different numbers: times have lost digits (write seconds "
         "with six decimals), or rows of several bodies are mixed (one column must name them)",
         file=table.path,
         field="time",

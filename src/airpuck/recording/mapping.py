@@ -242,10 +242,10 @@ class PoseMapping(_Times):
     body : str
         Rigid body, if a table, a topic or an export contains several.
     rate_hz : float, optional
-        The cameras' rate. Poses are then placed at this rate, whatever their stamps vary; by
+        The cameras' rate. Poses are then placed at this rate, however much their stamps vary; by
         default only if they were stamped on arrival, in bursts.
     stamps : str
-        ``exact`` if stamps are the times of exposure and must not be changed; empty: judged.
+        ``exact`` if stamps are times of exposure and must not be changed; empty: airpuck decides.
 
     Examples
     --------

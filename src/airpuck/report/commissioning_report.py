@@ -53,7 +53,7 @@ def commissioning_report(
     if any(one.model is not None for one in found.steps):
         caption = (
             "Largest accelerations and the response time, with 95 % intervals. The first bars are "
-            "the vehicle file's values, with thrusts known to a factor of two; a cross marks a "
+            "the vehicle file's values, with thrusts known within a factor of two; a cross marks a "
             "value without an interval."
         )
         picture = Picture("intervals", interval_figure(found), caption)

@@ -199,7 +199,7 @@ def summary(flights: Sequence[Tracked]) -> PageTable:
         rows.append([flight.label, *cells])
     caption = (
         "Distance: root mean square of pose minus set point in force. Full command: share of "
-        "commands, and of the time with at least one motor. Steps on this machine, next to its "
+        "commands, and of the time with at least one motor. Steps on this machine, under its "
         "other load; airpuck fly asks the operating system for priority."
     )
     groups = [("", 1), ("settled", 2), ("distance", 2), ("full command", 2), ("to a rail", 1)]

@@ -388,8 +388,8 @@ def strength_section(strengths: Strengths) -> PageSection:
     """Set the strength of each actuator beside the vehicle file's."""
     caption = (
         "Thrust at the largest command, with 95 % intervals. An actuator is judged in comparison "
-        "with the median of the others, each relative to its nominal strength: it is weak if it is "
-        "below by more than four standard errors, and by more than sound motors differ "
+        "with the median of the others, each relative to its nominal strength: it is weak if it "
+        "lies below by more than four standard errors, and by more than sound motors differ "
         "(nominal.thrust_spread in the vehicle file)."
     )
     table = PageTable(caption, STRENGTH_HEADINGS, strength_rows(strengths))

@@ -56,7 +56,7 @@ _SHOWN = 8
 _INTERVALS = (
     " ±: standard error, with blocks of two seconds taken as independent. A learned value without "
     "one is held by a constraint, or known only as a factor of a product. The tolerances of the "
-    "vehicle file are included, other systematic errors common to all the data are not."
+    "vehicle file are included; other systematic errors common to all the data are not."
 )
 
 
@@ -118,7 +118,7 @@ def _thrust_section(study: FitStudy) -> PageSection:
     )
     if any(m.parameters.configuration_matrix is not None for m in [*models, *reference]):
         caption += (
-            " M4 knows thrust up to a scale: s times the thrust and 1/s times the propeller's "
+            " M4 knows thrust only up to a scale: s times the thrust and 1/s times the propeller's "
             "column of Π predicts the same motion. The scale is fixed so that each column of Π has "
             "length 1/m in x and y, as Newton's law demands."
         )

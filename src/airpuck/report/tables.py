@@ -111,9 +111,9 @@ def budget_table(budget: ErrorBudget) -> PageTable:
         for owner, share in budget.shares.items()
     ]
     caption = (
-        "Shares of the squared error: its drop when a cause is removed, averaged over opposite "
-        "orders of removal; a cause counts only if it lowers BIC. Right: the error if it were "
-        "known; in the last row, if all were."
+        "Shares of the squared error: how much it drops when a cause is removed, averaged over "
+        "opposite orders of removal; a cause counts only if it lowers BIC. Right: the error if the "
+        "cause were known; in the last row, if all were."
     )
     return PageTable(caption, ["cause", "x %", "y %", "γ %", *CHANNELS], rows)
 
@@ -183,7 +183,7 @@ OUTCOMES = {
     "scaled": "the linear or angular acceleration is scaled down, in the same direction",
     "nearest": "no scaled acceleration is feasible; the nearest one is applied",
     "optimal": "the best commands over the horizon, within all limits",
-    "softened": "as optimal, but a motion limit is exceeded by as little as possible",
+    "softened": "like optimal, but a motion limit is exceeded by as little as possible",
     "iteration limit": "the solver failed; the previous plan continues",
     "fallback": "the previous plan has ended; an LQR takes over",
     "open loop": "the pilot has no control law",
@@ -193,7 +193,7 @@ OUTCOMES = {
     "jumping pose": "the last poses are farther away than the craft can have flown; motors idle",
     "bad input": "a pose or the time is not finite; motors idle",
     "unsafe": "the safety guard rejects the command; motors idle",
-    "cannot steer": "motors are dead that the law cannot do without; landed, motors idle",
+    "cannot steer": "motors that the law needs are dead; landed, motors idle",
 }
 
 

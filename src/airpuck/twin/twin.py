@@ -55,7 +55,7 @@ class Twin:
     mallet : tuple of float, optional
         Initial position of the human's mallet [m]; by default there is no mallet. It needs a puck.
     logs : bool, default True
-        Whether to keep everything for `recording` and `truth`; not for runs of hours.
+        Whether to keep everything for `recording` and `truth`; turn off for runs of hours.
     world : World, optional
         The table that it shares with another disc; by default its own.
 

@@ -157,7 +157,7 @@ def test_places_that_are_not_finite_or_far_away_are_refused(guided, place):
     guide.lead(0.8, 0.0, 0.0, seconds=0.8)
     guide.lead(*place)
     assert table.mallet == pytest.approx((0.8, 0.0), abs=1e-3)
-    assert "refused a position for the mallet that is far from the table" in table.said
+    assert "rejected a position of the mallet that is far from the table" in table.said
 
 
 def test_old_places_are_refused(guided):

@@ -63,7 +63,7 @@ class Human:
         """Store the mallet's target; old or non-finite targets are ignored."""
         for stamp, (x, y, _) in self.targets.take() if self.targets else ():
             if not (abs(x) <= COORDINATE.high and abs(y) <= COORDINATE.high):
-                text = "refused a position for the mallet that is far from the table"
+                text = "rejected a position of the mallet that is far from the table"
                 self._events.log("warning", text)
             elif now - stamp < _HOLDS:
                 self._hand.wanted, self._wanted_at = (float(x), float(y)), stamp

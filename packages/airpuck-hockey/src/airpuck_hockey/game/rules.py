@@ -53,7 +53,7 @@ class Rules(Settings):
         float | None, Setting("Time limit of a game.", numbers.GAME_TIME, "S", "--limit")
     ] = 300.0
     foul_s: Annotated[
-        float, Setting("Time on one side that is a foul.", numbers.GAME_TIME, "S")
+        float, Setting("Time on one side that counts as a foul.", numbers.GAME_TIME, "S")
     ] = 15.0
     stuck_s: Annotated[
         float, Setting("Time at rest until a new serve.", numbers.GAME_TIME, "S")

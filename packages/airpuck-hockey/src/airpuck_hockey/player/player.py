@@ -43,8 +43,8 @@ from airpuck_hockey.puck.puck_filter import PuckFilter
 #: Number of commands at which the thrust is computed.
 _COMMANDS = 500
 _SHARE = numbers.Range(0.05, 1.0, "the craft must move", "of the full thrust")
-_REACTION = numbers.Range(0.0, 1.0, "with a longer one nothing is seen in time", "s")
-_NOISE = numbers.Range(0.0, 1.0, "no shot would go forward", "rad")
+_REACTION = numbers.Range(0.0, 1.0, "with a longer one, the player reacts too late", "s")
+_NOISE = numbers.Range(0.0, 1.0, "with more, no shot would go forward", "rad")
 
 
 @dataclass(frozen=True)
