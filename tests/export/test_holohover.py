@@ -167,7 +167,10 @@ MOVED = PAPER["M2"].vehicle.propellers[0].model_copy(update={"direction_deg": 80
         (FOUR, "4 propellers instead of 6"),
         (replace(PAPER["M3"], frame="body"), "fixed to the body.*--com-frame world"),
         (with_vehicle(command_max=0.9), "highest command of 0.9"),
-        (with_vehicle(propellers=(MOVED, *PAPER["M2"].vehicle.propellers[1:])), "other directions"),
+        (
+            with_vehicle(propellers=(MOVED, *PAPER["M2"].vehicle.propellers[1:])),
+            "directions other than",
+        ),
     ],
 )
 def test_what_the_files_cannot_hold_is_rejected_by_name(model, message, tmp_path):

@@ -79,7 +79,7 @@ def test_a_lag_that_poses_determine_less_well_than_the_file_keeps_its_value_and_
     assert not fit.model.free[lag].any()
     assert fit.model.parameters.motor_time_constant == 0.005
     assert known.standard_errors[lag] == pytest.approx(3e-4)
-    assert "vehicle file's" in " ".join(known.notes)
+    assert "from the vehicle file" in " ".join(known.notes)
     assert fit.model.parameters.transport_delay == pytest.approx(0.041, abs=2e-3)
 
 

@@ -529,7 +529,7 @@ def test_motion_along_a_diagonal_shows_that_times_lost_their_digits(tmp_path: Pa
     """Both steps are exact in binary, and cancel each other."""
     steps = 0.125 * np.arange(N)
     text = csv("t,x,y,theta", 1e3 * np.round(TIME, 1), steps, -steps, np.zeros(N))
-    with pytest.raises(InputError, match=r"lines 2 and 3, and .* the times have lost digits"):
+    with pytest.raises(InputError, match=r"lines 2 and 3, and .* times have lost digits"):
         read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
 
 
@@ -551,7 +551,7 @@ def test_the_shortest_files_are_split_into_cells(tmp_path: Path, text: str, ends
 @pytest.mark.parametrize("form", ["%.9g", "%.10g", "%.11g"])
 def test_times_that_lost_their_digits_are_named(tmp_path: Path, form: str):
     text = at_times([form % (1.7e9 + t) for t in TIME])
-    with pytest.raises(InputError, match=r"lines \d+ and \d+.* the times have lost digits"):
+    with pytest.raises(InputError, match=r"lines \d+ and \d+.* times have lost digits"):
         read_recording(
             folder(tmp_path, text),
             mapping=mapping(tmp_path, MAPPING.replace('"deg", "ms"', '"deg"')),
