@@ -37,6 +37,9 @@ def test_ctrl_c_ends_a_run_on_the_graph_with_idle_motors_and_all_flights_kept(do
     assert err.strip().endswith("not trusted: Stopped by the operator. Start again")
     np.testing.assert_array_equal(watch.values(COMMANDS)[-1], np.full(6, IDLE))
     flights = sorted((tmp_path / "flights").iterdir())
-    assert [flight.name for flight in flights][:3] == ["01_rest", "02_pulses", "03_hover"]
+    rest, pulses, steered_one, *_ = (flight.name for flight in flights)
+    # On a busy machine pulses come late, and the craft is first brought back.
+    assert (rest, pulses) == ("01_rest", "02_pulses")
+    assert steered_one in ("03_hover", "03_return")
     assert len(read_recording(flights[1])["pose"]) > 400
     assert "6 motors answer" in out + err
