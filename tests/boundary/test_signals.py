@@ -9,7 +9,14 @@ from types import SimpleNamespace
 
 import pytest
 
-from airpuck.boundary.signals import Stopped, stop, stoppable, until_stopped
+from airpuck.boundary.signals import Stopped, forget_stopped, stop, stoppable, until_stopped
+
+
+@pytest.fixture(autouse=True)
+def handled():
+    """Let no later test of this process find a signal that is still to be handled."""
+    yield
+    forget_stopped()
 
 
 class Interrupted:
