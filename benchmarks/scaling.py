@@ -137,7 +137,9 @@ def draw(panel: plt.Axes, axis: Axis, found: list[Measured], *, memory: bool) ->
         beside.set_ylim(bottom=0)
         beside.set_ylabel("peak memory [GiB]", color="C1")
         beside.minorticks_off()
-    panel.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    panel.set_xticks(
+        sizes, [f"{size / 1000:.3g}k" if size >= 10_000 else f"{size:g}" for size in sizes]
+    )
     panel.minorticks_off()
     return grows
 
