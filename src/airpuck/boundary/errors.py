@@ -65,6 +65,27 @@ def about(file: str | os.PathLike[str] | None, field: str | None = None) -> Iter
         raise InputError(error.problem, file=error.file or file, field=field) from error
 
 
+@contextmanager
+def explained(
+    kinds: type[Exception] | tuple[type[Exception], ...],
+    problem: str,
+    *,
+    file: str | os.PathLike[str] | None = None,
+    field: str | None = None,
+) -> Iterator[None]:
+    """Turn errors of these kinds into an InputError, and let an InputError pass.
+
+    ``{error}`` in `problem` stands for the error; for one of the operating system, for its reason.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except kinds as error:
+        reason = str(getattr(error, "strerror", None) or error)
+        raise InputError(problem.replace("{error}", reason), file=file, field=field) from error
+
+
 def shortened(text: str, most: int = 80) -> str:
     """Shorten text from a file for a message; `InputError` escapes it."""
     return text if len(text) <= most else f"{text[:most]}..."

@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, explained, nearest
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -174,10 +174,9 @@ def users_class(name: str, option: str) -> Any:
     """Import the class FILE.py:NAME or MODULE:NAME; a file runs once, so that its class remains."""
     path, _, attribute = name.rpartition(":")
     if path and not path.endswith(".py"):
-        try:
+        kinds, problem = (ImportError, AttributeError), "cannot be imported: {error}"
+        with explained(kinds, problem, file=name, field=option):
             return getattr(importlib.import_module(path), attribute)
-        except (ImportError, AttributeError) as error:
-            raise InputError(f"cannot be imported: {error}", file=name, field=option) from error
     return _in_file(name, option, Path(path).stat().st_mtime_ns if Path(path).is_file() else 0)
 
 

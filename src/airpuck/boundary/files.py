@@ -8,7 +8,7 @@ import os
 import re
 import tomllib
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from functools import cache
 from importlib import resources
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import pydantic
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.limits import (
     DEPTH,
     KEYS,
@@ -42,14 +42,8 @@ def load_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise refused("contains too many keys", KEYS, "is it the right file?", file=path)
     if _DOTTED.search(text):
         raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=path)
-    with within_means(path):
-        try:
-            content = tomllib.loads(text)
-        # A number of thousands of digits is a ValueError of another kind.
-        except ValueError as error:
-            raise InputError(f"is not valid TOML: {error}", file=path) from error
-    check_tree(content, file=path)
-    return content
+    # A number of thousands of digits is a ValueError of another kind.
+    return _checked_tree(text, tomllib.loads, "TOML", ValueError, path)
 
 
 def load_json(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -59,15 +53,7 @@ def load_json(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 def parse_json(text: str, *, file: str | os.PathLike[str]) -> dict[str, Any]:
     """Parse text from a file as a JSON object."""
-    with within_means(file):
-        try:
-            content = json.loads(text)
-        except ValueError as error:
-            raise InputError(f"is not valid JSON: {error}", file=file) from error
-    if not isinstance(content, dict):
-        raise InputError("must contain a JSON object", file=file)
-    check_tree(content, file=file)
-    return content
+    return _checked_tree(text, json.loads, "JSON", ValueError, file, "a JSON object")
 
 
 def load_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
@@ -79,14 +65,26 @@ def load_yaml(path: str | os.PathLike[str]) -> dict[Any, Any]:
     # Merged tables can double with each line.
     if "<<" in text:
         raise InputError("merges tables (<<); write them out", file=path)
-    with within_means(path):
-        try:
-            content = YAML(typ="safe").load(text)
-        except (YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
-            raise InputError(f"is not valid YAML: {error}", file=path) from error
+    errors = (YAMLError, ValueError, TypeError, AttributeError, KeyError, IndexError)
+    wanted = "a mapping of keys to values"
+    return _checked_tree(text, YAML(typ="safe").load, "YAML", errors, path, wanted)
+
+
+def _checked_tree(
+    text: str,
+    parse: Callable[[str], Any],
+    language: str,
+    errors: type[Exception] | tuple[type[Exception], ...],
+    file: str | os.PathLike[str],
+    wanted: str = "tables",
+) -> dict[Any, Any]:
+    """Parse text from a file with bounds; its content must be a dictionary."""
+    problem = f"is not valid {language}: {{error}}"
+    with within_means(file), explained(errors, problem, file=file):
+        content = parse(text)
     if not isinstance(content, dict):
-        raise InputError("must contain a mapping of keys to values", file=path)
-    check_tree(content, file=path)
+        raise InputError(f"must contain {wanted}", file=file)
+    check_tree(content, file=file)
     return content
 
 

@@ -25,7 +25,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from airpuck.boundary.errors import InputError, escaped, unknown
+from airpuck.boundary.errors import InputError, escaped, explained, unknown
 from airpuck.boundary.extensions import HOCKEY, added, loaded
 from airpuck.boundary.signals import SIGNALLED, Stopped, forget_stopped, stoppable, stopped_by
 from airpuck.cli.options import Json, Quiet, check_inputs, refuse_empty
@@ -344,10 +344,8 @@ def _open_streams() -> None:
 
 def _check_surroundings() -> None:
     """Check the working folder, and override settings of libraries that commands do not need."""
-    try:
+    with explained(OSError, "the working folder was deleted; change to another one"):
         Path.cwd()
-    except OSError as error:
-        raise InputError("the working folder was deleted; change to another one") from error
     os.environ["MPLBACKEND"] = "agg"  # figures are files
     if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
         del os.environ["SOURCE_DATE_EPOCH"]

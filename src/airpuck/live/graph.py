@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.live.settings import domain_config, domain_id
 from airpuck.recording.cdr import Types
 from airpuck.recording.conversion import SECOND_NS
@@ -123,13 +123,13 @@ class Graph:
     ) -> None:
         self.domain = domain_id(domain)
         config = domain_config(interface)
-        try:
+        with explained(ImportError, "a graph needs Cyclone DDS: pip install 'airpuck[ros2]'"):
             from cyclonedds import builtin
             from cyclonedds.core import DDSException, GuardCondition, Policy, Qos, WaitSet
             from cyclonedds.domain import Domain, DomainParticipant
-        except ImportError as error:
-            raise InputError("a graph needs Cyclone DDS: pip install 'airpuck[ros2]'") from error
-        try:
+        problem = f"domain {self.domain} cannot be joined ({{error}}); "
+        problem += "are there too many processes in it?"
+        with explained(DDSException, problem, field="--domain"):
             if self.domain not in self._configured:
                 self._configured[self.domain] = config, Domain(self.domain, config)
             if self._configured[self.domain][0] != config:
@@ -138,12 +138,6 @@ class Graph:
                 )
             described = f"{name} (process {os.getpid()} on {socket.gethostname()})"
             self._participant = DomainParticipant(self.domain, Qos(Policy.EntityName(described)))
-        except DDSException as error:
-            raise InputError(
-                f"domain {self.domain} cannot be joined ({error}); are there too many processes "
-                "in it?",
-                field="--domain",
-            ) from error
         self._entered = time.monotonic()
         self._waitset = WaitSet(self._participant)
         # Never triggers: Cyclone does not wait for an empty set.

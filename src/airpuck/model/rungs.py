@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, explained, nearest
 from airpuck.boundary.extensions import added, loaded, users_class
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own
@@ -57,10 +57,8 @@ class Rung:
             wheels = change_degree(vehicle.nominal_thrust, max(self.powers))
             curves = np.where(vehicle.is_wheel[:, None], wheels, curves)
             parameters = replace(parameters, thrust=curves)
-        try:
+        with explained(ValueError, "{error}", field="model"):
             vehicle.actuators.check_thrust(parameters.thrust.shape[1])
-        except ValueError as error:
-            raise InputError(str(error), field="model") from error
         if not self.lag:
             parameters = replace(parameters, motor_time_constant=0.0)
         if self.direct:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from ruamel.yaml import YAML
 
-from airpuck.boundary.errors import InputError, listing, shortened
+from airpuck.boundary.errors import InputError, explained, listing, shortened
 from airpuck.boundary.files import load_yaml
 from airpuck.boundary.limits import DEFINITION_BYTES, sha256
 from airpuck.boundary.outputs import new_folder
@@ -141,10 +141,8 @@ def _read_file(path: Path, wanted: Collection[str]) -> Log:
 def _unpack_messages(log: Log, path: Path) -> None:
     """Unpack messages that the recorder compressed one by one."""
     for topic in log.entries:
-        try:
+        with explained(ValueError, "{error}", file=path, field=topic.name):
             topic.messages = list(map(unpacked_message, topic.messages))
-        except ValueError as error:
-            raise InputError(str(error), file=path, field=topic.name) from error
 
 
 def _warnings(log: Log, metadata: Mapping[str, Any]) -> tuple[str, ...]:
@@ -303,10 +301,8 @@ def write_bag(
     names = (topics or Topics()).by_stream
     codecs = {}
     for name, stream in recording.streams.items():
-        try:
+        with explained(ValueError, "{error}", file=recording.source, field=name):
             codecs[name] = _codec(name, stream, known=name in names)
-        except ValueError as error:
-            raise InputError(str(error), file=recording.source, field=name) from error
     with new_folder(folder) as temporary:
         bag = BagFile(temporary, recording.about)
         messages = []

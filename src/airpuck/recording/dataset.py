@@ -16,7 +16,7 @@ from airpuck.boundary import limits
 from airpuck.boundary.errors import InputError, listing, nearest
 from airpuck.boundary.files import Positive, Section, read_toml
 from airpuck.boundary.limits import sha256
-from airpuck.boundary.outputs import replacing, unwritable
+from airpuck.boundary.outputs import replacing
 
 #: Environment variable that names a copy of the paper's dataset.
 VARIABLE = "AIRPUCK_DATA"
@@ -163,11 +163,8 @@ def _copy_our_files(name: str, folder: Path) -> None:
     for file in (resources.files("airpuck") / _DATASETS / name).iterdir():
         if file.name == "dataset.toml":
             continue
-        try:
-            with replacing(folder / file.name) as temporary:
-                temporary.write_bytes(file.read_bytes())
-        except OSError as error:
-            raise unwritable(folder / file.name, error) from error
+        with replacing(folder / file.name) as temporary:
+            temporary.write_bytes(file.read_bytes())
 
 
 def _download(

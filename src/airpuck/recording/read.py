@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.limits import within_means
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.bag import METADATA, is_bag, read_bag, several_recordings
@@ -73,7 +73,7 @@ def read_recording(
 def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read a recording in one of the forms."""
     found = path
-    try:
+    with explained(OSError, "cannot be read ({error})", file=path):
         if found.is_dir():
             found = _resolve(found, mapping)
             if is_bag(found):
@@ -83,8 +83,6 @@ def _read(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Record
             raise InputError("there is no such file or folder", file=path)
         if not found.is_file():
             raise InputError(f"is not a regular file; use {_FORMS}", file=path)
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path) from error
     if is_bag(found):
         return read_bag(found, mapping, needs)
     if found.suffix == ULOG:

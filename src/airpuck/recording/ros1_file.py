@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.limits import CHUNK_BYTES, Unpacking, refused
 from airpuck.recording.cdr import typestore
 from airpuck.recording.message import definitions
@@ -191,11 +191,9 @@ def convert_ros1(log: Log, path: Path) -> None:
         topic.encoding = "cdr"
         if not topic.messages:
             continue
-        try:
+        problem = f"contains a {topic.msgtype} that cannot be decoded"
+        # rosbags compiles definitions to code and checks no message: both can fail in any way.
+        with explained(Exception, problem, file=path, field=topic.name):
             types = definitions(topic.msgtype, topic.definition)
             store = typestore(types, topic.msgtype)
             topic.messages = [bytes(store.ros1_to_cdr(m, topic.msgtype)) for m in topic.messages]
-        # rosbags compiles definitions to code and checks no message: both can fail in any way.
-        except Exception as error:
-            problem = f"contains a {topic.msgtype} that cannot be decoded"
-            raise InputError(problem, file=path, field=topic.name) from error

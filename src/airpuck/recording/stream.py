@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64, Shaped
 from numpy.typing import ArrayLike
 
 from airpuck.boundary.arguments import checked, checked_class
-from airpuck.boundary.errors import InputError, about
+from airpuck.boundary.errors import InputError, about, explained
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
@@ -292,12 +292,10 @@ def _table(
     name: str, time: ArrayLike, values: ArrayLike, source: str
 ) -> tuple[Shaped[np.ndarray, " N"], Float[np.ndarray, "N k"], tuple[str, ...]]:
     """Return matching times and numbers without rows of NaN, and the number of such rows."""
-    try:
+    with explained((TypeError, ValueError), "are not numbers", file=source, field=name):
         stamps, numbers = np.asarray(time), np.asarray(values, dtype=np.float64)
         if stamps.dtype.kind not in "iufMm":
             stamps = stamps.astype(np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError("are not numbers", file=source, field=name) from error
     if numbers.ndim != 2 or stamps.shape != numbers.shape[:1]:
         raise InputError(
             f"have the shape {numbers.shape} and their times {stamps.shape}; there must be a row "

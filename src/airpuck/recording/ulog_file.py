@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, listing, nearest
+from airpuck.boundary.errors import InputError, explained, listing, nearest
 from airpuck.boundary.limits import DEFINITION_SIZE, refused, sha256
 from airpuck.recording.cdr import Field
 from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
@@ -58,12 +58,10 @@ def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Re
     content = path.read_bytes()
     _check_definitions(content, path)
     said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(io.BytesIO(content))
     # A damaged log can make pyulog fail in any way.
-    except Exception as error:
-        raise InputError("is not a readable PX4 log", file=path) from error
+    unreadable = explained(Exception, "is not a readable PX4 log", file=path)
+    with unreadable, contextlib.redirect_stdout(said):
+        log = ULog(io.BytesIO(content))
     topics, said = _topics(log.data_list), []
     streams = {}
     for stream, name in mapping.topics.by_stream.items():

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import explained
 from airpuck.boundary.limits import (
     CHUNK_BYTES,
     DEFINITIONS,
@@ -175,12 +175,10 @@ def unpacked_file(path: Path) -> Iterator[Path]:
     budget = Unpacking(path, path.stat().st_size)
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder, path.stem)
-        try:
-            with path.open("rb") as source, plain.open("wb") as target:
-                stream = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
-                while block := stream.read(MIB):
-                    budget.spend(len(block))
-                    target.write(block)
-        except zstandard.ZstdError as error:
-            raise InputError(f"is not a readable recording ({error})", file=path) from error
+        damaged = explained(zstandard.ZstdError, "is not a readable recording ({error})", file=path)
+        with damaged, path.open("rb") as source, plain.open("wb") as target:
+            stream = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+            while block := stream.read(MIB):
+                budget.spend(len(block))
+                target.write(block)
         yield plain

@@ -20,7 +20,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.live.settings import check_interface
 
 LOOPBACK = "127.0.0.1"
@@ -52,12 +52,9 @@ def address_of(interface: str) -> str:
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         request = struct.pack("256s", interface.encode()[:15])
-        try:
+        problem = f"{interface} has no IPv4 address ({{error}})"
+        with explained(OSError, problem, field="--interface"):
             answer = fcntl.ioctl(asking.fileno(), _SIOCGIFADDR[sys.platform], request)
-        except OSError as error:
-            raise InputError(
-                f"{interface} has no IPv4 address ({error.strerror})", field="--interface"
-            ) from error
     return socket.inet_ntoa(answer[20:24])
 
 
