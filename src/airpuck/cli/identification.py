@@ -17,7 +17,14 @@ from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
 from airpuck.cli.output import origin, report, show_progress, show_time_left, table, warn
-from airpuck.identification.settings import Degree, Loss, Preparation, Stride, YawWeight
+from airpuck.identification.settings import (
+    Degree,
+    Loss,
+    Preparation,
+    Stride,
+    YawWeight,
+    of_structure,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -34,11 +41,11 @@ Recordings = Annotated[
 ]
 ComFrame = Annotated[
     Literal["body", "world"],
-    Setting(
-        "Whether the centre of mass is fixed to the body, or to the world as in the paper.",
-        heading="Structure of the model",
+    of_structure(
+        "Whether the centre of mass is fixed to the body, or to the world as in the paper."
     ),
 ]
+_of_uncertainty = partial(Setting, heading="Uncertainty")
 
 
 @command(PANEL)
@@ -127,23 +134,17 @@ def identify(
     yaw_weight: YawWeight = 0.1,
     bootstrap: Annotated[
         int | None,
-        Setting(
-            "Also fit to N resamplings, for bootstrap intervals",
-            numbers.REPLICATES,
-            "N",
-            heading="Uncertainty",
+        _of_uncertainty(
+            "Also fit to N resamplings, for bootstrap intervals", numbers.REPLICATES, "N"
         ),
     ] = None,
-    seed: Annotated[
-        int, Setting("Seed of the resamplings", numbers.SEED, "N", heading="Uncertainty")
-    ] = 0,
+    seed: Annotated[int, _of_uncertainty("Seed of the resamplings", numbers.SEED, "N")] = 0,
     each: Annotated[
         str,
-        Setting(
+        of_structure(
             "Parameters fitted for each recording separately, such as delay,tilt; all others are "
             "shared. model.toml has the last recording's values, model.toml#1 the first's.",
             metavar="NAMES",
-            heading="Structure of the model",
         ),
     ] = "",
 ) -> None:

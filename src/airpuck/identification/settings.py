@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from airpuck.boundary import numbers
@@ -24,34 +25,21 @@ _SHORT, _LONGEST_ENCODER = 1.2, 1.0
 #: Relative difference between the sample periods of recordings that are fitted together.
 _SAME_RATE = 0.05
 
+#: Settings outside of a class, under the headings of its settings and of others like them.
+of_errors = partial(Setting, heading="Prediction errors to minimise")
+of_structure = partial(Setting, heading="Structure of the model")
 #: Distance between windows.
 Stride = Annotated[
     int | None,
-    Setting(
-        "Samples from one window to the next; by default 29 ms",
-        numbers.STRIDE,
-        "N",
-        heading="Prediction errors to minimise",
-    ),
+    of_errors("Samples from one window to the next; by default 29 ms", numbers.STRIDE, "N"),
 ]
 YawWeight = Annotated[
-    float,
-    Setting(
-        r"Weight of yaw errors in the loss \[1/rad]",
-        numbers.WEIGHT,
-        "W",
-        heading="Prediction errors to minimise",
-    ),
+    float, of_errors(r"Weight of yaw errors in the loss \[1/rad]", numbers.WEIGHT, "W")
 ]
 #: Degree of the thrust polynomials.
 Degree = Annotated[
     int | None,
-    Setting(
-        "Degree of the thrust polynomials; by default the model's",
-        numbers.DEGREE,
-        "N",
-        heading="Structure of the model",
-    ),
+    of_structure("Degree of the thrust polynomials; by default the model's", numbers.DEGREE, "N"),
 ]
 
 
