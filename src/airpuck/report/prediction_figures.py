@@ -266,12 +266,11 @@ def draw_predictions(
         measured = trajectory.state[shown, channel]
         pose.plot(trajectory.time[shown], measured, color=style.BLACK, lw=3.2, alpha=0.3)
         error.axhline(0, color=style.BLACK, lw=0.8)
-        for evaluation in evaluations:
-            color = colors[evaluation.model]
-            _draw_channel(pose, error, trajectory, evaluation, channel, (begin, stop), color)
         name, unit = style.POSE[channel]
         pose.set_ylabel(f"{name} [{unit}]")
         error.set_ylabel(f"error of {name} [{style.ERRORS[channel][1]}]")
+    for evaluation in evaluations:
+        _draw_windows(grid, trajectory, evaluation, (begin, stop), colors[evaluation.model])
     for axes in grid[-1]:
         axes.set(xlabel="time [s]", xlim=(begin, stop))
     grid[0, 0].set_title("pose", loc="left")
@@ -281,30 +280,24 @@ def draw_predictions(
     style.top_legend(figure, handles)
 
 
-def _draw_channel(
-    pose: Axes,
-    error: Axes,
-    trajectory: Trajectory,
-    evaluation: Evaluation,
-    channel: int,
-    span: tuple[float, float],
-    color: str,
+def _draw_windows(
+    grid: Any, trajectory: Trajectory, evaluation: Evaluation, span: tuple[float, float], color: str
 ) -> None:
-    """Draw one channel of the predictions that lie within a span of time."""
-    steps, factor = len(evaluation.errors), style.ERRORS[channel][2]
-    length = steps * evaluation.sample_period
+    """Draw poses and errors of one model's windows within a span, one after another."""
+    steps, period = len(evaluation.errors), evaluation.sample_period
+    length = steps * period
     inside = np.flatnonzero((evaluation.start >= span[0]) & (evaluation.start <= span[1] - length))
     chosen = inside[_one_after_another(evaluation.start[inside], length)]
-    first = np.searchsorted(
-        trajectory.time, evaluation.start[chosen] - evaluation.sample_period / 2
-    )
+    first = np.searchsorted(trajectory.time, evaluation.start[chosen] - period / 2)
     for number, start in zip(chosen.tolist(), first.tolist(), strict=True):
         index = start + np.arange(steps + 1)
-        off = np.concatenate([[0.0], evaluation.errors[:, channel, number]])
-        time, measured = trajectory.time[index], trajectory.state[index, channel]
-        pose.plot(time, measured + off, color=color, lw=1.3)
-        pose.plot(time[0], measured[0], "o", color=color, ms=3)
-        error.plot(time, factor * off, color=color, lw=1.1)
+        time = trajectory.time[index]
+        for channel, (pose, error) in enumerate(grid):
+            off = np.concatenate([[0.0], evaluation.errors[:, channel, number]])
+            measured = trajectory.state[index, channel]
+            pose.plot(time, measured + off, color=color, lw=1.3)
+            pose.plot(time[0], measured[0], "o", color=color, ms=3)
+            error.plot(time, style.ERRORS[channel][2] * off, color=color, lw=1.1)
 
 
 @style.styled
