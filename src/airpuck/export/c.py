@@ -234,6 +234,11 @@ def _line(*values: str | float) -> str:
     return ",".join(v if isinstance(v, str) else repr(float(v)) for v in values)
 
 
+def _sources(*modules: str) -> list[str]:
+    """Return the headers and sources of modules of the controller."""
+    return [f"airpuck_{name}.{suffix}" for name in modules for suffix in "hc"]
+
+
 #: Sources of the controller, besides the model's.
 _SOURCES = (
     "LICENSE",
@@ -249,16 +254,9 @@ _SOURCES = (
     "airpuck_least_norm.c",
 )
 #: Additional sources for the predictive law.
-_PREDICTIVE = (
-    "airpuck_mpc.h",
-    "airpuck_mpc.c",
-    "airpuck_qp.h",
-    "airpuck_qp.c",
-    "airpuck_slopes.h",
-    "airpuck_slopes.c",
-)
+_PREDICTIVE = _sources("mpc", "qp", "slopes")
 #: Additional sources for a planned flight.
-_FLIGHT = ("airpuck_flight.h", "airpuck_flight.c", "airpuck_slopes.h", "airpuck_slopes.c")
+_FLIGHT = _sources("flight", "slopes")
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:

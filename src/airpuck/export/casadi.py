@@ -74,22 +74,15 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
         dynamics = _dynamics(model, mask, entries)
         return rigid_body.step(np, dynamics, begin, command, period[0])[:states]
 
-    extra, names = ([theta], ["theta"]) if free else ([], [])
+    def function(name: str, equations: Any, given: dict[str, Any], result: str) -> casadi.Function:
+        arguments = given | ({"theta": theta} if free else {})
+        value = with_symbols(equations, *given.values(), theta)
+        return casadi.Function(name, [*arguments.values()], [value], [*arguments], [result])
+
+    given = {"state": z, "command": u}
     return {
-        "continuous": casadi.Function(
-            "continuous",
-            [z, u, *extra],
-            [with_symbols(rates, z, u, theta)],
-            ["state", "command", *names],
-            ["rate"],
-        ),
-        "discrete": casadi.Function(
-            "discrete",
-            [z, u, h, *extra],
-            [with_symbols(following, z, u, h, theta)],
-            ["state", "command", "period", *names],
-            ["next_state"],
-        ),
+        "continuous": function("continuous", rates, given, "rate"),
+        "discrete": function("discrete", following, {**given, "period": h}, "next_state"),
     }
 
 

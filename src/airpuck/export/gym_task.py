@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
+from airpuck.boundary.arguments import chosen
 from airpuck.boundary.errors import InputError, unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement, MeasurementKind
@@ -213,9 +214,7 @@ class CourseTask:
     ) -> None:
         numbers.GAME_TIME.check(limit_s, "limit_s")
         self.limit = limit_s
-        if course is not None and course not in COURSES:
-            raise InputError(unknown(course, list(COURSES)), field="course")
-        self._fixed = None if course is None else COURSES[course]
+        self._fixed = None if course is None else chosen(course, COURSES, "course")
         self._radius, self._table = model.vehicle.radius_m, settings.table
         self._reach = [side - _MARGIN for side in self._table.reach(self._radius)]
         if min(self._reach) <= 0:

@@ -73,15 +73,9 @@ def xml(model: Model, table: Table) -> str:
     refuse_actuators(model, "mjcf")
     refuse_frame(model, "mjcf", "body")
     root = ElementTree.Element("mujoco", model="airpuck")
-    root.append(
-        ElementTree.Comment(
-            _HEADER.format(
-                name=printable(model.name),
-                vehicle=printable(model.vehicle.name),
-                delay=1e3 * model.transport_delay,
-            )
-        )
-    )
+    names = {"name": printable(model.name), "vehicle": printable(model.vehicle.name)}
+    header = _HEADER.format(**names, delay=1e3 * model.transport_delay)
+    root.append(ElementTree.Comment(header))
     slopes = [effect.gravity for effect in model.dynamics.effects if effect.gravity is not None]
     _add(
         root,
