@@ -25,6 +25,7 @@ from airpuck.evaluation.evaluate import (
     RECOVERY_S,
     Protocol,
     ProtocolName,
+    batches,
     by_channel,
     every_start,
     judged_windows,
@@ -46,8 +47,6 @@ OWNERS = (
     "structure",
 )
 UNEXPLAINED = "unexplained"
-#: Predictions made at once, which bounds the memory.
-_BATCH = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,18 +195,15 @@ class _Again:
             if fault.owner not in known:
                 gain[:, self._touched(fault)] = 0.0
         errors = np.empty((3, len(windows)))
-        for length in np.unique(self._past).tolist():
-            alike = np.flatnonzero(self._past == length)
-            for first in range(0, len(alike), _BATCH):
-                part = alike[first : first + _BATCH]
-                starts = windows.starts[part]
-                state, now = self._encoder.begin(dynamics, windows.past(starts, length))
-                if "start" in known:
-                    state = self._known_start(dynamics, windows, part)
-                now = _with_gain(now, dynamics, gain[:, part])
-                commands, durations, measured = windows.future(starts)
-                errors[:, part] = rollout(np, now, state, commands, durations)[-1, :3]
-                errors[:, part] -= measured[-1, :3]
+        for length, part in batches(self._past):
+            starts = windows.starts[part]
+            state, now = self._encoder.begin(dynamics, windows.past(starts, length))
+            if "start" in known:
+                state = self._known_start(dynamics, windows, part)
+            now = _with_gain(now, dynamics, gain[:, part])
+            commands, durations, measured = windows.future(starts)
+            errors[:, part] = rollout(np, now, state, commands, durations)[-1, :3]
+            errors[:, part] -= measured[-1, :3]
         return errors
 
     def _known_start(

@@ -5,7 +5,7 @@ Its result at 0.2 s is table:prediction_error.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -449,6 +449,14 @@ def hold_for(model: Model, windows: Windows) -> Windows:
     return windows.delayed(model.transport_delay, model.vehicle.nominal.transport_delay_s)
 
 
+def batches(past: Int[np.ndarray, " W"]) -> Iterator[tuple[int, Int[np.ndarray, " B"]]]:
+    """Divide windows into batches with equally long pasts; yield that length and the windows."""
+    for length in np.unique(past).tolist():
+        alike = np.flatnonzero(past == length)
+        for first in range(0, len(alike), _BATCH):
+            yield length, alike[first : first + _BATCH]
+
+
 def prediction_errors(
     dynamics: Dynamics,
     windows: Windows,
@@ -477,15 +485,12 @@ def prediction_errors(
     errors = np.empty((windows.prediction_length // windows.parts, 3, len(windows)))
     if past is None:
         past = np.full(len(windows), windows.encoder_length)
-    for length in np.unique(past).tolist():
-        alike = np.flatnonzero(past == length)
-        for first in range(0, len(alike), _BATCH):
-            part = alike[first : first + _BATCH]
-            starts = windows.starts[part]
-            state, now = encoder.begin(dynamics, windows.past(starts, length))
-            commands, durations, measured = windows.future(starts)
-            predicted = rollout(np, now, state, commands, durations)
-            errors[:, :, part] = (predicted[:, :3] - measured[:, :3])[poses]
+    for length, part in batches(past):
+        starts = windows.starts[part]
+        state, now = encoder.begin(dynamics, windows.past(starts, length))
+        commands, durations, measured = windows.future(starts)
+        predicted = rollout(np, now, state, commands, durations)
+        errors[:, :, part] = (predicted[:, :3] - measured[:, :3])[poses]
     if not windows.measured.all():
         step = np.arange(1, windows.prediction_length + 1)[poses]
         lost = ~windows.measured[windows.present + step[:, None]]
