@@ -141,18 +141,8 @@ def _entries(model: Model, quantity: Quantity) -> list[MainQuantity]:
         if "," in symbol:  # each entry has its own name
             label, of_file = quantity.of_entry(k)
             unit = unit if quantity.shown else of_file
-        listed.append(
-            MainQuantity(
-                label,
-                words,
-                unit,
-                quantity.name,
-                k,
-                form,
-                partial(_entry, quantity.name, k, factor),
-                factor,
-            )
-        )
+        name, value = quantity.name, partial(_entry, quantity.name, k, factor)
+        listed.append(MainQuantity(label, words, unit, name, k, form, value, factor))
     return listed
 
 

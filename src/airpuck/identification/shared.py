@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
-from airpuck.boundary.errors import InputError, unknown
+from airpuck.boundary.arguments import chosen
+from airpuck.boundary.errors import InputError
 from airpuck.data.trajectory import Trajectory
 from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
@@ -46,8 +47,7 @@ _UNKNOWN = 1e-12
 def with_each(rung: Rung, each: Sequence[str]) -> tuple[Rung, frozenset[str]]:
     """Add the terms in `each` to a rung; return it, and the quantities of each recording."""
     for name in each:
-        if name not in _EACH:
-            raise InputError(unknown(name, _EACH), field="each")
+        chosen(name, _EACH, "each")
         if name in TERMS and TERMS[name] not in rung.effects:
             rung = rung.with_term(name)
     return rung, frozenset(_EACH[name] for name in each)
@@ -181,18 +181,11 @@ def _joined(fits: Sequence[Fit], found: Sequence[OfRecording], joint: Combined) 
         sum(part.share for part in left) / len(left),
     )
     windows = [fit.windows for fit in fits]
+    losses = [_quadratic(fit, one.parameters).loss for fit, one in zip(fits, found, strict=True)]
     return replace(
         last,
         model=model,
-        loss=float(
-            np.average(
-                [
-                    _quadratic(fit, one.parameters).loss
-                    for fit, one in zip(fits, found, strict=True)
-                ],
-                weights=windows,
-            )
-        ),
+        loss=float(np.average(losses, weights=windows)),
         history=tuple(step for fit in fits for step in fit.history),
         converged=all(fit.converged for fit in fits),
         windows=sum(windows),

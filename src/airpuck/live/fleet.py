@@ -76,10 +76,11 @@ class FleetOnGraph(Result):
                 if np.isfinite(pose).all():
                     self._seen[name] = sighted(self._seen.get(name), stamp, pose)
         self.pilot.saw(self._seen)
-        letters = [
+        read = (
             self._read(name, one.data) for name in self._others for one in self._arriving[name]()
-        ]
-        for letter in filter(None, letters):
+        )
+        letters = [letter for letter in read if letter is not None]
+        for letter in letters:
             self._letters[letter.message.sender] = now, letter
         if self._start is None:
             estimate, start = action.step.estimate, self.pilot.member.start.pose
@@ -88,13 +89,8 @@ class FleetOnGraph(Result):
             self._ready = now - self._steady >= _STEADY
             self._await(now)
         epoch_ns = self._clock.stamp_ns(0.0)
-        self.pilot.heard(
-            (
-                on_clock(one.message, (one.epoch_ns - epoch_ns) / SECOND_NS)
-                for one in filter(None, letters)
-            ),
-            now,
-        )
+        heard = [on_clock(one.message, (one.epoch_ns - epoch_ns) / SECOND_NS) for one in letters]
+        self.pilot.heard(heard, now)
 
     def _read(self, sender: str, text: str) -> Letter | None:
         """Read a message; None for garbage."""
