@@ -18,7 +18,7 @@ from airpuck import AirHockey
 from airpuck.extend import Disc, strike
 from airpuck_hockey.player.rival import Rival
 from airpuck_hockey.player.tactic import Pitch
-from airpuck_hockey.puck.prediction import PuckModel
+from airpuck_hockey.puck.prediction import PuckModel, axes_of
 
 #: An opponent at the time of a shot: places of its disc [m], its radius [m], and its limits.
 Opposed = tuple[Float[np.ndarray, "*m 2"], float, Rival]
@@ -269,7 +269,7 @@ def chances(
     """
     drawn = _quantiles(count, _DIMENSIONS)
     # A covariance computed from differences may be rank deficient.
-    puck = np.einsum("nij,cj->nci", _root(covariance), drawn[:, :6])
+    puck = np.einsum("nij,cj->nci", axes_of(covariance), drawn[:, :6])
     craft = drawn[:, 6:8] * error.place
     # The normal turns with the transverse part of the position difference.
     across = unit(contacts.normal + math.pi / 2)
@@ -300,9 +300,3 @@ def chances(
         grip=varied(rail.grip, spread["rail.grip"], 13),
     )
     return (flights.scores * flights.passes).mean(axis=1), flights.bounces.mean(axis=1)
-
-
-def _root(covariance: Float[np.ndarray, "n 6 6"]) -> Float[np.ndarray, "n 6 6"]:
-    """Return matrices whose squares are the covariances."""
-    variance, axes = np.linalg.eigh(covariance)
-    return axes * np.sqrt(np.maximum(variance, 0.0))[:, None, :]

@@ -200,15 +200,6 @@ class View:
     rival: Rival = field(default_factory=Rival)
 
 
-def _is_three(disc: Any) -> bool:
-    """Return whether a value is three finite numbers."""
-    try:
-        x, y, z = disc
-        return math.isfinite(x + y + z)
-    except (TypeError, ValueError):
-        return False
-
-
 @dataclass(frozen=True, eq=False)
 class Intention:
     """The output of a tactic.
@@ -257,8 +248,8 @@ class Intention:
             )
             raise InputError(problem, field="reference")
         for name, disc in (("meet", self.meet), ("avoid", self.avoid)):
-            if disc is not None and not _is_three(disc):
-                raise InputError("must be 3 finite numbers", field=name)
+            if disc is not None:
+                numbers_of(disc, (3,), name)
         if self.avoid is not None and self.avoid[2] <= 0:
             raise InputError("must have a radius above 0", field="avoid")
         if self.path is not None:

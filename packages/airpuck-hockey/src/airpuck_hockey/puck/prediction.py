@@ -154,7 +154,7 @@ def predict_puck(model: PuckModel, belief: PuckBelief, times: Sequence[float]) -
     when = np.array(times, dtype=float)
     puck = PuckOnTable(model.equipment, PuckState(*belief.mean.tolist()), belief.time)
     puck.run(max(when, default=belief.time))
-    steps = _axes(belief)
+    steps = axes_of(belief.covariance).T
     count, other = len(steps), len(PUCK_NUMBERS)
     states = np.tile(belief.mean, (len(model.numbers), 1))
     states[:count] += steps
@@ -281,21 +281,18 @@ def predict_crossing(
     return PuckCrossing(*middle, deviation.T @ deviation)
 
 
-def _axes(belief: PuckBelief) -> Float[np.ndarray, "6 6"]:
-    """Return the axes of a belief in rows, each a standard deviation long."""
-    variance, axes = np.linalg.eigh(belief.covariance)
-    return (axes * np.sqrt(np.maximum(variance, 0.0))).T
+def axes_of(covariance: Float[np.ndarray, "*n 6 6"]) -> Float[np.ndarray, "*n 6 6"]:
+    """Return the axes of covariances in columns, each a standard deviation long."""
+    variance, axes = np.linalg.eigh(covariance)
+    return axes * np.sqrt(np.maximum(variance, 0.0))[..., None, :]
 
 
 def _both_sides(
     model: PuckModel, belief: PuckBelief
 ) -> Iterator[tuple[tuple[AirHockey, PuckBelief], tuple[AirHockey, PuckBelief]]]:
     """Yield table and belief a standard deviation to both sides: of the state, of the numbers."""
-    for step in filter(np.any, _axes(belief)):
-        above, below = (
-            PuckBelief(belief.time, mean, belief.covariance)
-            for mean in (belief.mean + step, belief.mean - step)
-        )
+    for step in filter(np.any, axes_of(belief.covariance).T):
+        above, below = (replace(belief, mean=belief.mean + sign * step) for sign in (1, -1))
         yield (model.equipment, above), (model.equipment, below)
     for upper, lower in model.variants:
         yield (upper, belief), (lower, belief)
