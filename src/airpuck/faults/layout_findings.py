@@ -278,16 +278,12 @@ def propeller_findings(check: LayoutCheck) -> tuple[Finding, ...]:
         "actuator": lambda one: f"{one.name} pushes the other way",
         "layout": lambda one: f"{one.name} does not act as stated",
     }
-    return tuple(
-        Finding(
-            kind,
-            "; ".join(map(causes[kind], ones)),
-            ", ".join(f"cosine {one.agreement:.2f}" for one in ones),
-            remedies[kind],
-        )
-        for kind, ones in shown.items()
-        if ones
-    )
+    found = []
+    for kind, ones in shown.items():
+        cosines = ", ".join(f"cosine {one.agreement:.2f}" for one in ones)
+        if ones:
+            found.append(Finding(kind, "; ".join(map(causes[kind], ones)), cosines, remedies[kind]))
+    return tuple(found)
 
 
 def _poses(check: LayoutCheck) -> list[Finding]:

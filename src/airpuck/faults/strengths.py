@@ -394,13 +394,10 @@ def _pulse_widths(trajectory: Trajectory, vehicle: Vehicle) -> tuple[Finding, ..
     left = 1 - check_layout(pulses, vehicle).explained
     if left > _BETTER * (1 - checked_layout(trajectory, vehicle).explained):
         return ()
-    return (
-        Finding(
-            "units",
-            "The commands look like pulse widths without their neutral",
-            f"every motor rests at {idle:.2g}, never below",
-            "Use neutral and span instead of scale in the mapping file, under [command], such as "
-            "neutral = 1000, span = 1000; if motors do idle there, say so in the vehicle file "
-            "(command_min).",
-        ),
+    cause = "The commands look like pulse widths without their neutral"
+    remedy = (
+        "Use neutral and span instead of scale in the mapping file, under [command], such as "
+        "neutral = 1000, span = 1000; if motors do idle there, say so in the vehicle file "
+        "(command_min)."
     )
+    return (Finding("units", cause, f"every motor rests at {idle:.2g}, never below", remedy),)

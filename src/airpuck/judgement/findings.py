@@ -263,15 +263,11 @@ def clock_suspect(
     """
     stepped = [span for span in trajectory.excluded if span.cause == CLOCK_STEP]
     if stepped:
-        return [
-            Finding(
-                "clock",
-                "A clock steps within the recording, and without times of arrival it is unknown "
-                "before or after which step the stamps are right",
-                f"{sum(span.stop - span.start for span in stepped):.1f} s are left out",
-                "Record a bag, which has times of arrival, or name the right part with `--span`.",
-            )
-        ]
+        cause = "A clock steps within the recording, and without times of arrival it is unknown "
+        cause += "before or after which step the stamps are right"
+        lost = f"{sum(span.stop - span.start for span in stepped):.1f} s are left out"
+        remedy = "Record a bag, which has times of arrival, or name the right part with `--span`."
+        return [Finding("clock", cause, lost, remedy)]
     seen = visible_delay(trajectory, model.dynamics)
     if seen is None:
         return []
@@ -284,31 +280,24 @@ def clock_suspect(
     # `seen` is in whole samples, and negative only if motion visibly precedes the commands. A delay
     # that was learned outweighs one sample of it, unless the fit ended at its bound, zero.
     if seen < (0 if learned <= 0 else -trajectory.sample_period):
-        return [
-            Finding(
-                "clock",
-                "The motion seems to begin before the commands that cause it",
-                f"commands act {1e3 * min(learned, seen):.0f} ms after their time stamps",
-                "The poses are probably stamped early: check that the clocks of cameras and "
-                "controller are synchronised.",
-            )
-        ]
+        cause = "The motion seems to begin before the commands that cause it"
+        acts = f"commands act {1e3 * min(learned, seen):.0f} ms after their time stamps"
+        remedy = "The poses are probably stamped early: check that the clocks of cameras and "
+        remedy += "controller are synchronised."
+        return [Finding("clock", cause, acts, remedy)]
     certain = seen - 2 * trajectory.sample_period
     # A delay that takes the place of the lag is none: only their sum is well known.
     lag = float(np.max(model.dynamics.lag))
     taken = max(float(np.max(nominal_model(model.vehicle).dynamics.lag)) - lag, 0.0)
     if max(certain, learned if counts else certain) - taken <= longest:
         return []
-    return [
-        Finding(
-            "clock",
-            f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps",
-            f"up to {1e3 * longest:.0f} ms are plausible",
-            "The poses are probably stamped late: check that the clocks of cameras and controller "
-            "are synchronised. If the radio is that slow, say so in the vehicle file "
-            "(nominal.transport_delay_s).",
-        )
-    ]
+    cause = f"Commands seem to act {1e3 * max(learned, seen):.0f} ms after their time stamps"
+    remedy = (
+        "The poses are probably stamped late: check that the clocks of cameras and controller are "
+        "synchronised. If the radio is that slow, say so in the vehicle file "
+        "(nominal.transport_delay_s)."
+    )
+    return [Finding("clock", cause, f"up to {1e3 * longest:.0f} ms are plausible", remedy)]
 
 
 def timing_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
@@ -319,16 +308,11 @@ def timing_suspect(model: Model, effects: EffectErrors | None) -> list[Finding]:
     least = patience(model.vehicle) * _DELAY_CHANGES
     if abs(found.change) < least or found.p_value > _BY_CHANCE:
         return []
-    return [
-        Finding(
-            "clock",
-            f"Commands act {1e3 * abs(found.change):.0f} ms "
-            f"{'later' if found.change > 0 else 'earlier'} after {found.at:.0f} s than before",
-            f"± {1e3 * found.error:.1f} ms",
-            "A clock was set or drifted during the flight: synchronise the clocks of cameras and "
-            "controller before it, or identify from one part with `--span`.",
-        )
-    ]
+    acts = f"{1e3 * abs(found.change):.0f} ms {'later' if found.change > 0 else 'earlier'}"
+    cause = f"Commands act {acts} after {found.at:.0f} s than before"
+    remedy = "A clock was set or drifted during the flight: synchronise the clocks of cameras and "
+    remedy += "controller before it, or identify from one part with `--span`."
+    return [Finding("clock", cause, f"± {1e3 * found.error:.1f} ms", remedy)]
 
 
 def unit_suspect(model: Model) -> list[Finding]:
@@ -341,12 +325,6 @@ def unit_suspect(model: Model) -> list[Finding]:
     if not learned or _INERTIA_RANGE[0] <= ratio <= _INERTIA_RANGE[1]:
         return []
     what = "larger than a ring's" if ratio > 1 else "smaller than any craft's"
-    return [
-        Finding(
-            "units",
-            f"The moment of inertia is {what} of the craft's mass and radius",
-            f"{ratio:.2g} m R²",
-            "Check the unit of the positions, and radius and propeller positions in the vehicle "
-            "file.",
-        )
-    ]
+    cause = f"The moment of inertia is {what} of the craft's mass and radius"
+    remedy = "Check the unit of the positions, and radius and propeller positions in the vehicle "
+    return [Finding("units", cause, f"{ratio:.2g} m R²", remedy + "file.")]
