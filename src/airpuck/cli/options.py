@@ -112,6 +112,11 @@ def output(metavar: Literal["FILE", "DIR", "BAG"], help: str, *names: str) -> An
     return Option(*(names or ("-o", "--output")), metavar=metavar, help=help, callback=check)
 
 
+def figure(what: str) -> Any:
+    """Return the option for a figure to write."""
+    return output("FILE", f"Figure of {what} to write, a PNG.", "--figure")
+
+
 def _file(option: str, help: str, reader: str) -> Setting:
     """Return the setting that a file holds, which a function of airpuck reads where it is given."""
     read = lambda path: getattr(airpuck, reader)(path)  # noqa: E731
@@ -186,6 +191,12 @@ Experiment = Annotated[
         "--plan", "Excitation plan by `airpuck design`; options override it.", read_excitation_plan
     ),
 ]
+
+
+def _law(help: str) -> Setting:
+    return Setting(help, metavar="LAW", option="--law", complete=lambda: list(LAWS))
+
+
 LAWS_THERE_ARE = f"Control law: {', '.join(LAWS)}, or FILE.py:NAME of your own law"
 #: The state estimator of a controller.
 Estimator = Annotated[
@@ -195,23 +206,10 @@ Estimator = Annotated[
         "remembers it, and learns delay, drag and slope; by default the tuning's."
     ),
 ]
-LawName = Annotated[
-    str | None,
-    Setting(
-        f"{LAWS_THERE_ARE}; by default the tuning's.",
-        metavar="LAW",
-        option="--law",
-        complete=lambda: list(LAWS),
-    ),
-]
+LawName = Annotated[str | None, _law(f"{LAWS_THERE_ARE}; by default the tuning's.")]
 JudgedLaw = Annotated[
     str | None,
-    Setting(
-        "Law to fly in simulation besides the usual LQR: mpc (takes seconds), or FILE.py:NAME.",
-        metavar="LAW",
-        option="--law",
-        complete=lambda: list(LAWS),
-    ),
+    _law("Law to fly in simulation besides the usual LQR: mpc (takes seconds), or FILE.py:NAME."),
 ]
 ProtocolName = Annotated[
     Literal["paper", "paper-long", "causal"],

@@ -87,10 +87,7 @@ def plan(
         int, Setting("Intervals of constant commands in a leg.", numbers.INTERVALS, "N")
     ] = 40,
     output: Annotated[Path | None, options.output("FILE", "Plan file to write (TOML).")] = None,
-    figure: Annotated[
-        Path | None,
-        options.output("FILE", "Figure of path and thrusts to write, a PNG.", "--figure"),
-    ] = None,
+    figure: Annotated[Path | None, options.figure("path and thrusts")] = None,
 ) -> None:
     """Plan the fastest flight from one state to another, with a lower bound on its time."""
     from airpuck.craft.table import Table as Rails
@@ -132,9 +129,7 @@ def race(
     ] = 10,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
-    figure: Annotated[
-        Path | None, options.output("FILE", "Figure of all flights to write, a PNG.", "--figure")
-    ] = None,
+    figure: Annotated[Path | None, options.figure("all flights")] = None,
     animation: Annotated[
         Path | None,
         options.output(
@@ -254,9 +249,7 @@ def design(
     output: Annotated[
         Path | None, options.output("FILE", "Plan file to write, for excite --plan.")
     ] = None,
-    figure: Annotated[
-        Path | None, options.output("FILE", "Figure of the errors to write, a PNG.", "--figure")
-    ] = None,
+    figure: Annotated[Path | None, options.figure("the errors")] = None,
     twin: options.ReadTwin = None,
     tuning: options.TuningFile = None,
     mapping: options.ReadMapping = None,
