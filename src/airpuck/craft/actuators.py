@@ -287,11 +287,8 @@ class OnOff(ActuatorKind):
         """Return a lag for each valve, (n, 1), which opens and closes at different rates."""
         if self._mean_lag == 0:
             return time_constant
-        return (
-            time_constant
-            / self._mean_lag
-            * xp.where(drive > 0.5, self.rise_s, self.fall_s)[:, None]
-        )
+        own = xp.where(drive > 0.5, self.rise_s, self.fall_s)[:, None]
+        return time_constant / self._mean_lag * own
 
 
 def _of_kind(value: Any, packaged: Callable[[Any], ActuatorKind]) -> ActuatorKind:

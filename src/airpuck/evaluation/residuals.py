@@ -155,19 +155,11 @@ def cross_correlations(
     p_values, shares = np.array([beyond_least(q, d, len(at)) for q, d in given]).T
     adjusted = np.ones(len(moved))
     adjusted[tested] = holm(p_values[tested])
+    tests = adjusted.tolist(), shares.tolist(), early, tested.tolist()
+    judged = zip(statistics, degrees, *tests, strict=True)
     return [
-        CrossCorrelation(
-            channel,
-            motors[motor],
-            *_correlate(row, inputs[:, motor], lags),
-            statistics[k],
-            degrees[k],
-            float(adjusted[k]),
-            float(shares[k]),
-            early[k],
-            bool(tested[k]),
-        )
-        for k, motor in enumerate(moved)
+        CrossCorrelation(channel, motors[motor], *_correlate(row, inputs[:, motor], lags), *figures)
+        for motor, figures in zip(moved, judged, strict=True)
     ]
 
 

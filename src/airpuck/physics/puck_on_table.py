@@ -405,15 +405,14 @@ def first_meetings(
     beside = np.abs(at[:, 1] + speed[:, 1] * rail[:, 0]) >= half
     behind = np.abs(at[:, 0] + speed[:, 0] * within) >= line
     apart = at[:, None] - [(x, y) for x in (-line, line) for y in (-half, half)]
-    candidates = np.column_stack(
-        [
-            np.where(moves[:, 1], rail[:, 1], np.inf),
-            np.where(moves[:, 1] & behind, within, np.inf),
-            np.where(moves[:, 0] & beside, rail[:, 0], np.inf),
-            np.where(moves[:, 0] & (inner[:, 0] >= 0), inner[:, 0], np.inf),
-            _sigma_to_posts(apart, speed[:, None], radius),
-        ]
-    )
+    meets = [
+        (moves[:, 1], rail[:, 1]),
+        (moves[:, 1] & behind, within),
+        (moves[:, 0] & beside, rail[:, 0]),
+        (moves[:, 0] & (inner[:, 0] >= 0), inner[:, 0]),
+    ]
+    posts = _sigma_to_posts(apart, speed[:, None], radius)
+    candidates = np.column_stack([*(np.where(when, then, np.inf) for when, then in meets), posts])
     which, rows = candidates.argmin(axis=1), np.arange(len(place))
     sigma = candidates[rows, which]
     nx, ny = -side[:, 0] * (which == 2), -side[:, 1] * (which < 2)

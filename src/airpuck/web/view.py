@@ -241,15 +241,13 @@ class _GraphView:
         wanted = None if fixed else self._wanted
         if wanted is None:
             wanted = newest.get("reference", pose)
-        pages.update(
-            "scene",
-            {
-                "seen": observer.age("pose") < _SEEN,
-                "set_point": None if wanted is None else wanted[:3].round(4).tolist(),
-                "plan": self._plan(),
-                "hint": _FIXED if fixed else _FREE,
-            },
-        )
+        scene = {
+            "seen": observer.age("pose") < _SEEN,
+            "set_point": None if wanted is None else wanted[:3].round(4).tolist(),
+            "plan": self._plan(),
+            "hint": _FIXED if fixed else _FREE,
+        }
+        pages.update("scene", scene)
         if self._gauges.begins(now):
             pages.update("panel", panel(observer))
 

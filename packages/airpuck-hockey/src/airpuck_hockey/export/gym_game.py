@@ -163,13 +163,9 @@ class GameEnv(ParallelEnv[str, Observation, np.ndarray]):
         for name, side in zip(playing, game.sides, strict=True):
             assert side.twin is not None
             frame = self._frame(name)
-            self._seen[name].measured(
-                [
-                    Measurement(m.kind, m.stamp, frame.states(m.values))
-                    for m in side.twin.wait_until(game.time)
-                    if m.kind in _BODIES
-                ]
-            )
+            arrived = (m for m in side.twin.wait_until(game.time) if m.kind in _BODIES)
+            seen = [Measurement(m.kind, m.stamp, frame.states(m.values)) for m in arrived]
+            self._seen[name].measured(seen)
         left, right = (now - then for now, then in zip(game.score, before, strict=True))
         over, won = game.phase == "over", max(game.score) >= (self._rules.goals or 0)
         self.agents = [] if over else playing

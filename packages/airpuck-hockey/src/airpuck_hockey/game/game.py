@@ -346,16 +346,12 @@ class Game:
             name = "left" if side.sign < 0 else "right"
             mine = [event for event in self.events if event.side == side.sign]
             count = Counter(event.kind for event in mine)
+            own = Counter(event.value for event in mine if event.kind == "own_goal")
             hardest = max((e.value for e in mine if e.kind == "contact"), default=0.0)
             found |= {
                 f"{name}_goals": goals,
                 f"{name}_own_goals": count["own_goal"],
-                **{
-                    f"{name}_own_{slip}": sum(
-                        event.kind == "own_goal" and event.value == number for event in mine
-                    )
-                    for number, slip in enumerate(SLIPS)
-                },
+                **{f"{name}_own_{slip}": own[number] for number, slip in enumerate(SLIPS)},
                 f"{name}_fouls": count["foul"],
                 f"{name}_hits": count["hit"],
                 f"{name}_rail_contacts": count["contact"],

@@ -368,18 +368,11 @@ def _fit_rail(
 
     bounds = ([0.0, 0.0, 0.0], [1.0, 1.0, 5.0])
     options: dict[str, Any] = {"bounds": bounds, "diff_step": 1e-4}
+    robustly = {**options, "loss": "soft_l1"}
     # Cone and grip each create local minima; the assumed values are tried first.
     starts = [(law.grip, law.friction), *product((0.3, 0.8), (0.05, 0.15, 0.5))]
-    tried = [
-        least_squares(
-            residuals,
-            np.clip([law.restitution, *start], 1e-3, 0.999),
-            args=(bounces,),
-            loss="soft_l1",
-            **options,
-        )
-        for start in starts
-    ]
+    begins = [np.clip([law.restitution, *start], 1e-3, 0.999) for start in starts]
+    tried = [least_squares(residuals, begin, args=(bounces,), **robustly) for begin in begins]
     robust = min(tried, key=lambda fit: fit.cost).x
     size = np.abs(residuals(robust, bounces).reshape(-1, 2)).max(axis=1)
     limit = _OUTLIER * max(1.5 * float(np.median(size)), 1.0)

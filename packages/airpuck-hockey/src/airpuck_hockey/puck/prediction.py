@@ -102,14 +102,12 @@ class PuckModel:
     @cached_property
     def variants(self) -> list[tuple[AirHockey, AirHockey]]:
         """Tables with each number too high, and too low."""
-        puck = self.equipment.puck
-        return [
-            (
-                self.equipment.model_copy(update={"puck": _changed(puck, name, spread)}),
-                self.equipment.model_copy(update={"puck": _changed(puck, name, -spread)}),
-            )
-            for name, spread in self.spread.items()
-        ]
+
+        def changed(name: str, by: float) -> AirHockey:
+            puck = _changed(self.equipment.puck, name, by)
+            return self.equipment.model_copy(update={"puck": puck})
+
+        return [(changed(name, by), changed(name, -by)) for name, by in self.spread.items()]
 
 
 def drawn_puck(puck: Puck, random: np.random.Generator) -> Puck:
