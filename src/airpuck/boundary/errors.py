@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -121,6 +121,12 @@ def nearest(name: Any, known: Iterable[Any]) -> str:
     """Return the end of an error text that suggests the nearest name; empty if none is near."""
     near = get_close_matches(repr(name), map(repr, known), 1) if isinstance(name, str) else []
     return f"; did you mean {near[0]}?" if near else ""
+
+
+def check_known(name: Any, known: Collection[Any], problem: str, **place: Any) -> None:
+    """Raise InputError with the nearest known name, unless the name is known."""
+    if name not in known:
+        raise InputError(problem + nearest(name, known), **place)
 
 
 def either(words: Iterable[str]) -> str:

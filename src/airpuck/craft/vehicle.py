@@ -17,7 +17,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, check_known, nearest
 from airpuck.boundary.extensions import with_code
 from airpuck.boundary.files import (
     Fraction,
@@ -427,15 +427,12 @@ def match_columns(vehicle: Vehicle, columns: tuple[str, ...], *, source: str) ->
         )
     if columns == unnamed_columns(len(columns)) and set(columns) != set(names):
         return list(range(len(columns)))
-    unknown = [column for column in columns if column not in names]
-    if unknown:
-        raise InputError(
-            f"drives no propeller of the vehicle {vehicle.name!r} "
-            f"(it has {', '.join(names)}); rename the propellers in the vehicle file, or "
-            "name them in the mapping: command.propellers" + nearest(unknown[0], names),
-            file=source,
-            field=unknown[0],
-        )
+    problem = (
+        f"drives no propeller of the vehicle {vehicle.name!r} (it has {', '.join(names)}); rename "
+        "the propellers in the vehicle file, or name them in the mapping: command.propellers"
+    )
+    for column in columns:
+        check_known(column, names, problem, file=source, field=column)
     return [columns.index(name) for name in names]
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, check_known
 from airpuck.compute.arrays import with_symbols
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
@@ -51,14 +51,10 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
         import casadi
     except ImportError:
         raise InputError("an export to casadi needs CasADi: pip install 'airpuck[plan]'") from None
+    names = _arguments(model)
     for name in free:
-        if name not in (names := _arguments(model)):
-            raise InputError(
-                f"the equations of motion have no parameter {name!r}; choose from "
-                + ", ".join(names)
-                + nearest(name, names),
-                field="free",
-            )
+        problem = f"the equations of motion have no parameter {name!r}; choose from "
+        check_known(name, names, problem + ", ".join(names), field="free")
     refuse_actuators(model, "casadi", ["on_off", "reversible propeller"])
     mask = model.parameters.mask(frozenset(free))
     states, n = len(_state_units(model)), model.vehicle.n_propellers

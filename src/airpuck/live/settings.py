@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, check_known
 from airpuck.boundary.settings import Setting, Settings
 
 if TYPE_CHECKING:
@@ -42,12 +42,8 @@ def domain_id(given: int | None) -> int:
 def check_interface(name: str) -> None:
     """Raise InputError if this machine has no network interface of that name."""
     names = _interfaces()
-    if name not in names:
-        raise InputError(
-            f"there is no network interface {name!r}; there are {', '.join(names)}"
-            + nearest(name, names),
-            field="--interface",
-        )
+    problem = f"there is no network interface {name!r}; there are {', '.join(names)}"
+    check_known(name, names, problem, field="--interface")
 
 
 def _interfaces() -> list[str]:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary.arguments import checked_class
-from airpuck.boundary.errors import InputError, nearest
+from airpuck.boundary.errors import InputError, check_known
 from airpuck.boundary.extensions import with_code
 from airpuck.boundary.files import checked, load_toml, write_toml
 from airpuck.boundary.results import frame
@@ -454,13 +454,9 @@ def _published() -> dict[str, Any]:
 def published_model(name: str) -> Model:
     """Return a model with the parameters published with the paper; see `read_model`."""
     published = _published()
-    if name not in published:
-        raise InputError(
-            f"there is no published model {name!r}; choose one of "
-            + ", ".join(f"paper:{key}" for key in published)
-            + nearest(name, published),
-            field="model",
-        )
+    there_are = ", ".join(f"paper:{key}" for key in published)
+    problem = f"there is no published model {name!r}; choose one of {there_are}"
+    check_known(name, published, problem, field="model")
     vehicle = default_vehicle()
     parameters = with_nominal_delay(published[name], vehicle)
     source = f"published parameters of {name}, doi:10.1016/j.ifacol.2024.08.543"

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
-from airpuck.boundary.errors import InputError, explained, nearest
+from airpuck.boundary.errors import InputError, check_known, explained
 from airpuck.boundary.extensions import added, loaded, users_class
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, change_degree, nominal_parameters, with_own
@@ -118,12 +118,8 @@ class Rung:
         """Return a rung with an optional term, or an effect of the user's own by its name."""
         if ":" in term or term in added("airpuck.effects"):
             return self.with_effect(effect_named(term), term=term)
-        if term not in TERMS:
-            raise InputError(
-                f"there is no term {term!r}; choose from {', '.join(TERMS)}, FILE.py:NAME"
-                f"{nearest(term, TERMS)}",
-                field="model",
-            )
+        problem = f"there is no term {term!r}; choose from {', '.join(TERMS)}, FILE.py:NAME"
+        check_known(term, TERMS, problem, field="model")
         if TERMS[term] in self.effects:
             raise InputError(f"{self.name!r} has the term {term!r} twice", field="model")
         name, summary = f"{self.name}+{term}", f"{self.summary}, {term}"
@@ -234,12 +230,8 @@ def named_rung(name: str, *, degree: int | None = None, frame: CenterOfMassFrame
         numbers.DEGREE.check(degree, "degree")
     chosen(frame, dict.fromkeys(get_args(CenterOfMassFrame)), "frame")
     base, *terms = name.split("+")
-    if base not in RUNGS:
-        raise InputError(
-            f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or auto, to fit"
-            f"{nearest(base, RUNGS)}",
-            field="model",
-        )
+    problem = f"there is no model {base!r}; choose one of {', '.join(RUNGS)}, or auto, to fit"
+    check_known(base, RUNGS, problem, field="model")
     rung = replace(RUNGS[base], degree=degree, frame=frame)
     for term in terms:
         rung = rung.with_term(term)

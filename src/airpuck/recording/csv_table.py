@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError, listing, nearest, shortened
+from airpuck.boundary.errors import InputError, check_known, listing, shortened
 from airpuck.boundary.limits import CELLS, PROPELLERS, csv_rows, refused, text_encoding
 from airpuck.recording.conversion import NO_MASK, SECOND_NS, chosen_body, is_mask
 from airpuck.recording.mapping import MASK_BITS
@@ -114,13 +114,8 @@ class CsvTable:
 
     def _converted(self, name: str, convert: Callable[[str], Any], problem: str) -> Any:
         """Convert the cells of a column; raise InputError for the first that does not fit."""
-        if name not in self.columns:
-            raise InputError(
-                f"there is no such column (there are {listing(self.columns)})"
-                + nearest(name, self.columns),
-                file=self.path,
-                field=name,
-            )
+        missing = f"there is no such column (there are {listing(self.columns)})"
+        check_known(name, self.columns, missing, file=self.path, field=name)
         texts, numbers = self.columns[name], []
         if convert is float and self.commas and "," in "".join(texts):
             texts = [text.replace(",", ".") for text in texts]

@@ -13,7 +13,7 @@ from typing import Annotated
 import pydantic
 
 from airpuck.boundary import limits
-from airpuck.boundary.errors import InputError, listing, nearest
+from airpuck.boundary.errors import InputError, check_known, listing
 from airpuck.boundary.files import Positive, Section, read_toml
 from airpuck.boundary.limits import sha256
 from airpuck.boundary.outputs import replacing
@@ -65,9 +65,7 @@ def dataset_names() -> list[str]:
 def dataset(name: str = PAPER) -> Dataset:
     """Return a dataset's description, or raise InputError for an unknown name."""
     names = dataset_names()
-    if name not in names:
-        problem = f"there is no such dataset; choose from {listing(names)}{nearest(name, names)}"
-        raise InputError(problem, field=name)
+    check_known(name, names, f"there is no such dataset; choose from {listing(names)}", field=name)
     with resources.as_file(resources.files("airpuck") / _DATASETS / name) as folder:
         return read_toml(folder / "dataset.toml", Dataset)
 
