@@ -86,6 +86,15 @@ def explained(
         raise InputError(problem.replace("{error}", reason), file=file, field=field) from error
 
 
+@contextmanager
+def installed(problem: str, **place: Any) -> Iterator[None]:
+    """Import what may not be installed; raise InputError, which says how to install it."""
+    try:
+        yield
+    except ImportError:
+        raise InputError(problem, **place) from None
+
+
 def shortened(text: str, most: int = 80) -> str:
     """Shorten text from a file for a message; `InputError` escapes it."""
     return text if len(text) <= most else f"{text[:most]}..."

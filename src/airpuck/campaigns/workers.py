@@ -16,7 +16,7 @@ from typing import Any
 import pydantic
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, installed
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
 from airpuck.campaigns.fingerprints import program
 from airpuck.campaigns.items import Item, Row
@@ -183,12 +183,11 @@ def _result(future: Any) -> ItemResult:
 @contextlib.contextmanager
 def _client(workers: int | str | None) -> Iterator[Any]:
     """Connect to a cluster, or start one."""
-    try:
+    needs = "campaigns need Dask: pip install 'airpuck[campaign]'"
+    with installed(f"{needs} (match and league: or use --workers 1)"):
         from dask import config
         from distributed import Client
-    except ImportError:
-        needs = "campaigns need Dask: pip install 'airpuck[campaign]'"
-        raise InputError(f"{needs} (match and league: or use --workers 1)") from None
+
     local: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     local |= {"dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL}
     with config.set(_SETTINGS):

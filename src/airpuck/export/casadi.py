@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, check_known
+from airpuck.boundary.errors import check_known, installed
 from airpuck.compute.arrays import with_symbols
 from airpuck.export.kinds import Subject, refuse_actuators
 from airpuck.model.model_file import Model
@@ -47,10 +47,9 @@ def functions(model: Model, free: Sequence[str] = ()) -> dict[str, casadi.Functi
     InputError
         If CasADi is not installed, or the equations of motion have no parameter of a given name.
     """
-    try:
+    with installed("an export to casadi needs CasADi: pip install 'airpuck[plan]'"):
         import casadi
-    except ImportError:
-        raise InputError("an export to casadi needs CasADi: pip install 'airpuck[plan]'") from None
+
     names = _arguments(model)
     for name in free:
         problem = f"the equations of motion have no parameter {name!r}; choose from "

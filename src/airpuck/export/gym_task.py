@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import chosen
-from airpuck.boundary.errors import InputError, unknown
+from airpuck.boundary.errors import InputError, installed, unknown
 from airpuck.craft.table import AirHockey
 from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.export.kinds import refuse_actuators
@@ -22,10 +22,8 @@ from airpuck.twin.experiments import COURSES, arrived, passes
 from airpuck.twin.settings import TwinSettings, default_twin_settings, read_twin_settings
 from airpuck.twin.twin import check_pose
 
-try:
+with installed("environments need Gymnasium: pip install 'airpuck[gym]'"):
     from gymnasium import spaces
-except ImportError:
-    raise InputError("environments need Gymnasium: pip install 'airpuck[gym]'") from None
 
 #: Time between commands, and the usual time limit of an episode [s].
 PERIOD, LONGEST = 0.01, 10.0

@@ -14,7 +14,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError, unknown
+from airpuck.boundary.errors import InputError, about, unknown
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml
 from airpuck.control.tuning import Tuning, tuning_for
 from airpuck.fleet.agreement import Agreement
@@ -359,7 +359,5 @@ def read_fleet(source: str | os.PathLike[str]) -> Fleet:
     path = Path(name)
     if not path.suffix and not path.exists():
         raise InputError(unknown(name, [*known, "FILE.toml"]), field="SCENARIO")
-    try:
+    with about(name):
         return Fleet(read_toml(path, Scenario), path.parent)
-    except InputError as error:
-        raise InputError(error.problem, file=error.file or name, field=error.field) from error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, installed
 from airpuck.compute.arrays import namespace, with_symbols
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
@@ -218,10 +218,8 @@ def statespace(
     period: float | None,
 ) -> control.StateSpace:
     """Linearise a model at rest; see `Model.to_statespace`."""
-    try:
+    with installed("this needs python-control: pip install 'airpuck[control]'"):
         import control
-    except ImportError:
-        raise InputError("this needs python-control: pip install 'airpuck[control]'") from None
     command = trim(dynamics, yaw=yaw) if command is None else np.asarray(command, dtype=float)
     if command.shape != (len(propellers),):
         raise InputError(f"needs {len(propellers)} numbers, one for each motor", field="command")

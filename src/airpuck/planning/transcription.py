@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import installed
 from airpuck.boundary.signals import check_stopped
 from airpuck.compute.arrays import with_symbols
 from airpuck.model.model_file import Model
@@ -291,8 +291,7 @@ def _interval(model: Model, discs: int) -> tuple[Any, Any, Any, Any]:
 
 def _casadi() -> Any:
     """Return CasADi; raise InputError with instructions if it is not installed."""
-    try:
+    with installed("planning needs CasADi: pip install 'airpuck[plan]'"):
         import casadi
-    except ImportError:
-        raise InputError("planning needs CasADi: pip install 'airpuck[plan]'") from None
+
     return casadi

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64, Shaped
 from numpy.typing import ArrayLike
 
 from airpuck.boundary.arguments import checked, checked_class
-from airpuck.boundary.errors import InputError, about, explained
+from airpuck.boundary.errors import InputError, about, explained, installed
 from airpuck.craft.vehicle import unnamed_columns
 from airpuck.recording.conversion import commands_of, poses_of, propellers_of, stamps_of
 from airpuck.recording.mapping import RecordingMapping
@@ -124,10 +124,9 @@ class Stream:
         InputError
             If pandas is not installed.
         """
-        try:
+        with installed("to_pandas needs pandas: pip install pandas"):
             import pandas
-        except ImportError:
-            raise InputError("to_pandas needs pandas: pip install pandas") from None
+
         index = pandas.to_datetime(self.stamp_ns).rename("time")
         return pandas.DataFrame(self.values, index, list(self.columns))
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from airpuck.boundary.errors import InputError, explained, listing, nearest
+from airpuck.boundary.errors import InputError, explained, installed, listing, nearest
 from airpuck.boundary.limits import DEFINITION_SIZE, refused, sha256
 from airpuck.recording.cdr import Field
 from airpuck.recording.mapping import ENTRY, RecordingMapping, refuse_csv_settings
@@ -50,10 +50,9 @@ _MICROSECOND_NS = 1000
 
 def read_ulog(path: Path, mapping: RecordingMapping, needs: Sequence[str]) -> Recording:
     """Read the required streams of a ULog file, and those that the mapping names."""
-    try:
+    with installed("PX4 logs need pyulog: pip install 'airpuck[px4]'", file=path):
         from pyulog import ULog
-    except ImportError:
-        raise InputError("PX4 logs need pyulog: pip install 'airpuck[px4]'", file=path) from None
+
     refuse_csv_settings(mapping, path, "a PX4 log")
     content = path.read_bytes()
     _check_definitions(content, path)
