@@ -176,14 +176,12 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     )
     heavier = _added_mass(dynamics)
     if heavier is not None:
-        center = _center_in_body(dynamics, cos, sin)
+        center = _center(dynamics, "body", cos, sin)
         pushed = forward, left, angular
         velocity = cos * vx + sin * vy, cos * vy - sin * vx, spin
         forward, left, angular = _with_added_mass(heavier, center, pushed, velocity)
         return cos * forward - sin * left, sin * forward + cos * left, angular
-    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
-    if dynamics.frame == "body":
-        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    rx, ry = _center(dynamics, "world", cos, sin)
     return (
         cos * forward - sin * left + ry * angular + rx * spin**2,
         sin * forward + cos * left - rx * angular + ry * spin**2,
@@ -200,12 +198,14 @@ def _added_mass(dynamics: Dynamics) -> tuple[Any, Any, Any] | None:
     return sum(along), sum(across), squared_gyration
 
 
-def _center_in_body(dynamics: Dynamics, cos: Any, sin: Any) -> tuple[Any, Any]:
-    """Return the offset of the centre of mass along the body's axes."""
+def _center(dynamics: Dynamics, axes: CenterOfMassFrame, cos: Any, sin: Any) -> tuple[Any, Any]:
+    """Return the offset of the centre of mass along the axes of the body, or of the world."""
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
-    if dynamics.frame == "body":
+    if dynamics.frame == axes:
         return rx, ry
-    return cos * rx + sin * ry, cos * ry - sin * rx
+    if axes == "body":
+        return cos * rx + sin * ry, cos * ry - sin * rx
+    return cos * rx - sin * ry, sin * rx + cos * ry
 
 
 def _with_added_mass(
@@ -294,14 +294,12 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
     ((3, 6), [0.0, 0.0, 0.0])
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
-    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
-    if dynamics.frame == "body":
-        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    rx, ry = _center(dynamics, "world", cos, sin)
     turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
     offset = xp.array([rx, ry, 0.0]) * spin**2
     heavier = _added_mass(dynamics)
     if heavier is not None:  # columns for a unit acceleration each, and the centripetal one
-        center, unit = _center_in_body(dynamics, cos, sin), np.eye(3, 4)
+        center, unit = _center(dynamics, "body", cos, sin), np.eye(3, 4)
         rates = 0.0, 0.0, spin * np.eye(4)[3]
         solved = xp.stack(xp.broadcast_arrays(*_with_added_mass(heavier, center, unit, rates)))
         turn = xp.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ solved
