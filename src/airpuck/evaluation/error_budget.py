@@ -170,24 +170,20 @@ def error_budget(
     return ErrorBudget(start, of(frozenset()), drops, alone, of(frozenset(OWNERS)), hindsight)
 
 
+@dataclass(frozen=True, eq=False)
 class _Again:
     """Predictions of a recording for which some causes of errors are known."""
 
-    def __init__(
-        self,
-        model: Model,
-        windows: Windows,
-        encoder: Encoder,
-        past: Int[np.ndarray, " W"],
-        hindsight: Hindsight,
-    ) -> None:
-        self._model, self._windows, self._encoder = model, windows, encoder
-        self._past, self._hindsight = past, hindsight
+    model: Model
+    windows: Windows
+    encoder: Encoder
+    past: Int[np.ndarray, " W"]
+    hindsight: Hindsight
 
     def predicted(self, known: frozenset[str]) -> Float[np.ndarray, "3 W"]:
         """Predict again; return the errors at the horizon."""
-        found, model = self._hindsight, self._model
-        windows = replace(self._windows, input=self._commands(known))
+        found, model = self.hindsight, self.model
+        windows = replace(self.windows, input=self._commands(known))
         dynamics = found.dynamics if "structure" in known else model.dynamics
         gain = found.single * ("single motors" in known) + found.common * ("common gain" in known)
         # A motor that does not turn has no strength, and an encoder that noticed knows better.
@@ -195,9 +191,9 @@ class _Again:
             if fault.owner not in known:
                 gain[:, self._touched(fault)] = 0.0
         errors = np.empty((3, len(windows)))
-        for length, part in batches(self._past):
+        for length, part in batches(self.past):
             starts = windows.starts[part]
-            state, now = self._encoder.begin(dynamics, windows.past(starts, length))
+            state, now = self.encoder.begin(dynamics, windows.past(starts, length))
             if "start" in known:
                 state = self._known_start(dynamics, windows, part)
             now = _with_gain(now, dynamics, gain[:, part])
@@ -216,16 +212,16 @@ class _Again:
 
     def _touched(self, fault: KnownFault) -> Bool[np.ndarray, " W"]:
         """Mark the windows that overlap a fault, or the motors' recovery from it."""
-        windows = self._windows
+        windows = self.windows
         first = windows.time[windows.starts]
         last = windows.time[windows.present + windows.prediction_length]
         return (first < fault.stop + RECOVERY_S) & (last > fault.begin)
 
     def _commands(self, known: frozenset[str]) -> Float[np.ndarray, "N n"]:
         """Return the commands that motors are known to follow."""
-        found, windows = self._hindsight, self._windows
+        found, windows = self.hindsight, self.windows
         trajectory, held = windows.trajectories[0], windows.input
-        delay = delay_for(self._model, trajectory)
+        delay = delay_for(self.model, trajectory)
         if "structure" in known:
             # Some models hold commands by whole samples.
             delay += found.later

@@ -427,11 +427,8 @@ def selected(
             more = (answer * score).sum(axis=1) - explained
             more -= len(group) * penalty + 2 * np.log(len(groups))
             better = new & (more > gain)
-            best[better], gain[better], solution[better] = (
-                tried[better],
-                more[better],
-                answer[better],
-            )
+            for kept, new in ((best, tried), (gain, more), (solution, answer)):
+                kept[better] = new[better]
         if not (gain > 0).any():
             break
         used, found = best, solution

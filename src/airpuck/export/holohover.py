@@ -142,17 +142,12 @@ def params_yaml(model: Model) -> str:
         direct=str(values.configuration_matrix is not None).lower(),
         matrix=np.ravel(model.dynamics.configuration).tolist(),
     )
+    each = (array.tolist() for array in (places, directions, np.asarray(values.thrust)))
     motors = [
         f"motor_pos_{name}: {place}\n"
         f"learned_motor_vec_{name}: {direction}\n"
         f"signal_to_thrust_coeffs_motor_{k}: {curve}\n"
-        for (name, k), place, direction, curve in zip(
-            MOTORS.items(),
-            places.tolist(),
-            directions.tolist(),
-            np.asarray(values.thrust).tolist(),
-            strict=True,
-        )
+        for (name, k), place, direction, curve in zip(MOTORS.items(), *each, strict=True)
     ]
     return head + "".join(motors)
 

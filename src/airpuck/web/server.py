@@ -136,13 +136,10 @@ class _Server:
         self._tells = False
         names = [("airpuck", name) for name in _ALL_PAGES]
         names += [(page.package, f"{page.name}.{kind}") for kind in _TYPES]
-        self._files = {
-            f"/{name}": (
-                (resources.files(package) / "packaged" / name).read_text("utf-8"),
-                _TYPES[name.rpartition(".")[2]],
-            )
-            for package, name in names
-        }
+        self._files: dict[str, tuple[str, str]] = {}
+        for package, name in names:
+            text = (resources.files(package) / "packaged" / name).read_text("utf-8")
+            self._files[f"/{name}"] = text, _TYPES[name.rpartition(".")[2]]
         self._files["/"] = self._files.pop(f"/{page.name}.html")
 
     async def run(self, listening: socket.socket) -> None:
