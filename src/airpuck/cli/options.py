@@ -117,9 +117,9 @@ def figure(what: str) -> Any:
     return output("FILE", f"Figure of {what} to write, a PNG.", "--figure")
 
 
-def _file(option: str, help: str, reader: str) -> Setting:
-    """Return the setting that a file holds, which a function of airpuck reads where it is given."""
-    read = lambda path: getattr(airpuck, reader)(path)  # noqa: E731
+def _file(option: str, help: str, reader: str = "") -> Setting:
+    """Return a setting for a file, or for what a function of airpuck reads from it."""
+    read = (lambda path: getattr(airpuck, reader)(path)) if reader else None
     return Setting(help, metavar="FILE", option=option, read=read)
 
 
@@ -144,7 +144,7 @@ ReadMapping = Annotated[
 ]
 _TWIN = "Settings of the twin: table, sensors, radio, faults; by default the paper's."
 ReadTwin = Annotated["TwinSettings | None", _file("--twin", _TWIN, "read_twin_settings")]
-TwinFile = Annotated[Path | None, Setting(_TWIN, metavar="FILE", option="--twin")]
+TwinFile = Annotated[Path | None, _file("--twin", _TWIN)]
 ReadTable = Annotated[
     "AirHockey | None",
     _file(
@@ -157,11 +157,7 @@ Span = Annotated[
 ]
 TuningFile = Annotated[
     Path | None,
-    Setting(
-        "Controller tuning; by default the packaged one, adapted to the model.",
-        metavar="FILE",
-        option="--tuning",
-    ),
+    _file("--tuning", "Controller tuning; by default the packaged one, adapted to the model."),
 ]
 PageFolder = Annotated[Path | None, output("DIR", "Also write a page with figures.")]
 NewBag = Annotated[Path, output("BAG", "New folder to record to.")]

@@ -224,17 +224,8 @@ class Vehicle(Section):
             if one.reverse is not None
         ]
         wheels = [
-            Channel(
-                wheel.name,
-                k,
-                1,
-                (0.0, 0.0),
-                0.0,
-                wheel.couple,
-                wheel.torque_Nm,
-                wheel.time_constant_s,
-            )
-            for k, wheel in enumerate(self.wheels, start=len(forwards))
+            Channel(one.name, k, 1, (0.0, 0.0), 0.0, one.couple, one.torque_Nm, one.time_constant_s)
+            for k, one in enumerate(self.wheels, start=len(forwards))
         ]
         against = [
             replace(one, name=f"{one.name}{_BACKWARDS}", sign=-1, couple=-one.couple)

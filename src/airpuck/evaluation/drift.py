@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import compress
 
 import numpy as np
 
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.results import Result
 from airpuck.deviation.significance import holm
-from airpuck.evaluation.presentation import MainQuantity, main_quantities
+from airpuck.evaluation.presentation import MainQuantity, at_bounds, main_quantities
 from airpuck.model.model_file import Model
 from airpuck.physics.thrust import FLAT, lowest_slope
 
@@ -173,15 +172,8 @@ def _holds(model: Model, other: Model, quantity: MainQuantity) -> bool:
         slopes, _ = lowest_slope(model.parameters.thrust)
         if slopes[quantity.motor] < FLAT:
             return True
-    held = _at_bounds(model) - _at_bounds(other)
+    held = set(at_bounds(model)) - set(at_bounds(other))
     return any(abs(_correlation(other, quantity, label)) > _TAKES_UP for label in held)
-
-
-def _at_bounds(model: Model) -> set[str]:
-    """Return the labels of learned parameters that are at a bound."""
-    vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
-    held = model.free & ((vector <= lower) | (vector >= upper))
-    return set(compress(model.parameters.labels(model.vehicle.propeller_names), held))
 
 
 def _correlation(model: Model, quantity: MainQuantity, label: str) -> float:

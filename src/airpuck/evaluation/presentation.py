@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -297,6 +298,13 @@ def _value(
     error = float(bar(model, quantity)) if learned else np.nan
     quantile = model.known.quantile if model.known else np.nan
     return Value(label, unit, float(quantity(model)), error, quantile, learned)
+
+
+def at_bounds(model: Model) -> list[str]:
+    """Return the labels of learned parameters that are at a bound."""
+    vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
+    held = model.free & ((vector <= lower) | (vector >= upper))
+    return list(compress(model.parameters.labels(model.vehicle.propeller_names), held))
 
 
 def delay_words(model: Model) -> str:

@@ -124,17 +124,15 @@ class Health:
         thrust_keys = "effectiveness", "deviation", "error_share", "interval_95", "known"
         delay_keys = "difference_s", "deviation_s", "error_share", "interval_95_s", "known"
         delay, motors = self.errors[:1], self.errors[1:]
+        thrusts = {one.name: dict(zip(thrust_keys, row(one, 1.0), strict=True)) for one in motors}
+        timing = {k: v for one in delay for k, v in zip(delay_keys, row(one, 0.0), strict=True)}
         return {
             "flying": self.flying,
             "horizon_s": HORIZON,
             "predictions": self.predictions,
             "rmse_m_m_rad": self.error.tolist(),
-            "propellers": {
-                one.name: dict(zip(thrust_keys, row(one, 1.0), strict=True)) for one in motors
-            },
-            "delay": {
-                k: v for one in delay for k, v in zip(delay_keys, row(one, 0.0), strict=True)
-            },
+            "propellers": thrusts,
+            "delay": timing,
             "findings": list(self.findings),
             "failed_starts": list(self.failed_starts),
         }

@@ -12,7 +12,7 @@ import numpy as np
 from airpuck.boundary.results import Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
-from airpuck.evaluation.presentation import delay_words
+from airpuck.evaluation.presentation import at_bounds, delay_words
 from airpuck.identification.method import Iteration, Outcome
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import Exclusion
@@ -192,10 +192,7 @@ def _idle_motors(trajectories: Sequence[Trajectory]) -> list[str]:
 
 def _implausible_values(model: Model) -> list[str]:
     """Name parameters at a bound, an inertia far from nominal, and falling thrust curves."""
-    vector, (lower, upper) = model.parameters.to_vector(), model.parameters.bounds()
-    labels = model.parameters.labels(model.vehicle.propeller_names)
-    at_bound = model.free & ((vector <= lower) | (vector >= upper))
-    found = [f"{labels[entry]} is at its bound" for entry in np.flatnonzero(at_bound)]
+    found = [f"{label} is at its bound" for label in at_bounds(model)]
     inertia, nominal = float(model.parameters.inertia), model.vehicle.nominal.inertia_kg_m2
     if not 0.05 < inertia / nominal < 20:
         found.append(
