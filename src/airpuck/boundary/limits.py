@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 
 MIB = 2**20
 
@@ -110,31 +110,26 @@ def refused(
 @contextlib.contextmanager
 def within_means(file: str | os.PathLike[str]) -> Iterator[None]:
     """Convert errors that a hostile file within the limits can cause into a one-line InputError."""
-    try:
+    too_large = "needs more memory than is available; split it into parts, or free some memory"
+    too_deep = f"is nested more than {DEPTH} deep; flatten it"
+    with (
+        explained(MemoryError, too_large, file=file),
+        explained(RecursionError, too_deep, file=file),
+    ):
         yield
-    except MemoryError as error:
-        raise InputError(
-            "needs more memory than is available; split it into parts, or free some memory",
-            file=file,
-        ) from error
-    except RecursionError as error:
-        raise InputError(f"is nested more than {DEPTH} deep; flatten it", file=file) from error
 
 
 @contextlib.contextmanager
 def _reading(path: str | os.PathLike[str]) -> Iterator[None]:
     """Convert errors of the file system into a one-line InputError."""
-    try:
-        yield
-    except FileNotFoundError:
-        raise InputError("there is no such file", file=path) from None
-    except IsADirectoryError:
-        raise InputError("is a folder; a file is expected", file=path) from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:  # a name with a null byte is a ValueError
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read ({reason})", file=path) from error
+    # A name with a null byte is a ValueError.
+    with explained((OSError, ValueError), "cannot be read ({error})", file=path):
+        try:
+            yield
+        except FileNotFoundError:
+            raise InputError("there is no such file", file=path) from None
+        except IsADirectoryError:
+            raise InputError("is a folder; a file is expected", file=path) from None
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated
 import pydantic
 
 from airpuck.boundary import limits
-from airpuck.boundary.errors import InputError, check_known, listing
+from airpuck.boundary.errors import InputError, check_known, explained, listing
 from airpuck.boundary.files import Positive, Section, read_toml
 from airpuck.boundary.limits import sha256
 from airpuck.boundary.outputs import replacing
@@ -190,23 +190,17 @@ def _download(
         counted = _Counted(base_url + name)
         # pooch accepts any object with a progress bar's methods.
         downloader = pooch.HTTPDownloader(progressbar=counted, timeout=_TIMEOUT_S)  # pyright: ignore[reportArgumentType]
-        try:
-            # pooch's annotation of a downloader does not fit pooch's own downloaders.
-            store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
-        except InputError:
-            raise
-        except requests.RequestException as error:
-            raise InputError(
-                f"cannot be downloaded ({_reason(error)}); if this machine is offline, {remedy}",
-                file=base_url + name,
-            ) from error
-        except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", file=target / name) from error
-        except ValueError as error:
-            raise InputError(
-                "was downloaded with unexpected content and deleted; try again",
-                file=base_url + name,
-            ) from error
+        damaged = "was downloaded with unexpected content and deleted; try again"
+        with explained(ValueError, damaged, file=base_url + name):
+            try:
+                # pooch's annotation of a downloader does not fit pooch's own downloaders.
+                store.fetch(name, downloader=downloader)  # pyright: ignore[reportArgumentType]
+            except requests.RequestException as error:
+                problem = f"cannot be downloaded ({_reason(error)}); if this machine is offline, "
+                raise InputError(problem + remedy, file=base_url + name) from error
+            except OSError as error:
+                problem = f"cannot be written ({error.strerror})"
+                raise InputError(problem, file=target / name) from error
     tell(len(files), len(files), "")
     return target
 
