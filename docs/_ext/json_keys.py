@@ -26,6 +26,7 @@ COMMANDS = {
     "faults": "Strengths",
     "check": "LayoutCheck",
     "track": "Tracked",
+    "tune": "Tuned Followed",
     "design": "Design CandidateFlight",
     "plan": "Plan",
     "race": "Race",

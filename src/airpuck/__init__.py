@@ -30,7 +30,7 @@ Controllers
     Pilot, InverseThrust, acceleration_map, SafetyLimits
 Flights on the twin
     track, FlightLog, excite, fly, race, replay, Replay, tracking_study, compare_controllers,
-    ControllerComparison, Twin, TwinBatch, TwinSettings, read_twin_settings, PuckState
+    ControllerComparison, tune, Twin, TwinBatch, TwinSettings, read_twin_settings, PuckState
 Time-optimal plans
     plan, Plan, read_plan, Goal, Limits
 From the box to a trusted flight

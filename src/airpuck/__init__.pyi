@@ -100,6 +100,7 @@ from airpuck.physics.rigid_body import acceleration_map as acceleration_map
 from airpuck.live.safety import SafetyLimits as SafetyLimits
 
 # Flights on the twin.
+from airpuck.twin.tune import tune as tune
 from airpuck.twin.experiments import track as track, excite as excite, race as race
 from airpuck.flight.loop import fly as fly, FlightLog as FlightLog
 from airpuck.flight.replay import replay as replay, Replay as Replay

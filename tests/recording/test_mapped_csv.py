@@ -118,7 +118,7 @@ values = ["u1", "u2"]
     np.testing.assert_allclose(found["pose"].values, POSES[1::2], atol=1e-12)
     np.testing.assert_allclose(found["command"].values, COMMANDS[::2, :2])
     assert found["command"].stamp_ns[1] == 40_000_000
-    assert found.warnings == ("25 blank poses are left out", "25 blank commands are left out")
+    assert found.warnings == ("blank poses left out: 25", "blank commands left out: 25")
 
 
 def edited(text: str, line: int, column: int, value: str) -> str:
@@ -471,7 +471,7 @@ def test_rows_without_a_position_or_without_an_orientation_are_left_out(tmp_path
     text = "\n".join(rows) + "\n"
     recording = read_recording(folder(tmp_path, text), mapping=mapping(tmp_path))
     assert_is_the_flight(recording, np.delete(np.arange(N), [4, 5, 6]))
-    assert recording.warnings == ("3 blank poses are left out",)
+    assert recording.warnings == ("blank poses left out: 3",)
 
 
 HEADER = "frame,t,x,y,theta\n"

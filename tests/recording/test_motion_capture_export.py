@@ -141,14 +141,14 @@ def test_frames_in_which_the_body_was_lost(tmp_path: Path):
     kept = np.delete(np.arange(N), lost)
     found = read(tmp_path, "take.csv", motive(lost=lost))
     assert_is_the_motion(found, kept=kept)
-    assert found.warnings == ("4 blank poses are left out",)
+    assert found.warnings == ("blank poses left out: 4",)
     (tmp_path / "take.csv").unlink()
     # Five digits of a rotation matrix.
     assert_is_the_motion(read(tmp_path, "take.tsv", qualisys()), off=2e-5)
     for nothing in ("0.00000", "", "NULL"):
         found = read(tmp_path, "take.tsv", qualisys(lost=lost, nothing=nothing))
         assert_is_the_motion(found, kept=kept, off=2e-5)
-        assert found.warnings == ("4 blank poses are left out",)
+        assert found.warnings == ("blank poses left out: 4",)
 
 
 @pytest.mark.parametrize(("name", "write"), [("take.csv", motive), ("take_6D.tsv", qualisys)])
@@ -257,7 +257,7 @@ def test_other_parts_of_a_vicon_export_are_passed_over(tmp_path: Path):
     more = "\nTrajectories\n100\n,,puck:one,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,1,2,3\n"
     recording = read(tmp_path, "take.csv", vicon(lost=(3, 4)) + more)
     assert recording["pose"].values == pytest.approx(np.delete(POSES, [3, 4], axis=0), abs=1e-6)
-    assert recording.warnings == ("2 blank poses are left out",)
+    assert recording.warnings == ("blank poses left out: 2",)
 
 
 def test_rotations_of_a_vicon_export_that_reach_far_are_not_taken_for_another_order(tmp_path: Path):

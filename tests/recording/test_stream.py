@@ -54,7 +54,7 @@ def test_columns_of_a_data_frame():
     assert np.array_equal(found["pose"].values, POSES)
     assert np.array_equal(found["command"].values, COMMANDS)
     assert found["pose"].stamp_ns[0] == 1_709_655_170_123_456_789
-    assert found.warnings == ("10 blank commands are left out",)
+    assert found.warnings == ("blank commands left out: 10",)
 
 
 def test_rows_of_nan_are_no_measurements():
@@ -64,7 +64,7 @@ def test_rows_of_nan_are_no_measurements():
     found = Recording.from_arrays(TIME, poses, TIME[::2], COMMANDS)
     assert len(found["pose"]) == 16
     assert np.isfinite(found["pose"].values).all()
-    assert found.warnings == ("3 blank poses are left out", "1 blank poses are left out")
+    assert found.warnings == ("blank poses left out: 3", "blank poses left out: 1")
 
 
 @pytest.mark.parametrize(

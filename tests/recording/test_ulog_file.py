@@ -133,7 +133,7 @@ def test_positions_that_px4_calls_invalid_are_left_out(tmp_path):
     }
     recording = read_recording(write_ulog(tmp_path / "a.ulg", topics))
     np.testing.assert_allclose(recording["pose"].values[0], (0.2, 0.0, -0.5), atol=1e-6)
-    assert recording.warnings == ("2 blank poses are left out",)
+    assert recording.warnings == ("blank poses left out: 2",)
     topics["vehicle_local_position"] = _LOCAL, local([0] * 9)
     with pytest.raises(InputError, match=r"local_position: contains no horizontal position"):
         read_recording(write_ulog(tmp_path / "a.ulg", topics))

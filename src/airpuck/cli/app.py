@@ -165,7 +165,7 @@ _MODULES = (
     ("identification", ("preprocess", "identify")),
     ("validation", ("evaluate", "check", "faults", "present", "compare", "resid", "vehicle")),
     ("live", ("commission",)),
-    ("flying", ("replay", "excite", "track", "animate", "fleet")),
+    ("flying", ("replay", "excite", "track", "tune", "animate", "fleet")),
     ("planning", ("design", "plan", "race")),
     ("flying", ("export",)),
     ("live", ("twin", "fly", "fly-fleet", "twin-fleet", "fly-excitation", "record")),

@@ -13,15 +13,18 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.settings import Setting
 from airpuck.cli import options
 from airpuck.cli.app import command
-from airpuck.cli.output import page, report, show, table, warn
+from airpuck.cli.output import page, report, show, show_time_left, table, warn
 from airpuck.control.laws import PAPERS
 from airpuck.control.settings import ControllerKind, Dwell
 from airpuck.export.kinds import KINDS, check_given, kind_named, known_kinds
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from airpuck.recording.mapping import RecordingMapping
     from airpuck.recording.stream import Recording
     from airpuck.twin.experiments import Excited
+    from airpuck.twin.tune import Tuned
 
 PANEL = "Control and flight"
 
@@ -175,6 +178,48 @@ def track(
     # The top level holds the last model's keys, too: with one model there is nothing to look up.
     flown = [flight.to_json() for flight in tracked]
     report({**flown[-1], "flights": flown}, *tracking_tables(tracked), written)
+
+
+@command(PANEL, rare=("seed",))
+def tune(
+    model: options.ModelName,
+    output: Annotated[Path, options.output("FILE", "Controller tuning to write.")],
+    law: options.LawName = None,
+    tuning: options.TuningFile = None,
+    twin: options.ReadTwin = None,
+    trials: Annotated[
+        int, Setting("Most tunings to fly, four flights each.", numbers.CHECK_FLIGHTS, "N")
+    ] = 50,
+    seed: options.Seed = 0,
+) -> None:
+    """Find weights of a law by flights on the twin: smaller errors with no more effort."""
+    craft = options.read_belief(model)
+    start = options.read_controls(tuning, law, craft)
+    with show_time_left("trials") as progress:
+        found = airpuck.tune(
+            craft, start, settings=twin, trials=trials, seed=seed, progress=progress
+        )
+    found.tuning.save(output)
+    report(found.to_json(), _tuned_table(found), output)
+
+
+def _tuned_table(found: Tuned) -> Table:
+    """Tabulate the weights, and what they change for other craft."""
+    of = (
+        *("error [mm]", "effort", "rail contacts"),
+        *("rests with delay added, up to [ms]", "rests with thrust, relative"),
+    )
+    flown = [
+        (
+            *(f"{1e3 * one.error_m:.3g}", f"{one.effort:.3g}", str(one.contacts)),
+            *(f"{1e3 * one.delay_margin_s:.0f}", "{:.2g} to {:.2g}".format(*one.thrust_margins)),
+        )
+        for one in (found.before, found.after)
+    ]
+    rows = [(name, f"{was:.3g}", f"{now:.3g}") for name, (was, now) in found.changes.items()]
+    rows += zip(of, *flown, strict=True)
+    title = "Weights, and flights of craft that no trial flew"
+    return table(("", "before", "after"), rows, title=title)
 
 
 @command(PANEL, figures=False)

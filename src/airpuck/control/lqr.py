@@ -63,10 +63,15 @@ class Weights(Section):
         return np.array([self.acceleration, self.acceleration, self.angular_acceleration])
 
 
+#: Weights that `airpuck.tune` changes; those of the accelerations set the scale.
+TUNED = ("weights.position", "weights.speed", "weights.yaw", "weights.spin")
+
+
 class LQRSettings(LawSettings):
     """Settings of the linear-quadratic regulator, and of its thrust allocation."""
 
     law = "lqr"
+    tuned = TUNED
 
     weights: Weights
     #: Solver of the thrust allocation.

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 import pydantic
 
 from airpuck.boundary.files import NonNegative, Positive, Section
-from airpuck.control.lqr import PositiveWeight, Weights
+from airpuck.control.lqr import TUNED, PositiveWeight, Weights
 from airpuck.control.tuning import LawSettings
 
 #: Limits on steps of a horizon and on discs: with more, a prediction takes longer than a period.
@@ -60,6 +60,7 @@ class PredictiveSettings(LawSettings):
     """Settings of the predictive law."""
 
     law = "mpc"
+    tuned = TUNED
 
     #: Length of the prediction, in steps of step_s; at most 80 steps.
     horizon_s: Annotated[float, pydantic.Field(ge=0.02, le=5.0)] = 0.6

@@ -49,6 +49,8 @@ class LawSettings(Section):
     ----------
     law : str
         Name of the law; for a law in a file, the name of its class.
+    tuned : tuple of str
+        Settings that `airpuck.tune` may change, such as "weights.position": positive numbers.
 
     Examples
     --------
@@ -61,6 +63,7 @@ class LawSettings(Section):
     """
 
     law: ClassVar[str]
+    tuned: ClassVar[tuple[str, ...]] = ()
 
     def slowed(self, times: float) -> Self:
         """Return the settings for a slower craft.

@@ -427,8 +427,8 @@ def selected(
             more = (answer * score).sum(axis=1) - explained
             more -= len(group) * penalty + 2 * np.log(len(groups))
             better = new & (more > gain)
-            for kept, new in ((best, tried), (gain, more), (solution, answer)):
-                kept[better] = new[better]
+            for kept, these in ((best, tried), (gain, more), (solution, answer)):
+                kept[better] = these[better]
         if not (gain > 0).any():
             break
         used, found = best, solution

@@ -353,4 +353,4 @@ def rows_of(stream: Stream, chosen: Shaped[np.ndarray, " M"]) -> Stream:
 
 def left_out(name: str, missing: int) -> tuple[str, ...]:
     """Return a warning about blank rows: exports have blank cells where tracking is lost."""
-    return (f"{missing} blank {name} are left out",) if missing else ()
+    return (f"blank {name} left out: {missing}",) if missing else ()
