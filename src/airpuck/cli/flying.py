@@ -195,10 +195,8 @@ def tune(
     """Find weights of a law by flights on the twin: smaller errors with no more effort."""
     craft = options.read_belief(model)
     start = options.read_controls(tuning, law, craft)
-    with show_time_left("trials") as progress:
-        found = airpuck.tune(
-            craft, start, settings=twin, trials=trials, seed=seed, progress=progress
-        )
+    with show_time_left("trials") as told:
+        found = airpuck.tune(craft, start, settings=twin, trials=trials, seed=seed, progress=told)
     found.tuning.save(output)
     report(found.to_json(), _tuned_table(found), output)
 

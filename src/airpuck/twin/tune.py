@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -159,6 +160,8 @@ class _Craft(NamedTuple):
 
 
 class _Flown(NamedTuple):
+    """What counts of a flight."""
+
     #: Mean squared distance of points on the rim on the course, and at rest [m²].
     squared: float
     rest: float
@@ -167,6 +170,8 @@ class _Flown(NamedTuple):
 
 
 class _Trial(NamedTuple):
+    """A tuning, and its flights together."""
+
     tuning: Tuning
     #: Logarithm of the error, the geometric mean of both kinds of twins, and of the usual effort.
     cost: float
@@ -177,9 +182,9 @@ class _Trial(NamedTuple):
         """Sum up a trial's flights."""
         kinds = flights[:_TRIAL], flights[_TRIAL:]
         error = sum(math.log(sum(flight.squared for flight in kind)) for kind in kinds) / 4
-        contacts = sum(flight.contacts for flight in flights)
+        error += _CONTACT * sum(flight.contacts for flight in flights)
         effort = math.log(sum(flight.effort for flight in flights[:_TRIAL]))
-        return cls(tuning, error + _CONTACT * contacts, effort)
+        return cls(tuning, error, effort)
 
 
 class _Flights:
@@ -189,9 +194,7 @@ class _Flights:
         self.model, self.settings = model, settings
         self._course, self._move = _Course(model, settings), _Course(model, settings, 0.0)
 
-    def craft(
-        self, seed: int, spread: float = 0.0, thrust: float = 1.0, later: float = 0.0
-    ) -> _Craft:
+    def craft(self, seed: int, spread: float = 0, thrust: float = 1, later: float = 0) -> _Craft:
         """Return a twin whose true craft differs from the model."""
         truth = varied(self.model, spread, seed)
         stronger = replace(truth.parameters, thrust=thrust * truth.parameters.thrust)
@@ -237,15 +240,14 @@ class _Flights:
             return low
 
         most = math.log2(_STRONGEST)
+        weaker = margin(lambda octaves: {"thrust": 2**-octaves}, most)
+        stronger = margin(lambda octaves: {"thrust": 2**octaves}, most)
         return Followed(
             math.sqrt(np.mean([flight.squared for flight in flown])),
             float(np.mean([flight.effort for flight in flown])),
             sum(flight.contacts for flight in flown),
             margin(lambda delay: {"later": delay}, _LATEST),
-            (
-                2 ** -margin(lambda octaves: {"thrust": 2**-octaves}, most),
-                2 ** margin(lambda octaves: {"thrust": 2**octaves}, most),
-            ),
+            (2**-weaker, 2**stronger),
         )
 
 
@@ -309,6 +311,8 @@ def tune(
         """Fly a tuning, unless it has been flown."""
         key = tuple(octaves.tolist())
         if key not in flown:
+            if len(flown) == trials:
+                raise StopIteration
             try:
                 tried = _changed(start, weights, octaves)
                 found = _Trial.of(tried, [flights.flown(tried, one) for one in (*usual, *other)])
@@ -325,7 +329,8 @@ def tune(
     effort = NonlinearConstraint(lambda at: _STEEP * (trial(at).effort - first.effort), -np.inf, 0)
     options = {"initial_tr_radius": _FIRST, "final_tr_radius": _LAST, "maxfev": trials}
     search = partial(minimize, method="COBYQA", constraints=effort, options=options)
-    search(lambda at: trial(at).cost - first.cost, origin)
+    with suppress(StopIteration):  # the method flies a few trials more than it counts
+        search(lambda at: trial(at).cost - first.cost, origin)
     fair = [one for one in flown.values() if one.effort <= first.effort + _EQUAL]
     best = min(fair, key=lambda one: one.cost).tuning
     held_out = [flights.craft(seed + _TRIAL + number, _SPREAD) for number in range(_HELD_OUT)]
