@@ -25,7 +25,7 @@ def check(yaw: np.ndarray, rate: float = RATE) -> None:
     time = np.arange(len(yaw)) / rate
     values = np.column_stack([np.zeros((len(yaw), 2)), yaw])
     stamp = np.rint(1e9 * time).astype(np.int64)
-    check_poses(Stream(stamp, stamp, values, COLUMNS["pose"]), time, "flight")
+    check_poses(Stream(stamp, stamp, values, COLUMNS["pose"]), time)
 
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, RATE, 1000.0])
@@ -188,12 +188,12 @@ def test_commands_in_another_unit_of_time_are_told_so(unit, step, advice):
     stamp = np.rint(1e9 * time).astype(np.int64)
     stream = Stream(stamp, stamp, np.full((100, 2), 0.3), ("left", "right"))
     with pytest.raises(InputError, match=f"commands come every {step} s") as caught:
-        check_commands(stream, time, "flight")
+        check_commands(stream, time)
     assert caught.value.field == "time"
     assert advice in str(caught.value)
     # A few commands that were logged only when they changed do not indicate a wrong unit.
     few = Stream(stamp[:9], stamp[:9], stream.values[:9], stream.columns)
-    check_commands(few, np.arange(9) * 30.0, "flight")
+    check_commands(few, np.arange(9) * 30.0)
 
 
 def test_a_clock_that_is_set_back_is_told_from_a_late_message():

@@ -1,26 +1,35 @@
 """Tuning by flights: less error for the same effort, and margins that the linear loop confirms."""
 
+import json
+
 import pytest
 
 import airpuck
 from airpuck.control.tuning import tuning_for
 from airpuck.model.model_file import published_model
 
+from ..apparatus.commands import airpuck as command
+from ..apparatus.commands import ran, refused
 from ..apparatus.studies import study
 
 M3 = published_model("M3")
 LAW = """
 import airpuck
+from airpuck.boundary.files import Section
+class Gains(Section):
+    weight: float = 1.0
 class Settings(airpuck.LawSettings):
     law = "Mine"
-    weight: float = 1.0
+    inner: Gains = Gains()
+    outer: Gains = Gains()
     {tuned}
 class Mine(airpuck.LQR):
     Settings = Settings
     def __init__(self, model, tuning, options):
         super().__init__(model, tuning, options)
+        own = tuning.of(Settings)
         with open("{seen}", "a") as file:
-            print(tuning.of(Settings).weight, file=file)
+            print(own.inner.weight, own.outer.weight, file=file)
 """
 
 
@@ -36,7 +45,8 @@ def test_other_craft_must_follow_more_closely_with_no_more_effort(found):
     assert after.effort < 1.02 * before.effort
     assert before.contacts == after.contacts == 0
     weights = found.tuning.of(airpuck.LQR.Settings).weights
-    assert found.changes["position"] == (8.6, weights.position) != (8.6, 8.6)
+    assert found.changes["weights.position"] == (8.6, weights.position) != (8.6, 8.6)
+    assert found.trials == 16
     assert found.changes["disturbance_density"][1] == found.tuning.estimation.disturbance_density
 
 
@@ -53,22 +63,40 @@ def test_flights_find_the_delay_margin_of_the_linear_loop(found):
         assert flown.thrust_margins[1] > 0.9 * disk
 
 
-def users_law(folder, tuned):
-    file = folder / "mine.py"
+def users_law(folder, tuned, table=""):
+    file, tuning = folder / "mine.py", folder / "start.toml"
     file.write_text(LAW.format(tuned=tuned, seen=folder / "weights"))
-    return tuning_for(M3).with_law(f"{file}:Mine")
+    kind = f"{file}:Mine"
+    tuning.write_text(f'law.kind = "{kind}"\n{table.format(kind=kind)}')
+    return airpuck.read_tuning(tuning, M3)
 
 
-def test_a_law_must_name_the_weights_that_may_change(tmp_path):
-    with pytest.raises(airpuck.InputError, match="Mine' has none; name them as `tuned`"):
-        airpuck.tune(M3, users_law(tmp_path, ""), trials=1)
+@pytest.mark.parametrize(
+    ("tuned", "said"),
+    [
+        ("", "law: .*Mine' has no weights to tune; choose lqr, mpc, or a law of your own"),
+        ('tuned = ("inner.wait",)', "Settings.tuned: must be names .* no attribute 'wait'"),
+        ('tuned = ("inner",)', "Settings.tuned: must be names of its numbers"),
+        ('tuned = "inner.weight"', "Settings.tuned: must be names of its numbers"),
+    ],
+)
+def test_a_law_must_name_numbers_that_may_change(tmp_path, tuned, said):
+    with pytest.raises(airpuck.InputError, match=said):
+        airpuck.tune(M3, users_law(tmp_path, tuned), trials=1)
 
 
 @pytest.mark.slow
-def test_trials_change_the_weight_of_a_users_law(tmp_path):
-    found = airpuck.tune(M3, users_law(tmp_path, 'tuned = ("weight",)'), trials=4)
-    assert set(found.changes) == {"disturbance_density", "angular_disturbance_density", "weight"}
-    assert {1.0, 2.0} <= set(map(float, (tmp_path / "weights").read_text().split()))
+def test_trials_change_the_weights_of_a_users_law_where_the_file_has_them(tmp_path):
+    (tmp_path / "sub").mkdir()
+    # The table may name the law by another path to the same file.
+    table = f'[law."{tmp_path}/sub/../mine.py:Mine".inner]\nweight = 3.0'
+    start = users_law(tmp_path, 'tuned = ("inner.weight", "outer.weight")', table)
+    found = airpuck.tune(M3, start, trials=5)
+    assert list(found.changes)[2:] == ["inner.weight", "outer.weight"]
+    seen = {
+        tuple(map(float, line.split())) for line in (tmp_path / "weights").read_text().splitlines()
+    }
+    assert {(3.0, 1.0), (6.0, 1.0), (3.0, 2.0)} <= seen
     found.tuning.save(tmp_path / "tuning.toml")
     assert airpuck.read_tuning(tmp_path / "tuning.toml") == found.tuning
 
@@ -76,3 +104,22 @@ def test_trials_change_the_weight_of_a_users_law(tmp_path):
 def test_no_trials_are_refused():
     with pytest.raises(airpuck.InputError, match="trials: must be from 1 to 1000"):
         airpuck.tune(M3, trials=0)
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_tuning_that_others_read(tmp_path):
+    out, figures = tmp_path / "tuning.toml", tmp_path / "tuned.json"
+    said = ran("tune", "paper:M3", "-o", out, "--trials", 1, "--json", figures)
+    found = json.loads(figures.read_text())
+    # One trial is the start itself.
+    assert found["before"] == found["after"]
+    assert found["changes"]["weights.yaw"] == [24.0, 24.0]
+    assert airpuck.read_tuning(out, M3) == tuning_for(M3)
+    assert "warning: the error of craft that no trial flew did not fall" in said.stderr
+    assert f"{1e3 * found['after']['error_m']:.3g}" in said.stdout
+
+
+def test_a_law_without_weights_is_refused_by_its_option(tmp_path):
+    tried = command("tune", "paper:M3", "--law", "plan", "-o", tmp_path / "tuning.toml")
+    assert refused(tried, "law: 'plan' has no weights to tune; choose lqr, mpc")
+    assert not any(tmp_path.iterdir())

@@ -188,16 +188,20 @@ def tune(
     tuning: options.TuningFile = None,
     twin: options.ReadTwin = None,
     trials: Annotated[
-        int, Setting("Most tunings to fly, four flights each.", numbers.CHECK_FLIGHTS, "N")
+        int, Setting("Maximum number of tunings to fly.", numbers.CHECK_FLIGHTS, "N")
     ] = 50,
     seed: options.Seed = 0,
 ) -> None:
-    """Find weights of a law by flights on the twin: smaller errors with no more effort."""
+    """Find weights of a law by flights on the twin: less error for no more effort.
+
+    Half of the twins are stronger and later than the model: robust weights win.
+    """
     craft = options.read_belief(model)
     start = options.read_controls(tuning, law, craft)
-    with show_time_left("trials") as told:
+    with show_time_left("flights") as told:
         found = airpuck.tune(craft, start, settings=twin, trials=trials, seed=seed, progress=told)
     found.tuning.save(output)
+    warn(found.warnings)
     report(found.to_json(), _tuned_table(found), output)
 
 
@@ -205,7 +209,7 @@ def _tuned_table(found: Tuned) -> Table:
     """Tabulate the weights, and what they change for other craft."""
     of = (
         *("error [mm]", "effort", "rail contacts"),
-        *("rests with delay added, up to [ms]", "rests with thrust, relative"),
+        *("additional delay tolerated [ms]", "relative thrust tolerated"),
     )
     flown = [
         (
@@ -216,7 +220,7 @@ def _tuned_table(found: Tuned) -> Table:
     ]
     rows = [(name, f"{was:.3g}", f"{now:.3g}") for name, (was, now) in found.changes.items()]
     rows += zip(of, *flown, strict=True)
-    title = "Weights, and flights of craft that no trial flew"
+    title = "Weights; craft that no trial flew; margins of a craft like the model"
     return table(("", "before", "after"), rows, title=title)
 
 

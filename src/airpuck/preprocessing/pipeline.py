@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.settings import fits
 from airpuck.craft.vehicle import Vehicle, default_vehicle, match_columns
 from airpuck.data.sampling import bridged, usual_period
@@ -190,7 +190,8 @@ def preprocess(
     vehicle = vehicle or default_vehicle()
     poses, commands, aligned = clean_streams(recording, vehicle)
     begins_above = vehicle.command_min + _BEGINS_ABOVE_MINIMUM
-    kept = _crop_to_commands(poses.time, commands, begins_above, recording.source)
+    with about(recording.source):
+        kept = _crop_to_commands(poses.time, commands, begins_above)
     time, values = poses.time[kept], poses.values[kept]
     values = np.column_stack([values[:, :2], unwrap_yaw(values[:, 2])])
     jumps, frozen = find_jumps(time, values), find_frozen(time, values)
@@ -242,8 +243,8 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
     aligned = replace(aligned, warnings=(*rolled, *said, *aligned.warnings))
     lowest = np.where(vehicle.actuation.two_way, -1.0, 0.0)[np.argsort(order)]
     try:
-        check_poses(pose, aligned.pose_time, recording.source)
-        check_commands(command, aligned.command_time, recording.source, lowest)
+        check_poses(pose, aligned.pose_time)
+        check_commands(command, aligned.command_time, lowest)
         poses = drop_disorder(aligned.pose_time, pose.values, "pose")
         commands = drop_disorder(aligned.command_time, command.values[:, order], "command")
     except InputError as error:  # stamps may be the cause
@@ -253,15 +254,13 @@ def clean_streams(recording: Recording, vehicle: Vehicle) -> tuple[Samples, Samp
 
 
 def _crop_to_commands(
-    pose_time: Float[np.ndarray, " N"], commands: Samples, begins_above: float, source: str
+    pose_time: Float[np.ndarray, " N"], commands: Samples, begins_above: float
 ) -> slice:
     """Find the poses between the first command that moves the craft and the last command."""
     time, command = commands.time, commands.values
     moving = np.flatnonzero(np.abs(command).max(axis=1) > begins_above)
     if len(moving) == 0:
-        raise InputError(
-            f"no command exceeds {begins_above:g}: the motors never moved the craft", file=source
-        )
+        raise InputError(f"no command exceeds {begins_above:g}: the motors never moved the craft")
     # Like the authors, start with the command after it, so that a whole interval has passed.
     begin, end = time[min(moving[0] + 1, len(time) - 1)], time[-1]
     first, last = np.searchsorted(pose_time, (begin, end), side="right").tolist()
@@ -269,8 +268,7 @@ def _crop_to_commands(
         raise InputError(
             f"poses ({pose_time[0]:.3f} to {pose_time[-1]:.3f} s) and commands "
             f"({begin:.3f} to {end:.3f} s) do not overlap; check that both clocks are the same "
-            "(dates count seconds from 1970), or shift one by start_s in a mapping",
-            file=source,
+            "(dates count seconds from 1970), or shift one by start_s in a mapping"
         )
     return slice(first, last)
 

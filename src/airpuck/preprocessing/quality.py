@@ -77,15 +77,14 @@ class Samples(NamedTuple):
     breaks: tuple[float, ...] = ()
 
 
-def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> None:
+def check_poses(pose: Stream, time: Float[np.ndarray, " N"]) -> None:
     """Raise InputError if poses cannot be in metres and radians."""
-    _check_finite(pose, time, "pose", source)
+    _check_finite(pose, time, "pose")
     position, yaw = pose.values[:, :2], pose.values[:, 2]
     if np.abs(position).max() > 50:
         raise InputError(
             f"positions reach {np.abs(position).max():.4g}, which is too large for an air-hockey "
             'table in metres; for millimetres, name the mapping\'s unit: pose = {units = ["mm"]}',
-            file=source,
             field="pose.position",
         )
     period, mean = _period(time), float(np.mean(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
@@ -94,7 +93,6 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
         remedy = "; they come in bursts" if bursts else _other_unit(period, "pose")
         raise InputError(
             f"poses come every {period:.3g} s, which is implausible for motion capture{remedy}",
-            file=source,
             field="time",
         )
     jumps = np.abs(np.diff(yaw))
@@ -105,7 +103,6 @@ def check_poses(pose: Stream, time: Float[np.ndarray, " N"], source: str) -> Non
         raise InputError(
             f"yaw reaches {np.abs(yaw).max():.4g} and looks like degrees; "
             'name them among the mapping\'s units: pose = {units = ["deg"]}',
-            file=source,
             field="pose.orientation.yaw",
         )
 
@@ -127,19 +124,15 @@ def _other_unit(period: float, stream: str) -> str:
 
 
 def check_commands(
-    command: Stream,
-    time: Float[np.ndarray, " K"],
-    source: str,
-    lowest: float | Float[np.ndarray, " c"] = 0.0,
+    command: Stream, time: Float[np.ndarray, " K"], lowest: float | Float[np.ndarray, " c"] = 0.0
 ) -> None:
     """Raise InputError for commands below the lowest, above 1, or at an implausible rate."""
-    _check_finite(command, time, "command", source)
+    _check_finite(command, time, "command")
     period = _period(time) if len(time) > _FEW else 0.0
     if period and not _COMMAND_PERIODS[0] <= period <= _COMMAND_PERIODS[1]:
         raise InputError(
             f"commands come every {period:.3g} s, which is implausible for a controller"
             f"{_other_unit(period, 'command')}",
-            file=source,
             field="time",
         )
     least = np.broadcast_to(lowest, command.values.shape[1:])
@@ -151,7 +144,6 @@ def check_commands(
             f"[{least[column]:.0f}, 1]; set its scale in a mapping file: "
             "command = {scale = 0.01} for percent, {neutral = 1000, span = 1000} for pulses of 1 "
             "to 2 ms; `disarmed` is a value that means stopped",
-            file=source,
             field=command.columns[column],
         )
 
@@ -162,7 +154,7 @@ def _period(time: Float[np.ndarray, " N"]) -> float:
     return float(np.median(steps[steps > 0])) if steps.any() else 0.0
 
 
-def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, source: str) -> None:
+def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str) -> None:
     """Raise InputError for NaN and infinity."""
     bad = ~np.isfinite(stream.values)
     if bad.any():
@@ -171,7 +163,6 @@ def _check_finite(stream: Stream, time: Float[np.ndarray, " N"], kind: str, sour
             f"{int(bad.any(axis=1).sum())} of {len(stream)} {kind}s are not finite, the first at "
             f"{time[row]:.3f} s (row {row + 1}); remove these rows (missing samples are "
             "then treated as a gap)",
-            file=source,
             field=stream.columns[column],
         )
 

@@ -123,7 +123,7 @@ def read_csv(
             hashes[path.name] = sha256(path)
             warnings += said
         except InputError as error:
-            file = error.file or path
+            file = error.file or path or single
             problems.append(InputError(error.problem, file=file, field=error.field))
     if len(problems) == 1:
         raise problems[0]
@@ -153,8 +153,7 @@ def _file_of(
         if stream == "command" and is_export(single):
             raise InputError(
                 "contains only poses; name the file of the commands in a file for --mapping: "
-                f'command = {{file = "...", {_TO_WRITE["command"]}}}',
-                file=single,
+                f'command = {{file = "...", {_TO_WRITE["command"]}}}'
             )
         return single if stream in needs or stream in mapping.model_fields_set else None
     candidates = _candidates(folder, stream, mapping)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.control.law import Bound
 from airpuck.craft.table import AirHockey
 from airpuck.craft.vehicle import Vehicle, match_columns
@@ -131,11 +131,12 @@ def read_scene(
     pose, command = recording["pose"], recording["command"]
     order = match_columns(vehicle, command.columns, source=recording.source)
     aligned = align_clocks(pose, command)
-    time, poses = _poses(pose, aligned.pose_time, recording.source)
-    command_time, commands = _usable(command, aligned.command_time, "command")
     actuation = vehicle.actuation
     lowest = np.where(actuation.two_way, -1.0, 0.0)[np.argsort(order)]
-    check_commands(commands, command_time, recording.source, lowest)
+    with about(recording.source):
+        time, poses = _poses(pose, aligned.pose_time)
+        command_time, commands = _usable(command, aligned.command_time, "command")
+        check_commands(commands, command_time, lowest)
 
     def on_axis(
         stream: Stream, kind: str
@@ -197,13 +198,13 @@ def plan_at(scene: FlightScene, time: float) -> PlannedPath | None:
 
 
 def _poses(
-    pose: Stream, time: Float[np.ndarray, " K"], source: str
+    pose: Stream, time: Float[np.ndarray, " K"]
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Return times and valid poses, with continuous yaw and without frozen ones."""
     time, usable = _usable(pose, time, "pose")
     if len(time) < 2:
-        raise InputError("has fewer than two finite poses, too few for an animation", file=source)
-    check_poses(usable, time, source)
+        raise InputError("has fewer than two finite poses, too few for an animation")
+    check_poses(usable, time)
     fresh = np.ones(len(time), dtype=bool)
     for span in find_frozen(time, usable.values):
         if span.stop - span.start > _longest_pause(time):

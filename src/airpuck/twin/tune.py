@@ -3,7 +3,7 @@
 A derivative-free method for constrained problems (COBYQA: Ragonneau, 2022) changes the logarithms
 of the weights: the least error, with no more effort than at the start. Every trial flies the same
 twins, with the same noise: half of them differ from the model as craft of one kind do, half are
-stronger and later, so that no weights win that only suit the model.
+stronger and later, so that weights that only suit the model do not win.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.files import checked
 from airpuck.boundary.results import Result
-from airpuck.control.laws import law_class
+from airpuck.control.laws import law_class, law_label
 from airpuck.control.reference import SetPoint, Target
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -31,7 +31,7 @@ from airpuck.deviation.time_scale import patience
 from airpuck.flight.loop import fly
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import pose_difference
-from airpuck.twin.plant import Plant, build_plant, varied
+from airpuck.twin.plant import build_plant, varied
 from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import Twin, check_seed
@@ -58,8 +58,8 @@ _FLIES = 0.02
 _LATEST, _STRONGEST, _HALVINGS = 0.16, 8.0, 5
 #: First and last change of a weight, in factors of two.
 _FIRST, _LAST = 1.0, 0.05
-#: Factor of the effort, which differs little, in the search; efforts that differ by less than the
-#: second number are equal.
+#: The search multiplies differences of effort by this, since they are small; differences below the
+#: second number do not count.
 _STEEP, _EQUAL = 10.0, 0.005
 #: Cost of a tuning that no controller can be designed for, and of a contact with a rail: like 20
 #: and 3 times the error.
@@ -81,9 +81,11 @@ class Followed(Result):
     contacts : int
         Number of contacts with a rail.
     delay_margin_s : float
-        Delay beyond the model's with which the craft just comes to rest at a set point [s].
+        Delay beyond the model's with which a craft like the model still comes to rest at a set
+        point [s]; delays up to 0.16 s are tried.
     thrust_margins : tuple of float
-        Smallest and largest thrust, relative to the model's, with which it does.
+        Smallest and largest thrust, relative to the model's, with which it does; up to a factor
+        of 8 is tried.
     """
 
     JSON = "error_m effort contacts delay_margin_s thrust_margins"
@@ -111,13 +113,20 @@ class Tuned(Result):
         Number of tunings flown.
     """
 
-    JSON = "changes before after trials"
+    JSON = "changes before after trials warnings"
 
     tuning: Tuning
     changes: dict[str, tuple[float, float]]
     before: Followed
     after: Followed
     trials: int
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the flights afterwards do not confirm."""
+        if self.after.error_m < self.before.error_m:
+            return ()
+        return ("the error of craft that no trial flew did not fall; more trials may help",)
 
     def __repr__(self) -> str:
         was, now = self.before, self.after
@@ -150,13 +159,8 @@ class _Course:
         return Target(np.concatenate([size * sin, size * rates * cos]), -size * rates**2 * sin)
 
 
-class _Craft(NamedTuple):
-    """A twin that every trial flies."""
-
-    truth: Model
-    settings: TwinSettings
-    plant: Plant
-    seed: int
+#: Puts a true craft at a pose.
+_Craft = Callable[..., Twin]
 
 
 class _Flown(NamedTuple):
@@ -188,46 +192,47 @@ class _Trial(NamedTuple):
 
 
 class _Flights:
-    """Flights of a controller's model along the course."""
+    """Flights of a controller's model."""
 
-    def __init__(self, model: Model, settings: TwinSettings) -> None:
+    def __init__(self, model: Model, settings: TwinSettings, tell: Callable[[int], None]) -> None:
         self.model, self.settings = model, settings
-        self._course, self._move = _Course(model, settings), _Course(model, settings, 0.0)
+        self.course, self._move = _Course(model, settings), _Course(model, settings, 0.0)
+        self._count, self._tell = 0, tell
 
     def craft(self, seed: int, spread: float = 0, thrust: float = 1, later: float = 0) -> _Craft:
-        """Return a twin whose true craft differs from the model."""
+        """Return a craft that differs from the model."""
         truth = varied(self.model, spread, seed)
         stronger = replace(truth.parameters, thrust=thrust * truth.parameters.thrust)
         truth = replace(truth, parameters=stronger, uncertainty=None)
         usual = self.settings.with_usual_delay(radio_delay(truth))
         delay = {"delay_s": (usual.radio.delay_s or 0.0) + later}
         usual = usual.model_copy(update={"radio": usual.radio.model_copy(update=delay)})
-        return _Craft(truth, usual, build_plant(truth, usual), seed)
+        return partial(Twin, truth, usual, seed=seed, plant=build_plant(truth, usual))
 
-    def flown(self, tuning: Tuning, craft: _Craft, course: _Course | None = None) -> _Flown:
-        """Fly a course, by default the whole one."""
-        course = course or self._course
-        truth, settings, plant, seed = craft
-        seen = tuning.with_camera(settings.motion_capture.rate_hz)
-        pilot = TrackingController(self.model, course, seen, table=settings.table)
-        twin = Twin(truth, settings, seed=seed, pose=course.start, plant=plant)
+    def flown(self, tuning: Tuning, craft: _Craft, course: _Course) -> _Flown:
+        """Fly a course."""
+        seen = tuning.with_camera(self.settings.motion_capture.rate_hz)
+        pilot = TrackingController(self.model, course, seen, table=self.settings.table)
+        twin, vehicle = craft(pose=course.start), self.model.vehicle
         log = fly(pilot, twin, course.leaves + course.slow * _STOP, tuning.period_s)
+        self._count += 1
+        self._tell(self._count)
         time, states = twin.truth
         wanted = np.array([course.at(now, 0.0).state for now in time.tolist()])
         off = pose_difference(np, states[:, :6].T, wanted.T)[:3]
-        squared = off[0] ** 2 + off[1] ** 2 + (truth.vehicle.radius_m * off[2]) ** 2
+        squared = off[0] ** 2 + off[1] ** 2 + (vehicle.radius_m * off[2]) ** 2
         rests = time > course.leaves + course.slow * _THERE
         counts = rests | ((time > course.slow * _COUNTS) & (time < course.leaves))
         return _Flown(
             float(squared[counts].mean()),
             float(squared[rests].mean()),
-            float(((log.command - truth.vehicle.idle) ** 2).sum(axis=1).mean()),
+            float(((log.command - vehicle.idle) ** 2).sum(axis=1).mean()),
             len(twin.contacts),
         )
 
     def followed(self, tuning: Tuning, crafts: Sequence[_Craft]) -> Followed:
-        """Fly craft, and find the margins of the model's own craft."""
-        flown = [self.flown(tuning, craft) for craft in crafts]
+        """Fly craft along the course, and find the margins of a craft like the model."""
+        flown = [self.flown(tuning, craft, self.course) for craft in crafts]
 
         def margin(changed: Callable[[float], dict[str, float]], most: float) -> float:
             """Return the largest change with which the craft flies, by bisection."""
@@ -262,8 +267,8 @@ def tune(
 ) -> Tuned:
     """Find weights with which a craft follows a course more closely, with no more effort.
 
-    The twins that judge a trial differ from the model by 10 % in thrusts, inertia and lag, or have
-    1.2 times the thrust and 20 ms more delay. The result is flown by eight others.
+    Each trial flies four twins, which differ from the model by 10 % in thrusts, inertia and lag;
+    two also have 1.2 times the thrust and 20 ms more delay. Eight others fly the result.
 
     Parameters
     ----------
@@ -274,11 +279,11 @@ def tune(
     settings : TwinSettings, optional
         Table, sensors, radio, faults; by default the paper's.
     trials : int, default 50
-        Largest number of tunings to fly, four flights each.
+        Maximum number of tunings to fly; a search needs more than twice the number of weights.
     seed : int, default 0
         Seed of the first twin's craft, noise and radio.
     progress : callable, optional
-        Called with the number of trials done and the largest.
+        Called with the number of flights done and the maximum.
 
     Returns
     -------
@@ -302,30 +307,33 @@ def tune(
     check_seed(seed, "seed")
     start = tuning or tuning_for(model)
     weights = _weights(start)
-    flights = _Flights(model, (settings or default_twin_settings()).without_on_board())
-    usual = [flights.craft(seed + number, _SPREAD) for number in range(_TRIAL)]
-    other = [flights.craft(one.seed, _SPREAD, _STRONGER, _LATER) for one in usual]
-    flown: dict[tuple[float, ...], _Trial] = {}
+    world = (settings or default_twin_settings()).without_on_board()
+    most = 2 * _TRIAL * trials + 2 * (_HELD_OUT + 3 * _HALVINGS)
+    flights = _Flights(model, world, lambda count: progress(count, most))
+    kinds = ((), (_STRONGER, _LATER))
+    crafts = [flights.craft(seed + k, _SPREAD, *more) for more in kinds for k in range(_TRIAL)]
+
+    def judged(tried: Tuning) -> _Trial:
+        """Fly a tuning."""
+        return _Trial.of(tried, [flights.flown(tried, craft, flights.course) for craft in crafts])
 
     def trial(octaves: Float[np.ndarray, " w"]) -> _Trial:
-        """Fly a tuning, unless it has been flown."""
+        """Fly changed weights, unless they have been flown."""
         key = tuple(octaves.tolist())
         if key not in flown:
             if len(flown) == trials:
                 raise StopIteration
             try:
                 tried = _changed(start, weights, octaves)
-                found = _Trial.of(tried, [flights.flown(tried, one) for one in (*usual, *other)])
-            except InputError:
-                if not flown:
-                    raise
-                found = first._replace(cost=first.cost + _REFUSED)
-            flown[key] = found
-            progress(len(flown), trials)
+                TrackingController(model, flights.course, tried)
+            except InputError:  # no controller can be designed
+                flown[key] = first._replace(cost=first.cost + _REFUSED)
+            else:
+                flown[key] = judged(tried)
         return flown[key]
 
-    origin = np.zeros(len(weights))
-    first = trial(origin)
+    origin, first = np.zeros(len(weights)), judged(start)
+    flown = {tuple(origin.tolist()): first}
     effort = NonlinearConstraint(lambda at: _STEEP * (trial(at).effort - first.effort), -np.inf, 0)
     options = {"initial_tr_radius": _FIRST, "final_tr_radius": _LAST, "maxfev": trials}
     search = partial(minimize, method="COBYQA", constraints=effort, options=options)
@@ -336,7 +344,8 @@ def tune(
     held_out = [flights.craft(seed + _TRIAL + number, _SPREAD) for number in range(_HELD_OUT)]
     before = flights.followed(start, held_out)
     after = before if best == start else flights.followed(best, held_out)
-    changes = {path[-1]: (weights[path], value) for path, value in _weights(best).items()}
+    ends = _weights(best)
+    changes = {".".join(path[2:] or path[1:]): (weights[path], ends[path]) for path in weights}
     return Tuned(best, changes, before, after, len(flown))
 
 
@@ -344,13 +353,20 @@ def _weights(tuning: Tuning) -> dict[tuple[str, ...], float]:
     """Return what may change of a tuning, by its place in the file; zeros stay."""
     kind = tuning.law.kind
     settings = getattr(law_class(kind), "Settings", None)
-    found = {("estimation", name): getattr(tuning.estimation, name) for name in _FILTER}
+    found: dict[tuple[str, ...], float] = {
+        ("estimation", name): getattr(tuning.estimation, name) for name in _FILTER
+    }
     if settings is None or not settings.tuned:
-        problem = f"{kind!r} has none; name them as `tuned` in its LawSettings"
-        raise InputError(problem, field="weights")
-    own = tuning.of(settings)
-    found |= {("law", kind, *name.split(".")): attrgetter(name)(own) for name in settings.tuned}
-    return {path: float(value) for path, value in found.items() if value > 0}
+        problem = f"{kind!r} has no weights to tune; choose lqr, mpc, or a law of your own whose "
+        raise InputError(f"{problem}LawSettings name them as `tuned`", field="law")
+    own, names = tuning.of(settings), (*tuning.law.tables, kind)
+    table = next((name for name in names if settings.law in (name, law_label(name))), kind)
+    problem = 'must be names of its numbers, such as ("weight",): {error}'
+    wrong = AttributeError, TypeError, ValueError
+    with explained(wrong, problem, field=f"{settings.__name__}.tuned"):
+        for name in settings.tuned:
+            found["law", table, *name.split(".")] = float(attrgetter(name)(own))
+    return {path: value for path, value in found.items() if value > 0}
 
 
 def _changed(
@@ -362,5 +378,5 @@ def _changed(
         table = content
         for key in path[:-1]:
             table = table.setdefault(key, {})
-        table[path[-1]] = float(f"{value * 2**octave:.3g}")
+        table[path[-1]] = float(f"{value * 2**octave:.3g}") if octave else value
     return checked(content, Tuning)
