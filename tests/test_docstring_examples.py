@@ -11,7 +11,7 @@ import airpuck_hockey
 
 #: Examples that take over 1.5 s alone.
 SLOW = {"ControllerComparison", "Game", "PredictionBands", "ResidualTests", "Study"}
-SLOW |= {"animate", "compare_controllers", "plan", "resid", "study", "tune"}
+SLOW |= {"animate", "compare_controllers", "plan", "race", "resid", "study", "tune"}
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL
 
 

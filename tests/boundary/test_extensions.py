@@ -148,12 +148,14 @@ def test_an_export_of_another_distribution_writes_its_files(installed, tmp_path)
     assert (tmp_path / "out" / "note.txt").read_text() == "M2"
 
 
+@pytest.mark.slow
 def test_a_law_of_another_distribution_is_named_like_ours(installed):
     ended = installed("track", "--dwell", "0.1", "--law", "idle", "--json", "-")
     assert ended.returncode == 0, ended.stderr
     assert refused(installed("track", "--law", "idel"), "did you mean 'idle'?")
 
 
+@pytest.mark.slow
 def test_a_campaign_computes_items_of_another_distribution(installed, tmp_path):
     spec = tmp_path / "spec.toml"
     spec.write_text('kind = "square"\ngrid.number = [2, 3]\n')

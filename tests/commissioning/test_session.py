@@ -53,6 +53,7 @@ class Still:
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("link", "kind", "cause"),
     [
@@ -111,6 +112,7 @@ def test_rest_sees_rate_noise_and_slope():
     assert "10." in step.words.partition("slope of ")[2]  # 0.1 m/s² over 9.81 m/s² is 10.2 mrad
 
 
+@pytest.mark.slow
 def test_flight_time_counts_every_second_with_motors_on():
     link = Still(rate=240.0)
     found = commission(link, VEHICLE, steps=[])

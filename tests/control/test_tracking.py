@@ -316,6 +316,7 @@ def test_the_first_example_of_the_documentation_runs(tmp_path, monkeypatch):
     np.testing.assert_array_equal(sent, [names["step"].command])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["lqr", "mpc"])
 def test_motors_keep_turning_at_the_least_command_of_the_tuning_while_the_craft_is_steered(law):
     turning = default_tuning().model_copy(update={"least_command": 0.08})

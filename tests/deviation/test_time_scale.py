@@ -77,6 +77,7 @@ def test_the_smoothing_of_the_papers_craft_does_not_change():
     assert patience(PAPER) == patience(pushing(30.0)) == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "push"), [(5e-5, 0.0125), (2e-4, 0.1), (1e-3, 0.1)])
 def test_smoothing_is_near_the_best_for_velocities(noise, push):
     period, hold = 1 / 100, 2.0

@@ -175,6 +175,7 @@ def test_changes_that_may_be_none_are_not_used_and_certain_ones_are(learning):
     assert abs(learning.later - 0.015) < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_drag_slope_and_an_offset_of_the_centre_of_mass_are_learned_with_motors(learning, seed):
     true = np.array([0.25, 2e-3, -1.5e-3, 4e-3, -3e-3])
@@ -188,6 +189,7 @@ def test_drag_slope_and_an_offset_of_the_centre_of_mass_are_learned_with_motors(
     assert (deviation < 0.6 * np.array(list(BEYOND.values()))).all()
 
 
+@pytest.mark.slow
 def test_without_motion_intervals_of_the_body_return_to_the_prior_and_nothing_drifts(learning):
     random = np.random.default_rng(0)
     taught(learning, np.ones(6), lasting=20.0, drag=0.25, offset=(2e-3, 0.0), slope=(4e-3, 0.0))

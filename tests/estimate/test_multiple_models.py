@@ -137,6 +137,7 @@ def test_a_mouse_and_a_gyro_that_are_exact_tell_velocity_and_spin():
     assert less[0, 5, 5] < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 1.7])
 def test_a_craft_that_learns_finds_the_density_of_unexplained_accelerations(ratio):
     """The poses of an idle craft, pushed by white accelerations of a known density."""

@@ -35,6 +35,7 @@ def test_errors_of_a_regression_hold_with_few_blocks_and_many_coefficients():
 
 
 # 400 intervals; a third of the trials would fail 95 % ± 1 point, one in 10 000 fails these bounds.
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [15.0, 40.0, 98.0])
 def test_intervals_hold_the_true_root_mean_square(duration):
     held = []
@@ -63,6 +64,7 @@ def test_pairs_are_compared_with_the_stated_false_alarms_and_intervals():
     assert np.mean(widths) < 0.7 * (high - low)[0]
 
 
+@pytest.mark.slow
 def test_the_spread_is_that_of_theory():
     # Var of the mean square of an AR(1) of variance 1: 2 (1 + a²)/(1 − a²)/W, by Isserlis' theorem.
     spreads = []

@@ -77,7 +77,7 @@ def test_commands_and_states_equal_those_of_python(name, tmp_path):
         assert {"scaled", "nearest", "stale pose", "bad input", "jumping pose"} <= set(found.seen)
 
 
-@pytest.mark.parametrize("law", ["lqr", "mpc"])
+@pytest.mark.parametrize("law", ["lqr", pytest.param("mpc", marks=pytest.mark.slow)])
 def test_the_flight_of_the_export_repeats(law, exported, tmp_path):
     if law == "mpc":
         exported = tmp_path
@@ -264,7 +264,7 @@ def test_the_program_goes_on_after_a_wrong_stamp(wrong, exported):
     assert all(answers[f"{time}00"] == "exact" for time in times[-5:])
 
 
-@pytest.mark.parametrize("law", ["lqr", "mpc"])
+@pytest.mark.parametrize("law", ["lqr", pytest.param("mpc", marks=pytest.mark.slow)])
 def test_without_targets_and_plan_the_motors_idle(law, tmp_path):
     airpuck.export.write(M4, "c", tmp_path, tuning=default_tuning().with_law(law))
     (tmp_path / "none.c").write_text(
