@@ -207,19 +207,18 @@ def tune(
 
 def _tuned_table(found: Tuned) -> Table:
     """Tabulate the weights, and what they change for other craft."""
-    of = (
-        *("error [mm]", "effort", "rail contacts"),
-        *("additional delay tolerated [ms]", "relative thrust tolerated"),
-    )
-    flown = [
-        (
-            *(f"{1e3 * one.error_m:.3g}", f"{one.effort:.3g}", str(one.contacts)),
-            *(f"{1e3 * one.delay_margin_s:.0f}", "{:.2g} to {:.2g}".format(*one.thrust_margins)),
-        )
-        for one in (found.before, found.after)
-    ]
+    both = found.before, found.after
     rows = [(name, f"{was:.3g}", f"{now:.3g}") for name, (was, now) in found.changes.items()]
-    rows += zip(of, *flown, strict=True)
+    rows += [
+        ("error [mm]", *(f"{1e3 * one.error_m:.3g}" for one in both)),
+        ("effort", *(f"{one.effort:.3g}" for one in both)),
+        ("rail contacts", *(str(one.contacts) for one in both)),
+        ("additional delay tolerated [ms]", *(f"{1e3 * one.delay_margin_s:.0f}" for one in both)),
+        (
+            "relative thrust tolerated",
+            *("{:.2g} to {:.2g}".format(*one.thrust_margins) for one in both),
+        ),
+    ]
     title = "Weights; craft that no trial flew; margins of a craft like the model"
     return table(("", "before", "after"), rows, title=title)
 

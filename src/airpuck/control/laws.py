@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pkgutil import resolve_name
 from typing import Any
 
@@ -40,3 +40,8 @@ def law_class(name: str) -> Any:
 def law_label(name: str) -> str:
     """Return the name of a law for labels and file names: without its path."""
     return name.rpartition(":")[2]
+
+
+def name_among(names: Iterable[str], law: str, otherwise: str) -> str:
+    """Return the name that means a law, which may name its file, too; or another if none does."""
+    return next((name for name in names if law in (name, law_label(name))), otherwise)

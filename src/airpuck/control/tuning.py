@@ -22,7 +22,7 @@ from airpuck.boundary.files import (
     read_packaged,
     write_toml,
 )
-from airpuck.control.laws import LAWS, check_law, law_class, law_label
+from airpuck.control.laws import LAWS, check_law, law_class, name_among
 from airpuck.deviation.time_scale import lateness, patience
 from airpuck.estimate.axis_filter import Noise
 from airpuck.model.model_file import Model
@@ -305,9 +305,9 @@ class Tuning(Section):
         if law is None:
             problem = 'needs law = "NAME", the law whose table it reads'
             raise InputError(problem, field=settings.__name__)
-        named = (name for name in self.law.tables if law in (name, law_label(name)))
+        table = name_among(self.law.tables, law, otherwise=law)
         try:
-            return checked(self.law.tables.get(next(named, law), {}), settings)
+            return checked(self.law.tables.get(table, {}), settings)
         except InputError as error:
             raise InputError(error.problem, field=f"law.{law}.{error.field}") from error
 

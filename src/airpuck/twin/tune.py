@@ -23,7 +23,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.files import checked
 from airpuck.boundary.results import Result
-from airpuck.control.laws import law_class, law_label
+from airpuck.control.laws import law_class, name_among
 from airpuck.control.reference import SetPoint, Target
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -359,8 +359,7 @@ def _weights(tuning: Tuning) -> dict[tuple[str, ...], float]:
     if settings is None or not settings.tuned:
         problem = f"{kind!r} has no weights to tune; choose lqr, mpc, or a law of your own whose "
         raise InputError(f"{problem}LawSettings name them as `tuned`", field="law")
-    own, names = tuning.of(settings), (*tuning.law.tables, kind)
-    table = next((name for name in names if settings.law in (name, law_label(name))), kind)
+    own, table = tuning.of(settings), name_among(tuning.law.tables, settings.law, kind)
     problem = 'must be names of its numbers, such as ("weight",): {error}'
     wrong = AttributeError, TypeError, ValueError
     with explained(wrong, problem, field=f"{settings.__name__}.tuned"):
