@@ -10,6 +10,9 @@ the circle from 2 s after the change on, the largest overshoot over set points, 
 in the last half second of one, the fastest contact with a rail, and for `learning` how many of the
 final intervals (95 %) contain the truth, and the errors of drag, offset of the centre of mass and
 slope. An interrupted study resumes; `--summary` only reads the file.
+
+With `--disturbed` the accelerations that the filter expects act on the craft, too, and only
+`learning` flies, in a file of its own: are the intervals as wide as they should be?
 """
 
 from __future__ import annotations
@@ -39,6 +42,32 @@ CIRCLE, DWELL, FAILS, COUNTS = 12.0, 2.0, 4.0, 6.0
 #: Number of set points.
 POINTS = 6
 ESTIMATORS = ("kalman", "learning", "knows")
+#: With `--disturbed`: time between pushes, and for which a wandering acceleration lasts [s].
+PUSHED, WANDERS = 0.005, 2.0
+
+
+class Disturbed(Twin):
+    """A twin with the accelerations that the filter expects: white ones, and ones that wander."""
+
+    def __init__(self, *given: Any, seed: int) -> None:
+        super().__init__(*given, seed=seed)
+        noise = default_tuning().estimation.noise
+        self._white, self._driving = np.array(noise.acceleration), np.array(noise.disturbance)
+        self._random, self._wandering = np.random.default_rng([91, seed]), np.zeros(3)
+
+    def wait_until(self, time: float) -> list[Any]:
+        """Simulate until a time, with a push every few milliseconds."""
+        seen = []
+        while self.now < time:
+            h = min(PUSHED, time - self.now)
+            seen += super().wait_until(self.now + h)
+            shocks = math.sqrt(h) * self._random.standard_normal((2, 3))
+            # A random walk would leave the table; this one forgets.
+            self._wandering += self._driving * shocks[0] - h / WANDERS * self._wandering
+            state = self.craft.state.copy()
+            state[3:6] += h * self._wandering + self._white * shocks[1]
+            self.craft.state = state
+        return seen
 
 
 class Circle:
@@ -113,7 +142,9 @@ def changes(seed: int) -> dict[str, Change]:
     }
 
 
-def flown(change: Change, law: str, estimator: str, seed: int) -> dict[str, Any]:
+def flown(
+    change: Change, law: str, estimator: str, seed: int, disturbed: bool = False
+) -> dict[str, Any]:
     """Fly a circle and set points."""
     random = np.random.default_rng([47, seed])
     model = change.truth if estimator == "knows" else MODEL
@@ -121,7 +152,8 @@ def flown(change: Change, law: str, estimator: str, seed: int) -> dict[str, Any]
     tuning = tuning_for(MODEL).with_law(law).with_estimator(kind)
     circle = Circle()
     controller = TrackingController(model, circle, tuning)
-    twin, seen = Twin(change.truth, change.settings, seed=seed), list[tuple[float, ...]]()
+    twin = (Disturbed if disturbed else Twin)(change.truth, change.settings, seed=seed)
+    seen = list[tuple[float, ...]]()
     receive = controller.measured
 
     def measured(measurement: Any) -> None:
@@ -207,16 +239,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True, help="file of JSON lines")
     parser.add_argument("--flights", type=int, default=2, help="of each change and estimator")
+    parser.add_argument("--disturbed", action="store_true", help="push the craft, too; see above")
     parser.add_argument("--summary", action="store_true", help="only summarise the file")
     options = parser.parse_args()
     kept = Kept(options.output)
     for seed in range(0 if options.summary else options.flights):
         for name, change in changes(seed).items():
             for law in ("lqr", "mpc"):
-                for estimator in ESTIMATORS if change.known else ESTIMATORS[:2]:
+                able = ESTIMATORS if change.known else ESTIMATORS[:2]
+                for estimator in ("learning",) if options.disturbed else able:
                     row = {"law": law, "change": name, "estimator": estimator, "seed": seed}
                     if not kept.have(**row):
-                        kept.add(row | flown(change, law, estimator, seed))
+                        kept.add(row | flown(change, law, estimator, seed, options.disturbed))
                         print(json.dumps(kept.lines[-1]), flush=True)
     summary(kept.lines)
 
