@@ -58,8 +58,8 @@ OWNER_COLORS = (
 )
 #: Seconds for one fit of M3 to the paper's training flight (benchmarks/README.md).
 FIT_TIMES = (
-    ("airpuck, second fit in a process", 0.30),
-    ("airpuck, whole process", 5.6),
+    ("airpuck, second fit in a process", 1.6),
+    ("airpuck, whole process", 8.7),
     ("NumPy + SciPy, warm", 12.2),
     ("Adam, the paper's settings", 67.0),
 )
