@@ -43,6 +43,8 @@ from airpuck.twin.twin import Twin
 
 #: Longer than any run, and length of the fixed sequence [s].
 ALWAYS, FIXED = 1e4, 60.0
+#: Contacts with a rail above this speed are told, each with the flight [m/s].
+TOLD = 0.1
 #: A dead motor, reversed motor, swapped motors, a weak motor: shares of the draws.
 DEAD, REVERSED, SWAPPED, WEAK = 0.05, 0.05, 0.1, 0.33
 
@@ -152,6 +154,13 @@ def commissioned(seed: int) -> dict[str, Any]:
     line |= {"wall_s": found.wall_s, "steps": [[s.step, s.words] for s in found.steps]}
     line["findings"] = [finding.sentence for finding in found.findings]
     line["rail_m_s"] = max((speed for _, speed in twin.craft.contacts), default=0.0)
+    met = [(time, speed) for time, speed in twin.craft.contacts if speed > TOLD]
+    line["contacts"] = [
+        [one.name, time - one.span[0], speed]
+        for time, speed in met
+        for one in found.flights
+        if one.span[0] <= time <= one.span[1]
+    ]
     line["errors"] = errors(found.model, right)
     if found.trusted and found.model is not None:
         line["settles"] = bool(settles(found.model, truth, settings, seed))

@@ -1,6 +1,6 @@
 """Do the tests notice mistakes? Random one-line mistakes against the tests of a package.
 
-    python studies/mutation.py hockey planning [--count 100] [--seed 0] [--slow 2.5]
+    python studies/mutation.py planning airpuck_hockey/player [--count 100] [--seed 0] [--slow 2.5]
 
 Draws mistakes at random from all places where one can be made: a sign, a comparison, a number, a
 condition, a minimum for a maximum, a statement left out. Docstrings, messages, annotations,
@@ -48,6 +48,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "src" / "airpuck"
+HOCKEY = ROOT / "packages" / "airpuck-hockey"
 
 #: Replacements of operators. A comparison is replaced by the second one only between counts: real
 #: numbers are never equal.
@@ -119,11 +120,16 @@ class Mutant:
     def module(self) -> str:
         """Name of the module."""
         name = self.path.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        return f"airpuck.{name}"
+        return name if name.startswith("airpuck_hockey.") else f"airpuck.{name}"
+
+    @property
+    def file(self) -> Path:
+        """The file without the mistake."""
+        return sources(self.path) / self.path
 
     def mutated(self) -> bytes:
         """Return the file with the mistake."""
-        text = (SOURCES / self.path).read_bytes()
+        text = self.file.read_bytes()
         return text[: self.start] + self.after.encode() + text[self.end :]
 
     def __str__(self) -> str:
@@ -304,16 +310,32 @@ class Mistakes(ast.NodeVisitor):
         self.generic_visit(node)
 
 
+def sources(package: str) -> Path:
+    """Return the folder that the paths of a package's modules start from."""
+    return HOCKEY / "src" if package.startswith("airpuck_hockey/") else SOURCES
+
+
+def named(package: str) -> str:
+    """Return a package's name in the names of files."""
+    return package.replace("/", "-")
+
+
+def tests_of(package: str) -> Path:
+    """Return the folder with the tests of a package."""
+    tests = HOCKEY / "tests" if package.startswith("airpuck_hockey/") else ROOT / "tests"
+    return tests / package.removeprefix("airpuck_hockey/")
+
+
 def mutants(package: str, count: int, seed: int) -> list[Mutant]:
     """Draw mistakes in the modules of a package, no two at one place.
 
     A hash of the place decides, so code added elsewhere leaves most of the choice unchanged.
     """
     drawn = []
-    for path in sorted((SOURCES / package).rglob("*.py")):
+    for path in sorted((sources(package) / package).rglob("*.py")):
         text, seen = path.read_bytes(), Counter[tuple[str, str]]()
         statements = ast.parse(text).body
-        name = str(path.relative_to(SOURCES))
+        name = str(path.relative_to(sources(package)))
         for start, end, choices in sorted(Mistakes(text).found):
             line, before = text.count(b"\n", 0, start) + 1, text[start:end].decode()
             around = next(s for s in statements if line <= (s.end_lineno or line))
@@ -485,18 +507,19 @@ def tested(files: list[str], *plugins: Any) -> int:
 
 def baseline(package: str, items: list[pytest.Item], slow: float, out: Path) -> list[Test]:
     """Run the tests of an unchanged package, file by file if they are not known yet."""
-    kept = out / f"{package}-baseline.json"
+    kept = out / f"{named(package)}-baseline.json"
+    folder = sources(package) / package
     known = json.loads(kept.read_text()) if kept.exists() else {}
-    sources = b"".join(path.read_bytes() for path in sorted((SOURCES / package).rglob("*.py")))
+    modules = b"".join(path.read_bytes() for path in sorted(folder.rglob("*.py")))
     files: dict[Path, list[pytest.Item]] = defaultdict(list)
     for item in items:
         files[item.path].append(item)
     found: list[Test] = []
     for path, tests in files.items():
-        name, key = path.name, hashlib.sha256(sources + path.read_bytes()).hexdigest()
+        name, key = path.name, hashlib.sha256(modules + path.read_bytes()).hexdigest()
         before = known.get(name, {"key": "", "slow": 0.0})
         if before["key"] != key or before["slow"] < slow:
-            rows = in_a_child(lambda tests=tests: watched(tests, SOURCES / package, slow), 1200.0)
+            rows = in_a_child(lambda tests=tests: watched(tests, folder, slow), 1200.0)
             known[name] = {"key": key, "slow": slow, "tests": rows}
             kept.write_text(json.dumps(known))
         for row in known[name]["tests"]:
@@ -589,7 +612,7 @@ def changed_in_place(
     mutant: Mutant, loaded: dict[tuple[str, str, int], list[FunctionType]]
 ) -> bool:
     """Give functions the code with a mistake; return whether nothing else must change."""
-    path = SOURCES / mutant.path
+    path = mutant.file
     loader: Any = find_spec(mutant.module).loader  # type: ignore[union-attr]
     old: dict[tuple[str, int], CodeType] = {}
     new: dict[tuple[str, int], CodeType] = {}
@@ -626,7 +649,7 @@ def attempt(
 
     def get_code(self: SourceFileLoader, fullname: str) -> Any:
         if fullname == mutant.module:
-            return self.source_to_code(mutant.mutated(), str(SOURCES / mutant.path))  # type: ignore[arg-type]
+            return self.source_to_code(mutant.mutated(), str(mutant.file))  # type: ignore[arg-type]
         return original(self, fullname)
 
     SourceFileLoader.get_code = get_code  # type: ignore[method-assign]
@@ -645,7 +668,7 @@ def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], in
     other quick tests of its file come, too. Code that runs when a module is imported affects all
     users of the module.
     """
-    path = str(SOURCES / mutant.path)
+    path = str(mutant.file)
     around = [
         (file, first)
         for (file, first), last in spans.items()
@@ -668,7 +691,7 @@ def order_for(mutant: Mutant, tests: list[Test], spans: dict[tuple[str, int], in
 def spans_of(package: str) -> dict[tuple[str, int], int]:
     """Return the line ranges of functions: file and first line, and last line."""
     found = {}
-    for path in (SOURCES / package).rglob("*.py"):
+    for path in (sources(package) / package).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_bytes())):
             if isinstance(node, ast.FunctionDef):
                 first = min(x.lineno for x in (node, *node.decorator_list))
@@ -679,7 +702,7 @@ def spans_of(package: str) -> dict[tuple[str, int], int]:
 def state_of_tests(package: str) -> str:
     """Return a hash of the tests."""
     shared = [*ROOT.glob("tests/*.py"), *ROOT.glob("tests/apparatus/*.py")]
-    paths = [*sorted((ROOT / "tests" / package).rglob("*.py")), *sorted(shared)]
+    paths = [*sorted(tests_of(package).rglob("*.py")), *sorted(shared)]
     return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:12]
 
 
@@ -688,7 +711,7 @@ def study(
 ) -> list[tuple[Mutant, dict[str, Any]]]:
     """Return the result of each mutant, and store it in a file."""
     out.mkdir(parents=True, exist_ok=True)
-    file, state = out / f"{package}.jsonl", state_of_tests(package)
+    file, state = out / f"{named(package)}.jsonl", state_of_tests(package)
     known: dict[str, dict[str, Any]] = {}
     if file.exists():
         for row in map(json.loads, file.read_text().splitlines()):
@@ -704,7 +727,7 @@ def study(
         tests, spans = baseline(package, session.items, slow, out), spans_of(package)
         items = {item.nodeid: item for item in session.items}
         usual = {test.node: test.seconds for test in tests}
-        loaded = functions_of(SOURCES / package)
+        loaded = functions_of(sources(package) / package)
         # Forks need not copy frozen objects.
         gc.freeze()
         print(
@@ -741,7 +764,7 @@ def study(
             print(line, file=sys.__stderr__, flush=True)
 
     if not all(map(settled, drawn)):
-        tested([f"tests/{package}"], Instead(work))
+        tested([str(tests_of(package))], Instead(work))
     return [(mutant, known[mutant.key]) for mutant in drawn]
 
 
@@ -757,6 +780,8 @@ def main() -> None:
     sys.path.insert(0, str(ROOT))
     table = []
     for package in options.packages:
+        if not (sources(package) / package).is_dir():
+            parser.error(f"there is no package {package}")
         found = study(package, options.count, options.seed, options.slow, options.out)
         survivors = [mutant for mutant, row in found if not row["killed"]]
         for mutant in sorted(survivors, key=str):
