@@ -279,15 +279,6 @@ def test_a_pause_of_the_cameras_keeps_memory_bounded_and_the_motor_estimate(pose
     assert ours.step(end).flies
 
 
-def test_an_old_pose_is_ignored():
-    ours, spared = controller(), controller()
-    last = hold_still(ours)
-    hold_still(spared)
-    ours.pose(last, np.array([0.05, 0, 0]))
-    ours.pose(last - 0.02, np.array([0.05, 0, 0]))
-    np.testing.assert_array_equal(ours.step(last).command, spared.step(last).command)
-
-
 def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():
     ours = controller(SetPoint(0.1, 0, 0))
     last = hold_still(ours)
