@@ -1,6 +1,5 @@
 """Which poses are accepted: one jumping frame, a lasting jump, clocks that go back."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
