@@ -223,16 +223,6 @@ def test_every_whole_chunk_before_a_cut_is_there(
     assert "missing" not in warning
 
 
-@examples(150)
-@given(data=st.data())
-def test_bytes_changed_anywhere(whole: Path, data: st.DataObject):
-    content = bytearray(whole.read_bytes())
-    for _ in range(data.draw(st.integers(1, 4))):
-        place = data.draw(st.integers(0, len(content) - 1))
-        content[place] = data.draw(st.integers(0, 255))
-    read_damaged(bytes(content))
-
-
 @examples(100)
 @given(junk=st.binary(max_size=400))
 def test_junk_after_the_magic(junk: bytes):

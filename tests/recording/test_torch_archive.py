@@ -171,23 +171,6 @@ def test_no_such_file(tmp_path: Path):
             read_authors_experiment(path)
 
 
-@examples(150)
-@given(data=st.data())
-def test_damage_anywhere(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject):
-    path = tmp_path_factory.mktemp("damage") / "data.pt"
-    content = bytearray(archive(path, good_arrays(4)).read_bytes())
-    if data.draw(st.booleans()):
-        content = content[: data.draw(st.integers(0, len(content) - 1))]
-    else:
-        for _ in range(data.draw(st.integers(1, 4))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-    path.write_bytes(content)
-    try:
-        read_authors_experiment(path)
-    except InputError as error:
-        assert str(error).isprintable()
-
-
 @pytest.mark.parametrize(
     ("name", "n"),
     [
