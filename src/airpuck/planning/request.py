@@ -21,6 +21,7 @@ from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
 from airpuck.physics.effects import Envelope, weighted_range
+from airpuck.physics.motor import lag_decay
 from airpuck.physics.rigid_body import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.planning.settings import Limits
@@ -271,7 +272,7 @@ def motor_range(
     """Return bounds of the motor speeds at given times (eq. motor_dynamics)."""
     vehicle, lag = model.vehicle, float(model.dynamics.motor_time_constant)
     lag *= 1 + min(float(model.dynamics.idle_lag or 0.0), 0.0)
-    left = np.exp(-times / lag) if lag > 0 else np.zeros_like(times)
+    left = lag_decay(np, times, lag)
     low = np.minimum(vehicle.command_min, speed)[:, None] * np.ones_like(left)
     high = np.maximum(vehicle.command_max, speed)[:, None]
     return low, high + (speed[:, None] - high) * left
