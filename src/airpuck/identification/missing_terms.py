@@ -21,7 +21,12 @@ from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
 from airpuck.evaluation.presentation import main_quantities
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.uncertainty import cluster_windows, shared_at_borders, varying
+from airpuck.identification.uncertainty import (
+    cluster_windows,
+    inverted,
+    shared_at_borders,
+    varying,
+)
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
@@ -204,7 +209,7 @@ class _Tests:
             information = whole - mixed.T @ mixed
             if not (np.diag(information) > _OWN * np.diag(whole)).all():
                 return None
-            value = -_inverse(information) @ effective.sum(axis=0)
+            value = -inverted(information) @ effective.sum(axis=0)
             impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 <= bound[e]]
             if not impossible:
                 break
@@ -239,19 +244,12 @@ class _Tests:
             rest = np.setdiff1d(np.arange(len(scores)), held)
             lost = []
             for size in (own, own + len(entries)):
-                step = -_inverse(h[rest].sum(axis=0)[:size, :size]) @ g[rest].sum(axis=0)[:size]
+                step = -inverted(h[rest].sum(axis=0)[:size, :size]) @ g[rest].sum(axis=0)[:size]
                 slope, bend = g[held].sum(axis=0)[:size], h[held].sum(axis=0)[:size, :size]
                 lost.append(slope @ step + step @ bend @ step / 2)
             gains.append(lost[0] - lost[1])
         error = np.std(gains, ddof=1) * math.sqrt(len(gains)) if len(gains) > 1 else np.inf
         return float((np.sum(gains) - error) / self.quadratic.loss)
-
-
-def _inverse(information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """Invert scaled normal equations; directions without information stay at zero."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    both = np.outer(scale, scale)
-    return both * np.linalg.pinv(information * both, rcond=1e-9, hermitian=True)
 
 
 def _by_chance(
@@ -272,7 +270,7 @@ def _by_chance(
     from scipy.special import fdtrc
 
     count, size = scores.shape
-    total, inverse = scores.sum(axis=0), _inverse(information)
+    total, inverse = scores.sum(axis=0), inverted(information)
     others = np.linalg.pinv(np.eye(size) - informations @ inverse)
     left = scores + informations @ value
     expected = float(np.einsum("gij,gj,ik,gk->", others, left, inverse, left, optimize=True))

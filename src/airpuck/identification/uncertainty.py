@@ -153,6 +153,15 @@ def scaling(
     return np.where(free, 1 / np.sqrt(np.where(diagonal > least, diagonal, 1.0)), 0.0)
 
 
+def inverted(
+    information: Float[np.ndarray, "k k"], unknown: float = 1e-9
+) -> Float[np.ndarray, "k k"]:
+    """Invert scaled normal equations; directions without information stay at zero."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    both = np.outer(scale, scale)
+    return both * np.linalg.pinv(information * both, rcond=unknown, hermitian=True)
+
+
 def binding_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "C P"]:
