@@ -84,10 +84,6 @@ class Weight:
             kinks=self.kinks / share,
         )
 
-    def snapped(self, step: float) -> Weight:
-        """Return the weight with its kinks moved to the nearest ends of steps."""
-        return replace(self, kink_times=step * np.round(self.kink_times / step))
-
     def __call__(self, times: Float[np.ndarray, " K"]) -> Complex[np.ndarray, " K"]:
         """Evaluate the weight."""
         since = np.maximum(times - self.kink_times[:, None], 0.0)
@@ -139,7 +135,9 @@ class YawProgram:
     ) -> None:
         self._request, self._model = request, request.model
         self.step = horizon / fineness.steps
-        self.weight = weight.snapped(self.step)
+        # Kinks move to the nearest ends of steps.
+        kinks = self.step * np.round(weight.kink_times / self.step)
+        self.weight = replace(weight, kink_times=kinks)
         self._count = fineness.steps
         self._values = self.weight(self.step * np.arange(self._count + 1))
         self._size = np.abs(self._values)
