@@ -11,6 +11,8 @@ from airpuck.estimate.axis_filter import Noise
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import read_model
 
+from ..apparatus.models import scaled
+
 MODEL = read_model("paper:M3")
 NOISE = Noise((1e-4, 1e-4, 1e-3), (0.1, 0.1, 2.0), (0.2, 0.2, 3.0))
 FRAME = 1 / 240
@@ -76,8 +78,7 @@ def test_old_stamps_are_ignored_unless_the_clock_was_set_back(craft):
 def test_the_longest_pause_follows_camera_and_craft():
     model, tuning = MODEL, default_tuning()
     assert longest_pause(model, tuning) == 0.05
-    weak = replace(model.parameters, thrust=model.parameters.thrust / 1000)
-    slow = replace(model, parameters=weak)
+    slow = scaled(model, 1e-3)
     pauses = [longest_pause(one, tuning.with_camera(8.0)) for one in (model, slow)]
     # Six frames of the slow camera for a slow craft; a fast one moves too far meanwhile.
     assert pauses[1] == pytest.approx(6 / 8)
