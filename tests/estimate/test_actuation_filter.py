@@ -220,8 +220,7 @@ def test_commands_are_for_the_thrust_that_motors_give():
     controller = TrackingController(MODEL, SetPoint(0.01, 0.01, 0.05), compiled=False)
     speed = np.full(6, 0.35)
     known = ActuationEstimate(share, np.zeros(6))
-    thrust = MODEL.parameters.thrust * share[:, None]
-    craft = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust)).dynamics
+    craft = scaled(MODEL, share).dynamics
     tau, h = float(craft.motor_time_constant), controller.tuning.period_s
     missed = []
     for actuation_estimate in (known, None):
