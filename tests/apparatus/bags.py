@@ -242,13 +242,18 @@ def ros1_bag(
         stamp = START_NS + k * 10**7
         message = t[COMMAND_TYPE](header(k, stamp), *row)
         events.append((stamp + 10**5, "/drone/control", COMMAND_TYPE, message))
+    _log(writer, store, events)
+    return path
+
+
+def _log(writer, store, events) -> None:
+    """Write events, (time, topic, type, message), in the order of their times."""
     with writer:
         topics = {}
         for time, topic, msgtype, message in sorted(events, key=lambda event: event[0]):
             if topic not in topics:
                 topics[topic] = writer.add_connection(topic, msgtype, typestore=store)
             writer.write(topics[topic], time, store.serialize_ros1(message, msgtype))
-    return path
 
 
 _STAMPED = "std_msgs/Header header\n"
@@ -301,12 +306,7 @@ def labs_bag(path: Path) -> Path:
             begin = (stamp // 1000, stamp // 1000, 0)
             begin = begin if px4 else (t["std_msgs/msg/Header"](k, stamped, "w"),)
             events.append((stamp + 10**6, topic, name, t[name](*begin, *values(rng))))
-    with writer:
-        topics = {}
-        for time, topic, name, message in sorted(events, key=lambda event: event[0]):
-            if topic not in topics:
-                topics[topic] = writer.add_connection(topic, name, typestore=store)
-            writer.write(topics[topic], time, store.serialize_ros1(message, name))
+    _log(writer, store, events)
     return path
 
 

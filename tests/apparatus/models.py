@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,12 @@ def model_of(vehicle: Vehicle, name: str, factor: float = 1.0) -> Model:
     parameters = replace(parameters, thrust=factor * parameters.thrust)
     fit = {"encoder_length": 20, "prediction_length": 50, "stride": 7, "weights": [1, 1, 0.1]}
     return Model(name, vehicle, parameters, named_rung(name).mask(parameters), fit=fit)
+
+
+def scaled(model: Model, factor: float | Sequence[float] | np.ndarray) -> Model:
+    """The model with stronger or weaker thrusts, all alike or each by a factor of its own."""
+    thrust = np.reshape(factor, (-1, 1)) * np.asarray(model.parameters.thrust)
+    return replace(model, parameters=replace(model.parameters, thrust=thrust))
 
 
 def fit_of(model: Model, training: Trajectory | None = None) -> Fit:

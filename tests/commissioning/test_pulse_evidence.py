@@ -63,22 +63,18 @@ def test_propellers_that_push_both_ways_are_put_where_they_act():
     assert causes == [*swapped, "back pushes the other way"]
 
 
-@pytest.mark.parametrize("tried", [(0,), (0, 1), (1, 3), (0, 1, 3, 4, 5)])
-def test_of_two_exchanged_motors_one_tells_the_other_s_place(tried):
+EXCHANGED, CIRCLE = [3, 1, 2, 0, 4, 5], [2, 1, 4, 3, 0, 5]
+
+
+@pytest.mark.parametrize(
+    ("order", "tried"),
+    [*((EXCHANGED, t) for t in ((0,), (0, 1), (1, 3), (0, 1, 3, 4, 5))), (CIRCLE, (0, 1, 4, 5))],
+)
+def test_of_motors_in_each_other_s_places_all_but_one_tell_the_last_one_s_place(order, tried):
     true = default_vehicle()
-    # Motors 0 and 3 are exchanged.
-    wrong = stated(true, [3, 1, 2, 0, 4, 5])
+    wrong = stated(true, order)
     seen = np.full((3, 6), np.nan)
     seen[:, tried] = effects(true)[:, tried]
-    right = corrected(wrong, matched(nominal_model(wrong), seen))
-    assert effects(right) == pytest.approx(effects(true), abs=1e-9)
-
-
-def test_of_three_motors_in_a_circle_two_tell_the_third_one_s_place():
-    true = default_vehicle()
-    wrong = stated(true, [2, 1, 4, 3, 0, 5])
-    seen = effects(true)
-    seen[:, [2, 3]] = np.nan
     right = corrected(wrong, matched(nominal_model(wrong), seen))
     assert effects(right) == pytest.approx(effects(true), abs=1e-9)
 

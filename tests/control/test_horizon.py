@@ -24,6 +24,7 @@ from airpuck.physics.effects import Drag
 from airpuck.physics.rigid_body import acceleration, rollout, step
 
 from ..apparatus.examples import examples
+from ..apparatus.models import scaled
 
 MODEL = published_model("M3")
 RANDOM = np.random.default_rng(2)
@@ -142,8 +143,7 @@ def test_braking_is_half_of_what_the_propellers_give_in_the_weakest_direction():
 def test_a_motor_that_is_nearly_dead_does_notbraking(motor):
     shares = np.where(np.arange(6) == motor, 0.05, 1.0)
     # The same craft, made of weak propellers.
-    thrust = MODEL.parameters.thrust * shares[:, None]
-    weak = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
+    weak = scaled(MODEL, shares)
     # The most that any of them at full speed give together, all others still, in any direction.
     chosen = np.array(list(product([0.0, 1.0], repeat=6))).T
     x, y, _ = acceleration(np, weak.dynamics, np.zeros((4, 64)), chosen)

@@ -230,20 +230,12 @@ def test_a_sent_nan_command_is_ignored(bad):
     np.testing.assert_allclose(step.command, other.command, atol=0.05)
 
 
-@pytest.mark.parametrize("wrong", [1000.0, 1.0, np.nan, np.inf, -np.inf])
-def test_an_impossible_sending_time_is_replaced_by_now(wrong):
-    def told(k, time, command):
-        return (time + wrong if k == 20 else time), command
-
-    _, step = flown(told)
+@pytest.mark.parametrize("wrong", [1000.0, 1.0, np.nan, np.inf, -np.inf, 0.045])
+def test_an_impossible_sending_time_is_replaced_and_a_late_one_does_not_hold_up_the_next(wrong):
+    _, step = flown(lambda k, time, command: (time + wrong if k == 20 else time, command))
     _, other = flown(lambda k, time, command: (time, command))
-    np.testing.assert_array_equal(step.command, other.command)
-
-
-def test_a_command_stamped_a_little_late_does_not_hold_up_the_next():
-    _, step = flown(lambda k, time, command: (time + 0.045 * (k == 20), command))
-    _, other = flown(lambda k, time, command: (time, command))
-    np.testing.assert_allclose(step.command, other.command, atol=0.02)
+    tolerance = 0.02 if wrong == 0.045 else 0.0
+    np.testing.assert_allclose(step.command, other.command, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("command", [np.zeros(4), [0.1] * 7, np.zeros((6, 1))])
@@ -277,15 +269,6 @@ def test_a_pause_of_the_cameras_keeps_memory_bounded_and_the_motor_estimate(pose
         now, acting = begins, acting if command is None or begins == end else command
     np.testing.assert_allclose(ours.filter.predict(end).motor_speed, speed, rtol=1e-9)
     assert ours.step(end).flies
-
-
-def test_an_old_pose_is_ignored():
-    ours, spared = controller(), controller()
-    last = hold_still(ours)
-    hold_still(spared)
-    ours.pose(last, np.array([0.05, 0, 0]))
-    ours.pose(last - 0.02, np.array([0.05, 0, 0]))
-    np.testing.assert_array_equal(ours.step(last).command, spared.step(last).command)
 
 
 def test_a_stamp_in_the_future_idles_the_motors_until_the_next_pose():

@@ -24,6 +24,7 @@ from airpuck.physics.effects import Drag, Inflow, Layout, PairInteraction
 from airpuck.physics.rigid_body import acceleration
 from airpuck.recording.torch_archive import read_authors_experiment
 
+from ..apparatus.models import scaled
 from ..apparatus.public_recordings import TRAINING, VALIDATION
 from ..apparatus.synthetic_flights import fly
 
@@ -32,12 +33,6 @@ MODEL = replace(published_model("M3"), indexing="start")
 EXACT = ActuationEncoder(
     pose_noise=(1e-6, 1e-5), velocity_noise=(1e-5, 1e-4), disturbance=(1e-3, 1e-2)
 )
-
-
-def weakened(effectiveness):
-    """Return the craft with motors that deliver a fraction of their thrust."""
-    thrust = MODEL.parameters.thrust * np.array(effectiveness)[:, None]
-    return replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
 
 
 def past_of(flight, length=40, stride=35):
@@ -65,7 +60,7 @@ def test_a_healthy_craft_is_found_healthy(flight):
 def test_a_weak_motor_is_named(motor):
     share = np.ones(6)
     share[motor] = 0.4
-    past = past_of(fly(weakened(share), duration=5.0, seed=motor))
+    past = past_of(fly(scaled(MODEL, share), duration=5.0, seed=motor))
     found = EXACT.estimate(MODEL.dynamics, past)
     # A motor that was barely used cannot be judged; its standard deviation shows this.
     told = found.deviation[motor] < 0.05
@@ -78,14 +73,14 @@ def test_a_weak_motor_is_named(motor):
 
 
 def test_a_loss_of_all_motors_is_distinguished_from_that_of_one():
-    past = past_of(fly(weakened([0.5] * 6), duration=5.0))
+    past = past_of(fly(scaled(MODEL, [0.5] * 6), duration=5.0))
     found = EXACT.estimate(MODEL.dynamics, past)
     assert np.median(found.probability[1]) > 0.9
     np.testing.assert_allclose(np.median(found.effectiveness, axis=1), 0.5, atol=0.05)
 
 
 def test_predictions_of_a_craft_that_lost_thrust_are_far_better():
-    flight = fly(weakened([0.6] * 6), duration=6.0)
+    flight = fly(scaled(MODEL, [0.6] * 6), duration=6.0)
     paper, actuation = (
         evaluate(MODEL, flight, encoder=e, protocol=PROTOCOLS["paper-long"]).rmse
         for e in (PaperEncoder(), EXACT)

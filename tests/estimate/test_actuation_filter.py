@@ -19,6 +19,7 @@ from airpuck.model.model_file import published_model
 from airpuck.physics.rigid_body import acceleration
 
 from ..apparatus.measured_flights import IDLE, MODEL, NOISE, some_commands
+from ..apparatus.models import scaled
 from ..apparatus.random_flights import random_flight
 
 M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
@@ -26,11 +27,6 @@ M3 = replace(published_model("M3"), indexing="start").with_delay(0.0)
 QUIET = Noise(
     pose=(5e-5, 5e-5, 6e-4), acceleration=(0.02, 0.02, 0.6), disturbance=(0.02, 0.02, 0.6)
 )
-
-
-def weakened(share):
-    thrust = M3.parameters.thrust * np.array(share)[:, None]
-    return replace(M3, parameters=replace(M3.parameters, thrust=thrust))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +44,7 @@ def ours(compiled):
 
 def flown(ours, share, duration, seed=0):
     """Feed a random flight with noise of the cameras; return some estimates."""
-    flight = random_flight(weakened(share), duration, seed)
+    flight = random_flight(scaled(M3, share), duration, seed)
     noise = np.random.default_rng(seed).normal(size=(len(flight.time), 3)) * QUIET.pose
     found = []
     for time, state, command, off in zip(
@@ -95,7 +91,7 @@ def test_the_recursion_is_the_encoders_regression(monkeypatch, seed):
     # One prior, no disturbance, motor speeds known: both are the same linear Gaussian problem.
     monkeypatch.setattr(actuation, "_FIRST_SPEED", 0.0)
     share = [1.0, 0.6, 1.0, 1.1, 0.9, 1.0]
-    flight = random_flight(weakened(share), 1.0, seed)
+    flight = random_flight(scaled(M3, share), 1.0, seed)
     rng = np.random.default_rng(seed)
     pose = flight.state[:, :3] + rng.normal(size=(len(flight.time), 3)) * [5e-5, 5e-5, 6e-4]
     prior = EffectivenessPrior(1.0, 0.1, 0.3)
@@ -157,7 +153,7 @@ def test_a_motor_that_dies_in_flight_is_found_at_once_and_one_that_comes_back_to
     healthy, dead = np.ones(6), np.array([1, 1, 0.0, 1, 1, 1])
     time = 0.0
     for share, right in ((healthy, 1.0), (dead, 0.0), (healthy, 1.0)):
-        flight = random_flight(weakened(share), 1.5, 5)
+        flight = random_flight(scaled(M3, share), 1.5, 5)
         for k, z in enumerate(flight.state):
             ours.command(time + k / 240, flight.command[k])
             ours.pose(time + k / 240, z[:3])
@@ -224,8 +220,7 @@ def test_commands_are_for_the_thrust_that_motors_give():
     controller = TrackingController(MODEL, SetPoint(0.01, 0.01, 0.05), compiled=False)
     speed = np.full(6, 0.35)
     known = ActuationEstimate(share, np.zeros(6))
-    thrust = MODEL.parameters.thrust * share[:, None]
-    craft = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust)).dynamics
+    craft = scaled(MODEL, share).dynamics
     tau, h = float(craft.motor_time_constant), controller.tuning.period_s
     missed = []
     for actuation_estimate in (known, None):

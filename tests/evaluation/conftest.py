@@ -1,23 +1,18 @@
 """Models learned from made-up flights, shared by the tests of this folder."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 from airpuck.identification.fit import identify
 
+from ..apparatus.models import scaled
 from ..apparatus.noisy_flights import TRUTH, noisy
 from ..apparatus.once import once
 
 
 @once
 def three_flights():
-    weak = np.array(TRUTH.parameters.thrust)
-    weak[2] *= 0.9
-    weakened = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=weak))
     same = [noisy(duration=30.0, seed=seed) for seed in (1, 2)]
-    return [*same, noisy(weakened, 30.0, seed=3)]
+    return [*same, noisy(scaled(TRUTH, [1, 1, 0.9, 1, 1, 1]), 30.0, seed=3)]
 
 
 @once

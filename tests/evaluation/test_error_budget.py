@@ -18,6 +18,7 @@ from airpuck.twin.settings import Stall, Weakness, default_twin_settings
 from airpuck.twin.twin import Twin
 
 from ..apparatus.excited_flights import TRUTH
+from ..apparatus.models import scaled
 from ..apparatus.noisy_flights import noisy
 from ..apparatus.once import once
 
@@ -112,9 +113,7 @@ def test_the_owner_of_a_known_fault_gets_what_its_removal_brings(owner):
 
 @pytest.mark.slow
 def test_shares_add_up_and_the_errors_are_those_of_evaluate():
-    trajectory = noisy(TRUTH, 6.0)
-    weaker = np.asarray(TRUTH.parameters.thrust) * 0.9
-    wrong = replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=weaker))
+    trajectory, wrong = noisy(TRUTH, 6.0), scaled(TRUTH, 0.9)
     for encoder in ("paper", "actuation"):
         budget = error_budget(wrong, trajectory, encoder=encoder)
         np.testing.assert_allclose(sum(budget.shares.values()), 1.0)

@@ -15,6 +15,7 @@ from airpuck.evaluation.residuals import BODY_CHANNELS, _effects, cross_correlat
 from airpuck.evaluation.statistical_tests import LEAST_SHARE, beyond_least, ljung_box
 from airpuck.model.model_file import Model
 
+from ..apparatus.models import scaled
 from ..apparatus.noisy_flights import TRUTH, noisy
 
 
@@ -114,12 +115,7 @@ def test_the_true_model_passes():
 
 @pytest.mark.slow
 def test_a_motor_that_is_modelled_too_strong_is_named():
-    parameters = TRUTH.parameters
-    thrust = np.array(parameters.thrust)
-    thrust[4] *= 1.25
-    tests = resid(
-        replace(TRUTH, parameters=replace(parameters, thrust=thrust)), noisy(duration=8.0, seed=1)
-    )
+    tests = resid(scaled(TRUTH, [1, 1, 1, 1, 1.25, 1]), noisy(duration=8.0, seed=1))
     assert not tests.passed
     motor = TRUTH.vehicle.propeller_names[4]
     (named,) = [error for error in tests.errors if not error.passed]

@@ -16,12 +16,11 @@ from airpuck.experiment_design.forecast import (
     information_of,
     joined,
 )
-from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import Model, published_model
 from airpuck.model.rungs import named_rung
-from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.beliefs import uncertainty
+from ..apparatus.plain_loss import differences, plain_residuals
 from ..apparatus.synthetic_flights import fly
 
 MODEL = published_model("M3")
@@ -66,19 +65,9 @@ def test_the_information_is_that_of_finite_differences_of_a_plain_rollout(trajec
 
     def residuals(vector):
         dynamics = MODEL.parameters.with_vector(vector).dynamics(np, MODEL.vehicle, MODEL.frame)
-        commands, durations, measured = windows.future(starts)
-        state = PaperEncoder().encode(np, dynamics, windows.past(starts))
-        predicted = rollout(np, dynamics, state, commands, durations)
-        weights = np.array(PUBLISHED_WEIGHTS)[:, None]
-        return (weights * (predicted[:, :3] - measured[:, :3])).reshape(-1)
+        return plain_residuals(np, dynamics, windows, PaperEncoder(), starts=starts).ravel()
 
-    columns = []
-    for entry in ENTRIES:
-        step = np.zeros_like(vector)
-        step[entry] = 1e-5 * max(abs(vector[entry]), 1e-3)
-        difference = residuals(vector + step) - residuals(vector - step)
-        columns.append(difference / (2 * step[entry]))
-    jacobian = np.array(columns)
+    jacobian = differences(residuals, vector, ENTRIES).T
     # The loss is the mean over 3 channels and 50 steps; 2 JᵀJ is the curvature of a square.
     expected = 2 * jacobian @ jacobian.T / (3 * 50) / 6.0
     found = information.hessian[np.ix_(ENTRIES, ENTRIES)]

@@ -3,7 +3,6 @@
 import os
 import re
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from airpuck.planning.plan import Plan
 from ..apparatus.c_programs import SANITIZED, SINGLE, STRICT, build, compiler
 from ..apparatus.compiled_controllers import CompiledController, compare, library
 from ..apparatus.export_crafts import ALL_EFFECTS, FOUR, ON_OFF, PAPER
+from ..apparatus.models import scaled
 
 MODELS = {**PAPER, "all effects": ALL_EFFECTS, "four propellers": FOUR}
 M4 = PAPER["M4"]
@@ -324,11 +324,7 @@ def test_features_without_c_code_are_named(tmp_path):
         (M4, tuning.with_law("own.py:Law"), "own.py:Law"),
         (M4, tuning.with_law("plan"), "--plan"),
         (ON_OFF, tuning, "on_off"),
-        (
-            replace(M4, parameters=replace(M4.parameters, thrust=-M4.parameters.thrust)),
-            tuning,
-            "falls",
-        ),
+        (scaled(M4, -1.0), tuning, "falls"),
     ):
         with pytest.raises(InputError, match=name):
             airpuck.export.write(model, "c", tmp_path / "none", tuning=chosen)

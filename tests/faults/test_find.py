@@ -16,7 +16,7 @@ from airpuck.recording.torch_archive import read_authors_experiment
 from airpuck.twin.settings import default_twin_settings
 from airpuck.twin.twin import Twin
 
-from ..apparatus.models import four_propellers, model_of
+from ..apparatus.models import four_propellers, model_of, scaled
 from ..apparatus.public_recordings import VALIDATION
 from ..apparatus.synthetic_flights import fly
 
@@ -45,9 +45,7 @@ def test_a_healthy_flight_has_none(flight):
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_a_model_that_is_somewhat_off_finds_none_either(flight, factor):
-    parameters = MODEL.parameters
-    other = replace(parameters, thrust=factor * np.asarray(parameters.thrust))
-    assert find_faults(flight, replace(MODEL, parameters=other)) == ()
+    assert find_faults(flight, scaled(MODEL, factor)) == ()
 
 
 @pytest.mark.parametrize("motor", range(6))

@@ -17,6 +17,7 @@ from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import excite
 
 from ..apparatus.beliefs import believed
+from ..apparatus.models import scaled
 from ..apparatus.synthetic_flights import fly, record
 from ..apparatus.two_way_craft import triangle
 
@@ -133,11 +134,9 @@ def craft(count: int) -> Vehicle:
 
 def truth(vehicle: Vehicle, *scale: float) -> Model:
     """The nominal craft with some of its thrusts scaled."""
-    model = nominal_model(vehicle)
     factors = np.ones(vehicle.n_propellers)
     factors[: len(scale)] = scale
-    thrust = np.asarray(model.parameters.thrust) * factors[:, None]
-    return replace(model, parameters=replace(model.parameters, thrust=thrust))
+    return scaled(nominal_model(vehicle), factors)
 
 
 def fitted(model: Model, error: float, rng=None) -> Model:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,6 +15,8 @@ from airpuck.recording.stream import Recording
 from airpuck.twin.experiments import track
 from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import Motors, TwinSettings, Weakness, default_twin_settings
+
+from ..apparatus.models import scaled
 
 MODEL = published_model("M4")
 NAMES = MODEL.vehicle.propeller_names
@@ -114,9 +114,7 @@ def test_little_excitation_is_no_evidence():
 @pytest.mark.slow
 def test_errors_are_those_of_an_evaluation(faulty):
     """Against offline evaluation, with an encoder of its own, on a model that is wrong."""
-    wrong = replace(
-        MODEL, parameters=replace(MODEL.parameters, thrust=1.3 * MODEL.parameters.thrust)
-    )
+    wrong = scaled(MODEL, 1.3)
     error = watched(faulty, monitor=HealthMonitor(wrong, memory=100.0))[-1].error
     offline = evaluate(wrong, preprocess(faulty, MODEL.vehicle)).rmse
     np.testing.assert_allclose(error, offline, rtol=0.35)

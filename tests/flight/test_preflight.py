@@ -23,7 +23,7 @@ from airpuck.twin.plant import build_plant
 from airpuck.twin.settings import MotionCapture, Radio, TwinSettings
 from airpuck.twin.twin import Twin
 
-from ..apparatus.models import four_propellers
+from ..apparatus.models import four_propellers, scaled
 
 MODEL = published_model("M3")
 NAMES = MODEL.vehicle.propeller_names
@@ -128,19 +128,13 @@ def test_the_delay_is_that_of_motors_that_do_something():
 
 def test_a_propeller_that_spins_the_wrong_way_is_named(flown):
     # As seen from the other side: the model's propeller points the other way.
-    thrust = np.array(MODEL.parameters.thrust)
-    thrust[3] *= -1.2
-    other = replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
-    found = judge_pulses(other, *flown)
+    found = judge_pulses(scaled(MODEL, [1, 1, 1, -1.2, 1, 1]), *flown)
     assert wrong(found) == [NAMES[3]]
     assert "pushes the other way" in words(found, NAMES[3])
 
 
 def test_all_motors_the_wrong_way_are_one_cause(flown):
-    thrust = -np.array(MODEL.parameters.thrust)
-    found = judge_pulses(
-        replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust)), *flown
-    )
+    found = judge_pulses(scaled(MODEL, -1.0), *flown)
     assert wrong(found) == ["pose frame"]
     assert "all motors push the other way" in words(found, "pose frame")
 

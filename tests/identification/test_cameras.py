@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from airpuck.identification.cameras import cameras_of
-from airpuck.model.model_file import Model, published_model
+from airpuck.model.model_file import published_model
 from airpuck.preprocessing.pipeline import preprocess
 from airpuck.twin.experiments import excite
 from airpuck.twin.settings import default_twin_settings
+
+from ..apparatus.models import scaled
 
 TRUTH = replace(published_model("M3"), frame="body", indexing="start")
 
@@ -32,13 +33,8 @@ def known(found):
     return found
 
 
-def wrong(factor: float) -> Model:
-    thrust = factor * np.asarray(TRUTH.parameters.thrust)
-    return replace(TRUTH, parameters=replace(TRUTH.parameters, thrust=thrust))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [TRUTH, wrong(0.85)])
+@pytest.mark.parametrize("model", [TRUTH, scaled(TRUTH, 0.85)])
 def test_noise_and_rate_are_found_beside_rounded_stamps(model, rounded):
     found = known(cameras_of(model, [rounded]))
     assert found.rate_hz == pytest.approx(120, rel=1e-3)

@@ -13,12 +13,11 @@ from airpuck.data.windows import make_windows
 from airpuck.estimate.encoder import PaperEncoder
 from airpuck.identification.method import LevenbergMarquardt, SlopeConstraints
 from airpuck.identification.objective import PredictionLoss
-from airpuck.identification.settings import PUBLISHED_WEIGHTS
 from airpuck.model.model_file import published_model
 from airpuck.model.rungs import RUNGS, named_rung
-from airpuck.physics.rigid_body import rollout
 from airpuck.physics.thrust import is_monotone, thrust_slope
 
+from ..apparatus.plain_loss import plain_residuals
 from ..apparatus.synthetic_flights import fly
 
 VEHICLE = default_vehicle()
@@ -39,15 +38,11 @@ def test_finds_the_minimum_of_scipy_and_plain_equations():
     free = RUNGS["M3"].mask(start)
     optimiser = LevenbergMarquardt(monotone=False, tolerance=1e-15)
     outcome = optimiser.minimize(loss, start, free)
-    commands, durations, measured = loss.windows.future()
-    past, weights = loss.windows.past(), np.array(PUBLISHED_WEIGHTS)[:, None]
 
     def residuals(vector):
         whole = jnp.asarray(start.to_vector()).at[np.flatnonzero(free)].set(vector)
         dynamics = start.with_vector(whole).dynamics(jnp, VEHICLE)
-        state = PaperEncoder().encode(jnp, dynamics, past)
-        predicted = rollout(jnp, dynamics, state, commands, durations)
-        return (weights * (predicted[:, :3] - measured[:, :3])).ravel()
+        return plain_residuals(jnp, dynamics, loss.windows, PaperEncoder()).ravel()
 
     with jax.enable_x64(True):
         scipys = least_squares(

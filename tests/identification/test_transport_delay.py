@@ -18,8 +18,8 @@ from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.settings import Loss, Preparation
 from airpuck.model.model_file import Model, published_model, read_model
 from airpuck.model.rungs import RUNGS
-from airpuck.physics.rigid_body import rollout
 
+from ..apparatus.plain_loss import differences, plain_residuals
 from ..apparatus.random_flights import fast_rollout, random_flight
 from ..apparatus.synthetic_flights import fly
 
@@ -100,21 +100,16 @@ def test_gradient_by_finite_differences(flight, name, indexing):
 
     def plain(vector):
         moved = parameters.with_vector(vector)
-        dynamics = moved.dynamics(np, VEHICLE)
         events = noisy.command_time + float(moved.transport_delay)
         own = replace(windows, input=mean_hold(events, noisy.command, noisy.time)[0])
-        commands, durations, measured = own.future()
-        state = encoder.encode(np, dynamics, own.past())
-        error = rollout(np, dynamics, state, commands, durations)[:, :3] - measured[:, :3]
-        return np.mean((np.array(loss.weights)[:, None] * error) ** 2)
+        return np.mean(plain_residuals(np, moved.dynamics(np, VEHICLE), own, encoder) ** 2)
 
     here, vector = loss.quadratic(parameters), parameters.to_vector()
     assert here.loss == pytest.approx(plain(vector), rel=1e-12)
     names = {"transport_delay"} | ({"motor_time_constant"} if name == "M3" else set())
-    for entry in np.flatnonzero(parameters.mask(frozenset(names))):
-        step = 1e-7 * np.eye(len(vector))[entry]
-        difference = (plain(vector + step) - plain(vector - step)) / 2e-7
-        assert here.gradient[entry] == pytest.approx(difference, rel=1e-5)
+    entries = np.flatnonzero(parameters.mask(frozenset(names)))
+    slopes = differences(plain, vector, entries)
+    np.testing.assert_allclose(here.gradient[entries], slopes, rtol=1e-5)
 
 
 @pytest.mark.slow

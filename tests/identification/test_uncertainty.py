@@ -29,10 +29,10 @@ from airpuck.model.model_file import nominal_model, read_model
 from airpuck.model.parameters import fix_gauge, gauge_directions, nominal_parameters
 from airpuck.model.rungs import RUNGS, named_rung
 from airpuck.model.uncertainty import Uncertainty
-from airpuck.physics.rigid_body import rollout
 
 from ..apparatus.beliefs import uncertainty
 from ..apparatus.disturbed_flights import TRUTH, noisy
+from ..apparatus.plain_loss import differences, plain_residuals
 
 VEHICLE = default_vehicle()
 LAG_AND_DELAY = frozenset({"motor_time_constant", "transport_delay"})
@@ -53,19 +53,11 @@ def dense_jacobian(loss, parameters, free):
 
     def residuals(vector):
         dynamics = parameters.with_vector(vector).dynamics(np, VEHICLE)
-        commands, durations, measured = loss.windows.future()
-        state = loss.encoder.encode(np, dynamics, loss.windows.past())
-        predicted = rollout(np, dynamics, state, commands, durations)[:, :3]
-        error = np.array(loss.weights)[:, None] * (predicted - measured[:, :3])
+        error = plain_residuals(np, dynamics, loss.windows, loss.encoder)
         return np.moveaxis(error, -1, 0).reshape(len(loss.windows), -1)
 
     vector = parameters.to_vector()
-    columns = []
-    for entry in np.flatnonzero(free):
-        step = np.zeros_like(vector)
-        step[entry] = 1e-5 * max(abs(vector[entry]), 1e-2)
-        columns.append((residuals(vector + step) - residuals(vector - step)) / (2 * step[entry]))
-    return residuals(vector), np.stack(columns, axis=-1)
+    return residuals(vector), differences(residuals, vector, np.flatnonzero(free))
 
 
 def ledoit_wolf(samples):

@@ -14,6 +14,7 @@ from airpuck.model.model_file import Model, nominal_model, published_model
 from airpuck.model.uncertainty import Cameras
 from airpuck.twin.settings import default_twin_settings
 
+from ..apparatus.models import scaled
 from ..apparatus.synthetic_flights import fly
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -31,13 +32,8 @@ def shown(model: Model, flight) -> EffectErrors:
     return found
 
 
-def scaled(factor: np.ndarray) -> Model:
-    thrust = factor[:, None] * np.asarray(MODEL.parameters.thrust)
-    return replace(MODEL, parameters=replace(MODEL.parameters, thrust=thrust))
-
-
 def test_the_craft_of_a_recording_has_the_strength_that_it_shows(flight):
-    weaker = scaled(np.array([0.8, 1.0, 1.0, 1.2, 1.0, 1.0]))
+    weaker = scaled(MODEL, [0.8, 1.0, 1.0, 1.2, 1.0, 1.0])
     seen = as_seen(weaker, shown(weaker, flight))
     full = np.asarray(weaker.parameters.thrust).sum(axis=1)
     true = MODEL.dynamics.configuration * np.asarray(MODEL.parameters.thrust).sum(axis=1)
@@ -107,7 +103,7 @@ def test_the_smallest_margin_decides_if_the_first_is_close(monkeypatch, margins,
 
 @pytest.mark.slow
 def test_a_controller_does_not_settle_without_a_motor():
-    dead = scaled(np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))
+    dead = scaled(MODEL, [1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
     assert flown_margin(dead, dead, default_twin_settings()) < 1
 
 
@@ -135,11 +131,11 @@ def test_a_craft_that_settles_only_by_luck_is_not_trusted(flight, monkeypatch):
     """Without a motor nothing turns it one way: it drifts away again."""
     monkeypatch.setattr("airpuck.judgement.rehearsal.flown_margin", lambda *_: 2.0)
     motor = np.array([1.0, 1.0, 1e-3, 1.0, 1.0, 1.0])
-    said = rehearse(scaled(motor), flight, shown(MODEL, flight)).remedy
+    said = rehearse(scaled(MODEL, motor), flight, shown(MODEL, flight)).remedy
     assert said.startswith("No controller can hold the modelled craft")
     motor[2] = 0.03
-    assert rehearse(scaled(motor), flight, shown(MODEL, flight)).settles
-    said = rehearse(scaled(motor * (motor > 0.1)), flight, shown(MODEL, flight)).remedy
+    assert rehearse(scaled(MODEL, motor), flight, shown(MODEL, flight)).settles
+    said = rehearse(scaled(MODEL, motor * (motor > 0.1)), flight, shown(MODEL, flight)).remedy
     assert "another motion: back" in said
 
 

@@ -14,17 +14,11 @@ from airpuck.judgement.verdict import verdict
 from airpuck.model.model_file import Model, published_model
 
 from ..apparatus.beliefs import believed
+from ..apparatus.models import scaled
 from ..apparatus.synthetic_flights import fly
 
 MODEL = replace(published_model("M3"), frame="body", indexing="start")
 LABELS = MODEL.parameters.labels(MODEL.vehicle.propeller_names)
-
-
-def scaled(factor: float) -> Model:
-    parameters = MODEL.parameters
-    return replace(
-        MODEL, parameters=replace(parameters, thrust=factor * np.asarray(parameters.thrust))
-    )
 
 
 def known(**errors: float) -> Model:
@@ -48,7 +42,7 @@ def judged(model: Model, trajectory):
 @pytest.mark.parametrize("missing", [0.1, 0.4])
 def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, missing):
     # All accelerations are proportional to thrust, apart from the craft's slow rotation.
-    model = scaled(1 - missing)
+    model = scaled(MODEL, 1 - missing)
     found = judged(model, flight)
     np.testing.assert_allclose(found.missed, missing, rtol=0.25)
     np.testing.assert_allclose(found.missed[2], missing, rtol=0.03)
@@ -60,7 +54,7 @@ def test_a_craft_with_less_thrust_than_modelled_is_missed_by_that_share(flight, 
 
 
 def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
-    said = " ".join(judged(scaled(0.6), flight).sentences)
+    said = " ".join(judged(scaled(MODEL, 0.6), flight).sentences)
     assert "cannot be trusted" in said
     assert "forward 6" in said and "too small" in said
 
@@ -68,7 +62,7 @@ def test_what_is_said_of_a_wrong_model_names_the_way_and_its_error(flight):
 def test_an_error_within_the_limit_counts_together_with_chance(flight):
     sure = known(**{f"thrust {one} φ^3": 0.165 for one in MODEL.vehicle.propeller_names})
     assert sure.uncertainty is not None
-    model = scaled(0.76)
+    model = scaled(MODEL, 0.76)
     uncertainty = replace(sure.uncertainty, estimate=model.parameters.to_vector())
     found = judged(replace(model, uncertainty=uncertainty), flight)
     assert found.outcome == "not_trusted"
@@ -76,7 +70,7 @@ def test_an_error_within_the_limit_counts_together_with_chance(flight):
 
 
 def test_a_model_without_thrust_predicts_like_a_craft_that_coasts(flight):
-    still = scaled(0.0)
+    still = scaled(MODEL, 0.0)
     found = Evidence(still, flight, evaluate(still, flight)).missed
     np.testing.assert_allclose(found, 1, rtol=0.05)
     assert (Evidence(MODEL, flight, evaluate(MODEL, flight)).missed < 0.02).all()
@@ -241,7 +235,7 @@ def test_the_remedy_for_a_law_that_was_asked_for_is_told(flight, monkeypatch):
 def test_a_model_may_fly_although_its_parameters_are_wrong(flight):
     model = known()
     assert model.uncertainty is not None
-    off = scaled(0.85)
+    off = scaled(MODEL, 0.85)
     uncertainty = replace(model.uncertainty, estimate=off.parameters.to_vector())
     assert judged(model, flight).parameters.right
     found = judged(replace(off, uncertainty=uncertainty), flight)

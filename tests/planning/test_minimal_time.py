@@ -16,6 +16,8 @@ from airpuck.planning.minimal_time import (
     shortest_time,
 )
 
+from ..apparatus.models import scaled
+
 
 def table():
     distance, speed, direction = (0.0, 0.25, 1.0), (0.0, 1.0), (0.0, np.pi / 2, np.pi)
@@ -61,26 +63,19 @@ def test_the_packaged_table_agrees_with_plans_as_well_as_it_says():
     assert abs(float(found((0.7, 0.0), (0.0, 0.7))) - planned) < found.error["worst"]
 
 
-def weak(share):
-    """The paper's craft with a share of its thrust."""
-    model = airpuck.read_model("paper:M3")
-    parameters = replace(model.parameters, thrust=share * model.parameters.thrust)
-    return replace(model, parameters=parameters)
-
-
 @pytest.mark.slow
 def test_a_table_is_for_one_craft(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     model = airpuck.read_model("paper:M3")
     assert minimal_times_of(model).craft == craft_of(model)
     assert minimal_times_of(replace(model, source="renamed")).source == "paper:M3"
-    other = weak(0.41)
+    other = scaled(model, 0.41)
     file = tmp_path / "airpuck" / "minimal_times" / f"{craft_of(other)}.toml"
     file.parent.mkdir(parents=True)
     slow = replace(read_minimal_times(), craft=craft_of(other), time=2 * read_minimal_times().time)
     slow.save(file)
     found = minimal_times_of(other)
-    assert found.craft == craft_of(other) != craft_of(weak(0.42))
+    assert found.craft == craft_of(other) != craft_of(scaled(model, 0.42))
 
 
 def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
@@ -88,7 +83,7 @@ def test_without_casadi_only_another_craft_is_refused(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "casadi", None)
     assert minimal_times_of(airpuck.read_model("paper:M3")).margin == 0
     with pytest.raises(InputError, match=r"cannot be planned: .*pip install 'airpuck\[plan\]'"):
-        minimal_times_of(weak(0.43))
+        minimal_times_of(scaled(airpuck.read_model("paper:M3"), 0.43))
 
 
 def test_an_error_above_the_usual_one_is_kept_in_reserve():
@@ -105,7 +100,7 @@ def test_times_of_another_craft_miss_its_plans_by_what_they_say(monkeypatch, tmp
     monkeypatch.setattr("airpuck.planning.search._FREE", starts)
     monkeypatch.setattr("airpuck.planning.minimal_time._FITTED", 3)
     monkeypatch.setattr("airpuck.planning.minimal_time._CHECKED", 3)
-    model, told = weak(0.4), []
+    model, told = scaled(airpuck.read_model("paper:M3"), 0.4), []
     found = minimal_times_of(model, lambda done, of: told.append((done, of)))
     assert told[-1][0] == told[-1][1]
     usual = read_minimal_times()

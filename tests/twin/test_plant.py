@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 from airpuck.craft.table import Table
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.model.model_file import published_model
+from airpuck.physics.puck import Disc
 from airpuck.physics.rigid_body import Dynamics, step
-from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant
+from airpuck.twin.plant import LONGEST_STEP, Plant, advance, build_plant
 from airpuck.twin.settings import Effects, default_twin_settings
 
 from ..apparatus.examples import examples
@@ -39,7 +40,7 @@ EFFECTS = Effects(
 )
 ALL_EFFECTS = default_twin_settings().model_copy(update={"effects": EFFECTS})
 #: A disc that is not homogeneous: its inertia differs.
-DISC = CraftBody(mass=0.14, inertia=0.26e-3, radius=0.07)
+DISC = Disc(0.0, 0.0, radius=0.07, mass=0.14, inertia=0.26e-3)
 IDLE = np.zeros(6)
 TILTED = default_twin_settings().model_copy(
     update={"effects": Effects(tilt_rad=(0.04, -0.06)), "table": Table(restitution=0.2)}

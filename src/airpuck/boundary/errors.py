@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
@@ -56,13 +56,18 @@ class InputError(ValueError):
 
 
 @contextmanager
-def about(file: str | os.PathLike[str] | None, field: str | None = None) -> Iterator[None]:
-    """Add the file, if it is known, and the field as the file calls it, to an InputError."""
+def about(
+    file: str | os.PathLike[str] | None, field: str | Callable[[str], str] | None = None
+) -> Iterator[None]:
+    """Add the file, if it is known, to an InputError, and the field as the user calls it.
+
+    `field` is its name, or turns the name that the error has into the user's.
+    """
     try:
         yield
     except InputError as error:
-        field = field or error.field
-        raise InputError(error.problem, file=error.file or file, field=field) from error
+        named = field(error.field or "") if callable(field) else field or error.field
+        raise InputError(error.problem, file=error.file or file, field=named) from error
 
 
 @contextmanager

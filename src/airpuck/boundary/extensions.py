@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
-from airpuck.boundary.errors import InputError, explained, nearest
+from airpuck.boundary.errors import InputError, explained, nearest, unknown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -74,6 +74,15 @@ def loaded(group: Group, name: str, use: Callable[[Any], Any] = lambda found: fo
         source = entry.dist.name if entry.dist else entry.value
         problem = f"{source} adds {name}, but it cannot be used ({type(error).__name__}: {error})"
         raise InputError(f"{problem}; upgrade or uninstall {source}") from error
+
+
+def named(name: str, ours: Mapping[str, Returned], group: Group, **place: Any) -> Returned:
+    """Return what we, or another distribution, call by a name; an InputError lists all names."""
+    if name in ours:
+        return ours[name]
+    if name in (*added(group), *HOCKEY.get(group, ())):
+        return loaded(group, name)
+    raise InputError(unknown(name, dict.fromkeys([*ours, *added(group)])), **place)
 
 
 def moved(name: str, known: Sequence[str]) -> Any:

@@ -17,8 +17,8 @@ import numpy as np
 import pydantic
 
 from airpuck import __version__
-from airpuck.boundary.errors import InputError, unknown
-from airpuck.boundary.extensions import HOCKEY, added, loaded
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import named
 from airpuck.boundary.files import Section, checked, laid_over, read_toml
 from airpuck.boundary.limits import read_text
 from airpuck.boundary.outputs import check_output, replacing, without_home
@@ -63,7 +63,8 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
     for table, content in (("base", spec.base), ("grid", spec.grid)):
         if "seed" in content:
             raise InputError("is set by seeds; remove it", file=path, field=f"{table}.seed")
-    kind, axes = _kind(spec.kind, path), dict(_axes(spec.grid, path))
+    kind = named(spec.kind, KINDS, "airpuck.items", file=path, field="kind")
+    axes = dict(_axes(spec.grid, path))
     seeds = range(spec.seeds) if isinstance(spec.seeds, int) else spec.seeds
     size = math.prod(map(len, axes.values()), start=len(seeds))
     if size > _MOST:
@@ -78,8 +79,8 @@ def read_spec(path: str | os.PathLike[str]) -> list[Entry]:
             for name in reversed(field.split(".")):
                 value = {name: value}
             content = laid_over(content, value)
-        named = kind.SOURCES & content.keys()
-        sources = {name: _resolved(content[name], folder, kind) for name in named}
+        given = kind.SOURCES & content.keys()
+        sources = {name: _resolved(content[name], folder, kind) for name in given}
         # One check covers all seeds.
         item = checked({**content, **sources}, kind, file=path)
         for seed in seeds:
@@ -103,15 +104,6 @@ def _axes(
         if len({json.dumps(v, sort_keys=True, default=str) for v in values}) < len(values):
             raise InputError("names a value twice", file=path, field=f"grid.{field}")
         yield field, values
-
-
-def _kind(name: str, path: str | os.PathLike[str]) -> type[Item]:
-    """Return a kind of items, which another distribution may add."""
-    if name in KINDS:
-        return KINDS[name]
-    if name in (*added("airpuck.items"), *HOCKEY["airpuck.items"]):
-        return loaded("airpuck.items", name)
-    raise InputError(unknown(name, [*KINDS, *added("airpuck.items")]), file=path, field="kind")
 
 
 def _resolved(names: Any, folder: Path, kind: type[Item]) -> Any:

@@ -397,7 +397,7 @@ def commission(
     if truth is None and twin is not None:
         raise InputError("needs --truth MODEL, which the twin flies", field="--twin")
     if truth is None:
-        from airpuck.commissioning.on_graph import commission_live
+        from airpuck.commissioning.commission import commission_live
 
         rails = None if table is None else table.table
         found = commission_live(craft, output, live, table=rails, seed=seed, tell=say)

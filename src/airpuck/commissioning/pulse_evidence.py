@@ -15,7 +15,7 @@ from airpuck.commissioning.session import Commissioned
 from airpuck.craft.vehicle import Vehicle
 from airpuck.deviation.time_scale import usual_pushes
 from airpuck.faults.propeller_check import EffectMatch, force_to_moment, match_effects
-from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses
+from airpuck.flight.pulses import DELAYS, PulsePlan, PulseTest, pulse_responses, sound_pulses
 from airpuck.model.model_file import Model, nominal_model
 from airpuck.model.uncertainty import Cameras
 from airpuck.physics.rigid_body import acceleration_map
@@ -27,9 +27,8 @@ _LAGS = (0.01, 0.015, 0.025, 0.04, 0.06, 0.085, 0.12, 0.16)
 _TEMPERED = 8.0
 #: Spin that a pulse may cause [rad/s].
 _SPIN = 1.0
-#: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses, and
-#: largest misfit of a pulse that was not disturbed, relative to the smallest.
-_STARTED, _DISTURBED = 0.3, 5.0
+#: Smallest effect of a start that did not fail, relative to the largest of the motor's pulses.
+_STARTED = 0.3
 #: Bounds for the ratio of measured and stated inertia: beyond, the pulses were disturbed.
 _INERTIA = (0.4, 2.5)
 #: Least thrust of a motor whose pulses tell none, relative to the median motor's.
@@ -147,13 +146,8 @@ class PulseEvidence:
         delays = np.full(len(self.logs) * 10 * count, self.delay)
         seen = [one for log in self.logs for one in pulse_responses(model, *log, delays=delays)]
         scale = np.array([1.0, 1.0, model.radius_of_gyration])
-        for motor in {one.motor for one in seen}:
-            own = [one for one in seen if one.motor == motor]
-            # A start may have failed, or a rail or a hand disturbed a pulse.
-            largest = max(float(np.linalg.norm(scale * one.effect)) for one in own)
-            least = _DISTURBED * min(one.misfit for one in own)
-            good = [one for one in own if one.misfit <= least]
-            good = [g for g in good if np.linalg.norm(scale * g.effect) > _STARTED * largest] or own
+        # A start may have failed, or a rail or a hand disturbed a pulse.
+        for motor, good in sound_pulses(seen, model.radius_of_gyration, _STARTED).items():
             covariance = np.linalg.pinv(sum(one.information for one in good))
             effects[:, motor] = covariance @ sum(one.information @ one.effect for one in good)
             errors[motor] = math.sqrt(np.diag(covariance) @ scale**2 / 3)

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Num
 
 from airpuck.model.model_file import Model
+from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.thrust import thrust
 
 #: Each motion: row of the configuration matrix, sign, and a phrase for messages.
@@ -103,6 +104,15 @@ def control_authority(model: Model) -> Authority:
         alone[name] = _clear(-found.fun, scale) if found.success else 0.0
         together[name] = _clear(float(np.where(along > 0, high, low) @ along), scale)
     return Authority(alone, together)
+
+
+def pushes(xp: Any, dynamics: Dynamics, command: float = 1.0) -> Num[Any, " D"]:
+    """Return the largest acceleration in each of many directions, whatever the moment [m/s²]."""
+    ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+    turned = np.column_stack([np.cos(ways), np.sin(ways)])
+    full = thrust(dynamics.thrust, xp.full(len(dynamics.thrust), command))
+    each = (turned @ np.asarray(dynamics.configuration)[:2]) * full
+    return xp.sum(xp.maximum(each, 0.0), axis=1)
 
 
 def weakest_effort(model: Model, running: Bool[np.ndarray, " n"] | bool = True) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.authority import weakest_effort
+from airpuck.control.authority import pushes, weakest_effort
 from airpuck.control.law import Pilot, Step
 from airpuck.control.reference import Reference, SetPoint, Unturned
 from airpuck.control.tracking import TrackingController
@@ -90,7 +90,7 @@ class Excitation(Pilot):
         reaction: float = 0.0,
         compiled: bool = True,
     ) -> None:
-        weakest = _weakest_push(model)
+        weakest = float(pushes(np, model.dynamics).min())
         craft = model.vehicle.name
         if weakest < _LEAST_PUSH:
             raise InputError(
@@ -243,12 +243,3 @@ def _mixing(model: Model) -> tuple[Float[np.ndarray, "c c"], Float[np.ndarray, "
     signed = each.copy()
     signed[first, second] = signed[second, first] = -1.0
     return signed, np.hstack(mixer)
-
-
-def _weakest_push(model: Model) -> float:
-    """Return the largest acceleration in the weakest direction, whatever the moment [m/s²]."""
-    full = model.dynamics.thrust.sum(axis=1)
-    angles = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    pushes = (rays @ model.dynamics.configuration[:2]) * full
-    return float(np.maximum(pushes, 0).sum(axis=1).min())

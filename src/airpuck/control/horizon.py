@@ -20,11 +20,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 
 from airpuck.compute.arrays import scan, slopes
+from airpuck.control.authority import pushes
 from airpuck.control.predictive import PredictiveSettings
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import Dynamics, acceleration, step, wrapped
-from airpuck.physics.thrust import thrust, thrust_curvature
+from airpuck.physics.thrust import thrust_curvature
 
 #: Bounds of the effectiveness used in the prediction. A dead motor keeps a little, so that the
 #: controller notices when it recovers; no estimate may make the law timid.
@@ -266,12 +267,7 @@ def braking(xp: Any, dynamics: Dynamics, most: float) -> Num[Any, ""]:
     A fraction of the acceleration that the working propellers reach in their weakest direction: the
     craft also turns and allocates, and packets get lost.
     """
-    ways = np.linspace(0, 2 * np.pi, 72, endpoint=False)
-    turned = np.column_stack([np.cos(ways), np.sin(ways)])
-    full = thrust(dynamics.thrust, xp.full(len(dynamics.thrust), most))
-    pushes = (turned @ np.asarray(dynamics.configuration)[:2]) * full
-    weakest = xp.min(xp.sum(xp.maximum(pushes, 0.0), axis=1))
-    return xp.maximum(_BRAKING * weakest, _LEAST_BRAKING)
+    return xp.maximum(_BRAKING * xp.min(pushes(xp, dynamics, most)), _LEAST_BRAKING)
 
 
 def _limits(

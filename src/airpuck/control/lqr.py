@@ -7,7 +7,6 @@ for held inputs.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
@@ -22,6 +21,7 @@ from airpuck.control.allocation import ThrustAllocator, all_finite, problem
 from airpuck.control.law import Law, LawOptions, Moment, Step
 from airpuck.control.tuning import LawSettings, Tuning, scaled
 from airpuck.model.model_file import Model
+from airpuck.physics.motor import lag_decay
 from airpuck.physics.rigid_body import Dynamics, acceleration_map, pose_difference
 from airpuck.physics.thrust import InverseThrust, inverse_thrust, thrust
 
@@ -95,14 +95,8 @@ def point_mass(period: float) -> tuple[Float[np.ndarray, "6 6"], Float[np.ndarra
 
 def motor_lag(time_constant: Any, period: float) -> tuple[Any, Any]:
     """Discretise motors (eq. dis_motor_dynamics): their next speeds are A φ + B u."""
-    if np.ndim(time_constant):
-        decay, drive = zip(
-            *(motor_lag(tau, period) for tau in np.ravel(time_constant)), strict=True
-        )
-        return np.array(decay), np.array(drive)
-    if time_constant == 0:
-        return 0.0, 1.0
-    return math.exp(-period / time_constant), -math.expm1(-period / time_constant)
+    decay = lag_decay(np, period, np.squeeze(time_constant))
+    return decay, 1 - decay
 
 
 def rotation_error(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.control.allocation import all_finite
+from airpuck.control.authority import pushes
 from airpuck.control.tuning import Tuning
 from airpuck.estimate.kalman import KalmanFilter
 from airpuck.model.model_file import Model
@@ -23,8 +24,6 @@ _USUAL_RATE = 240.0
 _REMEMBERED = 0.5
 #: A pose this far from its prediction cannot be the craft: [m, m, rad].
 JUMP = (0.1, 0.1, 1.0)
-#: Number of directions, over half a turn, in which the largest acceleration is sought.
-_DIRECTIONS = 16
 #: Longest time for which a prediction steers a moving craft, which would coast into a rail [s], and
 #: the speed from which it counts as moving [m/s].
 BLIND, MOVES = 0.25, 0.1
@@ -41,12 +40,7 @@ def longest_pause(model: Model, tuning: Tuning) -> float:
     """
     rate = tuning.estimation.camera_hz or (model.cameras and model.cameras.rate_hz)
     frame = 1 / rate if rate else float(model.fit.get("sample_period_s", 1 / _USUAL_RATE))
-    pushes = np.asarray(model.dynamics.configuration)[:2]
-    pushes = pushes * np.asarray(model.dynamics.thrust).sum(axis=1)
-    angle = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
-    along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ pushes
-    fastest = max(np.maximum(sign * along, 0).sum(axis=1).max() for sign in (1, -1))
-    coasting = math.sqrt(2 * JUMP[0] / fastest)
+    coasting = math.sqrt(2 * JUMP[0] / pushes(np, model.dynamics).max())
     return max(SHORTEST_PAUSE, min(max(coasting, _FEWEST_FRAMES * frame), _MOST_FRAMES * frame))
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import pydantic
 
-from airpuck.boundary.errors import InputError, unknown
+from airpuck.boundary.errors import InputError, about, unknown
 from airpuck.boundary.files import (
     Fraction,
     NonNegative,
@@ -111,11 +111,8 @@ class ChosenLaw(Section):
     @pydantic.model_validator(mode="after")
     def _of_known_laws(self) -> Self:
         for name, table in self.tables.items():
-            try:
+            with about(None, lambda field, name=name: ".".join(filter(None, (name, field)))):
                 self.tables[name] = _plain(checked(table, _settings_of(name, table)))
-            except InputError as error:
-                field = f"{name}.{error.field}" if error.field else name
-                raise InputError(error.problem, field=field) from error
         return self
 
     @property
@@ -306,10 +303,8 @@ class Tuning(Section):
             problem = 'needs law = "NAME", the law whose table it reads'
             raise InputError(problem, field=settings.__name__)
         table = name_among(self.law.tables, law, otherwise=law)
-        try:
+        with about(None, lambda field: f"law.{law}.{field}"):
             return checked(self.law.tables.get(table, {}), settings)
-        except InputError as error:
-            raise InputError(error.problem, field=f"law.{law}.{error.field}") from error
 
     def with_law(self, kind: str, **settings: Any) -> Tuning:
         """Return the tuning with another law.

@@ -12,7 +12,7 @@ import pydantic
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.boundary.files import Fraction, Section, checked, parse_json
+from airpuck.boundary.files import Section, checked, parse_json
 from airpuck.boundary.limits import ABOUT_BYTES, ARCHIVE_BYTES, SPANS, Archive, within_means
 from airpuck.craft.vehicle import Vehicle
 from airpuck.data.trajectory import FORMAT, Span, Trajectory
@@ -77,7 +77,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
             propellers=known.propellers,
             delay=known.delay_s,
             delay_known=known.delay_known,
-            excluded=tuple(Span(**span.model_dump()) for span in known.excluded),
+            excluded=known.excluded,
             source=known.source,
             hashes=known.hashes,
             warnings=known.warnings,
@@ -89,15 +89,6 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
         raise InputError(problem, file=path, field=error.field) from error
 
 
-class _SpanSection(Section):
-    """A span as JSON."""
-
-    start: float
-    stop: float
-    cause: str
-    confidence: Fraction = 1.0
-
-
 class _About(Section):
     """Metadata of a trajectory's file, besides arrays; fields of later versions are ignored."""
 
@@ -107,7 +98,7 @@ class _About(Section):
     delay_s: float
     delay_known: bool
     propellers: tuple[str, ...]
-    excluded: Annotated[tuple[_SpanSection, ...], pydantic.Field(max_length=SPANS)]
+    excluded: Annotated[tuple[Span, ...], pydantic.Field(max_length=SPANS)]
     source: str
     hashes: dict[str, str]
     warnings: tuple[str, ...]

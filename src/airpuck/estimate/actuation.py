@@ -25,6 +25,7 @@ from airpuck.deviation.motor_regression import (
     twice_integrated,
     with_effectiveness,
 )
+from airpuck.physics.motor import lag_decay
 from airpuck.physics.rigid_body import Dynamics
 from airpuck.physics.thrust import thrust_slope
 
@@ -245,7 +246,7 @@ def residual_covariance(
     """
     pose, density, first = noise
     integral = twice_integrated(np.eye(length), np.full((length - 1, 1), step))
-    fading = np.exp(-np.arange(length) * step / time_constant) if time_constant > 0 else 0.0
+    fading = lag_decay(np, np.arange(length) * step, time_constant)
     # An error of the initial speeds decays with the motors' lag.
     accelerations = density**2 / step * np.eye(length) + first**2 * np.outer(fading, fading)
     return pose**2 * np.eye(length) + integral @ accelerations @ integral.T

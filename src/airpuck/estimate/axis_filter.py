@@ -30,6 +30,13 @@ class Noise(Result):
     #: Density of w₂, which drives the disturbance [m/s³/√Hz, m/s³/√Hz, rad/s³/√Hz].
     disturbance: tuple[float, float, float]
 
+    @property
+    def initial_variance(self) -> Float[np.ndarray, "3 3"]:
+        """Variances of pose, velocity and disturbance at the first pose, a row for each axis."""
+        drives = np.array(self.disturbance) > 0
+        initial = np.array([self.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives])
+        return (initial**2).T
+
 
 #: Standard deviation of velocity and disturbance at the first pose, in each axis.
 INITIAL_VELOCITY = np.array([0.5, 0.5, 5.0])
@@ -51,9 +58,7 @@ class IndependentAxes:
         """Return the belief at a pose, at rest; the previous belief does not matter."""
         mean, covariance = np.zeros((3, 3)), np.zeros((3, 3, 3))
         mean[:, 0] = pose
-        drives = np.array(self.noise.disturbance) > 0
-        initial = [self.noise.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives]
-        covariance[:, range(3), range(3)] = np.square(initial).T
+        covariance[:, range(3), range(3)] = self.noise.initial_variance
         return mean, covariance
 
     def advance(self, xp: Any, mean: Any, covariance: Any, speed: Any, *pieces: Any) -> Any:

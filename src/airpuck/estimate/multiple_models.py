@@ -29,7 +29,6 @@ from jaxtyping import Float
 from airpuck.compute.arrays import small_product
 from airpuck.craft.vehicle import GRAVITY
 from airpuck.estimate.axis_filter import (
-    INITIAL_DISTURBANCE,
     INITIAL_VELOCITY,
     Noise,
     process_noise,
@@ -125,9 +124,7 @@ class MultipleModels:
             means, covariances, weights, density = self.renewed(np, before, elapsed)
         means[:, :9], covariances[:, :9, :], covariances[:, :, :9] = 0.0, 0.0, 0.0
         means[:, POSITION] = pose
-        drives = np.array(self.noise.disturbance) > 0
-        initial = [self.noise.pose, INITIAL_VELOCITY, INITIAL_DISTURBANCE * drives]
-        covariances[:, range(9), range(9)] = np.square(np.concatenate(initial))
+        covariances[:, range(9), range(9)] = self.noise.initial_variance.T.ravel()
         return means, covariances, weights, density
 
     def renewed(self, xp: Any, belief: Belief, duration: Any) -> Belief:

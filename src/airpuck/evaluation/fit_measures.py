@@ -7,7 +7,7 @@ likelihood of the one-step innovations (Ljung 1999, ch. 16.4).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -26,18 +26,18 @@ RESTART = 2.0
 class FitMeasures(Result):
     """Fit of one model to one trajectory."""
 
-    JSON = "k=steps restart_s=restart log_likelihood parameters samples aic bic"
+    JSON = "k=steps restart_s log_likelihood parameters samples aic bic"
 
     #: k of the k-step prediction [samples].
     steps: int
+    #: Length of the restarted simulations [s].
+    restart_s: ClassVar = RESTART
     #: Fit of x, y, γ, predicted k steps ahead by the filter's estimate [%].
     k_step: Float[np.ndarray, " 3"]
     #: Fit of simulations restarted every `restart` seconds [%].
     free_run: Float[np.ndarray, " 3"]
     #: Fit of one simulation over the whole trajectory [%].
     whole: Float[np.ndarray, " 3"]
-    #: Length of the restarted simulations [s].
-    restart: float
     #: Log-likelihood of the innovations.
     log_likelihood: float
     #: Number of innovations, each with three channels.
@@ -86,7 +86,6 @@ def measure_fit(
     *,
     filtered: Innovations | None = None,
     horizon: float = 0.2,
-    restart: float = RESTART,
 ) -> FitMeasures:
     """Measure how well a model fits a trajectory.
 
@@ -100,8 +99,6 @@ def measure_fit(
         Innovations of the same model on the same trajectory, if known.
     horizon : float, default 0.2
         Time of the k-step prediction [s].
-    restart : float, default 2
-        Length of the restarted simulations [s].
 
     Returns
     -------
@@ -114,8 +111,8 @@ def measure_fit(
         If the trajectory is of another craft, or too short.
     """
     filtered = filtered or innovations(model, trajectory)
-    measured, period, samples = trajectory.state[:, :3], trajectory.sample_period, len(trajectory)
-    steps = max(1, round(horizon / period))
+    measured, samples = trajectory.state[:, :3], len(trajectory)
+    steps = trajectory.steps(horizon)
 
     def simulate(apart: int) -> Float[np.ndarray, " 3"]:
         starts = filtered.starts(0, apart)
@@ -135,9 +132,8 @@ def measure_fit(
     return FitMeasures(
         steps=steps,
         k_step=predict_ahead(),
-        free_run=simulate(max(2, round(restart / period))),
+        free_run=simulate(trajectory.steps(RESTART, least=2)),
         whole=simulate(samples),
-        restart=restart,
         log_likelihood=filtered.log_likelihood,
         samples=int(filtered.used.sum()),
         parameters=fitted_parameters(model) + sum(filtered.noise_parameters),

@@ -24,6 +24,7 @@ from jaxtyping import Bool, Float, Int
 
 from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_samples
+from airpuck.data.sampling import spaced
 from airpuck.data.trajectory import Trajectory, check_propellers
 from airpuck.deviation.packet_delays import delay_for
 from airpuck.estimate.axis_filter import Noise, correct, process_noise, spread
@@ -254,11 +255,7 @@ class Innovations:
         settle = max(2, round(_SETTLE_S / float(np.median(np.diff(self.time)))))
         length = settle + ahead
         runs = np.convolve(self.follows, np.ones(length))[length - 1 : len(self.used)] >= length
-        able = np.flatnonzero(runs) + settle - 1
-        chosen = able[:1].tolist()
-        while chosen and (k := np.searchsorted(able, chosen[-1] + apart)) < len(able):
-            chosen.append(int(able[k]))
-        return np.array(chosen, dtype=int)
+        return spaced(np.flatnonzero(runs) + settle - 1, apart)
 
 
 def innovations(model: Model, trajectory: Trajectory, noise: Noise | None = None) -> Innovations:

@@ -167,7 +167,7 @@ def prediction_bands(
     numbers.HORIZON.check(horizon, "horizon")
     if known is None:
         known = innovations(model, trajectory)
-    steps = max(1, round(horizon / trajectory.sample_period))
+    steps = trajectory.steps(horizon)
     if starts is None:
         starts = known.starts(steps, steps)
     if len(starts) == 0 or starts.min() < 0 or starts.max() + steps >= len(trajectory):
@@ -205,10 +205,9 @@ def bands_of_all_horizons(
     model: Model, trajectory: Trajectory, filtered: Innovations
 ) -> tuple[PredictionBands, ...]:
     """Predict over each of `HORIZONS` for which the recording has a long enough stretch."""
-    steps = [max(1, round(horizon / trajectory.sample_period)) for horizon in HORIZONS]
     return tuple(
         prediction_bands(model, trajectory, horizon=horizon, known=filtered)
-        for horizon, ahead in zip(HORIZONS, steps, strict=True)
+        for horizon, ahead in zip(HORIZONS, map(trajectory.steps, HORIZONS), strict=True)
         if len(filtered.starts(ahead, ahead))
     )
 

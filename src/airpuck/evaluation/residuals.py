@@ -311,7 +311,7 @@ def resid(model: Model, trajectory: Trajectory, *, lags: int = LAGS) -> Residual
         )
     found = innovations(model, trajectory)
     bins = cut(trajectory, found)
-    others = missing_accelerations(bins, trajectory.state[:, 2])
+    others = missing_accelerations(bins, trajectory.state)
     late = late_packets(model, trajectory, found, others)
     motors, used = trajectory.propellers, found.used
     # A delay that the model did not learn comes from the recording, in whole samples.

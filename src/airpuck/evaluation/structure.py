@@ -21,7 +21,11 @@ from jaxtyping import Bool, Float
 
 from airpuck.boundary.results import Result, plain
 from airpuck.data.trajectory import Trajectory
-from airpuck.deviation.motor_regression import accelerations_along, block_regression
+from airpuck.deviation.motor_regression import (
+    accelerations_along,
+    block_regression,
+    body_accelerations,
+)
 from airpuck.deviation.significance import LEVEL, holm
 from airpuck.evaluation.innovations import Innovations
 from airpuck.evaluation.late_packets import LatePackets
@@ -146,19 +150,13 @@ def cut(trajectory: Trajectory, found: Innovations) -> list[Bins]:
 
 
 def missing_accelerations(
-    bins: Sequence[Bins], yaw: Float[np.ndarray, " N"]
+    bins: Sequence[Bins], state: Float[np.ndarray, "N 6"]
 ) -> Float[np.ndarray, "N 3 S"]:
     """Return 1 m/s² or rad/s² along each channel in each bin, in the world: possible errors."""
-    cos, sin, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
-    axes = {
-        "body": np.array([[cos, sin, zero], [-sin, cos, zero], [zero, zero, one]]),
-        "world": np.eye(3)[:, :, None] * one,
-    }
-    parts = [
-        np.einsum("can,nb->nacb", axes[one.frame], one.member).reshape(len(yaw), 3, -1)
-        for one in bins
-    ]
-    return np.concatenate(parts, axis=2)
+    turn = body_accelerations(state)
+    axes = {"body": turn, "world": np.broadcast_to(np.eye(3), turn.shape)}
+    parts = [np.einsum("nac,nb->nacb", axes[one.frame], one.member) for one in bins]
+    return np.concatenate([part.reshape(len(state), 3, -1) for part in parts], axis=2)
 
 
 def find_structure(

@@ -40,9 +40,10 @@ from airpuck.identification.problem import prediction_loss
 from airpuck.identification.retiming import retime_packets, spread_of, variance_of_mean
 from airpuck.identification.settings import PUBLISHED_WEIGHTS, Loss
 from airpuck.identification.uncertainty import (
-    UNDETERMINED,
     binding_constraints,
+    inverted,
     shared_at_borders,
+    spectrum,
     subspace,
 )
 from airpuck.model.model_file import Model
@@ -165,7 +166,7 @@ class Forecast:
         """Predict the uncertainty after a flight of a given length."""
         precision = self._precision(flight) * duration / self.level
         precision = self._less_certain(precision, flight.packets / duration) + self._prior()
-        covariance = self._basis @ _pseudo_inverse(precision) @ self._basis.T
+        covariance = self._basis @ inverted(precision) @ self._basis.T
         whole = self._basis @ precision @ self._basis.T
         space = subspace(whole, self.model.free, self._constraints)
         return Uncertainty(
@@ -193,18 +194,18 @@ class Forecast:
         before = self.model.known
         if before is None or not np.isfinite(before.covariance).all():
             return np.zeros((self._basis.shape[1],) * 2)
-        return _pseudo_inverse(self._basis.T @ before.covariance @ self._basis)
+        return inverted(self._basis.T @ before.covariance @ self._basis)
 
     def _precision(self, flight: Information) -> Float[np.ndarray, "R R"]:
         """Return the precision per second of a flight, H M⁻¹ H = H^½ K⁻¹ H^½ / κ."""
         one = self._decomposed(flight)
-        scaled = one.root @ _pseudo_inverse(self._shape) @ one.root / one.inflation
+        scaled = one.root @ inverted(self._shape) @ one.root / one.inflation
         back = np.divide(1.0, one.scale, out=np.zeros_like(one.scale), where=one.scale > 0)
         return scaled * np.outer(back, back)
 
     def _decomposed(self, flight: Information) -> _Decomposed:
         """Split a flight's statistics into information and shape of the scores."""
-        value, vector, scale = _spectrum(self._basis.T @ flight.hessian @ self._basis)
+        value, vector, scale = spectrum(self._basis.T @ flight.hessian @ self._basis)
         inverse, rank = vector / np.sqrt(value) @ vector.T, len(value)
         scores = self._basis.T @ flight.scores @ self._basis * np.outer(scale, scale)
         whitened, root = inverse @ scores @ inverse, vector * np.sqrt(value) @ vector.T
@@ -236,26 +237,6 @@ def _shrunk(shape: Float[np.ndarray, "R R"], rank: int, blocks: int) -> Float[np
     noise = (rank**2 + square) / max(blocks, 1)
     weight = min(1.0, noise / max(square - rank, 1e-300))
     return (1 - weight) * shape + weight * np.diag(np.where(np.diag(shape) > 0, 1.0, 0.0))
-
-
-def _spectrum(
-    matrix: Float[np.ndarray, "R R"],
-) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "R K"], Float[np.ndarray, " R"]]:
-    """Return positive eigenvalues and their vectors of a matrix scaled to a unit diagonal.
-
-    Also return the scale; 0 where the diagonal is 0.
-    """
-    diagonal = np.diag(matrix)
-    scale = np.divide(1.0, np.sqrt(diagonal), out=np.zeros(len(matrix)), where=diagonal > 0)
-    value, vector = np.linalg.eigh(matrix * np.outer(scale, scale))
-    positive = value > UNDETERMINED * max(value[-1], 1e-300)
-    return value[positive], vector[:, positive], scale
-
-
-def _pseudo_inverse(matrix: Float[np.ndarray, "R R"]) -> Float[np.ndarray, "R R"]:
-    """Invert a positive semidefinite matrix on its range, regardless of the units."""
-    value, vector, scale = _spectrum(matrix)
-    return (vector / value @ vector.T) * np.outer(scale, scale)
 
 
 class ComparedQuantity(NamedTuple):

@@ -28,7 +28,6 @@ from airpuck.control.predictive import PredictiveSettings
 from airpuck.control.reference import SetPoint
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning
-from airpuck.estimate.axis_filter import INITIAL_DISTURBANCE, INITIAL_VELOCITY
 from airpuck.export.kinds import Subject, refuse_actuators, refuse_effects
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import thrust_scale
@@ -323,7 +322,6 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
     settings = tuning.of(LQRSettings)
     pause = longest_pause(model, tuning)
     lag, drive = motor_lag(float(model.dynamics.motor_time_constant), period)
-    disturbed = INITIAL_DISTURBANCE * (np.array(noise.disturbance) > 0)
     return {
         "transport_delay": model.transport_delay,
         "longest_pause": pause,
@@ -344,7 +342,7 @@ def _tuning(model: Model, tuning: Tuning) -> dict[str, Any]:
         "tie_thrust": TIE_THRUST,
         "tie_slack": TIE_SLACK,
         "pose_variance": np.square(noise.pose),
-        "initial_variance": np.square(np.array([noise.pose, INITIAL_VELOCITY, disturbed])).T,
+        "initial_variance": noise.initial_variance,
         "acceleration_density": np.square(noise.acceleration),
         "disturbance_density": np.square(noise.disturbance),
     }

@@ -16,7 +16,8 @@ import airpuck
 from airpuck.boundary.errors import InputError
 from airpuck.export.c import coefficients, constant, copy_sources, title, write_model
 from airpuck.export.kinds import Subject, refuse_actuators, refuse_settings
-from airpuck.twin.plant import CraftBody, build_plant
+from airpuck.physics.puck import Disc
+from airpuck.twin.plant import build_plant
 from airpuck.twin.radio import radio_delay
 from airpuck.twin.settings import TwinSettings
 
@@ -191,7 +192,7 @@ def _references(listed: list[Variable]) -> dict[str, int]:
     return {**found, "AIRPUCK_REALS": reals, "AIRPUCK_VARIABLES": len(listed)}
 
 
-def _craft(disc: CraftBody) -> str:
+def _craft(disc: Disc) -> str:
     """Return the definition of the craft's numbers that contacts need."""
     fields = {key: float(getattr(disc, key)) for key in ("mass", "inertia", "radius")}
     return constant("airpuck_disc", "airpuck_craft", fields)

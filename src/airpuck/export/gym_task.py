@@ -248,7 +248,8 @@ class CourseTask:
             self._passed += (self._passed < last) & passes(pose, self.following)
         left = self._remaining(pose)
         reward, self._left = self._left - left - PERIOD, left
-        there = arrived(np.concatenate([pose, rate], axis=1), self.goal_states)
+        at_rest = np.concatenate([self.goal, np.zeros_like(self.goal)], axis=1)
+        there = arrived(np.concatenate([pose, rate], axis=1), at_rest)
         return reward, (self._passed == last) & there
 
     def observation(self) -> Observation:
@@ -265,11 +266,6 @@ class CourseTask:
     def following(self) -> Float[np.ndarray, "B 2"]:
         """The next points, finally the goals."""
         return self.points[self._rows, self._passed]
-
-    @property
-    def goal_states(self) -> Float[np.ndarray, "B 6"]:
-        """The goals, at rest."""
-        return np.concatenate([self.goal, np.zeros_like(self.goal)], axis=1)
 
     def _pose(self, rng: np.random.Generator) -> Float[np.ndarray, " 3"]:
         return rng.uniform(-1, 1, 3) * [*self._reach, math.pi]

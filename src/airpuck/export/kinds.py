@@ -11,8 +11,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
-from airpuck.boundary.errors import InputError, unknown
-from airpuck.boundary.extensions import HOCKEY, added, loaded
+from airpuck.boundary.errors import InputError
+from airpuck.boundary.extensions import added, named
 from airpuck.boundary.outputs import check_output, temporary_name, unwritable
 from airpuck.boundary.results import Result
 
@@ -88,11 +88,7 @@ def known_kinds() -> list[str]:
 
 def kind_named(name: str) -> ExportKind:
     """Return a kind of export, which another distribution may add."""
-    if name in KINDS:
-        return KINDS[name]
-    if name in (*added("airpuck.exports"), *HOCKEY["airpuck.exports"]):
-        return loaded("airpuck.exports", name)
-    raise InputError(unknown(name, known_kinds()), field="kind")
+    return named(name, KINDS, "airpuck.exports", field="kind")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from airpuck.faults.propeller_check import (
     turned,
 )
 from airpuck.flight.loop import Link, fly
-from airpuck.flight.pulses import PulsePlan, PulseResponse, PulseTest, pulse_responses
+from airpuck.flight.pulses import PulsePlan, PulseResponse, PulseTest, pulse_responses, sound_pulses
 from airpuck.model.model_file import Model
 from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.clock import align_clocks
@@ -56,8 +56,6 @@ _FRAMES = (
 _SILENT = 0.15
 #: A motor did not start if a pulse had less than this fraction of the effect of its strongest one.
 _STARTED = 0.4
-#: A pulse counts as disturbed if it fits this many times worse than the best of its motor.
-_DISTURBED = 5.0
 #: The test never turns the craft this far: such a yaw is in degrees.
 _MOST_TURNS = 2
 
@@ -196,18 +194,8 @@ def judge_pulses(
         """Effects of all motors if poses are scaled by these factors; nan if not tried."""
         again = pulse_responses(model, time, pose * change, command_time, command, delays)
         effects = np.full((3, n), np.nan)
-        for motor in {response.motor for response in again}:
-            pulses = [response for response in again if response.motor == motor]
-            # Exclude pulses that a rail or a hand disturbed, and starts that failed.
-            least = min(response.misfit for response in pulses)
-            largest = max(float(np.linalg.norm(scale[:, 0] * r.effect)) for r in pulses)
-            good = [
-                r.effect
-                for r in pulses
-                if r.misfit <= _DISTURBED * least
-                and np.linalg.norm(scale[:, 0] * r.effect) > _STARTED * largest
-            ] or [r.effect for r in pulses]
-            effects[:, motor] = np.mean(good, axis=0)
+        for motor, pulses in sound_pulses(again, model.radius_of_gyration, _STARTED).items():
+            effects[:, motor] = np.mean([response.effect for response in pulses], axis=0)
         return scale * effects
 
     unit, words = _pose_units(responses, expected)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +36,8 @@ _STEP = 1e-3
 _FEWEST = 20
 #: A pulse shorter than this fraction of the usual length was cut off.
 _CUT_OFF = 0.7
+#: A pulse counts as disturbed if it fits this many times worse than the best of its motor.
+_DISTURBED = 5.0
 
 
 @dataclass(frozen=True)
@@ -214,6 +217,25 @@ def pulse_responses(
         tried = DELAYS if delays is None else delays[len(responses) :][:1]
         responses.append(_response(model, pulse, level, time[near], pose[near], tried))
     return responses
+
+
+def sound_pulses(
+    responses: Sequence[PulseResponse], radius: float, started: float
+) -> dict[int, list[PulseResponse]]:
+    """Return each motor's responses, without those that were disturbed or had a failed start.
+
+    Moments count by their acceleration at the radius of gyration [m]. A motor that has not started
+    gives less than the fraction `started` of its largest effect. If none is left, all count.
+    """
+    found: dict[int, list[PulseResponse]] = {}
+    for one in responses:
+        found.setdefault(one.motor, []).append(one)
+    for motor, own in found.items():
+        size = np.linalg.norm([one.effect * [1.0, 1.0, radius] for one in own], axis=1)
+        misfit = np.array([one.misfit for one in own])
+        good = (misfit <= _DISTURBED * misfit.min()) & (size > started * size.max())
+        found[motor] = list(compress(own, good)) or own
+    return found
 
 
 def find_pulses(

@@ -190,7 +190,7 @@ class Solution:
 
 def leave_out_faults(solution: Solution) -> Solution:
     """Find faults with a first fit, and exclude the windows that they touch."""
-    if not solution.problem.excludes_faults:
+    if solution.problem.preparation.faults == "keep" or solution.problem.loss.whole:
         return solution
     solution = solution.prefit()
     loss, _, model = solution.result

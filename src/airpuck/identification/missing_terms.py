@@ -21,7 +21,12 @@ from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
 from airpuck.evaluation.presentation import main_quantities
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.uncertainty import cluster_windows, shared_at_borders, varying
+from airpuck.identification.uncertainty import (
+    cluster_windows,
+    inverted,
+    shared_at_borders,
+    varying,
+)
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
@@ -44,6 +49,8 @@ _BLOCKS = 12
 #: The term that is not an effect: a higher degree of the thrust curves. It is tested twice, with a
 #: coefficient for each motor and with one for all, which finds a common shape with more certainty.
 DEGREE, _BEND = "degree", "common degree"
+#: Information, relative to the largest of a scaled matrix, below which a direction has none.
+_UNINFORMED = 1e-9
 #: Prefix of what changed steadily during the recording: ``all`` thrusts, one motor's thrust, or the
 #: ``delay``; and smallest changes over the recording that are reported, relative and in seconds.
 CHANGE, ALL, DELAY = "change of ", "all", "delay"
@@ -204,7 +211,7 @@ class _Tests:
             information = whole - mixed.T @ mixed
             if not (np.diag(information) > _OWN * np.diag(whole)).all():
                 return None
-            value = -_inverse(information) @ effective.sum(axis=0)
+            value = -inverted(information, _UNINFORMED) @ effective.sum(axis=0)
             impossible = [e for e, v in zip(kept, value, strict=True) if v < 0 <= bound[e]]
             if not impossible:
                 break
@@ -239,19 +246,13 @@ class _Tests:
             rest = np.setdiff1d(np.arange(len(scores)), held)
             lost = []
             for size in (own, own + len(entries)):
-                step = -_inverse(h[rest].sum(axis=0)[:size, :size]) @ g[rest].sum(axis=0)[:size]
+                known = h[rest].sum(axis=0)[:size, :size]
+                step = -inverted(known, _UNINFORMED) @ g[rest].sum(axis=0)[:size]
                 slope, bend = g[held].sum(axis=0)[:size], h[held].sum(axis=0)[:size, :size]
                 lost.append(slope @ step + step @ bend @ step / 2)
             gains.append(lost[0] - lost[1])
         error = np.std(gains, ddof=1) * math.sqrt(len(gains)) if len(gains) > 1 else np.inf
         return float((np.sum(gains) - error) / self.quadratic.loss)
-
-
-def _inverse(information: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
-    """Invert scaled normal equations; directions without information stay at zero."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-    both = np.outer(scale, scale)
-    return both * np.linalg.pinv(information * both, rcond=1e-9, hermitian=True)
 
 
 def _by_chance(
@@ -272,7 +273,7 @@ def _by_chance(
     from scipy.special import fdtrc
 
     count, size = scores.shape
-    total, inverse = scores.sum(axis=0), _inverse(information)
+    total, inverse = scores.sum(axis=0), inverted(information, _UNINFORMED)
     others = np.linalg.pinv(np.eye(size) - informations @ inverse)
     left = scores + informations @ value
     expected = float(np.einsum("gij,gj,ik,gk->", others, left, inverse, left, optimize=True))
@@ -387,7 +388,7 @@ def _extended(
     added = np.eye(len(hessian))[:, entries]
     rest = added - basis @ (basis.T @ hessian @ added)
     value, vector = np.linalg.eigh(rest.T @ hessian @ rest)
-    sure = value > 1e-9 * max(value[-1], 1e-300)
+    sure = value > _UNINFORMED * max(value[-1], 1e-300)
     return np.concatenate([basis, rest @ vector[:, sure] / np.sqrt(value[sure])], axis=1)
 
 

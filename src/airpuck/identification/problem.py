@@ -80,11 +80,6 @@ class Problem:
                 )
 
     @property
-    def excludes_faults(self) -> bool:
-        """Whether faults are searched for and excluded."""
-        return self.preparation.faults == "exclude" and not self.loss.whole
-
-    @property
     def learns_delay(self) -> bool:
         """Whether the transport delay is one of the parameters."""
         if self.preparation.delay is not None:

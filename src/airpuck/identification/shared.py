@@ -24,6 +24,7 @@ from airpuck.identification.fit import identify
 from airpuck.identification.fit_result import Fit
 from airpuck.identification.objective import Quadratic
 from airpuck.identification.problem import Exclusion
+from airpuck.identification.uncertainty import inverted
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import TERMS, Rung
@@ -113,10 +114,7 @@ def combined(
     found = [model.uncertainty for model in models if model.uncertainty is not None]
     spreads = np.array([known.covariance[among] for known in found])
     normal = (picks.mT @ weights @ picks).sum(axis=0)
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0] = 1.0
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=_UNKNOWN, hermitian=True)
-    inverse /= np.outer(scale, scale)
+    inverse = inverted(normal, _UNKNOWN)
     # How the result moves with each estimate, whose covariances are known.
     moves = inverse @ picks.mT @ weights
     # Entries that nothing determines keep the last recording's values.

@@ -153,6 +153,28 @@ def scaling(
     return np.where(free, 1 / np.sqrt(np.where(diagonal > least, diagonal, 1.0)), 0.0)
 
 
+def spectrum(
+    information: Float[np.ndarray, "R R"], unknown: float = UNDETERMINED
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "R K"], Float[np.ndarray, " R"]]:
+    """Return eigenvalues above `unknown`, and their vectors, of a matrix scaled to a unit diagonal.
+
+    Also return the scale; 0 where the diagonal is 0.
+    """
+    diagonal = np.diag(information)
+    scale = np.divide(1.0, np.sqrt(diagonal), out=np.zeros(len(diagonal)), where=diagonal > 0)
+    value, vector = np.linalg.eigh(information * np.outer(scale, scale))
+    known = value > unknown * max(value.max(initial=0.0), 1e-300)
+    return value[known], vector[:, known], scale
+
+
+def inverted(
+    information: Float[np.ndarray, "R R"], unknown: float = UNDETERMINED
+) -> Float[np.ndarray, "R R"]:
+    """Invert information on its range, regardless of the units."""
+    value, vector, scale = spectrum(information, unknown)
+    return (vector / value @ vector.T) * np.outer(scale, scale)
+
+
 def binding_constraints(
     parameters: Parameters, free: Bool[np.ndarray, " P"]
 ) -> Float[np.ndarray, "C P"]:

@@ -304,7 +304,6 @@ class _Flight:
             for _ in range(LAST_COMMANDS):
                 link.send(self._idle)
                 process.clock.sleep_until(link.now + self._period)
-        process.events.flush()
         process.events.log("info", "landed: motors idle")
         return {
             "duration_s": link.now - start,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from airpuck.boundary.errors import InputError, explained
+from airpuck.boundary.errors import InputError, explained, installed
 from airpuck.live.settings import domain_config, domain_id
 from airpuck.recording.cdr import Types
 from airpuck.recording.conversion import SECOND_NS
@@ -123,7 +123,7 @@ class Graph:
     ) -> None:
         self.domain = domain_id(domain)
         config = domain_config(interface)
-        with explained(ImportError, "a graph needs Cyclone DDS: pip install 'airpuck[ros2]'"):
+        with installed("a graph needs Cyclone DDS: pip install 'airpuck[ros2]'"):
             from cyclonedds import builtin
             from cyclonedds.core import DDSException, GuardCondition, Policy, Qos, WaitSet
             from cyclonedds.domain import Domain, DomainParticipant

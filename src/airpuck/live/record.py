@@ -169,7 +169,6 @@ def _record(process: Process, bag: BagFile, motors: tuple[str, ...]) -> dict[str
             bag.flush()
         if process.beat.begins(now):
             process.events.heartbeat("info", "recording", bag.counts)
-    process.events.flush()
     process.events.log("info", f"ends after {process.clock.now:.1f} s")
     _take(listener, bag, places)
     bag.close()

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError, installed
-from airpuck.compute.arrays import namespace, with_symbols
+from airpuck.compute.arrays import namespace, slopes, with_symbols
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters
 from airpuck.physics import rigid_body
@@ -204,9 +204,8 @@ def _slope(
     function: Callable[[Any], Any], point: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "m k"]:
     """Differentiate with complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
-    step = 1e-30
-    moved = function(point[:, None] + 1j * step * np.eye(len(point)))
-    return np.imag(np.array(np.broadcast_arrays(*moved))) / step
+    whole = slopes(np, lambda moved: np.broadcast_arrays(*function(moved)), point[:, None])
+    return whole[..., 0].T
 
 
 def statespace(

@@ -228,8 +228,8 @@ def _scaled(low: Any, high: Any, least: Any, most: Any) -> tuple[Any, Any]:
     return corners.min(axis=0), corners.max(axis=0)
 
 
-def _weighted(weights: Any, low: Any, high: Any) -> tuple[Any, Any]:
-    """Bound weighted sums of thrusts."""
+def weighted_range(weights: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """Return the lowest and highest weighted sums of thrusts within a range."""
     up, down = np.maximum(weights, 0.0), np.minimum(weights, 0.0)
     return up @ low + down @ high, up @ high + down @ low
 
@@ -344,7 +344,7 @@ class PairInteraction(Effect):
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
         """Use the twins' lowest and highest thrusts; see `Effect.thrust_bounds`."""
-        ends = _weighted(self.coefficient * np.asarray(self.twins, dtype=float), low, high)
+        ends = weighted_range(self.coefficient * np.asarray(self.twins, dtype=float), low, high)
         least, most = 1 + ends[0], 1 + ends[1]
         return _scaled(low, high, 1 / most, 1 / least) if (least > 0).all() else None
 
@@ -378,7 +378,7 @@ class VoltageSag(Effect):
 
     def thrust_bounds(self, low: Any, high: Any, within: Envelope) -> tuple[Any, Any] | None:
         """Use the lowest and the highest total thrust; see `Effect.thrust_bounds`."""
-        ends = _weighted(self.coefficient * np.asarray(self.weights, dtype=float), low, high)
+        ends = weighted_range(self.coefficient * np.asarray(self.weights, dtype=float), low, high)
         if (1 + 4 * ends[0] < 0).any():
             return None
         most, least = ((2 / (1 + np.sqrt(1 + 4 * end))) ** 2 for end in ends)

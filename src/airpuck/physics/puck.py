@@ -280,6 +280,6 @@ def push(disc: Disc, impulse_n: Any, impulse_t: Any, nx: Any, ny: Any, arm: floa
     arm_t = -(ry * nx - rx * ny)
     turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia
     # Velocity of the centre of mass, then of the centre, which turns about it.
-    disc.vx += (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
-    disc.vy += (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
-    disc.spin += turned
+    disc.vx = disc.vx + ((impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry)
+    disc.vy = disc.vy + ((impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx)
+    disc.spin = disc.spin + turned

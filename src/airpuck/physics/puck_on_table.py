@@ -241,10 +241,7 @@ class PuckOnTable:
 
     def _bounce_off(self, disc: Moving, index: int, held: bool) -> bool:
         """Bounce off a disc unless it is moving away; return whether the puck bounced."""
-        dx, dy = self.state.x - disc.x, self.state.y - disc.y
-        distance = math.hypot(dx, dy)
-        # Coinciding centres have no normal; any direction will do.
-        nx, ny = (dx / distance, dy / distance) if distance else (1.0, 0.0)
+        nx, ny = _direction(disc, self.state.x, self.state.y)
         closing = -((self.state.vx - disc.vx) * nx + (self.state.vy - disc.vy) * ny)
         if closing < _CLOSING:
             return False

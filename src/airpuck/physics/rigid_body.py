@@ -176,12 +176,12 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
     )
     heavier = _added_mass(dynamics)
     if heavier is not None:
-        center = _center(dynamics, "body", cos, sin)
+        center = center_of_mass(dynamics, "body", cos, sin)
         pushed = forward, left, angular
         velocity = cos * vx + sin * vy, cos * vy - sin * vx, spin
         forward, left, angular = _with_added_mass(heavier, center, pushed, velocity)
         return cos * forward - sin * left, sin * forward + cos * left, angular
-    rx, ry = _center(dynamics, "world", cos, sin)
+    rx, ry = center_of_mass(dynamics, "world", cos, sin)
     return (
         cos * forward - sin * left + ry * angular + rx * spin**2,
         sin * forward + cos * left - rx * angular + ry * spin**2,
@@ -198,7 +198,9 @@ def _added_mass(dynamics: Dynamics) -> tuple[Any, Any, Any] | None:
     return sum(along), sum(across), squared_gyration
 
 
-def _center(dynamics: Dynamics, axes: CenterOfMassFrame, cos: Any, sin: Any) -> tuple[Any, Any]:
+def center_of_mass(
+    dynamics: Dynamics, axes: CenterOfMassFrame, cos: Any, sin: Any
+) -> tuple[Any, Any]:
     """Return the offset of the centre of mass along the axes of the body, or of the world."""
     rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
     if dynamics.frame == axes:
@@ -294,12 +296,12 @@ def acceleration_map(xp: Any, dynamics: Dynamics, yaw: Any, spin: Any) -> tuple[
     ((3, 6), [0.0, 0.0, 0.0])
     """
     cos, sin = xp.cos(yaw), xp.sin(yaw)
-    rx, ry = _center(dynamics, "world", cos, sin)
+    rx, ry = center_of_mass(dynamics, "world", cos, sin)
     turn = xp.array([[cos, -sin, ry], [sin, cos, -rx], [0.0, 0.0, 1.0]])
     offset = xp.array([rx, ry, 0.0]) * spin**2
     heavier = _added_mass(dynamics)
     if heavier is not None:  # columns for a unit acceleration each, and the centripetal one
-        center, unit = _center(dynamics, "body", cos, sin), np.eye(3, 4)
+        center, unit = center_of_mass(dynamics, "body", cos, sin), np.eye(3, 4)
         rates = 0.0, 0.0, spin * np.eye(4)[3]
         solved = xp.stack(xp.broadcast_arrays(*_with_added_mass(heavier, center, unit, rates)))
         turn = xp.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ solved

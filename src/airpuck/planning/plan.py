@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from airpuck.boundary import numbers
 from airpuck.boundary.arguments import checked_class, numbers_of
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.files import Section, load_toml, read_toml, write_toml
 from airpuck.boundary.results import Result
 from airpuck.control.reference import Numbers, Target
@@ -348,11 +348,8 @@ def read_plan(path: str | os.PathLike[str], model: Model) -> Plan:
         )
     rows: dict[str, Any] = {"time": content.times_s, "states": content.states}
     rows |= {"commands": content.commands, "via": content.via_m, "keep_out": content.keep_out_m}
-    try:
+    with about(path, lambda field: "times_s" if field == "time" else field):
         return Plan(model, **rows, lower_bound=content.lower_bound_s, reserve=content.reserve)
-    except InputError as error:
-        field = "times_s" if error.field == "time" else error.field
-        raise InputError(error.problem, file=path, field=field) from error
 
 
 def plan(

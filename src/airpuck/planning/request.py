@@ -20,7 +20,8 @@ from airpuck.boundary.errors import InputError
 from airpuck.control.reference import Numbers
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.physics.effects import Envelope
+from airpuck.physics.effects import Envelope, weighted_range
+from airpuck.physics.motor import lag_decay
 from airpuck.physics.rigid_body import wrapped
 from airpuck.physics.thrust import thrust
 from airpuck.planning.settings import Limits
@@ -271,7 +272,7 @@ def motor_range(
     """Return bounds of the motor speeds at given times (eq. motor_dynamics)."""
     vehicle, lag = model.vehicle, float(model.dynamics.motor_time_constant)
     lag *= 1 + min(float(model.dynamics.idle_lag or 0.0), 0.0)
-    left = np.exp(-times / lag) if lag > 0 else np.zeros_like(times)
+    left = lag_decay(np, times, lag)
     low = np.minimum(vehicle.command_min, speed)[:, None] * np.ones_like(left)
     high = np.maximum(vehicle.command_max, speed)[:, None]
     return low, high + (speed[:, None] - high) * left
@@ -330,18 +331,10 @@ def gravity(model: Model) -> complex:
     return sum((complex(*pull) for pull in pulls), 0j)
 
 
-def moment_range(
-    model: Model, low: Float[np.ndarray, "n *K"], high: Float[np.ndarray, "n *K"]
-) -> tuple[Float[np.ndarray, " *K"], Float[np.ndarray, " *K"]]:
-    """Return the lowest and highest angular accelerations of thrusts within a range [rad/s²]."""
-    turn = np.asarray(model.dynamics.configuration)[2]
-    up, down = np.maximum(turn, 0.0), np.minimum(turn, 0.0)
-    return np.asarray(up @ low + down @ high), np.asarray(up @ high + down @ low)
-
-
 def largest_moment(model: Model, limits: Limits) -> float:
     """Return the largest angular acceleration, either way, effects included [rad/s²]."""
-    least, most = moment_range(model, *thrust_range(model, _all_speeds(model), limits))
+    turn = np.asarray(model.dynamics.configuration)[2]
+    least, most = weighted_range(turn, *thrust_range(model, _all_speeds(model), limits))
     return float(max(most[0], -least[0])) + added_accelerations(model, limits)[1]
 
 
@@ -349,11 +342,14 @@ def strongest_thrust(
     model: Model, low: Float[np.ndarray, "n K"], high: Float[np.ndarray, "n K"]
 ) -> Float[np.ndarray, " K"]:
     """Bound the linear acceleration of thrusts within a range, over all yaws."""
-    yaw = 2 * np.pi * np.arange(_YAWS) / _YAWS
-    forward, left = np.asarray(model.dynamics.configuration)[:2]
-    push = np.cos(yaw)[:, None] * forward - np.sin(yaw)[:, None] * left
-    most = np.maximum(push, 0) @ high + np.minimum(push, 0) @ low
-    return most.max(axis=0) / _BETWEEN_YAWS
+    push = pushes(model, 2 * np.pi * np.arange(_YAWS) / _YAWS)
+    return weighted_range(push, low, high)[1].max(axis=0) / _BETWEEN_YAWS
+
+
+def pushes(model: Model, angles: Float[np.ndarray, " Y"]) -> Float[np.ndarray, "Y n"]:
+    """Return the acceleration along a direction per unit of each thrust, at angles to it."""
+    forward, left, _ = np.asarray(model.dynamics.configuration)
+    return np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
 
 
 def strongest_push(

@@ -17,6 +17,7 @@ from airpuck.control.tuning import Tuning
 from airpuck.craft.table import Table
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
+from airpuck.physics.motor import lag_decay
 from airpuck.physics.rigid_body import acceleration, acceleration_map, pose_difference
 from airpuck.physics.thrust import InverseThrust, thrust
 from airpuck.planning.plan import Plan
@@ -187,9 +188,7 @@ def _flown_on(
     """Return the planned states; after the end the craft is at rest and the motors spin down."""
     states = plan.state_at(acting, ahead)
     late = np.maximum(acting + ahead - plan.begin - plan.duration, 0.0)
-    left, _ = np.array(
-        [motor_lag(float(plan.model.dynamics.motor_time_constant), t) for t in late]
-    ).T
+    left = lag_decay(np, late, float(plan.model.dynamics.motor_time_constant))
     idle = plan.model.vehicle.command_min
     after = late > 0
     states[after, 6:] = idle + left[after, None] * (states[after, 6:] - idle)

@@ -13,13 +13,14 @@ import numpy as np
 from jaxtyping import Complex, Float, Int
 
 from airpuck.model.model_file import Model
+from airpuck.physics.effects import weighted_range
 from airpuck.physics.rigid_body import wrapped
 from airpuck.planning.request import (
     Request,
     added_accelerations,
     largest_moment,
-    moment_range,
     motor_range,
+    pushes,
     strongest_thrust,
     thrust_range,
 )
@@ -83,10 +84,6 @@ class Weight:
             kinks=self.kinks / share,
         )
 
-    def snapped(self, step: float) -> Weight:
-        """Return the weight with its kinks moved to the nearest ends of steps."""
-        return replace(self, kink_times=step * np.round(self.kink_times / step))
-
     def __call__(self, times: Float[np.ndarray, " K"]) -> Complex[np.ndarray, " K"]:
         """Evaluate the weight."""
         since = np.maximum(times - self.kink_times[:, None], 0.0)
@@ -138,7 +135,9 @@ class YawProgram:
     ) -> None:
         self._request, self._model = request, request.model
         self.step = horizon / fineness.steps
-        self.weight = weight.snapped(self.step)
+        # Kinks move to the nearest ends of steps.
+        kinks = self.step * np.round(weight.kink_times / self.step)
+        self.weight = replace(weight, kink_times=kinks)
         self._count = fineness.steps
         self._values = self.weight(self.step * np.arange(self._count + 1))
         self._size = np.abs(self._values)
@@ -282,9 +281,8 @@ class YawProgram:
         yaws, ending = self._yaws[rows % count], worth[rows % count]
         if np.isnan(goal[5]):
             # Any moment is allowed, so each motor does what pushes most.
-            push = _pushes(self._model, yaws - float(np.angle(self._values[k])))
-            low, high = (force[:, k] for force in self._boxes)
-            best = np.maximum(push, 0.0) @ high + np.minimum(push, 0.0) @ low + self._added[0]
+            push = pushes(self._model, yaws - float(np.angle(self._values[k])))
+            best = weighted_range(push, *(force[:, k] for force in self._boxes))[1] + self._added[0]
             return np.full(len(coasts), (ending.max(axis=1) + half * best).max())
         moments = (goal[5] - self._spins) * 2 / self.step
         # Columns are in ascending order, these moments in descending order.
@@ -338,12 +336,6 @@ def _steepest(gains: Float[np.ndarray, "Y M"], yaws: Float[np.ndarray, " Y"]) ->
     return float(np.abs(changes).max(initial=0.0)) / float(yaws[1] - yaws[0])
 
 
-def _pushes(model: Model, angles: Float[np.ndarray, " Y"]) -> Float[np.ndarray, "Y n"]:
-    """Return the acceleration along a direction per unit of each thrust, at angles to it."""
-    forward, left, _ = np.asarray(model.dynamics.configuration)
-    return np.cos(angles)[:, None] * forward - np.sin(angles)[:, None] * left
-
-
 def frontier(
     model: Model,
     angles: Float[np.ndarray, " Y"],
@@ -360,7 +352,7 @@ def frontier(
     chords between evenly spaced moments lie above the values in between; moments beyond the first
     infeasible moment are unreachable.
     """
-    turn, push = np.asarray(model.dynamics.configuration)[2], _pushes(model, angles)
+    turn, push = np.asarray(model.dynamics.configuration)[2], pushes(model, angles)
     # Any prices give a bound; prices of motors that barely turn the craft are only rounding errors.
     turns = np.abs(turn) > _TURNS * np.abs(turn).max()
     prices = np.where(turns, -push / np.where(turns, turn, 1.0), 0.0)
@@ -380,7 +372,7 @@ def frontier(
         excess = np.nan_to_num(above * below * spacing / (above + below), posinf=0.0, neginf=0.0)
     sides = np.pad(np.maximum(excess, 0.0), ((0, 0), (1, 1)))
     table = table + np.maximum(sides[:, 1:], sides[:, :-1]) + added[0]
-    least, most = moment_range(model, low, high)
+    least, most = weighted_range(turn, low, high)
     far = (2 if redrawn else 1) * spacing
     reached = (moments > least - added[1] - far) & (moments < most + added[1] + far)
     if redrawn:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.limits import CHUNK_BYTES, INDEX_BYTES, Unpacking, refused
 from airpuck.recording.ros1_file import ROS1, ros1_topic
-from airpuck.recording.unpacking import Log, TopicLog, unpacked
+from airpuck.recording.unpacking import Log, Malformed, TopicLog, unpacked
 
 if TYPE_CHECKING:
     from mcap.records import ChunkIndex, Schema
@@ -38,10 +38,6 @@ _FOOTER_CODE, _SCHEMA_CODE, _CHANNEL_CODE, _MESSAGE_CODE, _CHUNK_CODE = 2, 3, 4,
 _CHUNK_INDEX_CODE = 8
 #: Size of the groups in which messages outside chunks are processed [bytes].
 _TOGETHER_BYTES = 2**18
-
-
-class _Damaged(ValueError):
-    """A record is malformed."""
 
 
 class _Sink:
@@ -84,7 +80,7 @@ class _Sink:
         for code, start, end in islice(records, self._budget.records_left):
             if code == _MESSAGE_CODE:
                 if end - start < _MESSAGE.size:
-                    raise _Damaged("a message is cut short")
+                    raise Malformed("a message is cut short")
                 channel, _, time, _ = _MESSAGE.unpack_from(content, start)
                 # A message without a channel belongs to a lost chunk.
                 if channel not in self._channels or time >= 2**63:
@@ -110,7 +106,7 @@ def _framed(content: bytes) -> Iterator[tuple[int, int, int]]:
         code, length = _HEAD.unpack_from(content, start - _HEAD.size)
         end = start + length
         if end > size or not code:
-            raise _Damaged("the length of a record is impossible")
+            raise Malformed("the length of a record is impossible")
         yield code, start, end
         start = end + _HEAD.size
 
@@ -122,7 +118,7 @@ def _parsed(record: Any, content: bytes) -> Any:
     try:
         return record.read(ReadDataStream(BytesIO(content)))
     except Exception as error:
-        raise _Damaged("a record cannot be read") from error
+        raise Malformed("a record cannot be read") from error
 
 
 def _topic_log(schema: Schema | None, encoding: str) -> TopicLog:
@@ -137,7 +133,7 @@ def _topic_log(schema: Schema | None, encoding: str) -> TopicLog:
 def read_mcap(path: Path, wanted: Collection[str]) -> Log:
     """Read every intact chunk of an MCAP file, and record the damage."""
     size = path.stat().st_size
-    sink, damage = _Sink(path, wanted), list[str]()
+    sink = _Sink(path, wanted)
     with path.open("rb") as file:
         # Messages outside chunks.
         single = bytearray()
@@ -158,14 +154,13 @@ def read_mcap(path: Path, wanted: Collection[str]) -> Log:
                     _read_chunk(_take(file, length, path), sink)
                 elif code in (_SCHEMA_CODE, _CHANNEL_CODE):
                     sink.describe(code, _take(file, length, path))
-        except _Damaged as error:
-            damage.append(str(error))
+        except Malformed as error:
+            sink.log.damage.append(str(error))
         sink.chunk(bytes(single))
     if sink.lost:
         starts, stops = zip(*sink.lost, strict=True)
         number = f"{len(starts)} damaged chunk{'s' if len(starts) > 1 else ''}"
-        damage.append(f"{number} within {(max(stops) - min(starts)) / 1e9:.3f} s left out")
-    sink.log.damage = damage
+        sink.log.damage.append(f"{number} within {(max(stops) - min(starts)) / 1e9:.3f} s left out")
     sink.log.sort()
     return sink.log
 
@@ -181,20 +176,20 @@ def _headed(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     while checked:
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
-            raise _Damaged(f"it is cut short after {size} bytes")
+            raise Malformed(f"it is cut short after {size} bytes")
         code, length = _HEAD.unpack(head)
         if not code or length > size:
             break
         if length > size - position - _HEAD.size:
-            raise _Damaged(f"it is cut short after {size} bytes")
+            raise Malformed(f"it is cut short after {size} bytes")
         yield position, code, length
         position += _HEAD.size + length
         file.seek(position)
         if code == _FOOTER_CODE:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise _Damaged(f"it is cut short after {size} bytes")
+                raise Malformed(f"it is cut short after {size} bytes")
             return
-    raise _Damaged(f"it cannot be read beyond byte {position} of {size}")
+    raise Malformed(f"it cannot be read beyond byte {position} of {size}")
 
 
 def _take(file: BinaryIO, length: int, path: Path) -> bytes:
@@ -207,14 +202,14 @@ def _take(file: BinaryIO, length: int, path: Path) -> bytes:
 def _read_chunk(content: bytes, sink: _Sink) -> None:
     """Unpack a chunk and process its records; note the chunk if it is damaged."""
     if len(content) < _CHUNK.size + 8:
-        raise _Damaged("a chunk is cut short")
+        raise Malformed("a chunk is cut short")
     start_ns, stop_ns, size, checksum, name = _CHUNK.unpack_from(content)
     data = _CHUNK.size + name + 8
     try:
         compression = content[_CHUNK.size : data - 8].decode()
         records = unpacked(content[data:], compression, size, sink.path)
         if checksum and zlib.crc32(records) != checksum:
-            raise _Damaged("its checksum does not match its content")
+            raise Malformed("its checksum does not match its content")
         sink.chunk(records)
     except InputError:
         raise
@@ -238,7 +233,7 @@ def _chunk_indices(file: BinaryIO, size: int) -> dict[int, ChunkIndex]:
     try:
         found = [record for record in _framed(content) if record[0] == _CHUNK_INDEX_CODE]
         indices = [_parsed(ChunkIndex, content[start:end]) for _, start, end in found]
-    except _Damaged:
+    except Malformed:
         return {}
     return {index.chunk_start_offset: index for index in indices}
 

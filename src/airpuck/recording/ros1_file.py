@@ -16,7 +16,7 @@ from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.limits import CHUNK_BYTES, Unpacking, refused
 from airpuck.recording.cdr import typestore
 from airpuck.recording.message import definitions
-from airpuck.recording.unpacking import Log, TopicLog, unpacked
+from airpuck.recording.unpacking import Log, Malformed, TopicLog, unpacked
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
@@ -38,10 +38,6 @@ _TIMES = "".join(
 
 #: Encoding of the messages, as MCAP files name it.
 ROS1 = "ros1"
-
-
-class _MalformedRecord(ValueError):
-    """A record is malformed."""
 
 
 class _BagRecords:
@@ -94,13 +90,13 @@ class _BagRecords:
 def _field(fields: dict[str, bytes], name: str, size: int) -> bytes:
     value = fields.get(name, b"")
     if len(value) != size:
-        raise _MalformedRecord(f"a record has no {name}")
+        raise Malformed(f"a record has no {name}")
     return value
 
 
 def _text(fields: dict[str, bytes], name: str) -> str:
     if name not in fields:
-        raise _MalformedRecord(f"a record has no {name}")
+        raise Malformed(f"a record has no {name}")
     return fields[name].decode(errors="replace")
 
 
@@ -111,7 +107,7 @@ def _fields(data: bytes) -> dict[str, bytes]:
         text, start = _counted(data, start)
         name, equals, value = text.partition(b"=")
         if not equals:
-            raise _MalformedRecord("a record has a field without a value")
+            raise Malformed("a record has a field without a value")
         found[name.decode(errors="replace")] = value
     return found
 
@@ -121,7 +117,7 @@ def _counted(data: bytes, start: int) -> tuple[bytes, int]:
     begin = start + _LENGTH.size
     end = begin + (_LENGTH.unpack_from(data, start)[0] if begin <= len(data) else 0)
     if max(begin, end) > len(data):
-        raise _MalformedRecord("the length of a record is impossible")
+        raise Malformed("the length of a record is impossible")
     return data[begin:end], end
 
 
@@ -147,7 +143,7 @@ def _headed(file: BinaryIO, size: int, path: Path) -> Iterator[tuple[bytes, byte
             position += _LENGTH.size
             length = _LENGTH.unpack(start)[0] if len(start) == _LENGTH.size else size
             if length > size - position:
-                raise _MalformedRecord(f"it is cut short after {size} bytes")
+                raise Malformed(f"it is cut short after {size} bytes")
             if length > most:
                 remedy = "record smaller chunks"
                 raise refused("contains too large a record", most, remedy, file=path)
@@ -168,7 +164,7 @@ def read_ros1(path: Path, wanted: Collection[str]) -> Log:
                     raise
                 except ValueError:
                     lost += 1
-    except _MalformedRecord as error:
+    except Malformed as error:
         sink.log.damage.append(str(error))
     if lost:
         number = f"{lost} damaged record{'s' if lost > 1 else ''}"

@@ -123,6 +123,10 @@ class Log:
         self.damage += later.damage
 
 
+class Malformed(ValueError):
+    """A record of a bag is malformed."""
+
+
 def unpacked(data: bytes, compression: str, size: int, path: Path) -> bytes:
     """Unpack a chunk to its size; ValueError if the size differs or the chunk is damaged.
 

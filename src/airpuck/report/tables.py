@@ -126,7 +126,7 @@ def fit_table(names: Sequence[str], fits: Sequence[FitMeasures]) -> PageTable:
     headings = (
         "fit % (x, y, γ)",
         f"{first.steps} steps ahead",
-        f"simulated {first.restart:g} s",
+        f"simulated {first.restart_s:g} s",
         "simulated throughout",
         *("parameters", "log-likelihood", "AIC", "BIC"),
     )

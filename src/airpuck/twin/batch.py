@@ -19,9 +19,10 @@ from airpuck.boundary.errors import InputError
 from airpuck.compute.compiled import for_batches
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
+from airpuck.physics.puck import Disc
 from airpuck.physics.rigid_body import Dynamics, register_pytrees, wrapped
 from airpuck.recording.stream import Recording, Stream
-from airpuck.twin.plant import LONGEST_STEP, CraftBody, Plant, advance, build_plant, scaled
+from airpuck.twin.plant import LONGEST_STEP, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands, radio_delay
 from airpuck.twin.sensors import command_stream, nanoseconds
 from airpuck.twin.settings import TwinSettings, default_twin_settings
@@ -319,7 +320,8 @@ def _program(table: Table, mass: float, radius: float) -> Any:
 
     def step(truth: Any, state: Any, command: Any, duration: Any, scale: Any) -> Any:
         dynamics, inertia = truth
-        plant = Plant(scaled(dynamics, scale), CraftBody(mass, inertia, radius), table)
+        disc = Disc(0.0, 0.0, radius=radius, mass=mass, inertia=inertia)
+        plant = Plant(scaled(dynamics, scale), disc, table)
         return advance(jnp, plant, state, command, duration)
 
     return for_batches(step)

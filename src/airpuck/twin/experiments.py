@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, about
 from airpuck.boundary.results import Result
 from airpuck.control.excitation import Excitation
 from airpuck.control.law import Law, Pilot
@@ -97,12 +97,9 @@ def excite(
     ['command', 'imu', 'mouse', 'pose', 'reference']
     """
     each = tuple(amplitude) if isinstance(amplitude, Sequence) else amplitude
-    try:
+    # The fields of a plan end with their units; the arguments here do not.
+    with about(None, lambda field: field.removesuffix("_s").removesuffix("_m")):
         plan = ExcitationPlan(each, hold, duration, margin)
-    except InputError as error:
-        # The fields of a plan end with their units; the arguments here do not.
-        field = (error.field or "").removesuffix("_s").removesuffix("_m")
-        raise InputError(error.problem, field=field) from error
     flown = fly_excitation(model, plan, seed, settings=settings, tuning=tuning, plant=plant)
     return flown.recording
 

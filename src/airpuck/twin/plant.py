@@ -12,11 +12,11 @@ import numpy as np
 from airpuck.compute.arrays import if_any
 from airpuck.compute.compiled import program
 from airpuck.craft.actuators import Actuators, Propellers
-from airpuck.craft.table import Table
+from airpuck.craft.table import Contact, Table
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, make_effects
-from airpuck.physics.puck import contact_impulse, mobility
-from airpuck.physics.rigid_body import Dynamics, step
+from airpuck.physics.puck import Disc, strike
+from airpuck.physics.rigid_body import Dynamics, center_of_mass, step
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Longest integration step [s]: less than half the control period.
@@ -47,20 +47,8 @@ def build_plant(
     switched_on = make_effects(settings.effects.coefficients(), layout)
     dynamics = replace(model.dynamics, effects=model.dynamics.effects + switched_on)
     vehicle, inertia = model.vehicle, float(model.parameters.inertia)
-    body = CraftBody(vehicle.mass_kg, inertia, vehicle.radius_m)
-    return Plant(dynamics, body, settings.table, vehicle.actuators, compiled)
-
-
-@dataclass(frozen=True)
-class CraftBody:
-    """The craft's properties for contacts with a rail."""
-
-    #: [kg].
-    mass: Any
-    #: Moment of inertia about the centre of mass [kg m²].
-    inertia: Any
-    #: [m].
-    radius: Any
+    disc = Disc(0.0, 0.0, radius=vehicle.radius_m, mass=vehicle.mass_kg, inertia=inertia)
+    return Plant(dynamics, disc, settings.table, vehicle.actuators, compiled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +56,8 @@ class Plant:
     """A craft on a table: coefficients with all effects, disc and rails."""
 
     dynamics: Dynamics
-    disc: CraftBody
+    #: The craft as a disc that meets rails.
+    disc: Disc
     table: Table
     #: Kind of the thrusters.
     actuators: Actuators = field(default_factory=Propellers)
@@ -120,44 +109,23 @@ def rebound(xp: Any, plant: Plant, state: Any) -> Any:
 
 def _bounce(xp: Any, plant: Plant, state: Any, *, axis: int, reach: float) -> Any:
     """Apply the impulse of the rails across one axis; friction may stop the slip."""
-    dynamics, disc, table = plant.dynamics, plant.disc, plant.table
+    table = plant.table
     position, speed = state[axis], state[3 + axis]
     side = xp.sign(position)
     depth = xp.abs(position) - reach
     meets = (depth > 0) & (side * speed > 0)
 
-    # From the centre of mass to the contact, along the normal (into the table) and the tangent (the
-    # normal turned by 90 degrees).
-    yaw, spin = state[2], state[5]
-    rx, ry = dynamics.center_of_mass[0], dynamics.center_of_mass[1]
-    if dynamics.frame == "body":
-        cos, sin = xp.cos(yaw), xp.sin(yaw)
-        rx, ry = cos * rx - sin * ry, sin * rx + cos * ry
+    x, y, yaw, vx, vy, spin = state[:6]
+    offset = center_of_mass(plant.dynamics, "world", xp.cos(yaw), xp.sin(yaw))
+    disc = replace(plant.disc, vx=vx, vy=vy, spin=spin, offset=offset)
     nx, ny = (-side, 0.0 * side) if axis == 0 else (0.0 * side, -side)
-    arm_n = -disc.radius - (rx * nx + ry * ny)
-    arm_t = -(ry * nx - rx * ny)
-    normal_speed = state[3] * nx + state[4] * ny
-    slip = state[4] * nx - state[3] * ny - disc.radius * spin
-
-    impulse_n, impulse_t = contact_impulse(
-        xp,
-        mobility(disc.mass, disc.inertia, arm_n, arm_t),
-        normal_speed,
-        slip,
-        table.restitution,
-        table.friction,
-    )
-
-    # Velocity of the centre of mass, then of the geometric centre, which turns about it.
-    turned = (arm_n * impulse_t - arm_t * impulse_n) / disc.inertia
-    gained_x = (impulse_n * nx - impulse_t * ny) / disc.mass + turned * ry
-    gained_y = (impulse_n * ny + impulse_t * nx) / disc.mass - turned * rx
-    zero = 0.0 * position
+    rail = Contact(restitution=table.restitution, grip=1.0, friction=table.friction)
+    strike(disc, Disc(0.0, 0.0), nx, ny, rail, xp)
     # The position rebounds like the speed: by 1 + e times the depth.
     back = -side * depth * (1 + table.restitution)
-    along = (back, zero) if axis == 0 else (zero, back)
-    change = [*along, zero, gained_x, gained_y, turned]
-    return xp.concatenate([state[:6] + xp.where(meets, xp.stack(change), 0.0), state[6:]])
+    place = (x + back, y) if axis == 0 else (x, y + back)
+    bounced = xp.stack([*place, yaw, disc.vx, disc.vy, disc.spin])
+    return xp.concatenate([xp.where(meets, bounced, state[:6]), state[6:]])
 
 
 def moved(parameters: Parameters, spread: float, seed: int) -> Parameters:

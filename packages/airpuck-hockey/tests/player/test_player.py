@@ -30,6 +30,7 @@ from airpuck_hockey.player.player import (
     weakened,
 )
 from airpuck_hockey.player.tactic import Frame, Intention
+from tests.apparatus.models import scaled
 
 MODEL, PLAY = read_model("paper:M3"), AirHockey()
 SETTINGS = default_twin_settings().with_usual_delay(MODEL.transport_delay)
@@ -326,16 +327,10 @@ def test_a_craft_that_takes_commands_too_rarely_is_refused_before_anything_is_pl
     check_player(read_model("paper:M3"))
 
 
-def weak(share):
-    """The paper's craft with a share of its thrust."""
-    model = airpuck.read_model("paper:M3")
-    parameters = replace(model.parameters, thrust=share * model.parameters.thrust)
-    return replace(model, parameters=parameters)
-
-
 def test_a_player_of_a_weak_craft_allows_for_its_longer_times(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    model, other = airpuck.read_model("paper:M3"), weak(0.41)
+    model = airpuck.read_model("paper:M3")
+    other = scaled(model, 0.41)
     file = tmp_path / "airpuck" / "minimal_times" / f"{craft_of(other)}.toml"
     file.parent.mkdir(parents=True)
     slow = replace(read_minimal_times(), craft=craft_of(other), time=2 * read_minimal_times().time)

@@ -1,6 +1,7 @@
 """Shots: against hand calculations, mirror images, the twin's puck, and random draws."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -279,10 +280,13 @@ def test_less_certain_contacts_have_less_chance_by_drawn_laws_of_contact():
             count=512,
         )
         many = contact(place, motion, np.full(4000, normal), 1.3)
-        laws = (
+        restitution, grip = (
             np.clip(rng.normal(mean, sd, 4000), 0, 1) for mean, sd in ((0.8, 0.03), (0.48, 0.1))
         )
-        drawn = flown(known, many.place, struck(PITCH, many, *laws))
+        law = known.puck.craft.model_copy(update={"restitution": restitution, "grip": grip})
+        puck = known.puck.model_copy(update={"craft": law})
+        drawn_laws = replace(PITCH, equipment=known.model_copy(update={"puck": puck}))
+        drawn = flown(known, many.place, struck(drawn_laws, many))
         assert 0.1 < drawn.scores.mean() < 0.9
         assert chance[0] == pytest.approx(drawn.scores.mean(), abs=0.03)
 

@@ -6,7 +6,7 @@ All functions take arrays over shots, in the player's own frame: the goal is at 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -97,25 +97,18 @@ def unit(angle: Any) -> Float[np.ndarray, "*n 2"]:
     return found
 
 
-def struck(
-    pitch: Pitch,
-    contacts: Contacts,
-    restitution: Float[np.ndarray, "*n"] | None = None,
-    grip: Float[np.ndarray, "*n"] | None = None,
-) -> Float[np.ndarray, "*n 3"]:
-    """Return velocity and yaw rate of the puck after contacts, by default with the table's law."""
-    puck, law = pitch.equipment.puck, pitch.equipment.puck.craft
-    if restitution is not None or grip is not None:
-        law = law.model_copy(update={"restitution": restitution, "grip": grip})
-    vx, vy, spin = np.moveaxis(contacts.puck.copy(), -1, 0)
+def struck(pitch: Pitch, contacts: Contacts) -> Float[np.ndarray, "*n 3"]:
+    """Return velocity and yaw rate of the puck after contacts."""
+    puck = pitch.equipment.puck
+    vx, vy, spin = np.moveaxis(contacts.puck, -1, 0)
     body = Disc(0.0, 0.0, vx, vy, spin, puck.radius_m, puck.mass_kg, puck.inertia)
-    craft_x, craft_y = np.moveaxis(contacts.craft.copy(), -1, 0)
+    craft_x, craft_y = np.moveaxis(contacts.craft, -1, 0)
     sizes = pitch.craft_radius, pitch.craft_mass, pitch.craft_inertia
     craft = Disc(0.0, 0.0, craft_x, craft_y, np.zeros_like(vx), *sizes)
     nx, ny = np.cos(contacts.normal), np.sin(contacts.normal)
     # A puck that already moves away does not bounce.
     closing = (vx - craft_x) * nx + (vy - craft_y) * ny < 0
-    strike(body, craft, nx, ny, law, np)
+    strike(body, craft, nx, ny, puck.craft, np)
     after = np.stack([body.vx, body.vy, body.spin], axis=-1)
     return np.where(closing[..., None], after, contacts.puck)
 
@@ -125,22 +118,17 @@ def flown(
     place: Float[np.ndarray, "*n 2"],
     motion: Float[np.ndarray, "*n 3"],
     opponent: Opposed | None = None,
-    *,
-    restitution: Float[np.ndarray, "*n"] | None = None,
-    grip: Float[np.ndarray, "*n"] | None = None,
 ) -> Flights:
     """Follow pucks over side rails to the opponent's goal line.
 
     Parameters
     ----------
     equipment : AirHockey
-        Table and puck.
+        Table and puck, whose laws of contact may hold a number for each shot.
     place, motion : array
         Initial position [m], and velocity and angular velocity [m/s, rad/s].
     opponent : Opposed, optional
         The opponent; by default there is none.
-    restitution, grip : array, optional
-        Restitution and grip of the rails, shot by shot; by default the table's.
 
     Returns
     -------
@@ -148,12 +136,8 @@ def flown(
         Which score.
     """
     puck, table = equipment.puck, equipment.table
-    rail = puck.rail
-    if restitution is not None or grip is not None:
-        rail = rail.model_copy(update={"restitution": restitution, "grip": grip})
     reach, line = table.reach(puck.radius_m)[1], table.length_m / 2
-    x, y = place[..., 0].copy(), place[..., 1].copy()
-    vx, vy, spin = (motion[..., k].copy() for k in range(3))
+    (x, y), (vx, vy, spin) = np.moveaxis(place, -1, 0), np.moveaxis(motion, -1, 0)
     bounces, scores = np.zeros_like(x), np.zeros(x.shape, dtype=bool)
     passes, going = np.ones_like(x), vx > 0
     drag = puck.drag_1_s
@@ -182,7 +166,7 @@ def flown(
             bounces += going
             vx, vy, spin = vx * left, vy * left, spin * np.exp(-puck.spin_drag_1_s * lasted)
             body = Disc(0.0, 0.0, vx, vy, spin, puck.radius_m, puck.mass_kg, puck.inertia)
-            strike(body, Disc(0.0, 0.0), np.zeros_like(vy), -np.sign(vy), rail, np)
+            strike(body, Disc(0.0, 0.0), np.zeros_like(vy), -np.sign(vy), puck.rail, np)
             vx, vy, spin = body.vx, body.vy, body.spin
             going &= vx > 0
     if opponent is not None:
@@ -275,28 +259,25 @@ def chances(
     across = unit(contacts.normal + math.pi / 2)
     offset = np.einsum("nci,ni->nc", puck[..., :2] - craft, across)
     turned = np.arcsin(np.clip(offset / pitch.contact_distance, -_GRAZING, _GRAZING))
-    law, rail = pitch.equipment.puck.craft, pitch.equipment.puck.rail
-    spread = model.spread
-    shape = turned.shape
+    sizes, spread = pitch.equipment.puck, model.spread
 
-    def varied(value: float, deviation: float, axis: int) -> Float[np.ndarray, "n c"]:
-        return np.broadcast_to(np.clip(value + deviation * drawn[:, axis], 0.0, 1.0), shape)
+    def varied(law: Any, restitution: float, grip: float, axis: int) -> Any:
+        """Return a law of contact with a restitution and a grip for each trial."""
+        returned = np.clip(law.restitution + restitution * drawn[:, axis], 0.0, 1.0)
+        gripped = np.clip(law.grip + grip * drawn[:, axis + 1], 0.0, 1.0)
+        return law.model_copy(update={"restitution": returned, "grip": gripped})
 
+    laws = {
+        "craft": varied(sizes.craft, _RESTITUTION, _GRIP, 10),
+        "rail": varied(sizes.rail, spread["rail.restitution"], spread["rail.grip"], 12),
+    }
+    known = pitch.equipment.model_copy(update={"puck": sizes.model_copy(update=laws)})
     tried = Contacts(
         place=contacts.place[:, None] + puck[..., :2],
         puck=contacts.puck[:, None] + puck[..., 3:],
         normal=contacts.normal[:, None] + turned,
         craft=contacts.craft[:, None] + drawn[:, 8:10] * error.speed,
     )
-    after = struck(
-        pitch, tried, varied(law.restitution, _RESTITUTION, 10), varied(law.grip, _GRIP, 11)
-    )
-    flights = flown(
-        pitch.equipment,
-        tried.place,
-        after,
-        opponent,
-        restitution=varied(rail.restitution, spread["rail.restitution"], 12),
-        grip=varied(rail.grip, spread["rail.grip"], 13),
-    )
+    after = struck(replace(pitch, equipment=known), tried)
+    flights = flown(known, tried.place, after, opponent)
     return (flights.scores * flights.passes).mean(axis=1), flights.bounces.mean(axis=1)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from airpuck import AirHockey, PuckState
 from airpuck.extend import PUCK_NUMBERS, Puck, PuckOnTable, Touch, coast, puck_paths, time_of
+from airpuck_hockey.puck.flights import sigmas
 
 #: Standard deviations of parameters that were not identified on this table. Restitution: the
 #: scatter of single bounces of a real puck (studies/real_puck.md); others are guesses.
@@ -21,8 +22,6 @@ _ASSUMED = {"drag_1_s": 0.05, "spin_drag_1_s": 0.1, "rail.restitution": 0.07, "r
 ACCELERATION_DENSITY, SPIN_DENSITY = 0.03, 1.0
 #: Just beyond the next bounce [s]: a puck on the rail would meet the rail again.
 _BEYOND = 1e-8
-#: A smaller drag has no effect; with none, the distance would be 0 / 0 [1/s].
-_NO_DRAG = 1e-12
 #: For at most this many times, plain numbers are faster than arrays.
 _FEW = 4
 #: Times at which a path is drawn, in addition to its bounces [s].
@@ -213,13 +212,9 @@ def _coasting(
     """Return the states of a puck that coasts: `coast` at many times."""
     if len(durations) <= _FEW:
         return np.array([coast(puck, state, each) for each in durations.tolist()]).reshape(-1, 6)
-    drag, spin_drag = max(puck.drag_1_s, _NO_DRAG), max(puck.spin_drag_1_s, _NO_DRAG)
-    rates = np.array([drag, drag, spin_drag])
-    sigma = np.expm1(durations[:, None] * -rates) / -rates
-    start, found = np.array(state), np.empty((len(durations), 6))
-    found[:, :3] = start[:3] + start[3:] * sigma
-    found[:, 3:] = start[3:] * (1 - rates * sigma)
-    return found
+    rates = np.array([puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s])
+    sigma, (place, motion) = sigmas(rates, durations), np.split(np.array(state), 2)
+    return np.hstack([place + motion * sigma, motion * (1 - rates * sigma)])
 
 
 @dataclass(frozen=True, eq=False)
