@@ -42,8 +42,9 @@ CIRCLE, DWELL, FAILS, COUNTS = 12.0, 2.0, 4.0, 6.0
 #: Number of set points.
 POINTS = 6
 ESTIMATORS = ("kalman", "learning", "knows")
-#: With `--disturbed`: time between pushes, and for which a wandering acceleration lasts [s].
-PUSHED, WANDERS = 0.005, 2.0
+#: With `--disturbed`: time between pushes, and for which a wandering acceleration lasts [s]. It has
+#: then the flat spectrum that the filter finds in real flights below 0.5 Hz, 0.1 m/s²/√Hz.
+PUSHED, WANDERS = 0.01, 0.5
 
 
 class Disturbed(Twin):

@@ -238,6 +238,17 @@ def test_a_factor_between_thrust_and_matrix_changes_nothing():
     )
 
 
+def test_a_column_that_only_turns_the_craft_has_no_direction_to_compare():
+    model, matrix = published_model("M4"), published_model("M4").parameters.configuration_matrix
+    turning = matrix.copy()
+    turning[:2, 2] = 0.0
+    parameters = replace(model.parameters, configuration_matrix=turning)
+    compared = ComparedQuantities(replace(model, parameters=parameters))
+    gone = set(ComparedQuantities(model).labels) - set(compared.labels)
+    assert gone == {"direction motor_b_1", "turn per push motor_b_1"}
+    assert np.isfinite(compared.values(replace(model, parameters=parameters))).all()
+
+
 def test_errors_of_sums_by_hand():
     model = published_model("M3")
     rng = np.random.default_rng(0)

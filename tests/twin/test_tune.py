@@ -85,6 +85,17 @@ def test_a_law_must_name_numbers_that_may_change(tmp_path, tuned, said):
         airpuck.tune(M3, users_law(tmp_path, tuned), trials=1)
 
 
+def test_zeros_stay_so_one_number_must_be_more(tmp_path):
+    (tmp_path / "mine.py").write_text(
+        LAW.format(tuned='tuned = ("inner.weight",)', seen="").replace("= 1.0", "= 0.0")
+    )
+    start = tuning_for(M3).with_law(f"{tmp_path}/mine.py:Mine")
+    off = {"disturbance_density": 0.0, "angular_disturbance_density": 0.0}
+    start = start.model_copy(update={"estimation": start.estimation.model_copy(update=off)})
+    with pytest.raises(airpuck.InputError, match="law: all weights are zero"):
+        airpuck.tune(M3, start, trials=1)
+
+
 @pytest.mark.slow
 def test_trials_change_the_weights_of_a_users_law_where_the_file_has_them(tmp_path):
     (tmp_path / "sub").mkdir()

@@ -272,7 +272,11 @@ def fly_excitation(
 
 
 @command(_PANEL)
-def record(output: options.NewBag, live: LiveSettings, vehicle: options.ReadVehicle = None) -> None:
+def record(
+    output: options.NewBag,
+    live: Annotated[LiveSettings, Without(("topics",))],
+    vehicle: options.ReadVehicle = None,
+) -> None:
     """Record the graph's traffic as a ROS 2 bag while it runs; Ctrl-C ends it."""
     from airpuck.live.record import record
 

@@ -315,6 +315,8 @@ def _of_columns(model: Model) -> Iterator[ComparedQuantity]:
     """List the directions and lever arms of propellers in a directly learned Π."""
     for motor, name in enumerate(model.vehicle.propeller_names):
         ahead = np.asarray(model.dynamics.configuration)[:2, motor]
+        if not ahead.any():  # a wheel only turns the craft
+            continue
         yield ComparedQuantity(f"direction {name}", "rad", 1.0, partial(_direction, motor, ahead))
         arm, turn = 1 / model.radius_of_gyration, partial(_turn_per_push, motor)
         yield ComparedQuantity(f"turn per push {name}", "rad/m", arm, turn)

@@ -36,7 +36,7 @@ from airpuck.physics.thrust import thrust
 #: less than a percent of all flights.
 _LEVEL = 5e-4
 #: Decrease of the mean square below which a term is not worth its coefficients: half a percent of
-#: the root, as for the ladder's rungs.
+#: the root.
 _NOTICEABLE = 0.01
 #: Part of a shift for which the main quantities are linear.
 _STEP = 1e-3

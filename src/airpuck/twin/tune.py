@@ -365,7 +365,10 @@ def _weights(tuning: Tuning) -> dict[tuple[str, ...], float]:
     with explained(wrong, problem, field=f"{settings.__name__}.tuned"):
         for name in settings.tuned:
             found["law", table, *name.split(".")] = float(attrgetter(name)(own))
-    return {path: value for path, value in found.items() if value > 0}
+    positive = {path: value for path, value in found.items() if value > 0}
+    if not positive:
+        raise InputError("all weights are zero, and zeros stay; set one", field="law")
+    return positive
 
 
 def _changed(
