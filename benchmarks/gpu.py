@@ -16,13 +16,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from textwrap import shorten
 
 from .process import Run, run
 from .scaling import campaign
@@ -33,12 +35,13 @@ CRAFT = (1_000, 10_000, 100_000)
 SHARED = {"XLA_PYTHON_CLIENT_PREALLOCATE": "false"}
 #: Flies Crazyflies for a second, and prints the seconds of flight per second.
 CRAZYFLOW = """
-import json, statistics, sys, time
+import json, os, statistics, sys, tempfile, time
 import jax
 import numpy as np
 from crazyflow.control import Control
 from crazyflow.sim import Sim
 
+os.chdir(tempfile.gettempdir())  # MuJoCo writes a log
 craft, runs = int(sys.argv[1]), 3
 device = jax.devices()[0].platform
 sim = Sim(n_worlds=craft, n_drones=1, control=Control.rotor_vel, freq=500, device=device)
@@ -61,56 +64,68 @@ print(json.dumps({"rate": craft / wall, "device": jax.devices()[0].device_kind})
 
 @dataclass
 class Measuring:
-    """What is left of the time, and the rows so far."""
+    """Rows measured, the time when measuring ends, and the file that keeps the rows."""
 
     until: float
-    rows: dict[str, str]
+    file: Path | None
+    rows: dict[str, str] = field(default_factory=dict)
 
-    def run(self, *command: object) -> Run:
+    def run(self, command: Sequence[object]) -> Run:
         """Run a process, and end it when the time is over."""
-        left = self.until - time.monotonic()
+        left, cut = self.until - time.monotonic(), threading.Event()
         if left <= 0:
             raise RuntimeError("no time left")
 
-        def ended_in_time(process) -> None:
-            timer = threading.Timer(left, process.kill)
+        def ended_in_time(process: subprocess.Popen[bytes]) -> None:
+            def end() -> None:
+                cut.set()
+                process.kill()
+
+            timer = threading.Timer(left, end)
             timer.daemon = True
             timer.start()
 
-        return run(command, SHARED, until=ended_in_time)
+        try:
+            return run(command, SHARED, until=ended_in_time)
+        except RuntimeError as error:
+            if cut.is_set():
+                raise RuntimeError(f"cut short after {left:.0f} s") from error
+            raise
 
     def row(self, name: str, measure: Callable[[], str]) -> None:
-        """Measure a row, or say why there is none."""
+        """Measure a row, or report why it failed, and keep it."""
         begun = time.monotonic()
         try:
             self.rows[name] = measure()
-        except RuntimeError as error:
-            self.rows[name] = f"none: {str(error).splitlines()[-1][-120:]}"
+        except (RuntimeError, ValueError, LookupError) as error:
+            self.rows[name] = f"none: {shorten(str(error).splitlines()[-1], 120)}"
         print(f"| {name} | {self.rows[name]} | {time.monotonic() - begun:.0f} s |", flush=True)
+        if self.file is not None:
+            self.file.write_text(json.dumps(self.rows, indent=2) + "\n", "utf-8")
 
 
 def workload(measuring: Measuring, name: str, *options: object) -> dict[str, float]:
     """Run one of `benchmarks.workloads` while there is time, and return its figures."""
-    return measuring.run(sys.executable, "-m", "benchmarks.workloads", name, *options).figures
+    return measuring.run((sys.executable, "-m", "benchmarks.workloads", name, *options)).figures
 
 
 def open_loop(measuring: Measuring, craft: int) -> str:
     """Fly a batch of twins under commands that nothing corrects."""
     script = sys.executable, HERE / "twin_throughput.py", "--runs", 3, "--seconds", 1
-    last = measuring.run(*script, "--craft", craft).output.splitlines()[-1]
+    last = measuring.run((*script, "--craft", craft)).output.splitlines()[-1]
     _, own, same = last.split()
     return f"{float(own):.3g} with a radio for each, {float(same):.3g} with one for all"
 
 
 def closed_loop(measuring: Measuring, craft: int) -> str:
-    """Steer a batch of twins by what cameras see."""
+    """Steer a batch of twins by their poses."""
     found = workload(measuring, "crowd", "--craft", craft, "--runs", 3)
     return f"{craft / found['wall_s']:.3g}"
 
 
 def crazyflow(measuring: Measuring, python: Path, craft: int) -> str:
-    """Fly as many Crazyflies."""
-    found = measuring.run(python, "-c", CRAZYFLOW, craft).figures
+    """Fly as many Crazyflies as twins, with the peer."""
+    found = measuring.run((python, "-c", CRAZYFLOW, craft)).figures
     return f"{found['rate']:.3g}, on {found['device']}"
 
 
@@ -125,10 +140,10 @@ def fits(measuring: Measuring) -> str:
     return f"{found['fits_per_s']:.3g} fits/s"
 
 
-def flights(count: int) -> str:
+def flights(measuring: Measuring, count: int) -> str:
     """Fly and fit in Dask's processes."""
     begun = time.monotonic()
-    campaign(count, 1)
+    campaign(count, 1, measuring.run)
     return f"{count / (time.monotonic() - begun):.3g} flights of 10 s with their fits per second"
 
 
@@ -143,11 +158,13 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("-o", "--output", type=Path, help="store the rows as JSON, too")
     options = parser.parse_args()
-    measuring = Measuring(time.monotonic() + 60 * options.minutes, {})
+    if options.output is not None:
+        options.output.parent.mkdir(parents=True, exist_ok=True)
+    measuring = Measuring(time.monotonic() + 60 * options.minutes, options.output)
     asked = "import jax; print(jax.devices()[0].device_kind, len(jax.devices()), jax.__version__)"
     measuring.row(
         "device, number, JAX",
-        lambda: measuring.run(sys.executable, "-c", asked).output.strip(),
+        lambda: measuring.run((sys.executable, "-c", asked)).output.strip(),
     )
     measuring.row("Gauss-Newton step of M3, all windows", partial(step, measuring))
     for craft in options.craft:
@@ -158,9 +175,7 @@ def main() -> None:
             peer = partial(crazyflow, measuring, options.peer, craft)
             measuring.row(f"{flown}, crazyflow", peer)
     measuring.row("fits to resampled data", partial(fits, measuring))
-    measuring.row("campaign of 10 flights", partial(flights, 10))
-    if options.output is not None:
-        options.output.write_text(json.dumps(measuring.rows, indent=2) + "\n", "utf-8")
+    measuring.row("campaign of 10 flights", partial(flights, measuring, 10))
 
 
 if __name__ == "__main__":

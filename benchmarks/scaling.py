@@ -24,7 +24,7 @@ import numpy as np
 
 from airpuck.report.style import write_png
 
-from .process import AIRPUCK, run, workload
+from .process import AIRPUCK, Run, run, workload
 
 #: Size, cost [s] and peak memory of the process [MiB].
 Measured = tuple[float, float, float]
@@ -68,7 +68,7 @@ def identified(minutes: float, _: int) -> Measured:
     return minutes, done.cpu_s, done.peak_mib
 
 
-def campaign(flights: float, _: int) -> Measured:
+def campaign(flights: float, _: int, run: Callable[..., Run] = run) -> Measured:
     """Fly and fit many times, in Dask's processes."""
     with tempfile.TemporaryDirectory() as folder:
         spec = Path(folder) / "spec.toml"

@@ -43,8 +43,8 @@ from airpuck.twin.twin import Twin
 
 #: Longer than any run, and length of the fixed sequence [s].
 ALWAYS, FIXED = 1e4, 60.0
-#: Contacts with a rail above this speed are told, each with the flight [m/s].
-TOLD = 0.1
+#: Contacts with a rail above this speed are listed with their flight [m/s].
+REPORTED = 0.1
 #: A dead motor, reversed motor, swapped motors, a weak motor: shares of the draws.
 DEAD, REVERSED, SWAPPED, WEAK = 0.05, 0.05, 0.1, 0.33
 
@@ -154,7 +154,7 @@ def commissioned(seed: int) -> dict[str, Any]:
     line |= {"wall_s": found.wall_s, "steps": [[s.step, s.words] for s in found.steps]}
     line["findings"] = [finding.sentence for finding in found.findings]
     line["rail_m_s"] = max((speed for _, speed in twin.craft.contacts), default=0.0)
-    met = [(time, speed) for time, speed in twin.craft.contacts if speed > TOLD]
+    met = [(time, speed) for time, speed in twin.craft.contacts if speed > REPORTED]
     line["contacts"] = [
         [one.name, time - one.span[0], speed]
         for time, speed in met

@@ -42,8 +42,8 @@ CIRCLE, DWELL, FAILS, COUNTS = 12.0, 2.0, 4.0, 6.0
 #: Number of set points.
 POINTS = 6
 ESTIMATORS = ("kalman", "learning", "knows")
-#: With `--disturbed`: time between pushes, and for which a wandering acceleration lasts [s]. It has
-#: then the flat spectrum that the filter finds in real flights below 0.5 Hz, 0.1 m/s²/√Hz.
+#: With `--disturbed`: time between pushes, and for which a wandering acceleration lasts [s]. Its
+#: spectrum is then flat, as the filter finds it in real flights below 0.5 Hz: 0.1 m/s²/√Hz.
 PUSHED, WANDERS = 0.01, 0.5
 
 
@@ -57,7 +57,7 @@ class Disturbed(Twin):
         self._random, self._wandering = np.random.default_rng([91, seed]), np.zeros(3)
 
     def wait_until(self, time: float) -> list[Any]:
-        """Simulate until a time, with a push every few milliseconds."""
+        """Simulate until a time, with a push every 10 ms."""
         seen = []
         while self.now < time:
             h = min(PUSHED, time - self.now)
@@ -244,12 +244,17 @@ def main() -> None:
     parser.add_argument("--summary", action="store_true", help="only summarise the file")
     options = parser.parse_args()
     kept = Kept(options.output)
+    if not options.summary and any(
+        line.get("disturbed", False) != options.disturbed for line in kept.lines
+    ):
+        parser.error(f"{options.output} has flights of the other kind: disturbed or not")
     for seed in range(0 if options.summary else options.flights):
         for name, change in changes(seed).items():
             for law in ("lqr", "mpc"):
                 able = ESTIMATORS if change.known else ESTIMATORS[:2]
                 for estimator in ("learning",) if options.disturbed else able:
                     row = {"law": law, "change": name, "estimator": estimator, "seed": seed}
+                    row |= {"disturbed": True} if options.disturbed else {}
                     if not kept.have(**row):
                         kept.add(row | flown(change, law, estimator, seed, options.disturbed))
                         print(json.dumps(kept.lines[-1]), flush=True)

@@ -780,8 +780,9 @@ def main() -> None:
     sys.path.insert(0, str(ROOT))
     table = []
     for package in options.packages:
-        if not (sources(package) / package).is_dir():
-            parser.error(f"there is no package {package}")
+        if not tests_of(package).is_dir():
+            parser.error(f"there is no package {package}; air hockey's are airpuck_hockey/NAME")
+    for package in options.packages:
         found = study(package, options.count, options.seed, options.slow, options.out)
         survivors = [mutant for mutant, row in found if not row["killed"]]
         for mutant in sorted(survivors, key=str):

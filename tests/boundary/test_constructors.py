@@ -42,6 +42,13 @@ def trajectory(**changed):
     return airpuck.Trajectory(**sound | changed)
 
 
+def one_command(value):
+    """Commands of zero, but for a single one."""
+    found = np.zeros((50, 6))
+    found[7, 3] = value
+    return found
+
+
 def twin(**changed):
     return airpuck.Twin(M3, **changed)
 
@@ -143,6 +150,10 @@ WRONG = {
         ("stop", lambda: airpuck.Span(2.0, 1.0, "gap")),
         ("confidence", lambda: airpuck.Span(1.0, 2.0, "gap", 5.0)),
         ("excluded", lambda: trajectory(excluded=(5,))),
+        ("time", lambda: trajectory(time=np.insert(TIME[:-1], 9, TIME[9]))),
+        ("time", lambda: trajectory(time=np.zeros(50))),
+        ("command", lambda: trajectory(command=one_command(1.2))),
+        ("command", lambda: trajectory(command=one_command(-0.2))),
         ("propellers", lambda: trajectory(propellers="abcdef")),
         ("command_time", lambda: trajectory(command_time=[], command=np.zeros((0, 6)))),
         ("spans", lambda: trajectory().leave_out([5])),

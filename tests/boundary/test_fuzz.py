@@ -8,8 +8,6 @@ import pytest
 
 from ..apparatus.fuzz import fuzz, kinds, table
 
-pytestmark = pytest.mark.slow
-
 KINDS = list(kinds(Path("/")))
 
 
@@ -25,6 +23,14 @@ def assert_good(cases: int, first: int = 0) -> str:
     return table(tallies)
 
 
+@pytest.mark.parametrize("kind", ["mcap", "data.pt"])
+def test_some_damaged_recordings(kind):
+    (tally,) = fuzz([kind], 10).values()
+    assert not tally.failures, tally.failures[0]
+    assert sum(tally.outcomes.values()) == 10
+
+
+@pytest.mark.slow
 def test_damaged_files():
     assert_good(30)
 

@@ -70,7 +70,7 @@ EXCHANGED, CIRCLE = [3, 1, 2, 0, 4, 5], [2, 1, 4, 3, 0, 5]
     ("order", "tried"),
     [*((EXCHANGED, t) for t in ((0,), (0, 1), (1, 3), (0, 1, 3, 4, 5))), (CIRCLE, (0, 1, 4, 5))],
 )
-def test_of_motors_in_each_other_s_places_all_but_one_tell_the_last_one_s_place(order, tried):
+def test_an_untried_motor_is_placed_by_elimination(order, tried):
     true = default_vehicle()
     wrong = stated(true, order)
     seen = np.full((3, 6), np.nan)

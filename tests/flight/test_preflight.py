@@ -14,7 +14,14 @@ from airpuck.flight.preflight import (
     judge_test,
     preflight,
 )
-from airpuck.flight.pulses import PulsePlan, PulseTest, find_pulses, pulse_responses
+from airpuck.flight.pulses import (
+    PulsePlan,
+    PulseResponse,
+    PulseTest,
+    find_pulses,
+    pulse_responses,
+    sound_pulses,
+)
 from airpuck.live.fly import ANYWHERE
 from airpuck.live.safety import Guard, GuardedPilot
 from airpuck.model.model_file import nominal_model, published_model
@@ -69,6 +76,27 @@ def words(found: Preflight, name: str) -> str:
 
 def wrong(found: Preflight) -> list[str]:
     return [check.name for check in found.checks if check.verdict == "wrong"]
+
+
+def test_disturbed_pulses_and_failed_starts_are_left_out():
+    def pulse(motor, turn, misfit):
+        return PulseResponse(motor, np.array([0, 0, turn]), 0, misfit, np.zeros(1), np.eye(3))
+
+    sound, disturbed, failed = pulse(0, 1.0, 1.0), pulse(0, 9.0, 6.0), pulse(0, 0.2, 1.0)
+    alone = pulse(1, 1.0, 1.0), pulse(1, 0.4, 9.0)
+    found = sound_pulses([sound, failed, *alone], 0.05, 0.5)
+    assert found == {0: [sound], 1: [alone[0]]}
+    assert sound_pulses([pulse(0, 0.8, 6.0), sound], 0.05, 0.5)[0] == [sound]
+    # Nothing is sound: all count.
+    both = [disturbed, sound]
+    assert sound_pulses(both, 0.05, 0.5)[0] == both
+
+
+def test_moments_count_by_the_acceleration_at_the_radius_of_gyration():
+    push = PulseResponse(0, np.array([0.1, 0, 0]), 0, 1.0, np.zeros(1), np.eye(3))
+    turn = replace(push, effect=np.array([0, 0, 1.0]))
+    assert sound_pulses([push, turn], 0.1, 0.9)[0] == [push, turn]
+    assert sound_pulses([push, turn], 0.05, 0.9)[0] == [push]
 
 
 @pytest.fixture(scope="module")

@@ -214,8 +214,13 @@ def test_a_craft_with_effects_on_a_tilted_table_is_trimmed_too():
     np.testing.assert_allclose(acceleration(np, dynamics, motion, command), 0, atol=1e-9)
 
 
-def test_the_matrices_are_those_of_central_differences():
-    dynamics = published_model("M3").dynamics
+#: Motors of which some answer later than the others.
+LATER = np.ones((6, 1)), np.linspace(0.0, 0.02, 6)[:, None]
+
+
+@pytest.mark.parametrize("own_lag", [None, LATER])
+def test_the_matrices_are_those_of_central_differences(own_lag):
+    dynamics = replace(published_model("M3").dynamics, own_lag=own_lag)
     command = trim(dynamics)
     a, b = linearize(dynamics, 0.7, command)
     at = np.concatenate([[0, 0, 0.7, 0, 0, 0], command])
@@ -224,7 +229,7 @@ def test_the_matrices_are_those_of_central_differences():
         ahead = derivative(np, dynamics, at + h * direction, command)
         behind = derivative(np, dynamics, at - h * direction, command)
         np.testing.assert_allclose(a[:, j], (ahead - behind) / (2 * h), atol=1e-7)
-    np.testing.assert_allclose(b[6:], np.eye(6) / float(dynamics.motor_time_constant))
+    np.testing.assert_allclose(b[6:], np.eye(6) / np.broadcast_to(np.ravel(dynamics.lag), 6))
     np.testing.assert_array_equal(b[:6], 0)
 
 

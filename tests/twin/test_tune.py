@@ -85,14 +85,14 @@ def test_a_law_must_name_numbers_that_may_change(tmp_path, tuned, said):
         airpuck.tune(M3, users_law(tmp_path, tuned), trials=1)
 
 
-def test_zeros_stay_so_one_number_must_be_more(tmp_path):
+def test_tuning_needs_a_number_above_zero(tmp_path):
     (tmp_path / "mine.py").write_text(
         LAW.format(tuned='tuned = ("inner.weight",)', seen="").replace("= 1.0", "= 0.0")
     )
     start = tuning_for(M3).with_law(f"{tmp_path}/mine.py:Mine")
     off = {"disturbance_density": 0.0, "angular_disturbance_density": 0.0}
     start = start.model_copy(update={"estimation": start.estimation.model_copy(update=off)})
-    with pytest.raises(airpuck.InputError, match="law: all weights are zero"):
+    with pytest.raises(airpuck.InputError, match="tuning: every number that may be tuned is zero"):
         airpuck.tune(M3, start, trials=1)
 
 

@@ -61,12 +61,12 @@ def about(
 ) -> Iterator[None]:
     """Add the file, if it is known, to an InputError, and the field as the user calls it.
 
-    `field` is its name, or turns the name that the error has into the user's.
+    `field` is the user's name for it, or a function from the error's name to the user's.
     """
     try:
         yield
     except InputError as error:
-        named = field(error.field or "") if callable(field) else field or error.field
+        named = (field(error.field or "") if callable(field) else field) or error.field
         raise InputError(error.problem, file=error.file or file, field=named) from error
 
 

@@ -77,7 +77,7 @@ def loaded(group: Group, name: str, use: Callable[[Any], Any] = lambda found: fo
 
 
 def named(name: str, ours: Mapping[str, Returned], group: Group, **place: Any) -> Returned:
-    """Return what we, or another distribution, call by a name; an InputError lists all names."""
+    """Return the object with a name, of ours or of another distribution; else raise InputError."""
     if name in ours:
         return ours[name]
     if name in (*added(group), *HOCKEY.get(group, ())):

@@ -1,4 +1,4 @@
-"""From the box to a trusted flight: one call that flies, learns and judges, and one on a graph."""
+"""From the box to a trusted flight: `commission` on any link, `commission_live` on a graph."""
 
 from __future__ import annotations
 

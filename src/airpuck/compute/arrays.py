@@ -130,7 +130,8 @@ def slopes(xp: Any, function: Callable[[Any], Any], point: Any) -> Any:
     if xp is np:
         count, step = len(point), 1e-30
         # The direction becomes the last axis of the batch.
-        moved = point[..., None] + 1j * step * np.eye(count)[:, None, :]
+        along = np.eye(count).reshape(count, *[1] * (point.ndim - 1), count)
+        moved = point[..., None] + 1j * step * along
         return np.moveaxis(np.imag(function(moved)), -1, 0) / step
     import jax
 

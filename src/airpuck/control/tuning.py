@@ -303,7 +303,7 @@ class Tuning(Section):
             problem = 'needs law = "NAME", the law whose table it reads'
             raise InputError(problem, field=settings.__name__)
         table = name_among(self.law.tables, law, otherwise=law)
-        with about(None, lambda field: f"law.{law}.{field}"):
+        with about(None, lambda field: f"law.{law}.{field}".rstrip(".")):
             return checked(self.law.tables.get(table, {}), settings)
 
     def with_law(self, kind: str, **settings: Any) -> Tuning:

@@ -34,7 +34,7 @@ class FitMeasures(Result):
     restart_s: ClassVar = RESTART
     #: Fit of x, y, γ, predicted k steps ahead by the filter's estimate [%].
     k_step: Float[np.ndarray, " 3"]
-    #: Fit of simulations restarted every `restart` seconds [%].
+    #: Fit of simulations restarted every `restart_s` seconds [%].
     free_run: Float[np.ndarray, " 3"]
     #: Fit of one simulation over the whole trajectory [%].
     whole: Float[np.ndarray, " 3"]

@@ -84,10 +84,9 @@ class FleetPilot(Pilot):
         self._fleet, self._start = fleet, start
         self.agreement = fleet.agreement(name, start)
         self._following = Following(self.agreement.agreed.path)
-        self.controller = controller = TrackingController(
+        self.controller = TrackingController(
             member.model, self._following, member.tuning, table=table
         )
-        self.measured, self.sent = controller.measured, controller.sent
         room = member.reach.room
         self._search = Search(member.reach, np.array(table.reach(room)), seed)
         self._still = [one._replace(distance=one.distance + room) for one in fleet.obstacles]
@@ -108,6 +107,14 @@ class FleetPilot(Pilot):
         self._start = start
         self.agreement = self._fleet.agreement(self.member.name, start)
         self._following.path = self.agreement.agreed.path
+
+    def measured(self, measurement: Measurement) -> None:
+        """Receive a measurement of the craft; see `Pilot.measured`."""
+        self.controller.measured(measurement)
+
+    def sent(self, time: float, command: Float[np.ndarray, " n"]) -> None:
+        """Receive the command that was sent; see `Pilot.sent`."""
+        self.controller.sent(time, command)
 
     def heard(self, messages: Iterable[Message], now: float) -> None:
         """Receive messages of the others."""

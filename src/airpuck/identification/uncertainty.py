@@ -171,6 +171,8 @@ def inverted(
     information: Float[np.ndarray, "R R"], unknown: float = UNDETERMINED
 ) -> Float[np.ndarray, "R R"]:
     """Invert information on its range, regardless of the units."""
+    if not np.isfinite(information).all():
+        return np.full_like(information, np.nan)
     value, vector, scale = spectrum(information, unknown)
     return (vector / value @ vector.T) * np.outer(scale, scale)
 

@@ -204,8 +204,7 @@ def _slope(
     function: Callable[[Any], Any], point: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "m k"]:
     """Differentiate with complex steps, exact to rounding (Squire, Trapp, SIAM Review 40, 1998)."""
-    whole = slopes(np, lambda moved: np.broadcast_arrays(*function(moved)), point[:, None])
-    return whole[..., 0].T
+    return slopes(np, lambda moved: np.broadcast_arrays(*function(moved)), point).T
 
 
 def statespace(

@@ -367,7 +367,8 @@ def _weights(tuning: Tuning) -> dict[tuple[str, ...], float]:
             found["law", table, *name.split(".")] = float(attrgetter(name)(own))
     positive = {path: value for path, value in found.items() if value > 0}
     if not positive:
-        raise InputError("all weights are zero, and zeros stay; set one", field="law")
+        problem = "every number that may be tuned is zero, and tuning cannot change a zero"
+        raise InputError(f"{problem}; set at least one above zero", field="tuning")
     return positive
 
 

@@ -213,8 +213,10 @@ def _coasting(
     if len(durations) <= _FEW:
         return np.array([coast(puck, state, each) for each in durations.tolist()]).reshape(-1, 6)
     rates = np.array([puck.drag_1_s, puck.drag_1_s, puck.spin_drag_1_s])
-    sigma, (place, motion) = sigmas(rates, durations), np.split(np.array(state), 2)
-    return np.hstack([place + motion * sigma, motion * (1 - rates * sigma)])
+    sigma, start, found = sigmas(rates, durations), np.array(state), np.empty((len(durations), 6))
+    found[:, :3] = start[:3] + start[3:] * sigma
+    found[:, 3:] = start[3:] * (1 - rates * sigma)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
