@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import kstest
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.authority import weakest_effort
+from airpuck.control.authority import pushes, weakest_effort
 from airpuck.control.excitation import Excitation
 from airpuck.control.reference import SetPoint
 from airpuck.control.settings import ExcitationPlan, read_excitation_plan
@@ -281,6 +281,44 @@ def test_near_a_rail_a_craft_that_answers_late_pushes_back_and_lets_its_yaw_be(l
     excitation.pose(0.5, np.array([0.3, 0.0, 1.0]))
     excitation.step(0.5)
     assert excitation.controller.reference is excitation.reference
+
+
+@pytest.mark.parametrize("pull", [-0.3, 0.3, 9.0])
+def test_a_craft_on_a_slope_brakes_earlier_downhill(pull):
+    # With idle motors it gains speed for 0.1 s; then brakes and slope act together.
+    weakest, late, speed = float(pushes(np, MODEL.dynamics).min()), 0.1, 0.6
+    faster = speed + pull * late
+    # However much pulls, a quarter of the braking is left.
+    braking = max(0.5 * weakest - pull, 0.125 * weakest)
+    stop = (speed + faster) / 2 * late + faster**2 / (2 * braking)
+    # Braking after what was gained, or from now on: the longer way counts.
+    stop = max(stop, speed * late + speed**2 / (2 * braking))
+    limit = 2.2 / 2 - 0.07 - 0.05 - stop
+    for offset, pauses in ((-0.015, False), (0.015, True)):
+        excitation = pilot(seed=1, reaction=late, pull=(pull, 0.0))
+        moving(excitation, (limit + offset, 0.0), (speed, 0.0), steps=30)
+        paused = excitation.pauses
+        excitation.step(29 * PERIOD)
+        assert (excitation.pauses > paused) == pauses
+
+
+def test_a_craft_that_moves_across_the_table_shares_its_brakes():
+    # 0.3 and 0.4 m/s are 0.5 m/s in all, of which the brakes take three fifths along x.
+    braking, late = 0.5 * float(pushes(np, MODEL.dynamics).min()), 0.05
+    limit = 2.2 / 2 - 0.07 - 0.05 - 0.3 * late - 0.3 * 0.5 / (2 * braking)
+    for offset, pauses in ((-0.01, False), (0.01, True)):
+        excitation = pilot(seed=1, reaction=late)
+        moving(excitation, (limit + offset, -0.2), (0.3, 0.4), steps=30)
+        paused = excitation.pauses
+        excitation.step(29 * PERIOD)
+        assert (excitation.pauses > paused) == pauses
+
+
+def test_a_craft_that_is_told_to_rest_gets_no_more_signals():
+    excitation = pilot()
+    assert np.ptp(at_rest(excitation, 20)) > 0.1
+    excitation.rest()
+    assert at_rest(excitation, 50, start=0.2).max() < IDLE + AT_REST
 
 
 @pytest.mark.parametrize("forward", [True, False])

@@ -33,6 +33,8 @@ _LONGEST_STUDY = 300.0
 _LISTENED, _COUNTED = 0.3, 8
 #: Longest excitation [s].
 _LONGEST = 20.0
+#: Longest time to brake after an excitation [s], and the speed at which this ends [m/s].
+_BRAKES, _SLOWED = 3.0, 0.2
 #: Hold times of the signals: for effects, and for timing [s].
 _SLOW, _FAST = 0.3, 0.12
 
@@ -86,7 +88,7 @@ class Excitations:
             needed = max(self.duration_s, shortest_judged(session.vehicle, noise))
             plan = next_plan(session, min(needed, _LONGEST), number)
             pilot = excitation(session, plan, number)
-            flown.append(session.fly("excitation", pilot, plan.duration_s))
+            flown.append(excited(session, pilot, plan.duration_s))
             if number == 0:
                 # The next flight judges a model of this one: there is nothing to decide before.
                 continue
@@ -111,6 +113,21 @@ class Excitations:
         return work.result()
 
 
+def excited(session: Commissioned, pilot: Excitation, duration: float) -> Recording:
+    """Fly an excitation, then brake with the same pilot: a new one would not know the speed yet."""
+    ends = session.link.now + duration
+
+    def braked(now: float) -> bool:
+        """End the signals in time; return whether the craft is slow then."""
+        if now < ends:
+            return False
+        pilot.rest()
+        motion = session.motion
+        return motion is not None and math.hypot(*motion[1][:2]) < _SLOWED
+
+    return session.fly("excitation", pilot, duration + _BRAKES, until=braked)
+
+
 def next_plan(session: Commissioned, duration: float, number: int) -> ExcitationPlan:
     """Return the excitation that teaches most of what is least known."""
     said = None if session.study is None else session.study.verdict
@@ -130,6 +147,7 @@ def excitation(session: Commissioned, plan: ExcitationPlan, number: int) -> Exci
     reaction = max(reaction, session.late) if error is None else reaction + min(2 * error, reaction)
     given: dict[str, Any] = {"tuning": careful(model), "amplitude": plan.amplitude}
     given |= {"hold": plan.hold_s, "margin": plan.margin_m, "seed": session.seed + number}
+    given |= {"pull": session.slope}
     try:
         given |= {"table": session.table, "reaction": reaction, "compiled": False}
         return Excitation(model, session.here, **given)

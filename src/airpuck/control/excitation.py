@@ -27,6 +27,8 @@ _LEAST_PUSH = 1e-2
 _OPPOSED = -0.9
 #: Fraction of the largest acceleration that a stop may need.
 _BRAKING = 0.5
+#: Fraction of this that is left, whatever pulls.
+_LEFT = 0.25
 #: Largest turn of the craft until its brakes act [rad]: turned further, they push another way.
 _TURNED = 0.5
 
@@ -67,6 +69,9 @@ class Excitation(Pilot):
         Time for which the present commands still accelerate the craft before its brakes act [s].
         The signals also pause while the craft turns too far in this time, and a craft that could
         not stop before a rail returns without regard to its yaw.
+    pull : sequence of float, default (0, 0)
+        Acceleration along x and y that the model lacks, such as a slope's, against which a craft
+        with a `reaction` brakes [m/s²].
 
     Raises
     ------
@@ -88,6 +93,7 @@ class Excitation(Pilot):
         table: Table | None = None,
         margin: float = 0.05,
         reaction: float = 0.0,
+        pull: Sequence[float] = (0.0, 0.0),
         compiled: bool = True,
     ) -> None:
         weakest = float(pushes(np, model.dynamics).min())
@@ -132,6 +138,7 @@ class Excitation(Pilot):
                 "must not be negative, and leave room between the rails", field="margin"
             )
         self._braking, self._reaction, self._margin = _BRAKING * weakest, reaction, margin
+        self._pull = np.asarray(pull, dtype=float)
         self._begun: float | None = None
         self._changes = 0
         self._signal = np.zeros(self._mixer.shape[1])
@@ -176,6 +183,10 @@ class Excitation(Pilot):
         command = np.clip(signed, *vehicle.command_range)
         return replace(step, command=vehicle.actuation.possible(command))
 
+    def rest(self) -> None:
+        """Give no more signals, so that the craft comes to rest at the reference."""
+        self._amplitude, self._signal = 0 * self._amplitude, 0 * self._signal
+
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, even if earlier steps were skipped."""
         assert self._begun is not None
@@ -195,11 +206,17 @@ class Excitation(Pilot):
             # The present commands may act until the brakes do, or end at once.
             dynamics = self.controller.model.dynamics
             by_thrust, _ = acceleration_map(np, dynamics, *estimate.state[[2, 5]])
-            now = by_thrust[:2] @ thrust(dynamics.thrust, estimate.motor_speed)
+            now = by_thrust[:2] @ thrust(dynamics.thrust, estimate.motor_speed) + self._pull
             gained = np.outer([0.0, 1.0], now * self._reaction)
             position = position + (velocity + gained / 2) * self._reaction
             velocity = velocity + gained
-        stop = position + velocity * np.abs(velocity) / (2 * self._braking)
+            # Brakes act along the motion, and less if something pulls the craft that way.
+            speed = np.linalg.norm(velocity, axis=-1, keepdims=True)
+            pull = (velocity @ self._pull)[:, None] / np.maximum(speed, 1e-9)
+            braking = np.maximum(self._braking - pull, _LEFT * self._braking)
+        else:
+            speed, braking = np.abs(velocity), self._braking
+        stop = position + velocity * speed / (2 * braking)
         return np.maximum(np.abs(position), np.abs(stop))
 
 
