@@ -154,12 +154,11 @@ def commissioned(seed: int) -> dict[str, Any]:
     line |= {"wall_s": found.wall_s, "steps": [[s.step, s.words] for s in found.steps]}
     line["findings"] = [finding.sentence for finding in found.findings]
     line["rail_m_s"] = max((speed for _, speed in twin.craft.contacts), default=0.0)
-    met = [(time, speed) for time, speed in twin.craft.contacts if speed > REPORTED]
     line["contacts"] = [
         [one.name, time - one.span[0], speed]
-        for time, speed in met
+        for time, speed in twin.craft.contacts
         for one in found.flights
-        if one.span[0] <= time <= one.span[1]
+        if speed > REPORTED and one.span[0] <= time <= one.span[1]
     ]
     line["errors"] = errors(found.model, right)
     if found.trusted and found.model is not None:
