@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
+from airpuck.data.measurement import Measurement
 from airpuck.fleet.agreement import Message
 from airpuck.fleet.path import SMOOTHED, Following, Route
 from airpuck.fleet.scenario import Fleet
