@@ -80,17 +80,27 @@ def test_a_dead_motor_ends_the_run_before_any_excitation():
     assert names.count("pulses") == 3 and "excitation" not in names
 
 
-def test_a_motor_that_a_slope_leaves_no_time_to_try_again_is_not_called_dead():
-    # Its first start fails; then the craft is at a rail before any further pulse.
+def on_a_slope(tilt: float, x: float) -> Twin:
+    """A twin on a table that slopes along x, one motor of which does not start for three seconds."""
     late = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 3.0, "share": 0.0}
     motors = TwinSettings(motors={"weak": [late]}).motors
-    tilt = TwinSettings(effects={"tilt_rad": (0.02, 0.0)}).effects
-    settings = QUIET.model_copy(update={"motors": motors, "effects": tilt})
-    twin = Twin(TRUTH, settings, seed=1, pose=(0.35, 0.0, 0.0))
+    effects = TwinSettings(effects={"tilt_rad": (tilt, 0.0)}).effects
+    settings = QUIET.model_copy(update={"motors": motors, "effects": effects})
+    return Twin(TRUTH, settings, seed=1, pose=(x, 0.0, 0.0))
+
+
+def test_a_motor_that_failed_to_start_is_tried_again_after_the_others_brought_the_craft_back():
+    twin = on_a_slope(0.02, 0.35)
     found = commission(twin, default_vehicle(), steps=STEPS[1:3])
+    assert [step.step for step in found.steps] == ["rest", "pulses"]
+    assert not twin.craft.contacts
+
+
+def test_a_motor_that_a_slope_leaves_no_time_to_try_is_not_called_dead():
+    found = commission(on_a_slope(0.03, 0.5), default_vehicle(), steps=STEPS[1:3])
     assert found.outcome == "table"
-    assert found.findings[0].cause == "The table slopes by 21 mrad"
-    assert "before motor_b_1 was tried often enough" in found.findings[0].evidence
+    assert found.findings[0].cause == "The table slopes by 31 mrad"
+    assert "before motor_a_2 was tried often enough" in found.findings[0].evidence
 
 
 def test_a_camera_that_fails_in_flight_ends_the_run_with_everything_kept(tmp_path):

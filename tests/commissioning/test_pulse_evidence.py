@@ -46,7 +46,12 @@ def test_swapped_and_turned_motors_are_put_where_they_act(name):
         ]
 
 
-def test_propellers_that_push_both_ways_are_put_where_they_act():
+#: Channels of four propellers that push both ways: forwards, then backwards.
+ALL, EACH_ONCE, BACKWARDS = range(8), (0, 5, 6, 3), (4, 5, 6, 7)
+
+
+@pytest.mark.parametrize("tried", [ALL, EACH_ONCE, BACKWARDS])
+def test_propellers_that_push_both_ways_are_put_where_they_act(tried):
     one_way = VEHICLES["four"]()
     both = [
         one.model_copy(update={"reverse": share})
@@ -54,13 +59,15 @@ def test_propellers_that_push_both_ways_are_put_where_they_act():
     ]
     true = one_way.model_copy(update={"propellers": tuple(both), "pairs": ()})
     wrong = stated(true, [1, 0, 2, 3], turned=2)
-    matches = matched(nominal_model(wrong), effects(true))
+    seen = np.full((3, 8), np.nan)
+    seen[:, tried] = effects(true)[:, tried]
+    matches = matched(nominal_model(wrong), seen)
     right = corrected(wrong, matches)
     assert effects(right) == pytest.approx(effects(true), abs=1e-9)
     assert [one.reverse for one in right.propellers] == [0.5, 0.6, 0.7, 0.8]
-    causes = [finding.cause for finding in layout_findings(wrong, matches)]
+    causes = sorted(finding.cause for finding in layout_findings(wrong, matches))
     swapped = "front acts like left", "left acts like front"
-    assert causes == [*swapped, "back pushes the other way"]
+    assert causes == ["back pushes the other way", *swapped]
 
 
 EXCHANGED, CIRCLE = [3, 1, 2, 0, 4, 5], [2, 1, 4, 3, 0, 5]
@@ -115,3 +122,13 @@ def test_pulses_give_thrusts_and_inertia_in_units_of_the_stated_mass():
     assert found.nominal_thrust == pytest.approx(thrusts[:, None] * rough.nominal_thrust)
     assert found.nominal.inertia_kg_m2 == pytest.approx(1.3 * rough.nominal.inertia_kg_m2)
     assert found.nominal.transport_delay_s == 0.05
+
+
+def test_pulses_backwards_tell_the_thrust_of_a_propeller_that_was_not_tried_forwards():
+    one_way = VEHICLES["four"]()
+    both = tuple(one.model_copy(update={"reverse": 0.6}) for one in one_way.propellers)
+    rough = one_way.model_copy(update={"propellers": both, "pairs": ()})
+    seen = effects(rough) * [0.5, np.nan, 1.0, 1.2, 0.7, 0.4, 1.1, np.nan]
+    found = measured(nominal_model(rough), seen, 0.05)
+    strength = np.array([0.5, 0.4, 1.0, 1.2])[:, None]
+    assert found.nominal_thrust[:4] == pytest.approx(strength * rough.nominal_thrust[:4])

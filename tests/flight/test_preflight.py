@@ -334,6 +334,20 @@ def test_one_motor_at_a_time_and_partners_in_turn():
         assert begin == pytest.approx(plan.rest + k * (plan.length + plan.rest))
 
 
+@pytest.mark.parametrize("rested", [0.0, 0.1, 0.2, 0.5])
+def test_a_rest_just_before_counts_as_the_first_pause(rested):
+    seen = [(0.01 * k, np.zeros(3)) for k in range(round(rested / 0.01))]
+    pilot, rest = PulseTest(MODEL.vehicle, rested=seen), PulsePlan().rest
+    for k in range(100):
+        now = rested + 0.01 * k
+        pilot.pose(now, [0, 0, 0])
+        if (pilot.step(now).command > IDLE).any():
+            break
+    assert now == pytest.approx(rested + max(rest - rested, 0.0), abs=0.011)
+    # All poses of the pause are kept: the craft's drift before the pulse is judged by them.
+    assert pilot.poses[0][0] == pytest.approx(max(rested - rest, 0.0), abs=0.011)
+
+
 def test_it_idles_at_a_rail_and_for_good():
     pilot = PulseTest(MODEL.vehicle)
     for k, x in enumerate([0.0, 1.02, 0.0]):

@@ -223,19 +223,19 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 
 
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
-    """Return the matches of the propellers' forward channels.
+    """Return the matches of propellers, by their forward channels where these are known.
 
-    A propeller that acts like a backward channel is that propeller, turned round.
+    A propeller one channel of which acts like the other is turned round.
     """
-    count = len(vehicle.propellers)
-    backwards = [k for k, one in enumerate(vehicle.propellers) if one.reverse is not None]
-
-    def forwards(match: EffectMatch) -> EffectMatch:
-        if match.acts_as is None or match.acts_as < count:
-            return match
-        return replace(match, acts_as=backwards[match.acts_as - count], sign=-match.sign)
-
-    return {k: forwards(match) for k, match in matches.items() if k < count}
+    channels, found = vehicle.actuation.channels, dict[int, EffectMatch]()
+    for k, match in sorted(matches.items(), reverse=True):
+        own = channels[k]
+        if match.acts_as is not None:
+            other = channels[match.acts_as]
+            sign = match.sign * own.sign * other.sign
+            match = replace(match, acts_as=other.column, sign=sign)
+        found[own.column] = match
+    return found
 
 
 def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> Vehicle:
@@ -247,14 +247,17 @@ def measured(model: Model, effects: Float[np.ndarray, "3 n"], delay: float) -> V
     turns = tried & (np.abs(stated[2]) > 0.2 * np.abs(stated[2]).max())
     ratio = effects[2, turns] / stated[2, turns] / push[turns]
     inertia = 1 / float(np.clip(np.median(ratio), *_INERTIA)) if turns.any() else 1.0
-    # Of a propeller that pushes both ways, the file states the thrust forwards.
     usual = float(np.median(push[tried]))
-    # What is not clear yet keeps a little thrust: a curve must rise.
-    strength = np.maximum(np.where(tried, push, usual), _LEAST * abs(usual))
     nominal, curves = vehicle.nominal, vehicle.nominal_thrust[: len(vehicle.propellers)]
+    strength = np.full(len(curves), usual)
+    # Of a propeller that pushes both ways, the file states the thrust forwards.
+    for k in np.flatnonzero(tried)[::-1]:
+        strength[vehicle.actuation.channels[k].column] = push[k]
+    # What is not clear yet keeps a little thrust: a curve must rise.
+    strength = np.maximum(strength, _LEAST * abs(usual))
     return _copy(
         vehicle,
-        thrust_N=(strength[: len(curves), None] * curves).tolist(),
+        thrust_N=(strength[:, None] * curves).tolist(),
         inertia_kg_m2=inertia * nominal.inertia_kg_m2,
         motor_time_constant_s=float(np.max(model.dynamics.lag)),
         transport_delay_s=max(delay, 0.0),

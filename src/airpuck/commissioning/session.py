@@ -235,9 +235,9 @@ class Commissioned:
         return SetPoint(0.0, 0.0, 0.0 if self.position is None else float(self.position[2]))
 
     @property
-    def first_pose(self) -> float:
-        """Time of the first pose of the present flight; infinite before it [s]."""
-        return self._log.poses[0][0] if self._log.poses else math.inf
+    def poses(self) -> list[tuple[float, Float[np.ndarray, " 3"]]]:
+        """Stamps and poses of the present or the last flight [s, (m, m, rad)]."""
+        return self._log.poses
 
     @property
     def motion(self) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]] | None:

@@ -50,6 +50,8 @@ _ROUGH = 2.0
 _STEERED, _RETURN = 3, 6.0
 #: Distance to the rails that is kept [m], and time until a slowed law brakes [s].
 _CLEARANCE, _REACTION = 0.05, 0.4
+#: Time until the last pose after a pulse has come [s].
+_LATE_POSES = 0.05
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
 #: Further flights after which a motor without thrust counts as dead, once all were tried, and
@@ -95,7 +97,7 @@ class Rest:
         """Measure the poses; see `CommissioningStep`."""
         vehicle = session.vehicle
         # Poses may begin late; the session ends the run if none come.
-        enough = lambda now: now - session.first_pose > self.duration_s  # noqa: E731
+        enough = lambda now: session.poses and now - session.poses[0][0] > self.duration_s  # noqa: E731
         pose = session.fly("rest", _Resting(vehicle.idle), 10.0, until=enough)["pose"]
         time, values = pose.time - pose.time[0], np.array(pose.values)
         values[:, 2] = np.unwrap(values[:, 2])
@@ -163,9 +165,12 @@ class Pulses:
             steered = not tried or self._brought_back(session, given, evidence)
             plan = pulse_plan(given, session.cameras, stronger)
             order = uphill(session, plan, unclear.tolist())
-            pilot = PulseTest(given, plan, session.table, order)
-            lacking = _STEERED - np.isfinite(evidence.effects[1]).sum()
-            wait = max(int(lacking), 0) * (plan.rest + plan.length) + plan.rest
+            # The craft has rested when the first one begins: on a slope every moment counts.
+            rested = [*session.poses] if not tried else []
+            pilot = PulseTest(given, plan, session.table, order, rested)
+            lacking = _STEERED - _propellers(given, np.isfinite(evidence.effects[1]))
+            wait = max(lacking, 0) * (plan.rest + plan.length) + _LATE_POSES
+            wait += 0.0 if rested else plan.rest
             begins = session.link.now + wait if steered else math.inf
             stop = _DriftingOff(session, given, begins)
             session.fly("pulses", pilot, pilot.duration, until=stop, guarded=False)
@@ -183,13 +188,13 @@ class Pulses:
     def _brought_back(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> bool:
         """Bring the craft back to the middle if it can be; return whether it can."""
         effects, _ = evidence.effects
-        # If a motor gave nothing, the others cannot steer; it may be tried again while coasting.
-        known = np.isfinite(effects).all(axis=0).sum()
-        if known < _STEERED or _silent(evidence.model, effects).any():
+        silent = _silent(evidence.model, effects)
+        answer = np.isfinite(effects).all(axis=0) & ~silent
+        if _propellers(given, answer) < _STEERED:
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
         try:
-            pilot = hovering(session)
+            pilot = hovering(session, "learning" if silent.any() else None)
         except InputError:
             return False  # Too little is known to steer the craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
@@ -211,6 +216,11 @@ class Pulses:
         lag, delay = (f"{1e3 * one:.0f} ms" for one in (evidence.lag, evidence.delay))
         count = len(given.propellers)
         session.note("pulses", f"{count} motors answer; lag about {lag}, delay about {delay}")
+
+
+def _propellers(vehicle: Vehicle, channels: Bool[np.ndarray, " n"]) -> int:
+    """Return how many propellers some of their channels belong to."""
+    return len({vehicle.actuation.channels[k].column for k in np.flatnonzero(channels)})
 
 
 def _unclear(evidence: PulseEvidence) -> tuple[Int[np.ndarray, " k"], Finding | None]:
@@ -275,6 +285,8 @@ def _because_of_slope(session: Commissioned, cause: Finding) -> Finding:
 def known_vehicle(given: Vehicle, cameras: Cameras | None, evidence: PulseEvidence) -> Vehicle:
     """Return the vehicle that pulses show: order, signs, strengths, inertia, lag and delay."""
     effects, _ = evidence.effects
+    # A start may have failed: a motor without thrust counts as not tried.
+    effects = np.where(_silent(evidence.model, effects), np.nan, effects)
     right = corrected(given, matched(nominal_model(given), effects))
     start = with_lag(replace(nominal_model(right), cameras=cameras), evidence.lag)
     # Effects are per unit of the given file's thrusts.
@@ -335,11 +347,14 @@ class Hover:
         session.note("hover", f"the craft came to rest in the middle after {took:.1f} s")
 
 
-def hovering(session: Commissioned) -> TrackingController:
+def hovering(session: Commissioned, estimator: str | None = None) -> TrackingController:
     """Return a controller that holds the middle of the table."""
     model = session.model
     rate = 240.0 if session.cameras is None else session.cameras.rate_hz
     tuning = careful(model).with_camera(rate)
+    if estimator is not None:
+        estimation = tuning.estimation.model_copy(update={"estimator": estimator})
+        tuning = tuning.model_copy(update={"estimation": estimation})
     # Compiling takes seconds, in which the motors would idle and the craft drift.
     return TrackingController(model, session.here, tuning, table=session.table, compiled=False)
 

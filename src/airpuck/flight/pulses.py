@@ -65,7 +65,8 @@ class PulseTest(Pilot):
     It assumes no layout, thrust or frame, since any of them may be wrong. The craft stays on the
     table because the pulses are short and the propellers of a pair alternate and undo each other's
     motion. The test ends near a rail or without poses. `motors` are tried in the order given;
-    without them, all are, pairs first.
+    without them, all are, pairs first. `rested` are stamps and poses of a craft whose motors idled
+    until now: this time counts as a pause before the first pulse.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class PulseTest(Pilot):
         plan: PulsePlan | None = None,
         table: Table | None = None,
         motors: Sequence[int] | None = None,
+        rested: Sequence[tuple[float, Float[np.ndarray, " 3"]]] = (),
     ) -> None:
         self.vehicle, self.plan = vehicle, plan or PulsePlan()
         if self.plan.level <= (idle := vehicle.command_min):
@@ -92,7 +94,7 @@ class PulseTest(Pilot):
         self._order = tried * self.plan.rounds
         self.reach = np.array((table or Table()).reach(vehicle.radius_m))
         self._begun = self._stepped = -math.inf
-        self.poses: list[tuple[float, Float[np.ndarray, " 3"]]] = []
+        self.poses, self._rested = [*rested], self.plan.rest if rested else 0.0
         self.sent_commands: list[tuple[float, Float[np.ndarray, " n"]]] = []
         self.stopped = ""
 
@@ -139,8 +141,10 @@ class PulseTest(Pilot):
 
     def _begin(self, time: float) -> None:
         """Begin the test, or restart it after a long pause."""
-        self._begun, self.stopped = time, ""
-        recent = [(stamp, pose) for stamp, pose in self.poses if stamp > time - SHORTEST_PAUSE]
+        earliest = time - max(self._rested, SHORTEST_PAUSE)
+        recent = [(stamp, pose) for stamp, pose in self.poses if stamp > earliest]
+        waited = time - recent[0][0] if recent else 0.0
+        self._begun, self._rested, self.stopped = time - min(waited, self._rested), 0.0, ""
         self.poses, self.sent_commands = recent or self.poses[-1:], []
 
     def _reason_to_stop(self, age: float, pose: Float[np.ndarray, " 3"]) -> str:
