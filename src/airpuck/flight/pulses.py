@@ -203,23 +203,26 @@ def pulse_responses(
     where F is the thrust that the model expects of the motor, a₀ and ω₀' are constant accelerations
     (idling propellers, a tilted table), and g is the unknown effect. For a delay d this is a linear
     regression; d is the delay with the smallest residual. The poses are neither smoothed nor
-    differentiated.
+    differentiated. A slow motor still pushes after its pulse: what the pulse before has yet to give
+    is taken out first, for each delay.
     """
     pulses = find_pulses(command_time, command, model.vehicle.command_min)
     # Slow cameras need longer for the same number of poses.
     enough = (_FEWEST + 1) * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     before, after = max(_BEFORE, enough), max(_AFTER, enough)
     usual = np.median([end - begin for _, begin, end in pulses]) if pulses else 0.0
-    responses = []
-    for pulse in pulses:
-        motor, begin, end = pulse
+    responses, last = [], None
+    for motor, begin, end in pulses:
         near = (time > begin - before) & (time < end + after)
         early, late = time[near] < begin, time[near] > end
+        level = float(command[np.searchsorted(command_time, begin), motor])
+        pulse, earlier, last = _Pulse(motor, begin, end, level), last, None
         if end - begin < _CUT_OFF * usual or min(early.sum(), late.sum()) < _FEWEST:
             continue
-        level = float(command[np.searchsorted(command_time, begin), motor])
         tried = DELAYS if delays is None else delays[len(responses) :][:1]
-        responses.append(_response(model, pulse, level, time[near], pose[near], tried))
+        found, effects = _response(model, pulse, time[near], pose[near], tried, earlier)
+        responses.append(found)
+        last = pulse, effects
     return responses
 
 
@@ -257,17 +260,29 @@ def find_pulses(
     return sorted(found, key=lambda pulse: pulse[1])
 
 
+@dataclass(frozen=True)
+class _Pulse:
+    """A pulse of one motor, with the times of its commands."""
+
+    motor: int
+    begin: float
+    end: float
+    level: float
+
+
 def _response(
     model: Model,
-    pulse: tuple[int, float, float],
-    level: float,
+    pulse: _Pulse,
     time: Float[np.ndarray, " M"],
     pose: Float[np.ndarray, "M 3"],
     delays: Float[np.ndarray, " D"],
-) -> PulseResponse:
-    """Regress the poses around a pulse on its possible effects, for all delays at once."""
-    motor, begin, end = pulse
-    elapsed = time - begin
+    last: tuple[_Pulse, Float[np.ndarray, "D 3"]] | None,
+) -> tuple[PulseResponse, Float[np.ndarray, "D 3"]]:
+    """Regress the poses around a pulse on its possible effects, for all delays at once.
+
+    `last` is the pulse before, with its effects.
+    """
+    elapsed = time - pulse.begin
     always = np.stack([np.ones_like(elapsed), elapsed, elapsed**2 / 2], axis=1)
     basis = np.linalg.qr(always)[0]
     before = always[elapsed < 0], pose[elapsed < 0]
@@ -275,33 +290,52 @@ def _response(
     variance[:2] = variance[:2].mean()
     noise = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
 
-    def beyond(values: Float[np.ndarray, "M *k"]) -> Float[np.ndarray, "M *k"]:
-        """Project out the constant accelerations: the regression is on the rest."""
-        return values - np.tensordot(basis, np.tensordot(basis.T, values, 1), 1)
+    def beyond(values: np.ndarray) -> np.ndarray:
+        """Project out the constant accelerations; return values in units of the noise."""
+        left = values - np.tensordot(basis, np.tensordot(basis.T, values, 1), 1)
+        left = np.moveaxis(left / noise.reshape(3, *(1,) * (values.ndim - 2)), -1, 0)
+        return left.reshape(len(left), -1, *left.shape[3:])
 
-    grid = np.union1d(np.arange(time[0], time[-1], _STEP), time)
-    yaw = np.interp(grid, time, pose[:, 2])[:, None]
-    force = _force(model, motor, level, grid[:, None] - begin - delays, end - begin)
-    shapes = np.stack([np.cos(yaw) * force, np.sin(yaw) * force, force], axis=1)
-    moved = twice_integrated(shapes, np.diff(grid)[:, None])[np.searchsorted(grid, time)]
-    along, across, turning = np.moveaxis(beyond(moved), 1, 0)
-    none = np.zeros_like(along)
-    # The rows of x, y and γ, for the forces along and across and the moment.
-    columns = [[along, -across, none], [across, along, none], [none, none, turning]]
-    rows = np.transpose(np.array(columns) / noise[:, None, None, None], (3, 0, 2, 1))
-    aim = np.broadcast_to((beyond(pose) / noise).T.ravel(), (len(delays), 3 * len(time)))
-    information, score, square = normal_equations(rows.reshape(*aim.shape, 3), aim)
+    seen = np.repeat(pose[..., None], len(delays), axis=-1)
+    if last is not None:
+        moved = _motion(model, last[0], time, pose[:, 2], delays)
+        seen = seen - np.einsum("micd,dc->mid", moved, last[1])
+    rows, aim = beyond(_motion(model, pulse, time, pose[:, 2], delays)), beyond(seen)
+    information, score, square = normal_equations(rows, aim)
     effects, _ = solved(information, score, np.zeros((3, 3)))
     cost = square - (effects * score).sum(axis=1)
     best = int(cost.argmin())
     misfit = float(np.sqrt(max(cost[best], 0.0) / aim.shape[1]))
-    return PulseResponse(motor, effects[best], float(delays[best]), misfit, cost, information[best])
+    given = pulse.motor, effects[best], float(delays[best]), misfit, cost, information[best]
+    return PulseResponse(*given), effects
+
+
+def _motion(
+    model: Model,
+    pulse: _Pulse,
+    time: Float[np.ndarray, " M"],
+    yaw: Float[np.ndarray, " M"],
+    delays: Float[np.ndarray, " D"],
+) -> Float[np.ndarray, "M 3 3 D"]:
+    """Return x, y and yaw per unit of each component of a pulse's effect, for each delay."""
+    grid = np.union1d(np.arange(time[0], time[-1], _STEP), time)
+    turned = np.interp(grid, time, yaw)[:, None]
+    length = pulse.end - pulse.begin
+    force = _force(model, pulse, grid[:, None] - pulse.begin - delays, length)
+    shapes = np.stack([np.cos(turned) * force, np.sin(turned) * force, force], axis=1)
+    moved = twice_integrated(shapes, np.diff(grid)[:, None])[np.searchsorted(grid, time)]
+    along, across, turning = np.moveaxis(moved, 1, 0)
+    none = np.zeros_like(along)
+    # The rows of x, y and γ, for the forces along and across and the moment.
+    columns = [[along, -across, none], [across, along, none], [none, none, turning]]
+    return np.moveaxis(np.array(columns), 2, 0)
 
 
 def _force(
-    model: Model, motor: int, level: float, elapsed: Float[np.ndarray, "G D"], length: float
+    model: Model, pulse: _Pulse, elapsed: Float[np.ndarray, "G D"], length: float
 ) -> Float[np.ndarray, "G D"]:
     """Return the modelled thrust of a motor beyond its idling thrust [N]."""
+    motor, level = pulse.motor, pulse.level
     lags, idle = np.ravel(model.dynamics.lag), model.vehicle.command_min
     lag = float(np.broadcast_to(lags, model.vehicle.n_propellers)[motor])
     peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
