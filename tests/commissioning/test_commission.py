@@ -81,7 +81,7 @@ def test_a_dead_motor_ends_the_run_before_any_excitation():
 
 
 def on_a_slope(tilt: float, x: float) -> Twin:
-    """A twin on a table that slopes along x, one motor of which does not start for three seconds."""
+    """A twin on a table that slopes along x; one motor does not start for three seconds."""
     late = {"motor": "motor_b_1", "start_s": 0.0, "stop_s": 3.0, "share": 0.0}
     motors = TwinSettings(motors={"weak": [late]}).motors
     effects = TwinSettings(effects={"tilt_rad": (tilt, 0.0)}).effects

@@ -95,10 +95,13 @@ class Rest:
 
     def run(self, session: Commissioned) -> None:
         """Measure the poses; see `CommissioningStep`."""
-        vehicle = session.vehicle
-        # Poses may begin late; the session ends the run if none come.
-        enough = lambda now: session.poses and now - session.poses[0][0] > self.duration_s  # noqa: E731
-        pose = session.fly("rest", _Resting(vehicle.idle), 10.0, until=enough)["pose"]
+
+        def enough(now: float) -> bool:
+            # Poses may begin late; the session ends the run if none come.
+            return bool(session.poses) and now - session.poses[0][0] > self.duration_s
+
+        idle = _Resting(session.vehicle.idle)
+        pose = session.fly("rest", idle, 10.0, until=enough)["pose"]
         time, values = pose.time - pose.time[0], np.array(pose.values)
         values[:, 2] = np.unwrap(values[:, 2])
         rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
