@@ -31,8 +31,8 @@ _LONGEST_STUDY = 300.0
 #: Longest time to listen for poses [s], and number of poses from which their rate is known: on a
 #: slope the craft drifts meanwhile.
 _LISTENED, _COUNTED = 0.3, 8
-#: Longest excitation [s].
-_LONGEST = 20.0
+#: Longest excitation [s], and the factor by which they grow while they tell too little.
+_LONGEST, _LONGER = 20.0, 1.5
 #: Longest time to brake after an excitation [s], and the speed at which this ends [m/s].
 _BRAKES, _SLOWED = 3.0, 0.2
 #: Hold times of the signals: for effects, and for timing [s].
@@ -82,10 +82,10 @@ class Excitations:
 
     def run(self, session: Commissioned) -> None:
         """Fly and study until the verdict is trusted; see `CommissioningStep`."""
-        flown: list[Recording] = []
+        flown, longer = list[Recording](), 1.0
         for number in range(self.most):
             noise = session.cameras.position_noise_m if session.cameras else 0.0
-            needed = max(self.duration_s, shortest_judged(session.vehicle, noise))
+            needed = longer * max(self.duration_s, shortest_judged(session.vehicle, noise))
             plan = next_plan(session, min(needed, _LONGEST), number)
             pilot = excitation(session, plan, number)
             flown.append(excited(session, pilot, plan.duration_s))
@@ -97,6 +97,7 @@ class Excitations:
             session.note("study", summary(said), session.study.model)
             if said.trusted:
                 return
+            longer *= _LONGER if said.outcome == "not_enough_excitation" else 1.0
         assert session.study is not None
         raise Ended(first_cause(session.study))
 
