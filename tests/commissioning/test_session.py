@@ -8,7 +8,7 @@ import pytest
 from airpuck import commission, read_recording
 from airpuck.boundary.results import Finding
 from airpuck.commissioning.excitations import WarmUp, first_cause
-from airpuck.commissioning.steps import Pulses, Rest
+from airpuck.commissioning.steps import Pulses, Rest, hovering
 from airpuck.control.law import Pilot, Step
 from airpuck.craft.vehicle import default_vehicle
 from airpuck.data.measurement import Measurement
@@ -189,6 +189,27 @@ def test_a_flight_after_another_flies_at_once():
     found = commission(Still(), VEHICLE, steps=[Twice()])
     _, second = (flight.recording["command"].values for flight in found.flights)
     assert (second[:-1] == 0.5).all()
+
+
+class Idle(Pilot):
+    """Lets all motors idle."""
+
+    def step(self, time):
+        return Step(VEHICLE.idle, "open loop", np.zeros(3), None)
+
+
+class Brief:
+    """A controller made while the craft coasts."""
+
+    def run(self, session):
+        session.fly("coast", Idle(), 0.5)
+        self.estimate = hovering(session).step(session.link.now).estimate
+
+
+def test_a_new_controller_knows_the_speed_at_once():
+    step = Brief()
+    commission(Still(rate=120.0, push=0.4), VEHICLE, steps=[step])
+    assert step.estimate.state[3] == pytest.approx(0.2, rel=0.1)  # 0.4 m/s² for 0.5 s
 
 
 @pytest.mark.parametrize("push", [0.2, -0.2])

@@ -33,8 +33,6 @@ _LONGEST_STUDY = 300.0
 _LISTENED, _COUNTED = 0.3, 8
 #: Longest excitation [s], and the factor by which they grow while they tell too little.
 _LONGEST, _LONGER = 20.0, 1.5
-#: Longest time to brake after an excitation [s], and the speed at which this ends [m/s].
-_BRAKES, _SLOWED = 3.0, 0.2
 #: Hold times of the signals: for effects, and for timing [s].
 _SLOW, _FAST = 0.3, 0.12
 
@@ -88,7 +86,7 @@ class Excitations:
             needed = longer * max(self.duration_s, shortest_judged(session.vehicle, noise))
             plan = next_plan(session, min(needed, _LONGEST), number)
             pilot = excitation(session, plan, number)
-            flown.append(excited(session, pilot, plan.duration_s))
+            flown.append(session.fly("excitation", pilot, plan.duration_s))
             if number == 0:
                 # The next flight judges a model of this one: there is nothing to decide before.
                 continue
@@ -114,21 +112,6 @@ class Excitations:
         return work.result()
 
 
-def excited(session: Commissioned, pilot: Excitation, duration: float) -> Recording:
-    """Fly an excitation, then brake with the same pilot: a new one would not know the speed yet."""
-    ends = session.link.now + duration
-
-    def braked(now: float) -> bool:
-        """End the signals in time; return whether the craft is slow then."""
-        if now < ends:
-            return False
-        pilot.rest()
-        motion = session.motion
-        return motion is not None and math.hypot(*motion[1][:2]) < _SLOWED
-
-    return session.fly("excitation", pilot, duration + _BRAKES, until=braked)
-
-
 def next_plan(session: Commissioned, duration: float, number: int) -> ExcitationPlan:
     """Return the excitation that teaches most of what is least known."""
     said = None if session.study is None else session.study.verdict
@@ -151,10 +134,12 @@ def excitation(session: Commissioned, plan: ExcitationPlan, number: int) -> Exci
     given |= {"pull": session.slope}
     try:
         given |= {"table": session.table, "reaction": reaction, "compiled": False}
-        return Excitation(model, session.here, **given)
+        pilot = Excitation(model, session.here, **given)
     except InputError as error:
         remedy = "Check the layout in the vehicle file."
         raise Ended(Finding("control", error.problem, "", remedy)) from error
+    session.brief(pilot)
+    return pilot
 
 
 def summary(said: Verdict) -> str:

@@ -34,6 +34,8 @@ _NO_POSE = 1.0
 _LOOK = 0.1
 #: Time between looks at what has arrived [s].
 _POLL = 0.02
+#: What a new pilot is told of the flight before [s].
+_MOMENTS = 0.4
 #: A command this far above idle counts as motors on.
 _ON = 1e-3
 
@@ -123,9 +125,9 @@ class _LoggedLink:
 
     def clear(self) -> None:
         """Begin a new recording."""
-        #: Stamps and poses of the present flight.
+        #: Stamps, poses and commands of the present flight.
         self.poses: list[tuple[float, Any]] = []
-        self._sent: list[tuple[float, Any]] = []
+        self.commands: list[tuple[float, Any]] = []
         self._wanted: list[tuple[float, Any]] = []
 
     @property
@@ -149,7 +151,7 @@ class _LoggedLink:
         self.flight_s += (now - self._last) * self._runs
         self._last, self._runs = now, bool((np.abs(command) > self._vehicle.idle + _ON).any())
         self._link.send(command)
-        self._sent.append((now, np.array(command, dtype=float)))
+        self.commands.append((now, np.array(command, dtype=float)))
 
     def announce(self, reference: Float[np.ndarray, " 6"]) -> None:
         """Announce the reference; see `Link`."""
@@ -158,7 +160,7 @@ class _LoggedLink:
 
     def recording(self, source: str) -> Recording:
         """Return what was logged; the stamps are on the controller's clock."""
-        logs = {"pose": self.poses, "command": self._sent, "reference": self._wanted}
+        logs = {"pose": self.poses, "command": self.commands, "reference": self._wanted}
         columns = {**COLUMNS, "command": self._vehicle.columns}
         streams = {k: log_stream(log, columns[k], latency=0.0) for k, log in logs.items() if log}
         return Recording(streams, source)
@@ -283,6 +285,14 @@ class Commissioned:
             # On the graph the next pilot takes a moment to make.
             log.send(self.vehicle.idle)
         return self.flights[-1].recording
+
+    def brief(self, pilot: Pilot) -> None:
+        """Tell a new pilot the last moments: it knows the speed at once."""
+        since = self.link.now - _MOMENTS
+        seen = [(stamp, pilot.pose, pose) for stamp, pose in self._log.poses if stamp > since]
+        sent = [(stamp, pilot.sent, one) for stamp, one in self._log.commands if stamp > since]
+        for stamp, told, values in sorted([*seen, *sent], key=lambda one: one[0]):
+            told(stamp, values)
 
     def listen(self, duration: float, enough: float = math.inf) -> list[float]:
         """Listen for a time, or until enough poses have come; return their stamps."""

@@ -359,7 +359,10 @@ def hovering(session: Commissioned, estimator: str | None = None) -> TrackingCon
         estimation = tuning.estimation.model_copy(update={"estimator": estimator})
         tuning = tuning.model_copy(update={"estimation": estimation})
     # Compiling takes seconds, in which the motors would idle and the craft drift.
-    return TrackingController(model, session.here, tuning, table=session.table, compiled=False)
+    given = {"table": session.table, "compiled": False}
+    controller = TrackingController(model, session.here, tuning, **given)
+    session.brief(controller)
+    return controller
 
 
 class _Settled:

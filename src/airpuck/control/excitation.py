@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from airpuck.boundary.errors import InputError
-from airpuck.control.authority import pushes, weakest_effort
+from airpuck.control.authority import control_authority, pushes, weakest_effort
 from airpuck.control.law import Pilot, Step
 from airpuck.control.reference import Reference, SetPoint, Unturned
 from airpuck.control.tracking import TrackingController
@@ -68,7 +68,8 @@ class Excitation(Pilot):
     reaction : float, default 0
         Time for which the present commands still accelerate the craft before its brakes act [s].
         The signals also pause while the craft turns too far in this time, and a craft that could
-        not stop before a rail returns without regard to its yaw.
+        not stop before a rail returns without regard to its yaw. Brakes count as strong as they
+        are without turning the craft.
     pull : sequence of float, default (0, 0)
         Acceleration along x and y that the model lacks, such as a slope's, against which a craft
         with a `reaction` brakes [m/s²].
@@ -137,6 +138,9 @@ class Excitation(Pilot):
             raise InputError(
                 "must not be negative, and leave room between the rails", field="margin"
             )
+        if reaction:
+            alone = control_authority(model).alone
+            weakest = min(weakest, *(most for way, most in alone.items() if "turn" not in way))
         self._braking, self._reaction, self._margin = _BRAKING * weakest, reaction, margin
         self._pull = np.asarray(pull, dtype=float)
         self._begun: float | None = None
@@ -182,10 +186,6 @@ class Excitation(Pilot):
         signed = self._signed @ step.command + self._mixer @ self._signal
         command = np.clip(signed, *vehicle.command_range)
         return replace(step, command=vehicle.actuation.possible(command))
-
-    def rest(self) -> None:
-        """Give no more signals, so that the craft comes to rest at the reference."""
-        self._amplitude, self._signal = 0 * self._amplitude, 0 * self._signal
 
     def _change(self, time: float) -> None:
         """Draw the signals in force at a time, even if earlier steps were skipped."""
