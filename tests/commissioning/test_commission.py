@@ -1,12 +1,14 @@
 """From the box to a trusted flight, on the twin and over the graph."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from airpuck import commission, read_model, read_vehicle
 from airpuck.commissioning.commission import STEPS
+from airpuck.commissioning.excitations import Excitations
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.evaluation.presentation import largest_acceleration
 from airpuck.model.model_file import published_model
@@ -115,3 +117,34 @@ def test_on_a_slope_the_craft_is_brought_back_between_pulses():
     assert "return" in [flight.name[3:] for flight in found.flights]
     assert [step.step for step in found.steps] == ["rest", "pulses", "hover"]
     assert max((speed for _, speed in twin.craft.contacts), default=0.0) < 0.3
+
+
+class TooLittle:
+    """Studies to which every flight tells too little."""
+
+    said = SimpleNamespace(
+        outcome="not_enough_excitation",
+        trusted=False,
+        response_error=None,
+        acceleration_errors=None,
+        sentences=("Too little.",),
+    )
+
+    def start(self, now, function, *arguments): ...
+
+    def done(self, now):
+        return True
+
+    def result(self):
+        return SimpleNamespace(model=TRUTH, verdict=self.said, findings=())
+
+
+def test_excitations_grow_longer_while_they_tell_too_little():
+    steps = [Excitations(duration_s=1.0, most=4)]
+    found = commission(Twin(TRUTH, QUIET), default_vehicle(), steps=steps, work=TooLittle())
+    assert found.outcome == "excitation"
+    first, second, third, fourth = (np.ptp(flight.span) for flight in found.flights)
+    # Two are needed for the first study.
+    assert second == pytest.approx(first, abs=0.02)
+    assert third / second == pytest.approx(1.5, rel=0.02)
+    assert fourth / third == pytest.approx(1.5, rel=0.02)
