@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -197,7 +197,7 @@ class Pulses:
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
         try:
-            pilot = hovering(session, "learning" if silent.any() else None)
+            pilot = hovering(session, "learning" if silent.any() else "kalman")
         except InputError:
             return False  # Too little is known to steer the craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
@@ -350,16 +350,13 @@ class Hover:
         session.note("hover", f"the craft came to rest in the middle after {took:.1f} s")
 
 
-def hovering(session: Commissioned, estimator: str | None = None) -> TrackingController:
+def hovering(session: Commissioned, estimator: str = "kalman") -> TrackingController:
     """Return a controller that holds the middle of the table."""
     model = session.model
     rate = 240.0 if session.cameras is None else session.cameras.rate_hz
-    tuning = careful(model).with_camera(rate)
-    if estimator is not None:
-        estimation = tuning.estimation.model_copy(update={"estimator": estimator})
-        tuning = tuning.model_copy(update={"estimation": estimation})
+    tuning = careful(model).with_camera(rate).with_estimator(estimator)
     # Compiling takes seconds, in which the motors would idle and the craft drift.
-    given = {"table": session.table, "compiled": False}
+    given: dict[str, Any] = {"table": session.table, "compiled": False}
     controller = TrackingController(model, session.here, tuning, **given)
     session.brief(controller)
     return controller
