@@ -11,7 +11,7 @@ from airpuck.commissioning.commission import STEPS
 from airpuck.commissioning.excitations import Excitations
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.evaluation.presentation import largest_acceleration
-from airpuck.model.model_file import published_model
+from airpuck.model.model_file import nominal_model, published_model
 from airpuck.report.commissioning_report import commissioning_report
 from airpuck.twin.settings import TwinSettings
 from airpuck.twin.twin import Twin
@@ -117,6 +117,35 @@ def test_on_a_slope_the_craft_is_brought_back_between_pulses():
     assert "return" in [flight.name[3:] for flight in found.flights]
     assert [step.step for step in found.steps] == ["rest", "pulses", "hover"]
     assert max((speed for _, speed in twin.craft.contacts), default=0.0) < 0.3
+
+
+def eight_propellers() -> Vehicle:
+    """Propellers along a circle, blowing clockwise and counter-clockwise in turn."""
+    content = default_vehicle().model_dump(mode="json")
+    one, curve = content["propellers"][0], content["nominal"]["thrust_N"][0]
+    angles = 45.0 * np.arange(8)
+    content["pairs"], content["nominal"]["thrust_N"] = [], [curve] * 8
+    content["propellers"] = [
+        one
+        | {"name": f"m{k}", "direction_deg": (angle + 90 * (-1) ** k) % 360}
+        | {"position_m": [0.06 * np.cos(np.radians(angle)), 0.06 * np.sin(np.radians(angle))]}
+        for k, angle in enumerate(angles)
+    ]
+    return Vehicle.model_validate(content)
+
+
+def test_a_motor_that_has_not_been_tried_yet_idles_while_the_others_bring_the_craft_back():
+    tilt = TwinSettings(effects={"tilt_rad": (0.0, 0.015)}).effects
+    settings, truth = QUIET.model_copy(update={"effects": tilt}), nominal_model(eight_propellers())
+    twin = Twin(truth, settings, seed=5, pose=(0.0, -0.2, 0.0))
+    found = commission(twin, truth.vehicle, steps=STEPS[1:3])
+    ran = {
+        flight.name: (flight.recording["command"].values > truth.vehicle.command_min).any(axis=0)
+        for flight in found.flights
+    }
+    assert not ran["02_pulses"].all()
+    assert not (ran["03_return"] & ~ran["02_pulses"]).any()
+    assert found.steps[-1].step == "pulses"
 
 
 class TooLittle:

@@ -24,6 +24,7 @@ from airpuck.commissioning.pulse_evidence import (
     with_lag,
 )
 from airpuck.commissioning.session import Commissioned, Ended
+from airpuck.control.authority import LEAST_EFFORT, weakest_effort
 from airpuck.control.law import Pilot, Step
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -48,6 +49,8 @@ _VAGUE, _MOVED = 0.15, 0.1
 _ROUGH = 2.0
 #: Fewest known motors that can bring a craft back, and the time that they get [s].
 _STEERED, _RETURN = 3, 6.0
+#: Thrust of a motor that is to idle, as a share: curves must rise.
+_FAINT = 0.05
 #: Distance to the rails that is kept [m], and time until a slowed law brakes [s].
 _CLEARANCE, _REACTION = 0.05, 0.4
 #: Time until the last pose after a pulse has come [s].
@@ -171,7 +174,7 @@ class Pulses:
             # The craft has rested when the first one begins: on a slope every moment counts.
             rested = [*session.poses] if not tried else []
             pilot = PulseTest(given, plan, session.table, order, rested)
-            lacking = _STEERED - _propellers(given, np.isfinite(evidence.effects[1]))
+            lacking = _STEERED - len(_answering(given, np.isfinite(evidence.effects[1])))
             wait = max(lacking, 0) * (plan.rest + plan.length) + _LATE_POSES
             wait += 0.0 if rested else plan.rest
             begins = session.link.now + wait if steered else math.inf
@@ -192,12 +195,13 @@ class Pulses:
         """Bring the craft back to the middle if it can be; return whether it can."""
         effects, _ = evidence.effects
         silent = _silent(evidence.model, effects)
-        answer = np.isfinite(effects).all(axis=0) & ~silent
-        if _propellers(given, answer) < _STEERED:
+        known = _answering(given, np.isfinite(effects).all(axis=0) & ~silent)
+        if len(known) < _STEERED:
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
         try:
-            pilot = hovering(session, "learning" if silent.any() else "kalman")
+            pilot = _without_unknown(session, known)
+            pilot = pilot or hovering(session, "learning" if silent.any() else "kalman")
         except InputError:
             return False  # Too little is known to steer the craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
@@ -221,9 +225,9 @@ class Pulses:
         session.note("pulses", f"{count} motors answer; lag about {lag}, delay about {delay}")
 
 
-def _propellers(vehicle: Vehicle, channels: Bool[np.ndarray, " n"]) -> int:
-    """Return how many propellers some of their channels belong to."""
-    return len({vehicle.actuation.channels[k].column for k in np.flatnonzero(channels)})
+def _answering(vehicle: Vehicle, channels: Bool[np.ndarray, " n"]) -> set[int]:
+    """Return the propellers that some of these channels belong to."""
+    return {vehicle.actuation.channels[k].column for k in np.flatnonzero(channels)}
 
 
 def _unclear(evidence: PulseEvidence) -> tuple[Int[np.ndarray, " k"], Finding | None]:
@@ -350,9 +354,11 @@ class Hover:
         session.note("hover", f"the craft came to rest in the middle after {took:.1f} s")
 
 
-def hovering(session: Commissioned, estimator: str = "kalman") -> TrackingController:
+def hovering(
+    session: Commissioned, estimator: str = "kalman", model: Model | None = None
+) -> TrackingController:
     """Return a controller that holds the middle of the table."""
-    model = session.model
+    model = model or session.model
     rate = 240.0 if session.cameras is None else session.cameras.rate_hz
     tuning = careful(model).with_camera(rate).with_estimator(estimator)
     # Compiling takes seconds, in which the motors would idle and the craft drift.
@@ -360,6 +366,35 @@ def hovering(session: Commissioned, estimator: str = "kalman") -> TrackingContro
     controller = TrackingController(model, session.here, tuning, **given)
     session.brief(controller)
     return controller
+
+
+def _without_unknown(session: Commissioned, known: set[int]) -> Pilot | None:
+    """Return such a controller that lets other motors idle; None if it needs them.
+
+    A motor that has not answered yet may push anywhere.
+    """
+    model = session.model
+    runs = np.array([one.column in known for one in model.vehicle.actuation.channels])
+    if runs.all() or weakest_effort(model, runs) < LEAST_EFFORT:
+        return None
+    curves = np.where(runs[:, None], 1.0, _FAINT) * model.parameters.thrust
+    model = replace(model, parameters=replace(model.parameters, thrust=curves))
+    return _Sparing(hovering(session, model=model), sorted(known))
+
+
+class _Sparing(Pilot):
+    """Flies with some motors only."""
+
+    def __init__(self, controller: TrackingController, runs: list[int]) -> None:
+        self._controller, self._runs = controller, runs
+        self.reference = controller.reference
+        self.pose, self.measured, self.sent = controller.pose, controller.measured, controller.sent
+
+    def step(self, time: float) -> Step:
+        """Return the controller's step without the other motors; see `Pilot`."""
+        step, command = self._controller.step(time), self._controller.model.vehicle.idle
+        command[self._runs] = step.command[self._runs]
+        return replace(step, command=command)
 
 
 class _Settled:
