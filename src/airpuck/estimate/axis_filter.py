@@ -112,7 +112,7 @@ def propagate(
         h, command = durations[k], commands[k]
         middle = motor_step(xp, motor_speed, command, h / 2, tau, idle)
         motion = mean[2, 0] + h / 2 * mean[2, 1], mean[0, 1], mean[1, 1], mean[2, 1]
-        rate = xp.stack(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
+        rate = xp.array(acceleration(xp, dynamics, motion, middle)) + mean[:, 2]
         p, v, d = mean[:, 0], mean[:, 1], mean[:, 2]
         mean = xp.stack([p + h * v + h * h / 2 * rate, v + h * rate, d], axis=1)
         motor_speed = motor_step(xp, motor_speed, command, h, tau, idle)

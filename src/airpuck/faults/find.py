@@ -203,16 +203,15 @@ def state_probabilities(
     now = initial
     for k, seen in enumerate(likelihood):
         now = now * seen
-        now /= now.sum()
+        now /= np.add.reduce(now)
         forward[k] = now
         now = now @ transition
     later = np.ones(len(initial))
     for k in range(len(likelihood) - 1, -1, -1):
         forward[k] *= later
-        forward[k] /= forward[k].sum()
         later = transition @ (likelihood[k] * later)
-        later /= later.sum()
-    return forward
+        later /= np.add.reduce(later)
+    return forward / forward.sum(axis=1, keepdims=True)
 
 
 NOT_ARMED, CONTACT = "not armed", "contact"

@@ -158,7 +158,7 @@ class _Tests:
         if (count := int(loss.clusters.max()) + 1) < _BLOCKS:
             loss = replace(loss, clusters=cluster_windows(loss.windows, _BLOCKS))
             shared = shared_at_borders(loss)
-        quadratic = loss.quadratic(whole, once=True)
+        quadratic = loss.quadratic(whole, within=model.parameters)
         names = model.vehicle.propeller_names
         labels = whole.labels(names)
         own = np.array([labels.index(label) for label in model.parameters.labels(names)])

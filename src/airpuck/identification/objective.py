@@ -10,8 +10,8 @@ Jacobian of the accelerations in forward mode. It differentiates with respect to
 of the many coefficients behind them; the powers of the polynomials are applied afterwards.
 
 For speed (`airpuck.compute.compiled`), the batch is the last axis throughout, the sensitivities of
-yaw and of velocities are kept separate, and the direct effects of the local coordinates are added
-in place, each kind to its own part.
+yaw and of velocities are kept separate, and each part of the accelerations is differentiated by
+itself, along the coordinates that move it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from itertools import accumulate, pairwise
 from typing import Any
 
 import jax
@@ -61,8 +60,8 @@ _STAGES = np.array([[0, 1 / 2, 1 / 2, 1], [1 / 6, 1 / 3, 1 / 3, 1 / 6], [1 / 6, 
 
 
 def normal_equations(
-    dynamics: tuple[Any, tuple[Any, Any], Any, Any, Any],
-    basis: tuple[Any, Any],
+    dynamics: tuple[Any, tuple[Any, ...], Any, Any],
+    basis: list[dict[int, Any]],
     time: Any,
     state: Any,
     measured: Any,
@@ -75,19 +74,21 @@ def normal_equations(
     encoder: StateEncoder,
     lengths: tuple[int, int],
     frame: CenterOfMassFrame,
+    felt: int,
     once: bool,
 ) -> tuple[Any, Any, Any]:
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
-    `lengths` are E and T; poses count where `measured` is one, not zero; a program that runs `once`
-    is made to compile quickly. Local coordinates are the thrust coefficients, K directions of Π and
-    the effects, the centre of mass if it acts beside Π, τ and its increase at standstill, and the
-    transport delay.
+    `lengths` are E and T; poses count where `measured` is one, not zero; accelerations depend on ω
+    and on the first `felt` of yaw, velocity and position; a program that runs `once` is made to
+    compile quickly. `dynamics` contains the parts of the accelerations: Π, centre of mass, effects.
+    Local coordinates are the thrust coefficients, the directions of `basis`, in groups that move
+    the same parts, τ and its increase at standstill, and the transport delay.
 
     Long because its inner functions share a dozen traced arrays, which would otherwise be arguments
     of each.
     """
-    coefficients, linear, center, lag_values, own_lag = dynamics
+    coefficients, parts, lag_values, own_lag = dynamics
     tau, lags = lag_values[0], lag_values.shape[0]
     (n, degree), batch = coefficients.shape, starts.shape[0]
     # The lag does not depend on the delay, the last local coordinate.
@@ -102,37 +103,32 @@ def normal_equations(
 
     def encode(values: Any, command: Any) -> Any:
         idle = [IdleLag(value) for value in values[1:]]
-        effects = (*linear[1], *idle)
-        model = Dynamics(coefficients, linear[0], center, values[0], frame, effects, own_lag)
+        matrix, center, *effects = parts
+        model = Dynamics(coefficients, matrix, center, values[0], frame, (*effects, *idle), own_lag)
         return encoder.encode(jnp, model, replace(past, command=command))
 
-    def accelerate(*by: Any) -> Any:
-        """Accelerations given thrusts, Π and the effects, centre of mass, and motion."""
-        force, (matrix, effects), center, motion = by
-        # As if propellers pushed as strongly as they turn.
-        model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, effects)
-        return jnp.stack(acceleration(jnp, model, motion, force))
+    of_place = any(effect.of_place for effect in parts[2:])
+    moving = [k for k in range(6) if k < felt or k == 3]
 
     def local(force: Any, motion: Any) -> tuple[Any, list[Any]]:
-        """Accelerations, and derivatives by each argument of `accelerate`, (3, ·, B)."""
-        point = force, linear, center, motion
-        each = jnp.ones(batch)
-        moving = jnp.eye(len(motion))[..., None] * each
-        along = jnp.eye(n)[..., None] * each, basis, jnp.eye(2), moving
+        """Accelerations; derivatives by thrusts, motion, and along the basis, (3, ·, B)."""
+        point = {**dict(enumerate(parts)), "force": force, "motion": motion}
 
-        def slopes(k: int) -> Any:
-            _, push = jax.linearize(
-                lambda part: accelerate(*point[:k], part, *point[k + 1 :]), point[k]
+        def accelerate(changed: dict[Any, Any]) -> Any:
+            force, motion, matrix, center, *effects = (
+                changed.get(key, point[key]) for key in ("force", "motion", *range(len(parts)))
             )
-            return jax.vmap(push, out_axes=1)(along[k])
+            # As if propellers pushed as strongly as they turn.
+            model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, effects)
+            return jnp.stack(acceleration(jnp, model, motion, force))
 
-        return accelerate(*point), [slopes(k) for k in range(len(point))]
+        def slopes(along: dict[Any, Any]) -> Any:
+            at = {key: point[key] for key in along}
+            return jax.vmap(lambda d: jax.jvp(accelerate, (at,), (d,))[1], out_axes=1)(along)
 
-    # Without effects nothing depends on the velocity, and few effects depend on the position.
-    of_place = any(effect.of_place for effect in linear[1])
-    felt = range(6) if of_place else range(4) if linear[1] else (0, 3)
-    sizes = (coefficients.size, len(basis[0]), 2, lags + 1)
-    edges = list(accumulate(sizes, initial=0))
+        units = {"force": jnp.eye(n), "motion": jnp.eye(len(motion))[jnp.array(moving)]}
+        each = [{key: unit[..., None] * jnp.ones(batch)} for key, unit in units.items()]
+        return accelerate({}), [*map(slopes, (*each, *basis))]
 
     def rates(
         motion: Any, d_yaw: Any, d_velocity: Any, speed: Any, d_speed: Any, *place: Any
@@ -143,16 +139,14 @@ def normal_equations(
         """
         everything = jnp.concatenate([motion, place[0]]) if place else motion
         value, slopes = local(thrust(coefficients, speed), everything)
-        by_force, by_direction, by_center, by_motion = slopes
+        by_force, by_motion, *by_parts = slopes
         powers = jnp.stack([speed**power for power in range(1, degree + 1)], axis=1)
         by_thrust = (by_force[:, :, None] * powers).reshape(3, -1, batch)
         by_speed = by_force * thrust_slope(coefficients, speed)
         by_motor = sum(by_speed[:, None, i] * d_speed[:, i] for i in range(n))
         d_motion = (d_yaw, *d_velocity, *(place[1] if place else ()))
-        d_acceleration: Any = sum(by_motion[:, k, None] * d_motion[k] for k in felt)
-        directly = (by_thrust, by_direction, by_center, by_motor)
-        for part, (first, last) in zip(directly, pairwise(edges), strict=True):
-            d_acceleration = d_acceleration.at[:, first:last].add(part)
+        d_acceleration: Any = sum(by_motion[:, i, None] * d_motion[k] for i, k in enumerate(moving))
+        d_acceleration += jnp.concatenate([by_thrust, *by_parts, by_motor], axis=1)
         return jnp.concatenate([motion[3:], value]), d_acceleration
 
     def advanced(
@@ -161,19 +155,19 @@ def normal_equations(
         """Return the changes of the motion and of the position (less h v), with sensitivities."""
 
         def stage(carry: Any, given: Any) -> tuple[Any, None]:
-            slope, d_slope, d_there, changes = carry
+            slope, d_slope, d_spin, changes = carry
             (ahead, weight, of_position), speed, d_speed = given
             d_now = d_velocity + ahead * d_slope
-            now = motion + ahead * slope, d_yaw + ahead * d_there[2], d_now
+            now = motion + ahead * slope, d_yaw + ahead * d_spin, d_now
             slope, d_slope = rates(*now, speed, d_speed, *place)
             moved = of_position * slope[1:3], of_position * d_slope
             steps = weight * slope, weight * d_slope, *moved
             changes = [change + step for change, step in zip(changes, steps, strict=True)]
-            return (slope, d_slope, d_now, changes), None
+            return (slope, d_slope, d_now[2], changes), None
 
         many = _STAGES.T[..., None] * jnp.stack([h, h, h**2]), speeds, d_speeds
         none, d_none = jnp.zeros_like(motion), jnp.zeros_like(d_velocity)
-        carry = none, d_none, d_velocity, [none, d_none, none[1:3], d_none]
+        carry = none, d_none, d_velocity[2], [none, d_none, none[1:3], d_none]
         # Unrolled, stages run faster, but take longer to compile; see `airpuck.compute.compiled`.
         return jax.lax.scan(stage, carry, many, unroll=1 if once else 4)[0][-1]
 
@@ -219,7 +213,7 @@ def normal_equations(
 
     encoded, push = jax.linearize(encode, lag_values, past.command)
     d_encoded = jax.vmap(push)(by_lag, with_delay(past_slope))
-    size = edges[-1]
+    size = coefficients.size + sum(len(jax.tree.leaves(along)[0]) for along in basis) + lags + 1
     # Of the local coordinates, only lag and delay affect the encoder's estimate.
     d_begun = jnp.moveaxis(d_encoded[:, :6], 0, 1)
     d_state = jnp.zeros((6, size, batch)).at[:, -(lags + 1) :].set(d_begun)
@@ -232,7 +226,7 @@ def normal_equations(
 @cache
 def compiled_normal_equations(once: bool = False) -> Callable[..., tuple[Any, Any, Any]]:
     """Compile `normal_equations`, quickly if it runs `once`; keywords must be hashable."""
-    hashed = "encoder", "lengths", "frame"
+    hashed = "encoder", "lengths", "frame", "felt"
     return for_batches(partial(normal_equations, once=once), once=once, static_argnames=hashed)
 
 
@@ -318,18 +312,7 @@ class PredictionLoss:
         )
 
     def windows_at(self, parameters: Parameters) -> Windows:
-        """Return the windows, with the commands as they act.
-
-        Parameters
-        ----------
-        parameters : Parameters
-            θ.
-
-        Returns
-        -------
-        Windows
-            With commands held for this delay, if it is continuous.
-        """
+        """Return the windows, with commands held for the delay in θ if it is continuous."""
         if not self.continuous_delay:
             return self.windows
         assumed = self.vehicle.nominal.transport_delay_s
@@ -340,22 +323,23 @@ class PredictionLoss:
         """The windows, with steps short enough for integration."""
         return self.windows.refined(max(map(integration_parts, self.windows.trajectories)))
 
-    def quadratic(self, parameters: Parameters, *, once: bool = False) -> Quadratic:
+    def quadratic(self, parameters: Parameters, *, within: Parameters | None = None) -> Quadratic:
         """Evaluate the loss and its Gauss-Newton approximation in one pass over the windows.
 
         Parameters
         ----------
         parameters : Parameters
             θ.
-        once : bool
-            Whether this is the only pass with these terms; it then compiles in half the time.
+        within : Parameters, optional
+            θ without the terms that are zero: the motion does not act on them. This is the only
+            pass with such terms, and compiles in half the time.
 
         Returns
         -------
         Quadratic
             Derivatives are with respect to ``parameters.to_vector()``.
         """
-        square, score, curvature, owner, local = self._passed(parameters, once)
+        square, score, curvature, owner, local = self._passed(parameters, within)
         scale = 1 / (3 * self._counted @ self.windows.poses)
         return Quadratic(
             cluster_losses=scale * _summed([part.sum() for part in square], owner),
@@ -387,18 +371,19 @@ class PredictionLoss:
         return scale * np.concatenate(square)[:count], gradients
 
     def _passed(
-        self, parameters: Parameters, once: bool = False
+        self, parameters: Parameters, within: Parameters | None = None
     ) -> tuple[list[Any], list[Any], list[Any], list[int], Float[np.ndarray, "L P"]]:
         """Pass over the windows; return r² and Jᵀr of each, JᵀJ of batches with owners, dL/dθ."""
         register_pytrees()
-        values, slopes, moved_by = _linear_basis(parameters, self.vehicle)
+        parts = _parts(parameters, self.vehicle)
+        slopes, moved_by = _linear_basis(parameters, self.vehicle)
         windows = self.windows_at(parameters)
         slope = np.zeros_like(windows.input) if windows.input_slope is None else windows.input_slope
         lag = np.array([parameters.motor_time_constant], dtype=float)
         if parameters.idle_lag is not None:
             lag = np.append(lag, parameters.idle_lag)
         own_lag = self.vehicle.actuation.own_lag
-        dynamics = (parameters.thrust, values, parameters.center_of_mass, lag, own_lag)
+        dynamics = (parameters.thrust, parts, lag, own_lag)
         samples = windows.time, windows.state, windows.measured.astype(float), windows.input, slope
         long = tuple(lengthened(values, _SHORTEST) for values in samples)
         with double_precision():
@@ -409,8 +394,11 @@ class PredictionLoss:
             )
 
         lengths = windows.encoder_length, windows.prediction_length
-        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame}
-        normal_equations = partial(compiled_normal_equations(once), **static)
+        _, _, *effects = _parts(within or parameters, self.vehicle)
+        # Without effects nothing depends on the velocity, and few effects depend on the position.
+        felt = 6 if any(effect.of_place for effect in effects) else 4 if effects else 1
+        static = {"encoder": self.encoder, "lengths": lengths, "frame": self.frame, "felt": felt}
+        normal_equations = partial(compiled_normal_equations(within is not None), **static)
         batches, owner = self._batches()
 
         def sums(batch: _Batch) -> Any:
@@ -459,41 +447,39 @@ def _summed(parts: Sequence[Any], owner: Sequence[int]) -> Float[np.ndarray, "G 
     return total
 
 
+def _parts(parameters: Parameters, vehicle: Vehicle) -> tuple[Any, ...]:
+    """Return what accelerations consist of: Π, the centre of mass, and the effects."""
+    dynamics = parameters.dynamics(np, vehicle)
+    # The motors' lag is not part of the accelerations.
+    effects = (effect for effect in dynamics.effects if effect.idle_lag is None)
+    return dynamics.configuration, dynamics.center_of_mass, *effects
+
+
 def _linear_basis(
     parameters: Parameters, vehicle: Vehicle
-) -> tuple[tuple[Any, Any], tuple[Any, Any], Int[np.ndarray, " K"]]:
-    """Return Π and the effects, their derivatives, and the entries of θ they depend on.
+) -> tuple[list[dict[int, Any]], list[Any]]:
+    """Return derivatives of `_parts`, and the entries of θ they are by, in groups.
 
-    With complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
-    SIAM Review 40, 1998).
+    A group moves the same parts, by number. Derivatives are by complex steps, exact to rounding:
+    f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp, SIAM Review 40, 1998).
     """
-
-    def at(vector: Any) -> tuple[Any, Any]:
-        dynamics = parameters.with_vector(vector).dynamics(np, vehicle)
-        # The motors' lag is not part of the accelerations.
-        effects = tuple(e for e in dynamics.effects if e.idle_lag is None)
-        return dynamics.configuration, effects
-
-    names = {"inertia", "angle_offset", "center_of_mass"}
-    if parameters.configuration_matrix is not None:
-        names = {"configuration_matrix"} | ({"angle_offset"} if parameters.effects else set())
-    moving = (names | parameters.effects) - {"idle_lag"}
-    moved_by = np.flatnonzero(parameters.mask(frozenset(moving)))
     vector, step = parameters.to_vector(), 1e-30
-    moved = [at(vector + 1j * step * unit) for unit in np.eye(len(vector))[moved_by]]
-    slopes = jax.tree.map(lambda *values: np.imag(np.array(values)) / step, *moved)
-    return at(vector), slopes, moved_by
+    groups: dict[tuple[int, ...], list[Any]] = {}
+    for entry in np.flatnonzero(~parameters.mask(frozenset({"thrust"}))):
+        stepped = vector + 1j * step * np.eye(len(vector))[entry]
+        moved = _parts(parameters.with_vector(stepped), vehicle)
+        slopes = enumerate(jax.tree.map(lambda value: np.imag(value) / step, moved))
+        slopes = {k: part for k, part in slopes if any(map(np.any, jax.tree.leaves(part)))}
+        groups.setdefault(tuple(slopes), []).append((slopes, entry))
+    groups.pop((), None)
+    each = [[slopes for slopes, _ in group] for group in groups.values()]
+    basis = [jax.tree.map(lambda *values: np.array(values), *slopes) for slopes in each]
+    return basis, [entry for group in groups.values() for _, entry in group]
 
 
-def _local_coordinates(
-    parameters: Parameters, moved_by: Int[np.ndarray, " K"]
-) -> Float[np.ndarray, "L P"]:
-    """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by.
-
-    These are the thrust coefficients, the K directions of Π and the effects, the centre of mass if
-    it acts beside Π, the time constant, the idle lag if the model has one, and the transport delay.
-    """
-    last = ("center_of_mass", "motor_time_constant", "idle_lag", "transport_delay")
+def _local_coordinates(parameters: Parameters, moved_by: list[Any]) -> Float[np.ndarray, "L P"]:
+    """Return d(local)/dθ for the coordinates that `normal_equations` differentiates by."""
+    last = ("motor_time_constant", "idle_lag", "transport_delay")
     thrust, *others = (parameters.mask(frozenset({name})) for name in ("thrust", *last))
     entry = np.eye(len(thrust))
     return np.concatenate([entry[part] for part in (thrust, moved_by, *others)])

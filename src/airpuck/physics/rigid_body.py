@@ -171,9 +171,9 @@ def acceleration(xp: Any, dynamics: Dynamics, motion: Any, motor_speed: Any) -> 
             force = effect.thrust(xp, force, felt)
             known = replace(felt, thrust=force) if effect.of_thrust else felt
             added.append(effect.acceleration(xp, known))
-    forward, left, angular = (
-        sum(parts) for parts in zip(linear_map(dynamics.configuration, force), *added, strict=True)
-    )
+    forward, left, angular = linear_map(dynamics.configuration, force)
+    for along, across, turning in added:
+        forward, left, angular = forward + along, left + across, angular + turning
     heavier = _added_mass(dynamics)
     if heavier is not None:
         center = center_of_mass(dynamics, "body", cos, sin)
@@ -325,7 +325,8 @@ def step(xp: Any, dynamics: Dynamics, state: Any, command: Any, duration: Any) -
 
     def rates(motion: Any, motor_speed: Any) -> Any:
         felt = motion if place is None else (*motion, *place)
-        return xp.stack([motion[3], *acceleration(xp, dynamics, felt, motor_speed)])
+        # Of single numbers NumPy makes an array several times faster than it stacks them.
+        return xp.array([motion[3], *acceleration(xp, dynamics, felt, motor_speed)])
 
     motion = state[2:6]
     k1 = rates(motion, begin)

@@ -67,7 +67,8 @@ def thrust_curvature(coefficients: Any, speed: Any) -> Any:
 def _column(coefficients: Any, power: int, like: Any) -> Any:
     """Return one column of the coefficients, shaped to broadcast along the batch axes of `like`."""
     column = coefficients[:, power]
-    return column if column.ndim > 1 else column.reshape((-1,) + (1,) * (like.ndim - 1))
+    alike = column.ndim > 1 or like.ndim == 1
+    return column if alike else column.reshape((-1,) + (1,) * (like.ndim - 1))
 
 
 def lowest_slope(
