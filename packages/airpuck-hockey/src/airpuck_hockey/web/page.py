@@ -417,7 +417,7 @@ class Session:
 
     def _renew(self, *, runs: bool) -> None:
         """Start a new game; meanwhile the page shows that this takes a moment."""
-        self._tell_status("starting")
+        self._pages.say_status("starting", self._game.score, self._level)
         # The page and its server need not wait for the compiler.
         prioritize(first=False)
         self._begin()
@@ -455,10 +455,6 @@ class Session:
         for news in map(news_of, events):
             if news is not None:
                 self._pages.say(news)
-        self._tell_status(self.phase)
+        self._pages.say_status(self.phase, game.score, self._level)
         if self.phase == "play":
             self._pages.think(lambda: thought_of(self._player, game.time))
-
-    def _tell_status(self, phase: str) -> None:
-        """Send the status of the game to the page."""
-        self._pages.say_status(phase, self._game.score, self._level)
