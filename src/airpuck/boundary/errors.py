@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 #: Libraries may repeat a whole file in their messages.
@@ -91,13 +92,8 @@ def explained(
         raise InputError(problem.replace("{error}", reason), file=file, field=field) from error
 
 
-@contextmanager
-def installed(problem: str, **place: Any) -> Iterator[None]:
-    """Import what may not be installed; raise InputError, which says how to install it."""
-    try:
-        yield
-    except ImportError:
-        raise InputError(problem, **place) from None
+#: Imports what may not be installed; raises InputError, which says how to install it.
+installed = partial(explained, ImportError)
 
 
 def shortened(text: str, most: int = 80) -> str:

@@ -252,6 +252,7 @@ class Fitting(Identification):
 
     def run(self) -> list[Row]:
         """Fit; see `Item.run`."""
+        from airpuck.evaluation.evaluate import by_channel
         from airpuck.judgement.study import judged
 
         if self.resamplings:
@@ -261,7 +262,8 @@ class Fitting(Identification):
         row = _progress(fit) | {"windows": float(fit.windows)} | _labelled(fit.model)
         row |= {key: float(said.outcome == key) for key in ("trusted", "suspect_recording")}
         if self.validation is not None:
-            row |= named("rmse", airpuck.evaluate(fit.model, self._load(self.validation)).rmse)
+            rmse = airpuck.evaluate(fit.model, self._load(self.validation)).rmse
+            row |= {f"rmse_{name}": error for name, error in by_channel(rmse).items()}
         return [row]
 
     def _load(self, name: str) -> Trajectory:
@@ -350,12 +352,6 @@ def _planned(name: str, *_hashes: str) -> Model:
 @lru_cache(maxsize=8)
 def _fit_to_all(item: Fitting, _key: str) -> Fit:
     return item.fit()[0]
-
-
-def named(prefix: str, values: Any) -> Row:
-    """Return one figure for each of x, y [m] and yaw [rad]."""
-    channels = ("x_m", "y_m", "yaw_rad")
-    return {f"{prefix}_{name}": float(v) for name, v in zip(channels, values, strict=True)}
 
 
 def thrust_error(model: Model, truth: Model) -> Float[np.ndarray, " n"]:

@@ -16,7 +16,7 @@ from typing import Any
 import pydantic
 
 from airpuck.boundary import numbers
-from airpuck.boundary.errors import InputError, installed
+from airpuck.boundary.errors import InputError, explained, installed
 from airpuck.boundary.signals import SIGNALS, Stopped, stop
 from airpuck.campaigns.fingerprints import program
 from airpuck.campaigns.items import Item, Row
@@ -196,10 +196,9 @@ def _client(workers: int | str | None) -> Iterator[Any]:
                 client.register_worker_callbacks(setup=_ignore_interrupts)
                 yield client
             return
-        try:
+        problem = "no Dask scheduler answers there ({error})"
+        with explained((OSError, ValueError), problem, file=workers, field="workers"):
             client = Client(workers, timeout=PATIENCE)
-        except (OSError, ValueError) as error:
-            raise _unusable(workers, f"no Dask scheduler answers there ({error})") from error
         with client:
             _check_workers(client, workers)
             yield client
@@ -212,20 +211,11 @@ def _ignore_interrupts() -> None:
 
 def _check_workers(client: Any, scheduler: str) -> None:
     """Check that a cluster has workers and that they run this version of airpuck."""
-    try:
+    unusable = partial(explained, file=scheduler, field="workers")
+    idle = unusable(TimeoutError, "has no workers; start some with `dask worker ADDRESS`")
+    with idle, unusable(ImportError, "its workers lack a package ({error})"):
         client.wait_for_workers(1, timeout=PATIENCE)
         programs = set(client.run(program).values())
-    except TimeoutError as error:
-        why = "has no workers; start some with `dask worker ADDRESS`"
-        raise _unusable(scheduler, why) from error
-    except ImportError as error:
-        raise _unusable(scheduler, f"its workers lack a package ({error})") from error
     if programs != {program()}:
-        raise _unusable(
-            scheduler, "its workers run another version of airpuck; install this one there"
-        )
-
-
-def _unusable(scheduler: str, why: str) -> InputError:
-    """Return an error that names the scheduler."""
-    return InputError(why, file=scheduler, field="workers")
+        why = "its workers run another version of airpuck; install this one there"
+        raise InputError(why, file=scheduler, field="workers")

@@ -11,7 +11,7 @@ import numpy as np
 import pydantic
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, explained
 from airpuck.boundary.files import Section, checked, parse_json
 from airpuck.boundary.limits import ABOUT_BYTES, ARCHIVE_BYTES, SPANS, Archive, within_means
 from airpuck.craft.vehicle import Vehicle
@@ -47,22 +47,16 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     >>> airpuck.read_trajectory("flight.npz").propellers == trajectory.propellers
     True
     """
-    try:
-        with within_means(path):
-            arrays, about = _read_archive(path)
-    except InputError:
-        raise
-    except FileNotFoundError:
-        raise InputError("there is no such file", file=path) from None
-    except KeyError as error:
-        raise InputError(
-            "is missing; write the file with `airpuck preprocess`", file=path, field=error.args[0]
-        ) from error
     # A damaged archive can make zipfile and NumPy fail in any way.
-    except Exception as error:
-        raise InputError(
-            f"is not a trajectory that `airpuck preprocess` wrote ({error})", file=path
-        ) from error
+    foreign = "is not a trajectory that `airpuck preprocess` wrote ({error})"
+    with explained(Exception, foreign, file=path), within_means(path):
+        try:
+            arrays, about = _read_archive(path)
+        except FileNotFoundError:
+            raise InputError("there is no such file", file=path) from None
+        except KeyError as error:
+            missing = "is missing; write the file with `airpuck preprocess`"
+            raise InputError(missing, file=path, field=error.args[0]) from error
     if about.get("format") != FORMAT:
         raise InputError(
             f"is not in the format that this version reads ({FORMAT!r}); preprocess the recording "

@@ -415,11 +415,8 @@ class KalmanFilter:
         The belief is the one after all earlier intervals.
         """
         assert self._time is not None
-        pieces, belief, speed = (
-            self._commands.cut(self._time, time),
-            self._belief,
-            self._motor_speed,
-        )
+        pieces = self._commands.cut(self._time, time)
+        belief, speed = self._belief, self._motor_speed
         early = max(len(pieces) - most, 0)
         for first in range(0, early, _PIECES_TO_PREDICT):
             some = pieces[first : min(first + _PIECES_TO_PREDICT, early)]

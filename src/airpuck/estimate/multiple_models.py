@@ -28,13 +28,7 @@ from jaxtyping import Float
 
 from airpuck.compute.arrays import small_product
 from airpuck.craft.vehicle import GRAVITY
-from airpuck.estimate.axis_filter import (
-    INITIAL_VELOCITY,
-    Noise,
-    process_noise,
-    propagate,
-    to_world,
-)
+from airpuck.estimate.axis_filter import INITIAL_VELOCITY, Noise, process_noise, propagate, to_world
 from airpuck.physics.motor import lag_at, motor_step
 from airpuck.physics.rigid_body import Dynamics, motor_accelerations, pose_difference
 

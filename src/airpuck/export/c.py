@@ -79,9 +79,9 @@ def write_model(
     (folder / "airpuck_data.c").write_text(f"{text}\n", encoding="utf-8")
 
 
-def copy_sources(names: Sequence[str], folder: Path) -> None:
-    """Copy packaged sources, by their paths below ``packaged/c``."""
-    packaged = resources.files("airpuck") / "packaged" / "c"
+def copy_sources(names: Sequence[str], folder: Path, language: str = "c") -> None:
+    """Copy packaged sources, by their paths below ``packaged/c`` or another language's."""
+    packaged = resources.files("airpuck") / "packaged" / language
     for name in names:
         (folder / Path(name).name).write_bytes((packaged / name).read_bytes())
 

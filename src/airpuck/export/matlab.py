@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import airpuck
-from airpuck.export.c import check_effects, coefficients
+from airpuck.export.c import check_effects, coefficients, copy_sources
 from airpuck.export.kinds import Subject, printable, refuse_actuators
 from airpuck.model.model_file import Model
 from airpuck.model.simulation import trim
@@ -76,9 +75,7 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     """Write the function files."""
     model = subject.model
     (folder / "airpuck_parameters.m").write_text(parameters(model), encoding="utf-8")
-    packaged = resources.files("airpuck") / "packaged" / "matlab"
-    for name in _SOURCES:
-        (folder / name).write_bytes((packaged / name).read_bytes())
+    copy_sources(_SOURCES, folder, "matlab")
     return {"transport delay": f"{1e3 * model.transport_delay:.4g} ms, not in the functions"}
 
 

@@ -122,7 +122,9 @@ def _with_signs(
     rows = np.array([1.0, 1.0, nominal.radius_of_gyration])[:, None]
     measured, error = rows * found.effect, rows * np.minimum(found.error, _UNKNOWN)
     forces_to_moments = force_to_moment(measured, error, stated)
-    ratio = _length_ratio(forces_to_moments)
+    # The power of ten by which a wrong unit of length explains the ratio.
+    wrong = max(forces_to_moments, 1 / forces_to_moments) > _WRONG_UNIT
+    ratio = 10.0 ** round(np.log10(forces_to_moments)) if wrong else 1.0
     # A wrong unit of length is no evidence about the inertia.
     inertia = forces_to_moments if ratio == 1 else 1.0
     measured[:2] /= ratio
@@ -142,8 +144,8 @@ def _with_signs(
         longer=found.longer,
         window=found.length,
         still=not bool(np.isfinite(found.error).any()),
+        **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs),
     )
-    check = replace(check, **_floor(found, stated * vehicle.nominal_thrust.sum(axis=1), signs))
     layout = check.rotation, check.inertia_ratio
     checks = judge_propellers(measured, error, stated, names, found.independent, layout)
     if check.exchanged:
@@ -175,16 +177,11 @@ def _floor(
     return values | ({"friction": friction} if friction > 0 else {})
 
 
-def _length_ratio(forces_to_moments: float) -> float:
-    """Return the power of ten by which a wrong unit of length explains the ratio."""
-    wrong = max(forces_to_moments, 1 / forces_to_moments) > _WRONG_UNIT
-    return 10.0 ** round(np.log10(forces_to_moments)) if wrong else 1.0
-
-
 def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarray, "n N"]:
     """Return the thrusts of nominal motors without a transport delay."""
     # Pulses shorter than a sample are averaged over it.
-    parts, count = _parts(trajectory), len(trajectory)
+    pace, count = np.diff(trajectory.command_time), len(trajectory)
+    parts = _PARTS if len(pace) and np.mean(pace) < trajectory.sample_period else 1
     fine = np.interp(np.arange(count * parts) / parts, np.arange(count), trajectory.time)
     command = hold(trajectory.command_time, trajectory.command, fine)
     speed = motor_speeds(fine, command, nominal_model(vehicle).dynamics.lag)
@@ -198,11 +195,3 @@ def _nominal_thrusts(trajectory: Trajectory, vehicle: Vehicle) -> Float[np.ndarr
 def _longest_delay(vehicle: Vehicle) -> float:
     """Return the longest transport delay to try [s]."""
     return max(_LONGEST_DELAY, _OF_STATED_DELAY * vehicle.nominal.transport_delay_s)
-
-
-def _parts(trajectory: Trajectory) -> int:
-    """Return the number of parts of a sample: more than one if commands change faster."""
-    pace = np.diff(trajectory.command_time)
-    if not len(pace) or np.mean(pace) >= trajectory.sample_period:
-        return 1
-    return _PARTS

@@ -260,29 +260,35 @@ def layout_findings(check: LayoutCheck) -> tuple[Finding, ...]:
     return (*_poses(check), *_layout(check), *_floor(check))
 
 
+#: How verdicts on propellers begin that lead to a finding: its kind, the cause for each propeller,
+#: and the remedy.
+_ACCUSED: dict[str, tuple[Kind, str, str]] = {
+    "behaves like": (
+        "order",
+        "{0.name} acts like {0.behaves_like}",
+        "Correct the commands' columns, or the cables; see `airpuck check`.",
+    ),
+    "pushes the other way": (
+        "actuator",
+        "{0.name} pushes the other way",
+        "Correct direction_deg by 180 degrees, or the motor's sense of rotation.",
+    ),
+    "has no such effect": (
+        "layout",
+        "{0.name} does not act as stated",
+        "Check their positions, directions and wiring.",
+    ),
+}
+
+
 def propeller_findings(check: LayoutCheck) -> tuple[Finding, ...]:
     """Describe which propellers are swapped, reversed, or have another effect than stated."""
-    wrong = [one for one in check.propellers if one.verdict not in HARMLESS]
-    shown: dict[Kind, list[PropellerCheck]] = {
-        "order": [one for one in wrong if one.verdict.startswith("behaves like")],
-        "actuator": [one for one in wrong if one.verdict.startswith("pushes the other way")],
-        "layout": [one for one in wrong if one.verdict.startswith("has no such effect")],
-    }
-    remedies = {
-        "order": "Correct the commands' columns, or the cables; see `airpuck check`.",
-        "actuator": "Correct direction_deg by 180 degrees, or the motor's sense of rotation.",
-        "layout": "Check their positions, directions and wiring.",
-    }
-    causes = {
-        "order": lambda one: f"{one.name} acts like {one.behaves_like}",
-        "actuator": lambda one: f"{one.name} pushes the other way",
-        "layout": lambda one: f"{one.name} does not act as stated",
-    }
-    found = []
-    for kind, ones in shown.items():
+    wrong, found = [one for one in check.propellers if one.verdict not in HARMLESS], []
+    for verdict, (kind, cause, remedy) in _ACCUSED.items():
+        ones = [one for one in wrong if one.verdict.startswith(verdict)]
         cosines = ", ".join(f"cosine {one.agreement:.2f}" for one in ones)
         if ones:
-            found.append(Finding(kind, "; ".join(map(causes[kind], ones)), cosines, remedies[kind]))
+            found.append(Finding(kind, "; ".join(map(cause.format, ones)), cosines, remedy))
     return tuple(found)
 
 

@@ -30,11 +30,10 @@ def visible_delay(trajectory: Trajectory, dynamics: Dynamics) -> float | None:
     shift, correlation = estimate_delay(trajectory, dynamics)
     if correlation < _CAUSED or not trajectory.delay_known:
         return None
-    if trajectory.delay + shift * trajectory.sample_period < 0 and not motion_precedes(
-        trajectory, dynamics
-    ):
+    seen = trajectory.delay + shift * trajectory.sample_period
+    if seen < 0 and not motion_precedes(trajectory, dynamics):
         return None
-    return trajectory.delay + shift * trajectory.sample_period
+    return seen
 
 
 def commands_explain(trajectory: Trajectory, dynamics: Dynamics) -> bool:

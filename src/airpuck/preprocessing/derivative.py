@@ -269,9 +269,8 @@ def smooth_stretches(
 
 def is_slow(trajectory: Trajectory) -> bool:
     """Return whether the poses of a recording were smoothed for longer than usual."""
-    return (
-        max(smoothing_times(*measured_poses(trajectory), vehicle_of([trajectory]))) > VELOCITY_TIME
-    )
+    durations = smoothing_times(*measured_poses(trajectory), vehicle_of([trajectory]))
+    return max(durations) > VELOCITY_TIME
 
 
 def smoothed_as_measured(

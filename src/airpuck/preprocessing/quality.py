@@ -34,8 +34,6 @@ _JUMP_RATIO = 10.0
 _JUMP_SPEED = (0.24, 0.24, 4.8)
 #: Time span of a step's neighbours, centred on the step [s].
 _NEIGHBOURS = 11 / 240
-#: Number of windows sorted at once, which bounds memory.
-_SORTED_AT_ONCE = 1 << 14
 #: A pause between commands longer than this many periods leaves the motors' input unknown.
 COMMAND_GAP_PERIODS = 10
 #: Number of regular steps required on both sides of a clock's step, and their relative tolerance.
@@ -280,8 +278,11 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     neighbours = window_length(_NEIGHBOURS, period)
     if len(time) < neighbours:
         return ()
+    from scipy.ndimage import median_filter
+
     rate = np.diff(values, axis=0) / pause[:, None]
-    leap = np.abs(rate - _running_median(rate, neighbours))
+    usual = [median_filter(column, neighbours, mode="nearest") for column in rate.T]
+    leap = np.abs(rate - np.stack(usual, axis=1))
     limit = np.maximum(_JUMP_RATIO * np.median(leap, axis=0) / 0.6745, _JUMP_SPEED)
     # Beside a lost frame, a jump changes the rate half as much. Motion during a longer pause does
     # not count as a jump.
@@ -295,19 +296,6 @@ def find_jumps(time: Float[np.ndarray, " N"], values: Float[np.ndarray, "N 3"]) 
     return tuple(
         Span(float(time[first]), float(time[last - 1]), JUMP) for first, last in runs(spoilt)
     )
-
-
-def _running_median(values: Float[np.ndarray, "N k"], window: int) -> Float[np.ndarray, "N k"]:
-    """Return medians over an odd number of neighbours, with both ends repeated."""
-    half = window // 2
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
-    found = np.empty_like(values)
-    # In chunks, since `partition` copies its input: an hour would take hundreds of megabytes.
-    for first in range(0, len(values), _SORTED_AT_ONCE):
-        part = slice(first, first + _SORTED_AT_ONCE)
-        found[part] = np.partition(windows[part], half, axis=-1)[..., half]
-    return found
 
 
 def longest_pause(period: float) -> float:

@@ -365,8 +365,7 @@ class CommandMapping(_Times):
         if self.bits and len(self.values) > 1:
             raise ValueError("bits: a bit mask is one value; values names several")
         for names in (self.values, self.propellers, self.bits):
-            twice = [name for name in names if names.count(name) > 1]
-            if twice:
+            if twice := [name for name in names if names.count(name) > 1]:
                 raise ValueError(f"{twice[0]} is named twice")
         return self
 

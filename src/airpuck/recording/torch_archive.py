@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.errors import InputError, listing, nearest, shortened
+from airpuck.boundary.errors import explained, listing, nearest, shortened
 from airpuck.boundary.limits import Archive, sha256, within_means
 from airpuck.data.trajectory import Trajectory
 from airpuck.recording.message import HOLOHOVER_MOTORS
@@ -194,16 +194,13 @@ def read_authors_experiment(path: str | os.PathLike[str], *, name: str | None = 
     if file.is_dir():
         file = file / "data.pt"
     fingerprint = sha256(file)
-    try:
-        with within_means(file):
-            tensors = _read(file, name)
-    except Refused as error:
-        raise InputError(f"is not an experiment of the authors: {error}", file=file) from error
-    except InputError:
-        raise
-    # A damaged archive can make zipfile fail in any way.
-    except Exception as error:
-        raise InputError("is not a readable torch file; is it damaged?", file=file) from error
+    with (
+        # A damaged archive can make zipfile fail in any way.
+        explained(Exception, "is not a readable torch file; is it damaged?", file=file),
+        explained(Refused, "is not an experiment of the authors: {error}", file=file),
+        within_means(file),
+    ):
+        tensors = _read(file, name)
     time, state = tensors["T"], tensors["X"]
     with np.errstate(invalid="ignore"):  # the trajectory checks its numbers
         state[:, 2] = np.unwrap(state[:, 2])

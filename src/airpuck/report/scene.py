@@ -139,17 +139,16 @@ def read_scene(
         check_commands(commands, command_time, lowest)
 
     def on_axis(
-        stream: Stream, kind: str
+        name: str, columns: int
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]:
+        stream = recording.streams.get(name)
+        if not stream:
+            return np.zeros(0), np.zeros((0, columns))
         times = align_clocks(pose, stream)
-        since, usable = _usable(stream, times.command_time + (times.epoch - aligned.epoch), kind)
-        return since, usable.values
+        since, usable = _usable(stream, times.command_time + (times.epoch - aligned.epoch), name)
+        return since, usable.values[:, :columns]
 
-    reference_time, reference = np.zeros(0), np.zeros((0, 3))
-    if len(recording.streams.get("reference", ())):
-        reference_time, asked_for = on_axis(recording["reference"], "reference")
-        reference = asked_for[:, :3]
-
+    reference_time, reference = on_axis("reference", 3)
     start, stop = (float(time[0] + share * (time[-1] - time[0])) for share in span)
     shown = (time >= start) & (time <= stop)
     if shown.sum() < 2:
@@ -437,19 +436,17 @@ class GameScene:
 def read_game(
     recording: Recording,
     play: AirHockey,
-    usable: Callable[[Stream, str], tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]],
+    usable: Callable[[str, int], tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N k"]]],
     side: int,
     span: tuple[float, float],
 ) -> GameScene | None:
     """Return puck, opponent and score of a recording; None without a puck.
 
-    `usable` returns times on the scene's axis and values of the valid samples of a stream.
+    `usable` returns times on the scene's axis and the first columns of a stream's valid samples.
     """
 
     def disc_path(name: str) -> DiscPath | None:
-        if not len(recording.streams.get(name, ())):
-            return None
-        time, pose = usable(recording[name], name)
+        time, pose = usable(name, 3)
         inside = (time >= span[0]) & (time <= span[1])
         if not inside.any():
             return None
@@ -459,9 +456,5 @@ def read_game(
     puck = disc_path("puck")
     if puck is None:
         return None
-    time, score = np.zeros(0), np.zeros((0, 2))
-    if len(recording.streams.get("game", ())):
-        time, events = usable(recording["game"], "game")
-        score = events[:, :2]
     flies = "opponent_command" in recording.streams
-    return GameScene(play, puck, disc_path("mallet"), flies, side, time, score)
+    return GameScene(play, puck, disc_path("mallet"), flies, side, *usable("game", 2))

@@ -24,7 +24,7 @@ from airpuck.physics.rigid_body import Dynamics, register_pytrees, wrapped
 from airpuck.recording.stream import Recording, Stream
 from airpuck.twin.plant import LONGEST_STEP, Plant, advance, build_plant, scaled
 from airpuck.twin.radio import heard_commands, radio_delay
-from airpuck.twin.sensors import command_stream, nanoseconds
+from airpuck.twin.sensors import log_stream, nanoseconds
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 from airpuck.twin.twin import check_seed
 
@@ -243,7 +243,7 @@ class TwinBatch:
         arrivals, poses = self._arrival[:seen, row], self._poses[:seen, row]
         pose = Stream(nanoseconds(stamps), nanoseconds(arrivals), poses, ("x", "y", "yaw"))
         sent = list(zip(self._sent_at.tolist(), self._sent[: self.steps[row], row], strict=False))
-        streams = {"pose": pose, "command": command_stream(sent, self._names)}
+        streams = {"pose": pose, "command": log_stream(sent, self._names)}
         return Recording(streams=streams, source=f"craft {row} of a batch")
 
     def _at(self, until: Float[np.ndarray, " B"]) -> Float[np.ndarray, "s B"]:

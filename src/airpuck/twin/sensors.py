@@ -16,6 +16,8 @@ from airpuck.twin.settings import MotionCapture, TwinSettings
 
 #: Time of the recorder at the start of a flight [ns since 1970].
 EPOCH_NS = 1_700_000_000_000_000_000
+#: Time from the sending of a command to its record [s].
+_COMMAND_LATENCY = 1e-4
 
 
 @dataclass(eq=False)
@@ -174,15 +176,10 @@ def build_sensors(
     return sensors
 
 
-def command_stream(
-    sent: list[tuple[float, Float[np.ndarray, " n"]]], names: tuple[str, ...]
+def log_stream(
+    logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float = _COMMAND_LATENCY
 ) -> Stream:
-    """Return commands as a recorder stores them."""
-    return log_stream(sent, names, latency=1e-4)
-
-
-def log_stream(logged: list[tuple[float, Any]], columns: tuple[str, ...], latency: float) -> Stream:
-    """Return messages with the controller's time."""
+    """Return messages with the controller's time, recorded `latency` [s] later."""
     times, values = zip(*logged, strict=True)
     stamp = nanoseconds(times)
     return Stream(stamp, stamp + round(latency * 1e9), np.array(values), columns)

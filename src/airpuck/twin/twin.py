@@ -24,7 +24,7 @@ from airpuck.twin.craft import Craft
 from airpuck.twin.plant import Plant, build_plant, scaled
 from airpuck.twin.play import HandMallet, World
 from airpuck.twin.radio import radio_delay
-from airpuck.twin.sensors import SensorSet, build_sensors, command_stream, log_stream
+from airpuck.twin.sensors import SensorSet, build_sensors, log_stream
 from airpuck.twin.settings import TwinSettings, default_twin_settings
 
 #: Commands may exceed their range by this; a law that saturates may give such, percent and pulse
@@ -231,7 +231,7 @@ class Twin:
         names = self.model.vehicle.columns
         streams = self._sensors.streams()
         if self._sent:
-            streams["command"] = command_stream(self._sent, names)
+            streams["command"] = log_stream(self._sent, names)
         if self._announced:
             streams["reference"] = log_stream(self._announced, COLUMNS["reference"], latency=0.0)
         return Recording(streams=streams, source=f"twin of {self.model.name}")

@@ -86,7 +86,7 @@ class _Page:
         self._newest: dict[str, str | bytes] = {}
         self._events: deque[str | bytes] = deque(maxlen=_EVENTS)
         self._waits = asyncio.Event()
-        self._limit = TokenBucket(_RATE, _BURST)
+        self.limit = TokenBucket(_RATE, _BURST)
 
     def show(self, name: str, message: str | bytes) -> None:
         """Send a message that replaces an unsent older one of its name."""
@@ -111,10 +111,6 @@ class _Page:
                 # The WebSocket's own keep-alive waits for the same full buffer, without a limit.
                 async with asyncio.timeout(self._patience):
                     await self.websocket.send(message)
-
-    def may_send(self) -> bool:
-        """Return whether a message of the page is within its rate limit."""
-        return self._limit.take(time.monotonic())
 
 
 class _Server:
@@ -226,7 +222,7 @@ class _Server:
     async def _read(self, page: _Page) -> None:
         """Process a page's messages until it leaves, exceeds its rate limit, or sends garbage."""
         async for message in page.websocket:
-            parsed = read_message(message) if page.may_send() else None
+            parsed = read_message(message) if page.limit.take(time.monotonic()) else None
             if parsed is None:
                 await page.websocket.close(
                     _POLICY_VIOLATION, "invalid message, or rate limit exceeded"

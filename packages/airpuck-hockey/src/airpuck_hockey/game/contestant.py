@@ -72,12 +72,12 @@ def contestant(name: str) -> Contestant:
         return Contestant(name, hand=lambda equipment, seed: hand(equipment, dexterity, seed))
     if kind in _CRAFT:
         strength = _by_level(LEVELS, level if colon else "hard", name)
-        return _flown(name, _CRAFT[kind], strength, learns=kind != "predecessor")
+        return craft_contestant(name, _CRAFT[kind], strength, learns=kind != "predecessor")
     if ".py" in name:
         code = UserCode(name, "player")
         if isinstance(code.kind, type) and issubclass(code.kind, HumanHand):
             return Contestant(name, hand=lambda equipment, seed: _UserHand(code, equipment, seed))
-        return _flown(name, tactic_maker(name), LEVELS["hard"])
+        return craft_contestant(name, tactic_maker(name), LEVELS["hard"])
     known = ", ".join(f"{player}[:LEVEL]" for player in PLAYERS)
     problem = f"unknown player; use {known} or FILE.py:NAME{nearest(kind, PLAYERS)}"
     raise InputError(problem, field=name)
@@ -127,7 +127,7 @@ class _UserTactic:
         return self._code.run(called, lambda: replace(intention, reference=reference))
 
 
-def _flown(
+def craft_contestant(
     name: str, tactic: Callable[[], Tactic], level: Level, learns: bool = True
 ) -> Contestant:
     """Return a craft whose player has a given tactic and level."""

@@ -122,9 +122,11 @@ class Referee:
         if self.phase == "over":
             return []
         found: list[Ruling] = []
-        if self.phase == "play" and goal:
-            found.append(self._scored(time, -goal))
         left, right = self.score
+        if self.phase == "play" and goal:
+            left, right = self.score = left + (goal > 0), right + (goal < 0)
+            self.phase, self.server, self._resumes = "goal", goal, time + self.rules.pause_s
+            found.append(Ruling("goal", -goal))
         goals, limit = self.rules.goals or math.inf, self.rules.limit_s or math.inf
         if max(self.score) >= goals or time >= limit:
             self.phase = "over"
@@ -135,12 +137,6 @@ class Referee:
         elif broken := self._broken(time, x, speed):
             found += [broken, self.serve(time, -broken.side or -self.server)]
         return found
-
-    def _scored(self, time: float, side: int) -> Ruling:
-        left, right = self.score
-        self.score = (left + (side < 0), right + (side > 0))
-        self.phase, self.server, self._resumes = "goal", -side, time + self.rules.pause_s
-        return Ruling("goal", side)
 
     def serve(self, time: float, side: int) -> Ruling:
         """Resume with a puck on a side, as the referee does, or someone who puts it into play."""

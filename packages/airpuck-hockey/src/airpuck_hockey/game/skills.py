@@ -200,8 +200,7 @@ def episode(stage: Stage, name: SkillName, seed: list[int]) -> tuple[bool, bool]
     puck, players, twins = opening(stage, name, np.random.default_rng(seed))
     player = Player(stage.model, stage.settings, (stage.tactic or TACTICS[name])(), seed=players)
     twin = stage.twin(puck, twins)
-    assert twin.play is not None
-    body = twin.play.puck
+    body = twin.world.puck
     assert body is not None
     for _ in control(player, twin, LONGEST):
         if ended(stage, name, body):

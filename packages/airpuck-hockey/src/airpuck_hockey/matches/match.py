@@ -160,6 +160,7 @@ class MatchResult:
         left, right = self.wins
         lasted = sum(game["duration_s"] for game in self.games)
         sums = [f"{side}_{what}" for what in ("goals", "own_goals", "fouls") for side in _SIDES]
+        sums.append("stuck")
         hardest = [g[f"{side}_hardest_rail_contact_m_s"] for g in self.games for side in _SIDES]
         return {
             "left": self.left,
@@ -170,8 +171,7 @@ class MatchResult:
             "draws": len(self.games) - left - right,
             "left_wins_interval": list(wilson_interval(left, len(self.games))),
             "right_wins_interval": list(wilson_interval(right, len(self.games))),
-            **{name: self._sum(name) for name in sums},
-            "stuck": self._sum("stuck"),
+            **{name: round(sum(game[name] for game in self.games)) for name in sums},
             "rail_contacts": self.total("rail_contacts"),
             "hardest_rail_contact_m_s": max(hardest),
             "crossings": self.total("crossings"),
@@ -181,9 +181,6 @@ class MatchResult:
                 {"seed": seed, **game} for seed, game in zip(self.seeds, self.games, strict=True)
             ],
         }
-
-    def _sum(self, name: str) -> int:
-        return round(sum(game[name] for game in self.games))
 
 
 _SIDES = ("left", "right")

@@ -77,12 +77,7 @@ class PuckModel:
     def __init__(self, equipment: AirHockey) -> None:
         self.equipment = equipment
         #: Standard deviation of each number.
-        self.spread = {
-            name: equipment.puck.standard_error.get(name, assumed)
-            for name, assumed in _ASSUMED.items()
-        }
-        #: Standard deviation of the drag [1/s].
-        self.drag_error = self.spread["drag_1_s"]
+        self.spread = _spread(equipment.puck)
 
     @cached_property
     def numbers(self) -> Float[np.ndarray, "V 4"]:
@@ -109,10 +104,14 @@ class PuckModel:
         return [(changed(name, by), changed(name, -by)) for name, by in self.spread.items()]
 
 
+def _spread(puck: Puck) -> dict[str, float]:
+    """Return the standard deviation of each uncertain number."""
+    return {name: puck.standard_error.get(name, assumed) for name, assumed in _ASSUMED.items()}
+
+
 def drawn_puck(puck: Puck, random: np.random.Generator) -> Puck:
     """Draw a puck and its rails within their uncertainty."""
-    for name, assumed in _ASSUMED.items():
-        spread = puck.standard_error.get(name, assumed)
+    for name, spread in _spread(puck).items():
         puck = _changed(puck, name, float(random.normal(0.0, spread)))
     return puck
 

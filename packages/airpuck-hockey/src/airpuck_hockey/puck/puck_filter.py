@@ -72,9 +72,9 @@ class PuckLearner:
 
     def __init__(self, model: PuckModel) -> None:
         self.model = model
-        rail, spread = model.equipment.puck.rail, model.spread["rail.restitution"]
-        self._rail = Scattered(rail.restitution, spread**2 / 2)
-        self._drag = model.equipment.puck.drag_1_s, model.drag_error
+        puck, spread = model.equipment.puck, model.spread
+        self._rail = Scattered(puck.rail.restitution, spread["rail.restitution"] ** 2 / 2)
+        self._drag = puck.drag_1_s, spread["drag_1_s"]
         #: Time of the last contact [s], and the bounce, if it was one.
         self._since, self._bounce = -math.inf, None
         self._start: PuckBelief | None = None
@@ -362,7 +362,8 @@ class PuckFilter:
         step[0, 3] = step[1, 4] = sigma
         step[2, 5] = turned
         speed = math.hypot(*belief.mean[3:5].tolist())
-        density = ACCELERATION_DENSITY + self.model.drag_error * speed * math.sqrt(_DRAG_MEMORY)
+        slowed = self.model.spread["drag_1_s"] * speed
+        density = ACCELERATION_DENSITY + slowed * math.sqrt(_DRAG_MEMORY)
         grown = step @ belief.covariance @ step.T + process_noise(duration, density)
         return PuckBelief(time, step @ belief.mean, grown), ()
 

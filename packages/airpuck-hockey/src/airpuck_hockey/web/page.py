@@ -27,13 +27,13 @@ from airpuck.extend import (
     table_of,
     until_stopped,
 )
-from airpuck_hockey.game.contestant import Contestant, tactic_maker
+from airpuck_hockey.game.contestant import Contestant, craft_contestant, tactic_maker
 from airpuck_hockey.game.game import PERIOD, Game, GameEvent
 from airpuck_hockey.game.hand import GuidedHand
 from airpuck_hockey.game.rules import Rules
 from airpuck_hockey.player.all_rounder import AllRounder
 from airpuck_hockey.player.player import LEVELS, Player
-from airpuck_hockey.player.tactic import Intention, Tactic, View
+from airpuck_hockey.player.tactic import Intention, View
 from airpuck_hockey.web.settings import ArenaSettings
 
 #: The page of a game; the first page that connects plays.
@@ -364,8 +364,9 @@ class Session:
         self._renewal = None
         self._hand = GuidedHand()
         self._games += 1
+        name = self._name or f"airpuck:{self._level}"
         self._game = Game(
-            Contestant(self._name or f"airpuck:{self._level}", player=self._make_player),
+            craft_contestant(name, self._make_tactic, LEVELS[self._level]),
             Contestant("you", hand=lambda *_: self._hand),
             settings=self._settings,
             rules=Rules(limit_s=_NO_LIMIT),
@@ -373,6 +374,9 @@ class Session:
             seed=self._seed + self._games,
             logs=self._record is not None,
         )
+        player = self._game.sides[0].player
+        assert isinstance(player, Player)
+        self._player, self._tactic = player, player.tactic
         for _ in range(_WARM_UP):
             self._game.step()
 
@@ -382,23 +386,6 @@ class Session:
         if self._record is not None and self._begun:
             paths = (self._record / f"game-{number}" for number in count(1))
             write_bag(self._game.recording(), next(path for path in paths if not path.exists()))
-
-    def _make_player(
-        self, model: Model, equipment: Any, side: int, seed: int, other: float
-    ) -> Player:
-        """Make the pilot of the craft, and remember its tactic."""
-        level = LEVELS[self._level]
-        self._player = Player(
-            model,
-            equipment,
-            self._make_tactic(),
-            level=level,
-            side=side,
-            seed=seed,
-            opponent_radius=other,
-        )
-        self._tactic: Tactic = self._player.tactic
-        return self._player
 
     def _hear(self) -> None:
         """Process messages from the page; only the last of several targets counts."""
@@ -430,7 +417,7 @@ class Session:
 
     def _renew(self, *, runs: bool) -> None:
         """Start a new game; meanwhile the page shows that this takes a moment."""
-        self._tell_status("starting")
+        self._pages.say_status("starting", self._game.score, self._level)
         # The page and its server need not wait for the compiler.
         prioritize(first=False)
         self._begin()
@@ -468,10 +455,6 @@ class Session:
         for news in map(news_of, events):
             if news is not None:
                 self._pages.say(news)
-        self._tell_status(self.phase)
+        self._pages.say_status(self.phase, game.score, self._level)
         if self.phase == "play":
             self._pages.think(lambda: thought_of(self._player, game.time))
-
-    def _tell_status(self, phase: str) -> None:
-        """Send the status of the game to the page."""
-        self._pages.say_status(phase, self._game.score, self._level)
