@@ -119,7 +119,7 @@ def normal_equations(
                 changed.get(key, point[key]) for key in ("force", "motion", *range(len(parts)))
             )
             # As if propellers pushed as strongly as they turn.
-            model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, effects)
+            model = Dynamics(jnp.ones((n, 1)), matrix, center, tau, frame, tuple(effects))
             return jnp.stack(acceleration(jnp, model, motion, force))
 
         def slopes(along: dict[Any, Any]) -> Any:
