@@ -79,9 +79,9 @@ class Spinning:
     def drive(self) -> tuple[float, float]:
         """Return the torque from the last command on, as a fraction, and how long it lasts [s]."""
         command, full = self.command, self._wheel.spin_up_s
-        away = command - self.speed
-        drive = math.copysign(1.0, away) if self._by_speed else command
-        left = away if self._by_speed else math.copysign(1.0, drive) - self.speed
+        away, by_speed = command - self.speed, self._wheel.commanded == "speed"
+        drive = math.copysign(1.0, away) if by_speed else command
+        left = away if by_speed else math.copysign(1.0, drive) - self.speed
         # A wheel at its largest speed cannot be accelerated.
         lasting = drive * left > _NO_SPEED
         return (drive, full * left / drive) if lasting else (0.0, math.inf)
@@ -96,7 +96,3 @@ class Spinning:
         self.follow(time, command)
         drive, lasts = self.drive()
         return [(time, drive)] if lasts == math.inf else [(time, drive), (time + lasts, 0.0)]
-
-    @property
-    def _by_speed(self) -> bool:
-        return self._wheel.commanded == "speed"

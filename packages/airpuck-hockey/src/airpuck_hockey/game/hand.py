@@ -224,6 +224,12 @@ class HumanHand(ABC):
         width = self._equipment.table.width_m
         return 0.0, width - _BANK, -width + _BANK
 
+    @property
+    def _corner(self) -> float:
+        """Distance of a shot at a corner of the goal from the table's axis [m]."""
+        equipment = self._equipment
+        return equipment.table.goal_width_m / 2 - equipment.puck.radius_m - _POST
+
     def _aim_anew(self) -> None:
         """Draw a new aiming error."""
         self._aim = float(self._random.normal(0.0, self._dexterity.aim_rad))
@@ -334,9 +340,7 @@ class Striker(Keeper):
 
     def aims(self) -> tuple[float, ...]:
         """Aim at the corner away from the opponent first; see `HumanHand.aims`."""
-        equipment = self._equipment
-        corner = equipment.table.goal_width_m / 2 - equipment.puck.radius_m - _POST
-        return -math.copysign(corner, self._opponent[1]), *super().aims()
+        return -math.copysign(self._corner, self._opponent[1]), *super().aims()
 
 
 def _turned(puck: PuckState, faster: float, angle: float) -> PuckState:
