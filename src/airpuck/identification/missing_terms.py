@@ -21,12 +21,7 @@ from airpuck.boundary import numbers
 from airpuck.boundary.results import Result
 from airpuck.evaluation.presentation import main_quantities
 from airpuck.identification.objective import PredictionLoss, Quadratic
-from airpuck.identification.uncertainty import (
-    cluster_windows,
-    inverted,
-    shared_at_borders,
-    varying,
-)
+from airpuck.identification.uncertainty import cluster_windows, inverted, shared_at_borders, varying
 from airpuck.model.model_file import Model
 from airpuck.model.parameters import Parameters, change_degree
 from airpuck.model.quantities import EFFECTS
