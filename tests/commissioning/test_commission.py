@@ -91,6 +91,10 @@ def test_a_motor_that_failed_to_start_is_tried_again_after_the_others_brought_th
     twin = on_a_slope(0.02, 0.35)
     found = commission(twin, default_vehicle(), steps=STEPS[1:3])
     assert [step.step for step in found.steps] == ["rest", "pulses"]
+    names = [flight.name[3:] for flight in found.flights]
+    assert "return" in names
+    again = found.flights[-1].recording["command"]["motor_b_1"]
+    assert names[-1] == "pulses" and again.max() > default_vehicle().command_min
     assert not twin.craft.contacts
 
 

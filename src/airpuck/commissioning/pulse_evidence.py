@@ -91,6 +91,8 @@ class PulseEvidence:
     )
     #: Pose times, poses, command times and commands of each test.
     logs: tuple[tuple[np.ndarray, ...], ...] = ()
+    #: Number of pulses of each motor that were seen from before to after.
+    tries: Int[np.ndarray, " n"] | int = 0
 
     def after(self, test: PulseTest) -> PulseEvidence:
         """Return the evidence after another test."""
@@ -103,17 +105,15 @@ class PulseEvidence:
         vehicle = self.model.vehicle
         if vehicle.actuation.two_way.any():
             commands = np.maximum(vehicle.actuation.split(commands), vehicle.command_min)
-        log, costs = (times, poses, sent, commands), np.array(self.costs)
-        for row, lag in zip(costs, _LAGS, strict=True):
-            for one in pulse_responses(with_lag(self.model, lag), *log):
-                row += one.costs
-        return replace(self, costs=costs, logs=(*self.logs, log))
-
-    @property
-    def tries(self) -> Int[np.ndarray, " n"]:
-        """Number of pulses that each motor has had."""
-        runs = [commands > self.model.vehicle.command_min for *_, commands in self.logs]
-        return np.sum([np.sum(on[1:] & ~on[:-1], axis=0) for on in runs], axis=0)
+        log = times, poses, sent, commands
+        seen = [pulse_responses(with_lag(self.model, lag), *log) for lag in _LAGS]
+        costs = [
+            sum((one.costs for one in each), row)
+            for each, row in zip(seen, self.costs, strict=True)
+        ]
+        motors = np.array([one.motor for one in seen[0]], dtype=int)
+        tries = self.tries + np.bincount(motors, minlength=self.model.vehicle.n_propellers)
+        return replace(self, costs=np.array(costs), logs=(*self.logs, log), tries=tries)
 
     @cached_property
     def _weights(self) -> Float[np.ndarray, "L D"]:
@@ -225,7 +225,7 @@ def corrected(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> Vehicle:
 def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict[int, EffectMatch]:
     """Return the matches of propellers, by their forward channels where these are known.
 
-    A propeller one channel of which acts like the other is turned round.
+    A propeller is turned round if its forward channel acts like a backward one, or the reverse.
     """
     channels, found = vehicle.actuation.channels, dict[int, EffectMatch]()
     for k, match in sorted(matches.items(), reverse=True):

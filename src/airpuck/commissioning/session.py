@@ -34,7 +34,7 @@ _NO_POSE = 1.0
 _LOOK = 0.1
 #: Time between looks at what has arrived [s].
 _POLL = 0.02
-#: What a new pilot is told of the flight before [s].
+#: How much of the log is replayed to a new pilot [s].
 _MOMENTS = 0.4
 #: A command this far above idle counts as motors on.
 _ON = 1e-3
@@ -287,7 +287,7 @@ class Commissioned:
         return self.flights[-1].recording
 
     def brief(self, pilot: Pilot) -> None:
-        """Tell a new pilot the last moments: it knows the speed at once."""
+        """Replay the last poses and commands to a new pilot, so that it knows the speed at once."""
         since = self.link.now - _MOMENTS
         seen = [(stamp, pilot.pose, pose) for stamp, pose in self._log.poses if stamp > since]
         sent = [(stamp, pilot.sent, one) for stamp, one in self._log.commands if stamp > since]

@@ -57,8 +57,8 @@ _CLEARANCE, _REACTION = 0.05, 0.4
 _LATE_POSES = 0.05
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
-#: Further flights after which a motor without thrust counts as dead, once all were tried, and
-#: pulses that it has had by then: starts may fail.
+#: Further flights once all motors were tried, and pulses without thrust after which a motor counts
+#: as dead: starts may fail.
 _SILENT, _TRIES = 2, 2
 #: A table counts as level up to this slope [mrad].
 _LEVEL = 1.0
@@ -146,8 +146,8 @@ class Rest:
 class Pulses:
     """Order, signs, strengths, lag and delay of the motors, by short pulses of each.
 
-    On a slope the craft drifts towards a rail meanwhile. It is then brought back with the motors
-    that are known by then, and the rest are tried afterwards.
+    On a slope the craft drifts towards a rail meanwhile, and a start may fail. The craft is then
+    brought back with the motors that are known by then, and the rest are tried afterwards.
 
     Attributes
     ----------
@@ -369,13 +369,15 @@ def hovering(
 
 
 def _without_unknown(session: Commissioned, known: set[int]) -> Pilot | None:
-    """Return such a controller that lets other motors idle; None if it needs them.
+    """Return a controller that holds the middle with the known motors; None if it needs others.
 
-    A motor that has not answered yet may push anywhere.
+    A motor that has not answered yet may push anywhere. The known ones must push twice as strongly
+    as the slope pulls.
     """
     model = session.model
     runs = np.array([one.column in known for one in model.vehicle.actuation.channels])
-    if runs.all() or weakest_effort(model, runs) < LEAST_EFFORT:
+    needed = max(LEAST_EFFORT, 2 * float(np.hypot(*session.slope)))
+    if runs.all() or weakest_effort(model, runs) < needed:
         return None
     curves = np.where(runs[:, None], 1.0, _FAINT) * model.parameters.thrust
     model = replace(model, parameters=replace(model.parameters, thrust=curves))

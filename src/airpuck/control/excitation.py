@@ -27,7 +27,7 @@ _LEAST_PUSH = 1e-2
 _OPPOSED = -0.9
 #: Fraction of the largest acceleration that a stop may need.
 _BRAKING = 0.5
-#: Fraction of this that is left, whatever pulls.
+#: Fraction of this that is left, whatever pulls, and if nothing may turn the craft.
 _LEFT = 0.25
 #: Largest turn of the craft until its brakes act [rad]: turned further, they push another way.
 _TURNED = 0.5
@@ -140,7 +140,8 @@ class Excitation(Pilot):
             )
         if reaction:
             alone = control_authority(model).alone
-            weakest = min(weakest, *(most for way, most in alone.items() if "turn" not in way))
+            straight = min(most for way, most in alone.items() if "turn" not in way)
+            weakest = max(min(weakest, straight), _LEFT * weakest)
         self._braking, self._reaction, self._margin = _BRAKING * weakest, reaction, margin
         self._pull = np.asarray(pull, dtype=float)
         self._begun: float | None = None

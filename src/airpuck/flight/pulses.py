@@ -203,8 +203,8 @@ def pulse_responses(
     where F is the thrust that the model expects of the motor, a₀ and ω₀' are constant accelerations
     (idling propellers, a tilted table), and g is the unknown effect. For a delay d this is a linear
     regression; d is the delay with the smallest residual. The poses are neither smoothed nor
-    differentiated. A slow motor still pushes after its pulse: what the pulse before has yet to give
-    is taken out first, for each delay.
+    differentiated. A slow motor still pushes after its pulse, so the remaining effect of the
+    previous pulse is subtracted first, for each delay.
     """
     pulses = find_pulses(command_time, command, model.vehicle.command_min)
     # Slow cameras need longer for the same number of poses.

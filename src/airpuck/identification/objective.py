@@ -80,7 +80,7 @@ def normal_equations(
     """Return r² and Jᵀr of each of a batch of B windows, and the sum of their JᵀJ.
 
     `lengths` are E and T; poses count where `measured` is one, not zero; accelerations depend on ω
-    and on the first `felt` of yaw, velocity and position; a program that runs `once` is made to
+    and on the first `felt` of γ, v_x, v_y, ω, x and y; a program that runs `once` is made to
     compile quickly. `dynamics` contains the parts of the accelerations: Π, centre of mass, effects.
     Local coordinates are the thrust coefficients, the directions of `basis`, in groups that move
     the same parts, τ and its increase at standstill, and the transport delay.
@@ -312,7 +312,18 @@ class PredictionLoss:
         )
 
     def windows_at(self, parameters: Parameters) -> Windows:
-        """Return the windows, with commands held for the delay in θ if it is continuous."""
+        """Return the windows, with commands as they act.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            θ; commands are held for its delay if that is continuous.
+
+        Returns
+        -------
+        Windows
+            The windows.
+        """
         if not self.continuous_delay:
             return self.windows
         assumed = self.vehicle.nominal.transport_delay_s
@@ -331,8 +342,8 @@ class PredictionLoss:
         parameters : Parameters
             θ.
         within : Parameters, optional
-            θ without the terms that are zero: the motion does not act on them. This is the only
-            pass with such terms, and compiles in half the time.
+            θ without the terms that are zero, or negligible: the motion does not act on them. This
+            is the only pass with such terms, and compiles in half the time.
 
         Returns
         -------
@@ -458,10 +469,11 @@ def _parts(parameters: Parameters, vehicle: Vehicle) -> tuple[Any, ...]:
 def _linear_basis(
     parameters: Parameters, vehicle: Vehicle
 ) -> tuple[list[dict[int, Any]], list[Any]]:
-    """Return derivatives of `_parts`, and the entries of θ they are by, in groups.
+    """Return derivatives of `_parts`, and the entries of θ they are by, in the same order.
 
-    A group moves the same parts, by number. Derivatives are by complex steps, exact to rounding:
-    f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp, SIAM Review 40, 1998).
+    A group holds the entries that move the same parts; its keys are their numbers. Derivatives are
+    by complex steps, exact to rounding: f'(x) = Im f(x + iε)/ε for analytic f (Squire and Trapp,
+    SIAM Review 40, 1998).
     """
     vector, step = parameters.to_vector(), 1e-30
     groups: dict[tuple[int, ...], list[Any]] = {}
