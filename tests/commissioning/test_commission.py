@@ -93,7 +93,7 @@ def test_a_motor_that_failed_to_start_is_tried_again_after_the_others_brought_th
     assert [step.step for step in found.steps] == ["rest", "pulses"]
     names = [flight.name[3:] for flight in found.flights]
     assert "return" in names
-    again = found.flights[-1].recording["command"]["motor_b_1"]
+    again = found.flights[-1].recording["command"].values[:, 2]  # motor_b_1
     assert names[-1] == "pulses" and again.max() > default_vehicle().command_min
     assert not twin.craft.contacts
 
@@ -150,6 +150,16 @@ def test_a_motor_that_has_not_been_tried_yet_idles_while_the_others_bring_the_cr
     assert not ran["02_pulses"].all()
     assert not (ran["03_return"] & ~ran["02_pulses"]).any()
     assert found.steps[-1].step == "pulses"
+
+
+def test_a_pulse_that_a_rail_cuts_off_is_no_try():
+    # The first pulse of m1 is complete, the second is not; then the craft is at a rail.
+    late = {"motor": "m1", "start_s": 0.0, "stop_s": 2.0, "share": 0.0}
+    settings = TwinSettings(motors={"weak": [late]}, effects={"tilt_rad": (0.0, 0.02)})
+    truth = nominal_model(eight_propellers())
+    found = commission(Twin(truth, settings, seed=3), truth.vehicle, steps=STEPS[1:3])
+    assert found.outcome == "table"
+    assert found.findings[0].cause == "The table slopes by 20 mrad"
 
 
 class TooLittle:

@@ -445,3 +445,26 @@ def test_a_wrong_plan_is_refused_by_field(tmp_path, text, field):
         read_excitation_plan(tmp_path / "plan.toml")
     assert caught.value.field.startswith(field)
     assert "plan.toml" in str(caught.value)
+
+
+def test_a_craft_that_cannot_push_straight_while_its_motors_idle_is_excited():
+    content = default_vehicle().model_dump(mode="json")
+    one, curve = content["propellers"][0], content["nominal"]["thrust_N"][0]
+    content |= {"pairs": [], "command_min": 0.3}
+    content["nominal"]["thrust_N"] = [curve] * 5
+    content["propellers"] = [
+        one
+        | {"name": f"m{k}", "direction_deg": float(direction)}
+        | {"position_m": [0.06 * np.cos(np.radians(at)), 0.06 * np.sin(np.radians(at))]}
+        for k, (at, direction) in enumerate(
+            [(300, 270), (30, 130), (50, 10), (160, 70), (200, 160)]
+        )
+    ]
+    model = nominal_model(Vehicle.model_validate(content))
+    assert min(control_authority(model).alone.values()) == 0.0
+    excitation = Excitation(model, seed=1, reaction=0.02, compiled=False)
+    for k in range(10):
+        excitation.pose(k * PERIOD, np.zeros(3))
+        command = excitation.step(k * PERIOD).command
+        assert np.isfinite(command).all()
+    assert excitation.pauses == 0
