@@ -232,8 +232,7 @@ def _of_propellers(vehicle: Vehicle, matches: Mapping[int, EffectMatch]) -> dict
         own = channels[k]
         if match.acts_as is not None:
             other = channels[match.acts_as]
-            sign = match.sign * own.sign * other.sign
-            match = replace(match, acts_as=other.column, sign=sign)
+            match = replace(match, acts_as=other.column, sign=match.sign * own.sign * other.sign)
         found[own.column] = match
     return found
 

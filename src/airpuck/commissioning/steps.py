@@ -103,8 +103,7 @@ class Rest:
             # Poses may begin late; the session ends the run if none come.
             return bool(session.poses) and now - session.poses[0][0] > self.duration_s
 
-        idle = _Resting(session.vehicle.idle)
-        pose = session.fly("rest", idle, 10.0, until=enough)["pose"]
+        pose = session.fly("rest", _Resting(session.vehicle.idle), 10.0, until=enough)["pose"]
         time, values = pose.time - pose.time[0], np.array(pose.values)
         values[:, 2] = np.unwrap(values[:, 2])
         rate = 1 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
@@ -175,9 +174,8 @@ class Pulses:
             rested = [*session.poses] if not tried else []
             pilot = PulseTest(given, plan, session.table, order, rested)
             lacking = _STEERED - len(_answering(given, np.isfinite(evidence.effects[1])))
-            wait = max(lacking, 0) * (plan.rest + plan.length) + _LATE_POSES
-            wait += 0.0 if rested else plan.rest
-            begins = session.link.now + wait if steered else math.inf
+            wait = max(lacking, 0) * (plan.rest + plan.length) + (0.0 if rested else plan.rest)
+            begins = session.link.now + wait + _LATE_POSES if steered else math.inf
             stop = _DriftingOff(session, given, begins)
             session.fly("pulses", pilot, pilot.duration, until=stop, guarded=False)
             evidence = evidence.after(pilot)
