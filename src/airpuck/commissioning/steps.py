@@ -192,14 +192,16 @@ class Pulses:
     def _brought_back(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> bool:
         """Bring the craft back to the middle if it can be; return whether it can."""
         effects, _ = evidence.effects
-        silent = _silent(evidence.model, effects)
-        known = _answering(given, np.isfinite(effects).all(axis=0) & ~silent)
+        answers = np.isfinite(effects).all(axis=0) & ~_silent(evidence.model, effects)
+        known = _answering(given, answers)
         if len(known) < _STEERED:
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
         try:
             pilot = _without_unknown(session, known)
-            pilot = pilot or hovering(session, "learning" if silent.any() else "kalman")
+            # If others are needed, the estimator finds those that do not push as stated.
+            estimator = "kalman" if len(known) == len(given.propellers) else "learning"
+            pilot = pilot or hovering(session, estimator)
         except InputError:
             return False  # Too little is known to steer the craft.
         session.fly("return", pilot, _RETURN, until=_Settled(session, 0.12, 0.1))
