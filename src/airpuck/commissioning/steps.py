@@ -191,9 +191,8 @@ class Pulses:
 
     def _brought_back(self, session: Commissioned, given: Vehicle, evidence: PulseEvidence) -> bool:
         """Bring the craft back to the middle if it can be; return whether it can."""
-        effects, _ = evidence.effects
-        answers = np.isfinite(effects).all(axis=0) & ~_silent(evidence.model, effects)
-        known = _answering(given, answers)
+        found, _ = evidence.effects
+        known = _answering(given, np.isfinite(found).all(axis=0) & ~_silent(evidence.model, found))
         if len(known) < _STEERED:
             return False
         session.vehicle = known_vehicle(given, session.cameras, evidence)
