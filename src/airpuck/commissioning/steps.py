@@ -57,8 +57,8 @@ _CLEARANCE, _REACTION = 0.05, 0.4
 _LATE_POSES = 0.05
 #: Time to a rail at which pulses end although nothing can bring the craft back [s].
 _AT_RAIL = 0.2
-#: Further flights once all motors were tried, and pulses without thrust after which a motor counts
-#: as dead: starts may fail.
+#: Further flights once all motors were tried, and pulses after which a motor counts as dead, or as
+#: out of its place: starts may fail.
 _SILENT, _TRIES = 2, 2
 #: A table counts as level up to this slope [mrad].
 _LEVEL = 1.0
@@ -249,12 +249,12 @@ def _unclear(evidence: PulseEvidence) -> tuple[Int[np.ndarray, " k"], Finding | 
         seen = f"at most {percent(float(share[k]))} of the usual effect"
         cause = Finding("actuator", f"{names[k]} gives little or no thrust", seen, remedy)
         return unclear, cause
-    for k in np.flatnonzero(odd).tolist():
+    for k in np.flatnonzero(odd & (evidence.tries >= _TRIES)).tolist():
         angle = math.degrees(math.acos(float(np.clip(matches[k].cosine, -1, 1))))
         cause = f"{names[k]} acts {angle:.0f}° off its place in the vehicle file"
         remedy = "Check its position_m and direction_deg, and the axes of the poses."
         return unclear, Finding("layout", cause, "", remedy)
-    first = names[np.flatnonzero(untried | silent)[0]]
+    first = names[np.flatnonzero(untried | silent | odd)[0]]
     cause = f"The craft came near a rail before {first} was tried often enough"
     return unclear, Finding("table", cause, "", "Level the table, and start in the middle.")
 
