@@ -62,7 +62,7 @@ HOUSE = [*MODULES, *HOCKEY_MODULES]
 ALL_TESTS = [*TESTS.rglob("*.py"), *(HOCKEY / "tests").rglob("*.py")]
 EXAMPLES = TESTS.parent / "examples"
 #: Lines of code in both distributions, of which the aim is 36 000, and in air hockey alone.
-MOST_LINES = 44_301
+MOST_LINES = 44_300
 MOST_HOCKEY_LINES = 4_870
 #: Names in `airpuck.extend`.
 MOST_EXTEND = 131

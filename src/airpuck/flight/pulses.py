@@ -320,8 +320,7 @@ def _motion(
     """Return x, y and yaw per unit of each component of a pulse's effect, for each delay."""
     grid = np.union1d(np.arange(time[0], time[-1], _STEP), time)
     turned = np.interp(grid, time, yaw)[:, None]
-    length = pulse.end - pulse.begin
-    force = _force(model, pulse, grid[:, None] - pulse.begin - delays, length)
+    force = _force(model, pulse, grid[:, None] - pulse.begin - delays)
     shapes = np.stack([np.cos(turned) * force, np.sin(turned) * force, force], axis=1)
     moved = twice_integrated(shapes, np.diff(grid)[:, None])[np.searchsorted(grid, time)]
     along, across, turning = np.moveaxis(moved, 1, 0)
@@ -332,10 +331,10 @@ def _motion(
 
 
 def _force(
-    model: Model, pulse: _Pulse, elapsed: Float[np.ndarray, "G D"], length: float
+    model: Model, pulse: _Pulse, elapsed: Float[np.ndarray, "G D"]
 ) -> Float[np.ndarray, "G D"]:
     """Return the modelled thrust of a motor beyond its idling thrust [N]."""
-    motor, level = pulse.motor, pulse.level
+    motor, level, length = pulse.motor, pulse.level, pulse.end - pulse.begin
     lags, idle = np.ravel(model.dynamics.lag), model.vehicle.command_min
     lag = float(np.broadcast_to(lags, model.vehicle.n_propellers)[motor])
     peak = motor_step(np, idle, level, np.clip(elapsed, 0.0, length), lag)
