@@ -19,6 +19,7 @@ from airpuck.deviation.packet_delays import UNKNOWN, PacketDelays
 from airpuck.identification.cameras import cameras_of
 from airpuck.identification.fit_result import Fit, fit_warnings
 from airpuck.identification.method import (
+    MOST_LAG,
     LevenbergMarquardt,
     Method,
     Outcome,
@@ -52,7 +53,7 @@ from airpuck.identification.uncertainty import (
     without_meaningless,
 )
 from airpuck.model.model_file import Model
-from airpuck.model.parameters import LAG, Parameters, fix_gauge
+from airpuck.model.parameters import LAG, Parameters, change_degree, fix_gauge
 from airpuck.model.rungs import Rung
 from airpuck.model.uncertainty import Uncertainty
 from airpuck.preprocessing.delay import visible_delay
@@ -70,12 +71,20 @@ def identify(
 
 
 def solved(
-    trajectories: Trajectory | Sequence[Trajectory], model: str | Rung, **given: Any
+    trajectories: Trajectory | Sequence[Trajectory],
+    model: str | Rung,
+    *,
+    after: Solution | None = None,
+    **given: Any,
 ) -> Solution:
-    """Find the optimum of a model, without the uncertainty of its parameters."""
+    """Find the optimum of a model, without the uncertainty of its parameters.
+
+    A model with more terms than another starts from the other's solution: with its parameters, the
+    faults it found and the arrival times of its packets. A start with the faults can end far away.
+    """
     problem = Problem.of(trajectories, model, **given)
-    solution = Solution(problem, problem.trajectories)
     try:
+        solution = after.enriched(problem) if after else Solution(problem, problem.trajectories)
         solution = minimize(retime(leave_out_faults(solution)))
         if (given.get("loss") or Loss()).encoder_time is None:
             solution = remember(solution)
@@ -180,6 +189,17 @@ class Solution:
             outcome = minimize_on(method, loss, self.fitted[1], free, progress)
         return replace(self, fitted=(loss, outcome))
 
+    def enriched(self, problem: Problem) -> Solution:
+        """Fit a model with more terms to a part of the windows, starting at the optimum."""
+        start, (_, outcome, _) = problem.start, self.result
+        known = {q.name: getattr(outcome.parameters, q.name) for q in outcome.parameters.quantities}
+        known["thrust"] = change_degree(known["thrust"], np.shape(start.thrust)[1])
+        # So that one step can make it as long as nominal again.
+        least = start.motor_time_constant / MOST_LAG
+        known["motor_time_constant"] = max(known["motor_time_constant"], least)
+        problem = replace(problem, loss=self.problem.loss, initial=replace(start, **known))
+        return replace(self, problem=problem, fitted=None).prefit()
+
     def prefit(self) -> Solution:
         """Fit to a part of the windows, enough to prepare the data with."""
         method = self.problem.method
@@ -192,12 +212,14 @@ def leave_out_faults(solution: Solution) -> Solution:
     """Find faults with a first fit, and exclude the windows that they touch."""
     if solution.problem.preparation.faults == "keep" or solution.problem.loss.whole:
         return solution
-    solution = solution.prefit()
+    if solution.fitted is None:
+        solution = solution.prefit()
     loss, _, model = solution.result
     length = loss.windows.encoder_length + loss.windows.prediction_length
     _, _, stride = solution.problem.loss.samples(solution.trajectories)
-    exclusion = exclude_faults(solution.trajectories, model, length, stride)
-    return replace(solution, exclusion=exclusion, trajectories=exclusion.trajectories)
+    exclusion = exclude_faults(solution.problem.trajectories, model, length, stride)
+    found = exclusion.trajectories
+    return replace(solution, exclusion=exclusion, trajectories=found, retimed=None)
 
 
 def retime(solution: Solution) -> Solution:
@@ -206,14 +228,15 @@ def retime(solution: Solution) -> Solution:
     Long smoothing spreads every switch of an actuator, which looks like a lag. So the poses of a
     slow craft are smoothed along the nominal model before the first fit.
     """
-    problem = solution.problem
-    if problem.retimings and any(map(is_slow, solution.trajectories)):
+    problem, begun = solution.problem, bool(solution.packets)
+    if problem.retimings and not begun and any(map(is_slow, solution.trajectories)):
         nominal = problem.model(problem.start)
         along = tuple(smoothed_along(one, nominal) for one in solution.trajectories)
         solution = replace(solution, retimed=along)
     for _ in range(problem.retimings):
-        # A search for faults that found none was a fit to the same windows.
-        if solution.retimed or solution.exclusion is None or solution.exclusion.share:
+        # A search for faults that found none was a fit to the same windows; one that began with
+        # another fit's packets was a fit to better ones.
+        if solution.retimed or not (begun or (solution.exclusion and not solution.exclusion.share)):
             solution = solution.prefit()
         solution = hold_lag(solution)
         _, _, model = solution.result

@@ -163,7 +163,7 @@ def _typical(square: Float[np.ndarray, " W"]) -> float:
 
 
 #: Largest factor by which a step changes the motor lag.
-_MOST_LAG = 3.0
+MOST_LAG = 3.0
 #: Damping, relative to the curvature, above which steps are too short to be informative.
 _OVERDAMPED = 1e6
 #: If a step promises less than this fraction of the loss and still fails, the loss has a kink:
@@ -286,8 +286,8 @@ class _StepProgram:
         scale = scaling(here.hessian, free)[free]
         damped = hessian * scale[:, None] * scale + damping * np.eye(len(scale))
         # Far from the optimum a step may end where the lag no longer matters, and stay there.
-        lower = np.maximum(self._bounds[0], np.where(self._lag, point / _MOST_LAG, -np.inf))
-        upper = np.minimum(self._bounds[1], np.where(self._lag, point * _MOST_LAG, np.inf))
+        lower = np.maximum(self._bounds[0], np.where(self._lag, point / MOST_LAG, -np.inf))
+        upper = np.minimum(self._bounds[1], np.where(self._lag, point * MOST_LAG, np.inf))
         lower, upper = (lower - point)[free], (upper - point)[free]
         step = np.zeros_like(point)
         while True:

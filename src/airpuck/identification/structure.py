@@ -171,13 +171,16 @@ def structured(
         raise InputError("needs several recordings, not one", field="each")
     rung = chosen = rung.physics
 
+    solution: fitting.Solution | None = None
+
     def solved(rung: Rung) -> tuple[Model, PredictionLoss | None, Callable[[], Fit]]:
+        nonlocal solution
         if each:
             joint = identify_each(trajectories, rung, each, **options)
             return joint.model, joint.objective, lambda: joint
-        solution = fitting.solved(trajectories, rung, **options)
+        found = solution = fitting.solved(trajectories, rung, after=solution, **options)
         loss, _, simple = solution.result
-        return simple, loss, lambda: fitting.judge(solution)
+        return simple, loss, lambda: fitting.judge(found)
 
     simple, loss, judge = solved(rung)
     found = missing_terms(simple, loss) if usual else []
