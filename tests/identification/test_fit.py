@@ -53,6 +53,23 @@ def test_motors_slower_than_the_vehicle_file_says_are_watched_for_longer():
 
 
 @pytest.mark.slow
+def test_a_richer_model_starts_at_the_simpler_ones_optimum_without_its_faults():
+    flight, steps = fly(published_model("M3"), duration=12.0), []
+    lost = slice(1200, 1320)
+    flight.input[lost] = np.roll(flight.input[lost], 1, axis=1)
+    simple = module.solved(flight, "M3")
+    assert simple.exclusion is not None
+    (faults,) = simple.exclusion.faults
+    assert faults[0].start == pytest.approx(flight.time[1200], abs=0.1)
+    richer = module.solved(flight, "M3+drag", after=simple, progress=steps.append)
+    # Drag begins at zero.
+    assert steps[0].loss == pytest.approx(simple.result[1].loss, rel=1e-6)
+    fresh = module.solved(flight, "M3+drag").result[1].parameters.to_vector()
+    found = richer.result[1].parameters.to_vector()
+    np.testing.assert_allclose(found, fresh, rtol=2e-3, atol=2e-4)
+
+
+@pytest.mark.slow
 def test_two_recordings_at_once():
     truth = with_offset_center(published_model("M3"))
     flights = [fly(truth, duration=6.0, seed=seed) for seed in (1, 2)]

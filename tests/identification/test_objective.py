@@ -75,6 +75,8 @@ def plain_jacobian(parameters, windows, encoder, frame):
         pytest.param(ALL_TERMS, "body", marks=pytest.mark.slow),
         # M4's own columns, and terms that take a thrust in newtons.
         pytest.param("M4+inflow+pair+sag", "body", marks=pytest.mark.slow),
+        # An inertia that depends on the motion, beside columns that are learned.
+        pytest.param("M4+hull", "body", marks=pytest.mark.slow),
     ],
 )
 def test_equals_the_plain_jacobian(windows, name, frame):
