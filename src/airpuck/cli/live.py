@@ -394,8 +394,9 @@ def commission(
 ) -> None:
     """Fly a new craft from rest to a trusted model, alone: pulses, hover, excitations, studies.
 
-    Put the craft at rest in the middle of the table. Any key stops it. Status 2 if the model is not
-    trusted; the last line then says why, and what to do.
+    Put the craft at rest in the middle of the table. Any key stops it.
+
+    Status 2 if the model is not trusted; the last line then says why, and what to do.
     """
     craft = vehicle or airpuck.default_vehicle()
     if truth is None and twin is not None:
