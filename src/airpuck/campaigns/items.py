@@ -64,7 +64,6 @@ TuningTable = Annotated[dict[str, Any], _VALID]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
-Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
 Fingerprint = Callable[[str], str]
 
@@ -196,7 +195,7 @@ class Recovery(TwinItem, Identification):
 
     #: The excitation.
     duration_s: Duration = 90.0
-    amplitude: Amplitude = 1.0
+    amplitude: Annotated[float, pydantic.Field(gt=0, le=1)] = 1.0
     hold_s: Hold = 0.2
 
     def run(self) -> list[Row]:

@@ -126,7 +126,7 @@ def identify(
     ] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    span: options.Span = None,
+    span: options.RecordingPart = None,
     verbose: options.Verbose = False,
     degree: Degree = None,
     com_frame: ComFrame = "body",
