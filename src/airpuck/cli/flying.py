@@ -36,7 +36,7 @@ def replay(
         Path, Argument(metavar="FLIGHT", help="A recording with poses, commands and references.")
     ],
     fit_gains: Annotated[
-        bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
+        bool, Option("--fit-gains", help="First fit the law's gains to the log.")
     ] = False,
     law: options.LawName = None,
     tuning: options.TuningFile = None,

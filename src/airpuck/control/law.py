@@ -158,6 +158,9 @@ class Law:
     looks_ahead : bool
         Whether the law considers the reference beyond its next step. If not, it leaves the flight
         of a plan to `PlanTracker`, and is quick to compute without compilation.
+    c_modules : sequence of str, optional
+        Modules of ``packaged/c`` that compute this law, besides those of each controller. By
+        default there are none, and the law cannot be exported to C.
     gain : array or None
         Gain of a linear law, which may be fitted to a flight.
     stage : callable or None
@@ -185,6 +188,7 @@ class Law:
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True
+    c_modules: ClassVar[Sequence[str] | None] = None
     gain: Float[np.ndarray, "3 6"] | None = None
     stage: Callable[..., tuple[Any, ...]] | None = None
     inputs: tuple[np.ndarray, ...] = ()

@@ -196,7 +196,7 @@ class LQR(Law):
     """
 
     Settings = LQRSettings
-    title = "a linear regulator"
+    title, c_modules = "a linear regulator", ()
     looks_ahead = False
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
