@@ -86,18 +86,8 @@ def _rung_names() -> list[str]:
 @command(
     PANEL,
     rare=(
-        "encoder_time",
-        "prediction_time",
-        "robust",
-        "faults",
-        "delay",
-        "degree",
-        "com_frame",
-        "stride",
-        "yaw_weight",
-        "bootstrap",
-        "seed",
-        "each",
+        *("encoder_time", "prediction_time", "robust", "faults", "delay", "degree", "com_frame"),
+        *("stride", "yaw_weight", "bootstrap", "seed", "each"),
     ),
 )
 def identify(

@@ -245,6 +245,11 @@ _SOURCES = (
     *("LICENSE", "README.md", "CMakeLists.txt", "main.c", "airpuck_selftest.c"),
     *("airpuck.h", "airpuck.c", "airpuck_laws.h", "airpuck_lqr.c", *_sources("least_norm")),
 )
+#: Constants of `tracking` that `airpuck_flight` has by the same name.
+_OF_FLIGHT = (
+    *("LATER", "LEAST", "LASTING", "PRECISION", "CORRECTION", "DIFFERENCE", "SAMPLES"),
+    *("ITERATIONS", "TOLERANCE", "DECREASE", "SHORTEST", "ROUNDING"),
+)
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
@@ -341,18 +346,7 @@ def _flight(plan: Plan) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_flight`."""
     return {
         "ahead": tracking.HORIZON,
-        "later": tracking.LATER,
-        "least": tracking.LEAST,
-        "lasting": tracking.LASTING,
-        "precision": tracking.PRECISION,
-        "correction": tracking.CORRECTION,
-        "difference": tracking.DIFFERENCE,
-        "samples": tracking.SAMPLES,
-        "iterations": tracking.ITERATIONS,
-        "tolerance": tracking.TOLERANCE,
-        "decrease": tracking.DECREASE,
-        "shortest": tracking.SHORTEST,
-        "rounding": tracking.ROUNDING,
+        **{name.lower(): getattr(tracking, name) for name in _OF_FLIGHT},
         "duration": plan.duration,
         "given_up": tracking.given_up(plan),
         "rests": int(tracking.rests(plan)),

@@ -43,9 +43,7 @@ Degree = Annotated[
 ]
 ComFrame = Annotated[
     Literal["body", "world"],
-    of_structure(
-        "Whether the centre of mass is fixed to the body, or to the world as in the paper."
-    ),
+    of_structure("Whether the centre of mass is fixed to the body, or the world as in the paper."),
 ]
 
 
