@@ -28,7 +28,7 @@ from jaxtyping import Bool
 import airpuck
 from airpuck.compute.compiled import double_precision
 from airpuck.data.windows import gather_past
-from airpuck.identification.method import Iteration, Outcome
+from airpuck.identification.method import Iteration, Optimum
 from airpuck.identification.objective import PredictionLoss
 from airpuck.model.parameters import Parameters
 from airpuck.physics.rigid_body import rollout
@@ -78,7 +78,7 @@ class Adam:
         parameters: Parameters,
         free: Bool[np.ndarray, " P"],
         progress: Callable[[Iteration], None] = lambda _: None,
-    ) -> Outcome:
+    ) -> Optimum:
         """Minimise a prediction loss; see `Method.minimize`."""
         rng = np.random.default_rng(self.seed)
         order = rng.permutation(loss.windows.starts)
@@ -121,7 +121,7 @@ class Adam:
                 history.append(Iteration(number, float(losses.mean())))
                 progress(history[-1])
             final = _mean_loss(evaluate, carry[0], train)
-        return Outcome(
+        return Optimum(
             parameters=parameters.with_vector(np.asarray(carry[0])),
             loss=final,
             history=tuple(history),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import airpuck
-from airpuck.planning.minimal_time import ARRIVALS, MinimalTimes, craft_of, shortest_time
+from airpuck.planning.minimal_time import TERMINAL_CONDITIONS, MinimalTimes, craft_of, shortest_time
 
 DISTANCE = [0.0, 0.1, 0.3, 0.7, 1.3, 2.2]
 SPEED = [0.0, 0.7, 1.4, 2.1]
@@ -37,15 +37,15 @@ def main() -> None:
     spec.write_text(
         f'kind = "shortest_time"\nseeds = 1\nbase.model = "{given.model}"\n[grid]\n'
         + "\n".join(lines)
-        + f"\narrival = {list(ARRIVALS)}\n"
+        + f"\narrival = {list(TERMINAL_CONDITIONS)}\n"
     )
     done = airpuck.campaign(spec, given.output, workers=given.workers, retry=True)
     found = {
         tuple(entry.setting[name] for name in ("arrival", *grid)): result.rows[0]["time_s"]
         for entry, result in zip(done.entries, done.results, strict=True)
     }
-    shape = (len(ARRIVALS), *map(len, grid.values()))
-    times = [found[key] for key in itertools.product(ARRIVALS, *grid.values())]
+    shape = (len(TERMINAL_CONDITIONS), *map(len, grid.values()))
+    times = [found[key] for key in itertools.product(TERMINAL_CONDITIONS, *grid.values())]
     axes = [np.array(values) for values in grid.values()]
     model, random = airpuck.read_model(given.model), np.random.default_rng(1)
     table = MinimalTimes(given.model, craft_of(model), *axes, np.reshape(times, shape), {})
@@ -54,8 +54,10 @@ def main() -> None:
         distance, speed = random.uniform(0.02, 2.2), random.uniform(0, 2)
         angle, yaw = random.uniform(0, np.pi), random.uniform(-np.pi, np.pi)
         velocity = speed * np.array([np.cos(angle), np.sin(angle)])
-        planned = shortest_time(model, distance, velocity.tolist(), yaw, ARRIVALS[k % 2])
-        errors.append(abs(float(table((distance, 0.0), velocity, ARRIVALS[k % 2])) - planned))
+        planned = shortest_time(model, distance, velocity.tolist(), yaw, TERMINAL_CONDITIONS[k % 2])
+        errors.append(
+            abs(float(table((distance, 0.0), velocity, TERMINAL_CONDITIONS[k % 2])) - planned)
+        )
     error = dict(zip(("median", "p95", "worst"), np.quantile(errors, (0.5, 0.95, 1)), strict=True))
     error = {name: round(float(value), 4) for name, value in error.items()}
     replace(table, error=error).save(given.table)

@@ -17,7 +17,7 @@ from airpuck_hockey.game.hand import (
     STEP,
     Dexterity,
     HumanHand,
-    Place,
+    Point,
     Striker,
 )
 
@@ -35,11 +35,11 @@ _MOVES = 0.002
 class Counter(Striker):
     """A counter-attacker: a striker who also returns an approaching puck in one touch."""
 
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Meet an approaching puck with a stroke, if there is time; see `HumanHand.decided`."""
         return self._returned(time, own) or super().decided(time, own)
 
-    def _returned(self, time: float, own: Place) -> Place | None:
+    def _returned(self, time: float, own: Point) -> Point | None:
         """Return where to begin the stroke at an approaching puck, or begin it."""
         fastest = self._dexterity.speed_m_s
         run_up = _RUN_UP / (_HITS_AT * fastest)
@@ -96,7 +96,7 @@ class Wild(HumanHand):
         fastest, badly = KEEPERS["hard"].speed_m_s, 2 * dexterity.aim_rad
         super().__init__(equipment, replace(dexterity, speed_m_s=fastest, aim_rad=badly), seed)
 
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Strike, or wait for the puck; see `HumanHand.decided`."""
         if self._goes_by[0].x >= 0.0:
             self._aim_anew()

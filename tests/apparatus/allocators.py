@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.control.allocation import Outcome, ThrustAllocator, problem
+from airpuck.control.allocation import AllocationStatus, ThrustAllocator, problem
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Allocated:
     linear_scale: float
     angular_scale: float
     #: Outcome of the request.
-    outcome: Outcome
+    outcome: AllocationStatus
 
 
 class Allocator(ThrustAllocator):

@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from airpuck.control.law import Predicted
+from airpuck.control.law import SolverStatus
 from airpuck.control.predictive import PredictiveSettings
 
 pytestmark = pytest.mark.slow
@@ -38,7 +38,7 @@ def test_for_any_input_a_command_is_finite_within_limits_and_has_a_status():
     found = hostile.thrown(flights.law("mpc"), 200, compiled=False)
     assert found.wrong == 0
     assert found.statuses.total() == len(found.spent) == 200
-    assert set(found.statuses) <= {*get_args(Predicted), "failed"}
+    assert set(found.statuses) <= {*get_args(SolverStatus), "failed"}
     assert len(found.statuses) > 2
 
 

@@ -9,11 +9,17 @@ import tomli_w
 
 import airpuck
 from airpuck.boundary.errors import InputError
-from airpuck.control.tuning import read_tuning
+from airpuck.boundary.files import read_packaged
+from airpuck.campaigns.campaign import Spec
+from airpuck.control.settings import ExcitationPlan
+from airpuck.control.tuning import Tuning, read_tuning
 from airpuck.craft.table import AirHockey
-from airpuck.craft.vehicle import default_vehicle, read_vehicle
+from airpuck.craft.vehicle import Vehicle, default_vehicle, read_vehicle
+from airpuck.fleet.scenario import Scenario
 from airpuck.model.model_file import nominal_model, published_model, read_model
-from airpuck.recording.mapping import read_mapping
+from airpuck.model.sections import ModelFile
+from airpuck.recording.mapping import RecordingMapping, read_mapping
+from airpuck.twin.settings import TwinSettings
 
 #: A file from before the transport delay was a parameter.
 OLDER = """
@@ -194,6 +200,28 @@ def test_a_file_of_another_kind_is_named_as_that_kind(tmp_path, file, read, prob
     made[file].save(tmp_path / f"{file}.toml")
     with pytest.raises(InputError, match=rf"{file}.toml: {problem}"):
         read(tmp_path / f"{file}.toml")
+
+
+def test_a_kind_of_file_is_recognised_by_a_key_that_only_its_schema_has():
+    schemas = {
+        "a model": ModelFile,
+        "a vehicle": Vehicle,
+        "a table": AirHockey,
+        "settings of the twin": TwinSettings,
+        "a controller tuning": Tuning,
+        "a mapping of recordings": RecordingMapping,
+        "a scenario of several craft": Scenario,
+        "a campaign": Spec,
+        "a plan of an excitation": ExcitationPlan,
+    }
+    owned = {kind: {*schema.__annotations__} for kind, schema in schemas.items()}
+    owned["settings of the twin"] |= owned["a table"]
+    tables = read_packaged("file_kinds.toml", dict[str, dict[str, str]])
+    assert {*schemas} <= {*tables["certain"].values(), *tables["possible"].values()}
+    for key, kind in tables["certain"].items():
+        assert {name for name, keys in owned.items() if key in keys} <= {kind}, key
+    for key, kind in (tables["certain"] | tables["possible"]).items():
+        assert kind not in owned or key in owned[kind], key
 
 
 def test_a_model_of_a_matrix_needs_three_rows(tmp_path):

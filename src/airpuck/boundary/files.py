@@ -100,30 +100,8 @@ Fraction = Annotated[float, pydantic.Field(ge=0, le=1)]
 
 #: Pydantic's error types for an unknown key, of a `Section` and of a settings class.
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
-#: Pydantic's names for validators and for the types of a union.
-_OF_PYTHON = re.compile(r"function-|constrained-|.*\[|(float|int|str|bool|propeller|on_off)$")
-
 #: Pydantic's phrase for the kind of a value that is too short or too long, and its actual size.
 _OF_LENGTH = re.compile(r"^(?:Tuple|List) should have (.*?) after validation, not .*")
-
-#: Kinds of files, each recognised by a table or key that no other kind has.
-_KINDS = {
-    "times_s": "a time-optimal plan",
-    "hold_s": "a plan of an excitation",
-    "parameters": "a model",
-    "format": "a model",
-    "propellers": "a vehicle",
-    "setpoints": "a list of set points",
-    "pose": "a mapping of recordings",
-    "radio": "settings of the twin",
-    "motion_capture": "settings of the twin",
-    "estimation": "a controller tuning",
-    "table": "a table",
-    "craft": "a scenario of several craft",
-    "kind": "a campaign",
-}
-#: Those that may also be a stray key in a file of the right kind.
-_COMMON = ("table", "craft", "kind")
 
 
 class Section(pydantic.BaseModel):
@@ -236,8 +214,7 @@ def _explained(
     # A misspelt key also leaves the right one missing: report the spelling.
     found = error.errors()
     first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
-    # Names of validator functions and Python types do not help a user.
-    field = ".".join(part for part in map(str, first["loc"]) if not _OF_PYTHON.match(part))
+    field = _field(first, content)
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
         field = ".".join(part for part in (field, cause.field) if part)
@@ -248,12 +225,8 @@ def _explained(
     problem = problem.replace("a valid dictionary or instance of", "a dictionary or a")
     problem = _OF_LENGTH.sub(r"must have \1", problem)
     known = _keys(schema)
-    kind = next((k for k in _KINDS if k in content and k not in known[0]), None)
-    if kind in _COMMON and _KINDS.keys() & content.keys() & known[0]:
-        kind = None
-    if first["type"] in _UNKNOWN and kind and file is not None:
-        wanted = next((name for key, name in _KINDS.items() if key in known[0]), None)
-        field, problem = "", f"is {_KINDS[kind]}; expected {wanted or 'another kind of file'}"
+    if first["type"] in _UNKNOWN and file is not None and (kinds := _other_kind(content, known[0])):
+        field, problem = "", "is {}; expected {}".format(*kinds)
     elif first["type"] in _UNKNOWN:
         near = get_close_matches(str(first["loc"][-1]), set().union(*known), 1)
         hint = f"did you mean {near[0]}?" if near else "check its spelling"
@@ -261,6 +234,29 @@ def _explained(
     elif first["type"] == "missing":
         problem = "is required but missing"
     return InputError(problem, file=file, field=field or None)
+
+
+def _field(error: Mapping[str, Any], content: Any) -> str:
+    """Return the key of an error, without pydantic's names of validators and of a union's types."""
+    found = []
+    for part in error["loc"]:
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            continue
+        found.append(str(part))
+    return ".".join([*found, str(error["loc"][-1])] if error["type"] == "missing" else found)
+
+
+def _other_kind(content: Mapping[str, Any], known: set[str]) -> tuple[str, str] | None:
+    """Return the kind of a file and the expected kind, unless it seems to be of that kind."""
+    tables = read_packaged("file_kinds.toml", dict[str, dict[str, str]])
+    kinds = tables["certain"] | tables["possible"]
+    key = next((k for k in kinds if k in content and k not in known), None)
+    if key is None or (key in tables["possible"] and kinds.keys() & content.keys() & known):
+        return None
+    wanted = next((name for k, name in kinds.items() if k in known), "another kind of file")
+    return kinds[key], wanted
 
 
 def write_toml(

@@ -61,21 +61,8 @@ def _text(number: float) -> str:
 
 #: Upper limits of numbers in files, by the unit at the end of their names: far beyond any craft,
 #: table, motor or flight, and far from where squares overflow. Time stamps count from 1970.
-_LARGEST = {
-    "_kg_m2": 1e6,
-    "_m_s2": 1e5,
-    "_rad_s": 1e5,
-    "_1_s": 1e5,
-    "_m_s": 1e5,
-    "_deg": 1e5,
-    "_rad": 1e5,
-    "_kg": 1e4,
-    "_hz": 1e5,
-    "_ns": 2.0**64,
-    "_m": 1e4,
-    "_N": 1e5,
-    "_s": 1e10,
-}
+_LARGEST = dict.fromkeys(("_m_s2", "_rad_s", "_1_s", "_m_s", "_deg", "_rad", "_hz", "_N"), 1e5)
+_LARGEST |= {"_kg_m2": 1e6, "_kg": 1e4, "_m": 1e4, "_ns": 2.0**64, "_s": 1e10}
 _LARGEST_OF_ALL = 1e15
 
 

@@ -117,7 +117,7 @@ def plain(value: Any) -> Any:
 #: inertia and radius; ``actuator``: weak, dead, reversed; ``physics`` that the model lacks;
 #: ``change`` during the recording; ``excitation``: too little of it; ``control``: the controller
 #: does not settle.
-Kind = Literal[
+CauseKind = Literal[
     "poses",
     "table",
     "clock",
@@ -134,7 +134,7 @@ Kind = Literal[
     "control",
 ]
 #: Kinds that make a recording suspect: whatever is learned from it is wrong.
-SUSPECT: tuple[Kind, ...] = ("clock", "units", "axes", "signs", "order")
+SUSPECT: tuple[CauseKind, ...] = ("clock", "units", "axes", "signs", "order")
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Finding(Result):
     Attributes
     ----------
     kind : str
-        Kind of the cause, one of `Kind`.
+        Kind of the cause, one of `CauseKind`.
     cause : str
         What is wrong: a sentence without its full stop, such as "The poses are stamped 80 ms late".
     evidence : str
@@ -155,7 +155,7 @@ class Finding(Result):
 
     JSON = "kind cause evidence remedy"
 
-    kind: Kind
+    kind: CauseKind
     cause: str
     evidence: str = ""
     remedy: str = ""
@@ -174,5 +174,5 @@ class Finding(Result):
 
 def by_cause(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return findings in the order of their causes, each once."""
-    kinds = get_args(Kind)
+    kinds = get_args(CauseKind)
     return tuple(sorted(dict.fromkeys(findings), key=lambda one: kinds.index(one.kind)))

@@ -25,10 +25,10 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, Section, checked, laid_over
 from airpuck.campaigns.fingerprints import of_file, of_recording, program
 from airpuck.control.laws import check_law
-from airpuck.control.settings import DWELL, ControllerKind, Duration, Dwell, Hold
+from airpuck.control.settings import DWELL, ControllerKind, Dwell, ExcitationPlan
 from airpuck.control.tuning import Tuning, default_tuning, tuning_for
 from airpuck.craft.vehicle import default_vehicle, read_vehicle
-from airpuck.identification.settings import Degree, Loss, Stride
+from airpuck.identification.settings import ComFrame, Degree, Loss, Stride
 from airpuck.model.model_file import Model, read_model
 from airpuck.model.parameters import Parameters
 from airpuck.model.rungs import named_rung
@@ -64,7 +64,6 @@ TuningTable = Annotated[dict[str, Any], _VALID]
 RungName = Annotated[str, pydantic.AfterValidator(_known_rung)]
 Natural = Annotated[int, pydantic.Field(ge=0)]
 Count = Annotated[int, pydantic.Field(ge=1)]
-Amplitude = Annotated[float, pydantic.Field(gt=0, le=1)]
 _CLASS = re.compile(r"(?<=\.py):[^:/]*$")
 Fingerprint = Callable[[str], str]
 
@@ -149,7 +148,7 @@ class Identification(Item):
     #: Samples from one window to the next; by default 7/240 s.
     stride: Stride = None
     #: Whether poorly predicted windows get less weight.
-    robust: bool = False
+    robust: bool = Loss.robust
 
     def loss(self, data: Trajectory) -> Loss:
         """Return the loss of the fit."""
@@ -191,13 +190,8 @@ class Tracking(TwinItem):
         return [{**flown.figures(), "clearance_m": float(flown.clearance.min())}]
 
 
-class Recovery(TwinItem, Identification):
+class Recovery(TwinItem, Identification, ExcitationPlan):  # pyright: ignore[reportGeneralTypeIssues]
     """One excitation flight of the twin, with a fit that is compared with the truth."""
-
-    #: The excitation.
-    duration_s: Duration = 90.0
-    amplitude: Amplitude = 1.0
-    hold_s: Hold = 0.2
 
     def run(self) -> list[Row]:
         """Fly, identify, compare; see `Item.run`."""
@@ -211,6 +205,7 @@ class Recovery(TwinItem, Identification):
             self.seed,
             amplitude=self.amplitude,
             hold=self.hold_s,
+            margin=self.margin_m,
             settings=self.twin,
         )
         data = airpuck.preprocess(recording, truth.vehicle)
@@ -240,7 +235,7 @@ class Fitting(Identification):
     #: Degree of the thrust polynomials.
     degree: Degree = None
     #: Frame in which the offset of the centre of mass is constant.
-    frame: Literal["body", "world"] = "body"
+    frame: ComFrame = "body"
 
     @pydantic.model_validator(mode="after")
     def _resamples_plain_fits(self) -> Fitting:

@@ -36,11 +36,11 @@ def replay(
         Path, Argument(metavar="FLIGHT", help="A recording with poses, commands and references.")
     ],
     fit_gains: Annotated[
-        bool, Option("--fit-gains", help="First fit the regulator's gains to the log.")
+        bool, Option("--fit-gains", help="First fit the law's gains to the log.")
     ] = False,
     law: options.LawName = None,
     tuning: options.TuningFile = None,
-    span: options.Span = None,
+    span: options.RecordingPart = None,
     mapping: options.ReadMapping = None,
     output: options.PageFolder = None,
 ) -> None:
@@ -229,7 +229,7 @@ def animate(
         Path, Argument(metavar="RECORDING", help="A bag folder, .mcap, or folder of CSV files.")
     ],
     output: Annotated[Path, options.output("FILE", "File to write: flight.gif or flight.html.")],
-    span: options.Span = None,
+    span: options.RecordingPart = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
     speed: Annotated[

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument
 
@@ -18,6 +18,7 @@ from airpuck.cli import options
 from airpuck.cli.app import command
 from airpuck.cli.output import origin, report, show_progress, show_time_left, table, warn
 from airpuck.identification.settings import (
+    ComFrame,
     Degree,
     Loss,
     Preparation,
@@ -38,12 +39,6 @@ PANEL = "From a recording to a validated model"
 
 Recordings = Annotated[
     list[Path], Argument(metavar="RECORDING...", help="One or more recordings of one craft.")
-]
-ComFrame = Annotated[
-    Literal["body", "world"],
-    of_structure(
-        "Whether the centre of mass is fixed to the body, or to the world as in the paper."
-    ),
 ]
 _of_uncertainty = partial(Setting, heading="Uncertainty")
 
@@ -91,18 +86,8 @@ def _rung_names() -> list[str]:
 @command(
     PANEL,
     rare=(
-        "encoder_time",
-        "prediction_time",
-        "robust",
-        "faults",
-        "delay",
-        "degree",
-        "com_frame",
-        "stride",
-        "yaw_weight",
-        "bootstrap",
-        "seed",
-        "each",
+        *("encoder_time", "prediction_time", "robust", "faults", "delay", "degree", "com_frame"),
+        *("stride", "yaw_weight", "bootstrap", "seed", "each"),
     ),
 )
 def identify(
@@ -126,7 +111,7 @@ def identify(
     ] = None,
     vehicle: options.ReadVehicle = None,
     mapping: options.ReadMapping = None,
-    span: options.Span = None,
+    span: options.RecordingPart = None,
     verbose: options.Verbose = False,
     degree: Degree = None,
     com_frame: ComFrame = "body",

@@ -151,7 +151,7 @@ ReadTable = Annotated[
         "--table", "Table file: dimensions, goals, puck; by default the usual ones.", "read_table"
     ),
 ]
-Span = Annotated[
+RecordingPart = Annotated[
     tuple[float, float] | None,
     Setting("Part of the recording to use, as fractions of its length.", numbers.SHARE, "A B"),
 ]
@@ -207,7 +207,7 @@ JudgedLaw = Annotated[
     str | None,
     _law("Law to fly in simulation besides the usual LQR: mpc (takes seconds), or FILE.py:NAME."),
 ]
-ProtocolName = Annotated[
+ProtocolOption = Annotated[
     Literal["paper", "paper-long", "causal"],
     Setting("paper; paper-long (encoders may look further back); causal (no later measurements)."),
 ]

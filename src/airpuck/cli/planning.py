@@ -35,16 +35,8 @@ _PANEL = "Control and flight"
 @command(
     _PANEL,
     rare=(
-        "spin",
-        "speed",
-        "margin",
-        "smoothing",
-        "end_velocity",
-        "free",
-        "turn",
-        "keep_out",
-        "size",
-        "intervals",
+        *("spin", "speed", "margin", "smoothing", "end_velocity", "free", "turn", "keep_out"),
+        *("size", "intervals"),
     ),
 )
 def plan(

@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 Variables = Float[np.ndarray, " m"]
-Rows = Float[np.ndarray, "3 m"]
+Constraints = Float[np.ndarray, "3 m"]
 #: Bounds of the variables, then of the rows.
 Bounds = Float[np.ndarray, " m+3"]
-#: Outcome of a request. ``exact``: met. ``scaled``: the linear or angular acceleration is reduced
+#: Status of a request. ``exact``: met. ``scaled``: the linear or angular acceleration is reduced
 #: along its direction (s1, s2 < 1). ``nearest``: no scaled request is feasible; the thrusts give
 #: the nearest acceleration. ``failed``: the solver found no solution; the thrusts are the lowest
 #: allowed.
-Outcome = Literal["exact", "scaled", "nearest", "failed"]
+AllocationStatus = Literal["exact", "scaled", "nearest", "failed"]
 #: A request counts as fully met if both slacks are this close to 1.
 UNSCALED = 1e-6
 #: Weights of slacks and thrusts relative to the distance in the nearest-acceleration problem: small
@@ -61,7 +61,7 @@ class Piqp:
             # With the default, one feasible request in twenty is reported infeasible.
             settings.eps_primal_inf = 1e-10
 
-    def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
+    def constrained(self, a: Constraints, lower: Bounds, upper: Bounds) -> Variables | None:
         """Solve with Ax = b; the last three bounds are b."""
         lower, upper, b = lower[:-3], upper[:-3], upper[-3:]
         self._constrained.update(A=a, b=b, x_l=lower, x_u=upper)
@@ -70,7 +70,7 @@ class Piqp:
         return x if solved or np.max(np.abs(a @ x - b)) < self._EQUALITY_HOLDS else None
 
     def nearest(
-        self, a: Rows, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
+        self, a: Constraints, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
     ) -> Variables | None:
         """Bring Ax as near to b as the bounds allow."""
         self._nearest.update(P=a.T @ a + self._ties, c=-(b @ a), x_l=lower, x_u=upper)
@@ -103,7 +103,7 @@ class Daqp:
         )
         self._constrained.settings = {"sing_tol": self._SINGULAR, "primal_tol": self._FEASIBLE}
 
-    def constrained(self, a: Rows, lower: Bounds, upper: Bounds) -> Variables | None:
+    def constrained(self, a: Constraints, lower: Bounds, upper: Bounds) -> Variables | None:
         """Solve with Ax = b; the last three bounds are b."""
         model = self._constrained
         # With `sense` it starts cold; otherwise it starts from the last active set, so an answer
@@ -114,7 +114,7 @@ class Daqp:
         return x if flag == self._OPTIMAL else None
 
     def nearest(
-        self, a: Rows, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
+        self, a: Constraints, b: Float[np.ndarray, " 3"], lower: Variables, upper: Variables
     ) -> Variables | None:
         """Bring Ax as near to b as the bounds allow."""
         x, _, flag, _ = self._solve_anew(
@@ -202,8 +202,8 @@ class ThrustAllocator:
         self._unscale = np.repeat([1.0, self._root], sizes)
 
     def solve(
-        self, a: Rows, lower: Bounds, upper: Bounds, finite: Any
-    ) -> tuple[Variables | None, Outcome]:
+        self, a: Constraints, lower: Bounds, upper: Bounds, finite: Any
+    ) -> tuple[Variables | None, AllocationStatus]:
         """Solve the program that `problem` wrote.
 
         Parameters
@@ -217,11 +217,11 @@ class ThrustAllocator:
             Thrusts [N], within their bounds up to the solver's tolerance, and √μ(1 - s); None if
             the solver failed.
         outcome : {"exact", "scaled", "nearest", "failed"}
-            Outcome of the request.
+            Status of the request.
         """
         if not finite:
             return None, "failed"
-        outcome: Outcome = "scaled"
+        outcome: AllocationStatus = "scaled"
         x = self._solver.constrained(a, lower, upper)
         if x is None:
             outcome, u = "nearest", self._unscale

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from airpuck.boundary.errors import InputError
 from airpuck.control.authority import control_authority, pushes, weakest_effort
 from airpuck.control.law import Pilot, Step
+from airpuck.control.laws import PAPERS
 from airpuck.control.reference import Reference, SetPoint, Unturned
 from airpuck.control.tracking import TrackingController
 from airpuck.control.tuning import Tuning, tuning_for
@@ -113,8 +114,8 @@ class Excitation(Pilot):
         self.controller = controller = TrackingController(
             replace(model, parameters=replace(model.parameters, motor_time_constant=0.0)),
             reference or SetPoint(0.0, 0.0, 0.0),
-            # The signals are added to the regulator's commands, which do not foresee them.
-            (tuning or tuning_for(model)).with_law("lqr"),
+            # The signals are added to the commands of a law, which does not foresee them.
+            (tuning or tuning_for(model)).with_law(PAPERS),
             reject_disturbance=False,
             compensate_delay=False,
             compiled=compiled,

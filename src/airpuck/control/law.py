@@ -14,7 +14,7 @@ from airpuck.boundary.arguments import numbers_of
 from airpuck.boundary.errors import InputError
 from airpuck.boundary.extensions import UserCode
 from airpuck.compute.compiled import program
-from airpuck.control.allocation import Outcome
+from airpuck.control.allocation import AllocationStatus
 from airpuck.control.laws import check_law, law_class
 from airpuck.control.limits import Limit
 from airpuck.control.reference import Reference, SetPoint
@@ -24,17 +24,17 @@ from airpuck.data.measurement import Measurement, MeasurementKind
 from airpuck.estimate.estimator import Estimate
 from airpuck.model.model_file import Model
 
-#: Outcome of a prediction. ``optimal``: within all limits. ``softened``: exceeds a limit of the
+#: Status of a prediction. ``optimal``: within all limits. ``softened``: exceeds a limit of the
 #: craft's motion by as little as possible. ``iteration limit``: the solver found no solution; the
 #: plan of the previous step continues. ``fallback``: there is no plan; an LQR steers.
-Predicted = Literal["optimal", "softened", "iteration limit", "fallback"]
+SolverStatus = Literal["optimal", "softened", "iteration limit", "fallback"]
 _Refused = Literal["no pose", "stale pose", "jumping pose", "bad input", "open loop", "unsafe"]
-#: Status of a control step. With an outcome of allocation or prediction the craft flies; all others
+#: Status of a control step. With a status of allocation or prediction the craft flies; all others
 #: idle the motors. A guard around the controller sets ``unsafe``, a landing ``cannot steer``.
-Status = Outcome | Predicted | _Refused | Literal["cannot steer"]
+Status = AllocationStatus | SolverStatus | _Refused | Literal["cannot steer"]
 #: Kinds of limits of a plan.
 Bound = Literal["nothing", "motor", "motion"]
-FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(Predicted), "open loop")
+FLYING: tuple[Status, ...] = ("exact", "scaled", "nearest", *get_args(SolverStatus), "open loop")
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +158,9 @@ class Law:
     looks_ahead : bool
         Whether the law considers the reference beyond its next step. If not, it leaves the flight
         of a plan to `PlanTracker`, and is quick to compute without compilation.
+    c_modules : sequence of str, optional
+        Modules of ``packaged/c`` that compute this law, besides those of each controller. By
+        default there are none, and the law cannot be exported to C.
     gain : array or None
         Gain of a linear law, which may be fitted to a flight.
     stage : callable or None
@@ -185,6 +188,7 @@ class Law:
     Settings: ClassVar[type[LawSettings] | None] = None
     title: ClassVar[str] = "a law of its own"
     looks_ahead: ClassVar[bool] = True
+    c_modules: ClassVar[Sequence[str] | None] = None
     gain: Float[np.ndarray, "3 6"] | None = None
     stage: Callable[..., tuple[Any, ...]] | None = None
     inputs: tuple[np.ndarray, ...] = ()

@@ -32,7 +32,7 @@ _EFFECTIVENESS = (0.1, 1.5)
 
 
 # Beyond these bounds the Riccati equation cannot be solved in double precision.
-Weight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
+CostWeight = Annotated[float, pydantic.Field(ge=0, le=1e6)]
 PositiveWeight = Annotated[float, pydantic.Field(ge=1e-6, le=1e6)]
 
 
@@ -44,9 +44,9 @@ class Weights(Section):
 
     #: Weights of x and y [1/m²], vx and vy [s²/m²], γ [1/rad²], ω [s²/rad²].
     position: PositiveWeight
-    speed: Weight
+    speed: CostWeight
     yaw: PositiveWeight
-    spin: Weight
+    spin: CostWeight
     #: Weights of ax and ay [s⁴/m²], ω' [s⁴/rad²].
     acceleration: PositiveWeight
     angular_acceleration: PositiveWeight
@@ -196,7 +196,7 @@ class LQR(Law):
     """
 
     Settings = LQRSettings
-    title = "a linear regulator"
+    title, c_modules = "a linear regulator", ()
     looks_ahead = False
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:

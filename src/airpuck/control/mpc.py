@@ -81,7 +81,7 @@ class MPC(Law):
     """
 
     Settings = PredictiveSettings
-    title = "predictive control"
+    title, c_modules = "predictive control", ("mpc", "qp", "slopes")
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()

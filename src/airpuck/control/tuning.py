@@ -96,7 +96,7 @@ class LawSettings(Section):
         return self
 
 
-Kind = TypeVar("Kind", bound=LawSettings)
+OwnSettings = TypeVar("OwnSettings", bound=LawSettings)
 Scaled = TypeVar("Scaled", bound=Section)
 
 
@@ -280,7 +280,7 @@ class Tuning(Section):
         changed = self.estimation.model_copy(update={"estimator": estimator})
         return self.model_copy(update={"estimation": changed})
 
-    def of(self, settings: type[Kind]) -> Kind:
+    def of(self, settings: type[OwnSettings]) -> OwnSettings:
         """Return the settings of a law.
 
         Parameters

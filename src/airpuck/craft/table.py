@@ -11,7 +11,7 @@ import pydantic
 from airpuck.boundary.files import Fraction, NonNegative, Positive, Section, read_toml, write_toml
 
 #: Largest size of a table or hall; a longer one is in millimetres [m].
-Side = Annotated[float, pydantic.Field(gt=0, le=1000)]
+SideLength = Annotated[float, pydantic.Field(gt=0, le=1000)]
 
 
 class Table(Section):
@@ -35,8 +35,8 @@ class Table(Section):
     (1.2, 0.5)
     """
 
-    length_m: Side = 2.2
-    width_m: Side = 1.1
+    length_m: SideLength = 2.2
+    width_m: SideLength = 1.1
     restitution: Fraction = 0.7
     friction: NonNegative = 0.1
     goal_width_m: Positive = 0.40

@@ -37,9 +37,9 @@ _LATER, _CHANGE = (-0.02, 0.05), 1e-3
 #: Largest lateness of a measurement if sensors have different latencies [s].
 _REMEMBERED = 0.1
 #: A belief about the craft in the form of the equations: arrays that are never written to.
-Belief = tuple[Any, ...]
+AnyBelief = tuple[Any, ...]
 #: Time, belief, motor speeds and learned delay.
-_State = tuple[float, Belief, Float[np.ndarray, " n"], float]
+_FilterState = tuple[float, AnyBelief, Float[np.ndarray, " n"], float]
 #: Durations [s] and commands of intervals.
 _Pieces = tuple[Float[np.ndarray, " S"], Float[np.ndarray, "S n"]]
 
@@ -92,7 +92,7 @@ class KalmanFilter:
         #: Time of the motor speeds, if later than the belief's.
         self._motors_at: float | None = None
         #: Measurements and the filter before each: stamp, state, method, arguments.
-        self._history: deque[tuple[float, _State, str, tuple[Any, ...]]] = deque()
+        self._history: deque[tuple[float, _FilterState, str, tuple[Any, ...]]] = deque()
         #: Whether an on-board sensor has reported, so that measurements may come late.
         self._remembers = False
 
@@ -373,7 +373,7 @@ class KalmanFilter:
         self._settle(time, tuple(belief), speed)
         return True
 
-    def _settle(self, time: float, belief: Belief, speed: Float[np.ndarray, " n"]) -> None:
+    def _settle(self, time: float, belief: AnyBelief, speed: Float[np.ndarray, " n"]) -> None:
         """Store a state and drop commands older than every snapshot."""
         self._time, self._belief, self._motor_speed = time, belief, speed
         self._commands.drop(self._history[0][1][0] if self._history else time)

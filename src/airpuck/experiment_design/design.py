@@ -20,7 +20,7 @@ from airpuck.experiment_design.forecast import (
     ComparedQuantities,
     Forecast,
     Information,
-    Progress,
+    ProgressCallback,
     Trial,
     fly_trial,
     joined,
@@ -113,7 +113,7 @@ def design(
     settings: TwinSettings | None = None,
     tuning: Tuning | None = None,
     processes: int | None = None,
-    progress: Progress = lambda _done, _total: None,
+    progress: ProgressCallback = lambda _done, _total: None,
 ) -> Design:
     """Propose the excitation to fly next.
 
@@ -223,7 +223,7 @@ class _Search:
     seed: int
     #: Like the built-in `map`.
     run: Callable[..., Iterable[Any]]
-    progress: Progress
+    progress: ProgressCallback
     #: Expected seconds of trial flights; the number may grow.
     expected: float
 

@@ -335,7 +335,7 @@ def _turn_per_push(motor: int, model: Model) -> float:
 
 
 #: Called with the number done and the total.
-Progress = Callable[[float, float], None]
+ProgressCallback = Callable[[float, float], None]
 
 
 class Trial(NamedTuple):

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 import airpuck
-from airpuck.boundary.errors import InputError
+from airpuck.boundary.errors import InputError, either
 from airpuck.control import horizon
 from airpuck.control.allocation import TIE_SLACK, TIE_THRUST, UNSCALED
 from airpuck.control.horizon import Blocks, Sizes
 from airpuck.control.law import LawOptions
+from airpuck.control.laws import LAWS, law_class
 from airpuck.control.lqr import LQRSettings, cost_to_go, lqr_gain, motor_lag, point_mass
 from airpuck.control.mpc import FLOWN_ON, MPC, Ongoing
 from airpuck.control.pose_gate import BLIND, JUMP, MOVES, ROUNDING, longest_pause, remembered
@@ -36,6 +37,7 @@ from airpuck.physics.motor import IDLE
 from airpuck.physics.rigid_body import Dynamics, step
 from airpuck.planning import tracking
 from airpuck.planning.plan import Plan
+from airpuck.planning.tracking import PlanTracker
 
 #: Effects that `airpuck_model.c` computes; those that change thrusts are in its order.
 EFFECTS: tuple[type[Effect], ...] = (Inflow, PairInteraction, VoltageSag, Drag, Tilt, IdleLag)
@@ -240,22 +242,14 @@ def _sources(*modules: str) -> list[str]:
 
 #: Sources of the controller, besides the model's.
 _SOURCES = (
-    "LICENSE",
-    "README.md",
-    "CMakeLists.txt",
-    "main.c",
-    "airpuck_selftest.c",
-    "airpuck.h",
-    "airpuck.c",
-    "airpuck_laws.h",
-    "airpuck_lqr.c",
-    "airpuck_least_norm.h",
-    "airpuck_least_norm.c",
+    *("LICENSE", "README.md", "CMakeLists.txt", "main.c", "airpuck_selftest.c"),
+    *("airpuck.h", "airpuck.c", "airpuck_laws.h", "airpuck_lqr.c", *_sources("least_norm")),
 )
-#: Additional sources for the predictive law.
-_PREDICTIVE = _sources("mpc", "qp", "slopes")
-#: Additional sources for a planned flight.
-_FLIGHT = _sources("flight", "slopes")
+#: Constants of `tracking` that `airpuck_flight` has by the same name.
+_OF_FLIGHT = (
+    *("LATER", "LEAST", "LASTING", "PRECISION", "CORRECTION", "DIFFERENCE", "SAMPLES"),
+    *("ITERATIONS", "TOLERANCE", "DECREASE", "SHORTEST", "ROUNDING"),
+)
 
 
 def write(subject: Subject, folder: Path) -> dict[str, Any]:
@@ -264,6 +258,9 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     if plan is not None:
         tuning = tracking.for_plans(tuning)
     _check(model, tuning, plan)
+    laws = [law_class(tuning.law.kind), *([] if plan is None else [PlanTracker])]
+    modules = [name for one in laws for name in one.c_modules or ()]
+    copy_sources([*_SOURCES, *_sources(*modules)], folder)
     held = remembered(longest_pause(model, tuning)) + model.transport_delay
     sizes = {
         "AIRPUCK_STEPS": 0,
@@ -272,11 +269,10 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
     }
     numbers = [constant("airpuck_tuning", "airpuck_tuned", _tuning(model, tuning))]
     facts: dict[str, Any] = {"law": tuning.law.kind, "on-board sensors": "not used"}
-    if tuning.law.kind == "mpc":
+    if MPC in laws:
         sizes |= _prediction_sizes(tuning.of(PredictiveSettings))
         predicted = _horizon(model, tuning)
         numbers.append(constant("airpuck_horizon", "airpuck_predicted", predicted))
-        copy_sources(_PREDICTIVE, folder)
         low, high = np.round(predicted["fence"], 4).tolist()
         facts["fence, m"] = f"{low} to {high}; set law.mpc.limits.fence_m for another table"
     if plan is not None:
@@ -287,10 +283,8 @@ def write(subject: Subject, folder: Path) -> dict[str, Any]:
             "AIRPUCK_PERIODS": tracking.periods(math.inf, tuning.period_s),
         }
         numbers.append(constant("airpuck_flight", "airpuck_planned", flight))
-        copy_sources(_FLIGHT, folder)
         facts["planned flight, numbers in flash"] = flight["states"].size + plan.commands.size
     write_model(model, folder, sizes=sizes, data={"airpuck.h": "\n\n".join(numbers)})
-    copy_sources(_SOURCES, folder)
     golden = "\n".join(golden_flight(model, tuning, plan))
     (folder / "golden.csv").write_text(f"{golden}\n")
     return facts
@@ -301,10 +295,10 @@ def _check(model: Model, tuning: Tuning, plan: Plan | None) -> None:
     kind = tuning.law.kind
     if kind == "plan" and plan is None:
         raise InputError("'plan' needs a plan; pass it with --plan FILE", field="law.kind")
-    if kind not in ("lqr", "mpc", "plan"):
-        raise InputError(
-            f"{kind!r} cannot be exported to c; choose 'lqr' or 'mpc'", field="law.kind"
-        )
+    able = [name for name in LAWS if getattr(law_class(name), "c_modules", None) is not None]
+    if kind not in able:
+        problem = f"{kind!r} cannot be exported to c; choose {either(map(repr, able))}"
+        raise InputError(problem, field="law.kind")
     if tuning.estimation.estimator != "kalman":
         problem = f"{tuning.estimation.estimator!r} cannot be exported to c; choose 'kalman'"
         raise InputError(problem, field="estimation.estimator")
@@ -352,18 +346,7 @@ def _flight(plan: Plan) -> dict[str, Any]:
     """Return the fields of the C struct `airpuck_flight`."""
     return {
         "ahead": tracking.HORIZON,
-        "later": tracking.LATER,
-        "least": tracking.LEAST,
-        "lasting": tracking.LASTING,
-        "precision": tracking.PRECISION,
-        "correction": tracking.CORRECTION,
-        "difference": tracking.DIFFERENCE,
-        "samples": tracking.SAMPLES,
-        "iterations": tracking.ITERATIONS,
-        "tolerance": tracking.TOLERANCE,
-        "decrease": tracking.DECREASE,
-        "shortest": tracking.SHORTEST,
-        "rounding": tracking.ROUNDING,
+        **{name.lower(): getattr(tracking, name) for name in _OF_FLIGHT},
         "duration": plan.duration,
         "given_up": tracking.given_up(plan),
         "rests": int(tracking.rests(plan)),

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from airpuck.boundary.results import Finding, Kind, Result
+from airpuck.boundary.results import CauseKind, Finding, Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.window_regression import LEVEL
 from airpuck.faults.propeller_check import (
@@ -262,7 +262,7 @@ def layout_findings(check: LayoutCheck) -> tuple[Finding, ...]:
 
 #: How verdicts on propellers begin that lead to a finding: its kind, the cause for each propeller,
 #: and the remedy.
-_ACCUSED: dict[str, tuple[Kind, str, str]] = {
+_ACCUSED: dict[str, tuple[CauseKind, str, str]] = {
     "behaves like": (
         "order",
         "{0.name} acts like {0.behaves_like}",

@@ -27,7 +27,7 @@ from airpuck.physics.rigid_body import acceleration_map
 from airpuck.preprocessing.clock import align_clocks
 from airpuck.recording.stream import Recording
 
-Verdict = Literal["ok", "look", "wrong"]
+CheckStatus = Literal["ok", "look", "wrong"]
 
 #: Fractions of the modelled thrust that need no comment: jitter makes a pulse's length uncertain.
 _STRENGTH = (0.7, 1.4)
@@ -67,7 +67,7 @@ class Check:
     #: The checked item.
     name: str
     #: Whether it is right, deserves a look, or must be fixed before a flight.
-    verdict: Verdict
+    verdict: CheckStatus
     #: The finding and its remedy.
     words: str
 
@@ -327,7 +327,7 @@ def _frame_check(
 
 def _motor_verdict(
     names: tuple[str, ...], k: int, likeness: EffectMatch | None, strength: float
-) -> tuple[Verdict, str]:
+) -> tuple[CheckStatus, str]:
     """Judge the effect of a motor."""
     if likeness is None:
         if np.isnan(strength):

@@ -22,7 +22,7 @@ from airpuck.identification.method import (
     MOST_LAG,
     LevenbergMarquardt,
     Method,
-    Outcome,
+    Optimum,
     information_of_weights,
     minimize_on,
     reweighted,
@@ -164,12 +164,12 @@ class Solution:
     #: Arrival times of packets in each trajectory.
     packets: tuple[PacketDelays, ...] = ()
     #: Loss and result of the last fit; None before the first.
-    fitted: tuple[PredictionLoss, Outcome] | None = None
+    fitted: tuple[PredictionLoss, Optimum] | None = None
     #: When the fit began [s].
     began: float = field(default_factory=time.perf_counter)
 
     @property
-    def result(self) -> tuple[PredictionLoss, Outcome, Model]:
+    def result(self) -> tuple[PredictionLoss, Optimum, Model]:
         """Loss, result and model of the last fit."""
         assert self.fitted is not None
         loss, outcome = self.fitted

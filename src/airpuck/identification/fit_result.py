@@ -13,7 +13,7 @@ from airpuck.boundary.results import Result
 from airpuck.data.trajectory import Trajectory
 from airpuck.deviation.packet_delays import PacketDelays
 from airpuck.evaluation.presentation import at_bounds, delay_words
-from airpuck.identification.method import Iteration, Outcome
+from airpuck.identification.method import Iteration, Optimum
 from airpuck.identification.objective import PredictionLoss
 from airpuck.identification.problem import Exclusion
 from airpuck.identification.uncertainty import Identifiability
@@ -167,7 +167,7 @@ def _uncertainty_json(known: Uncertainty | None) -> dict[str, Any] | None:
 
 
 def fit_warnings(
-    model: Model, trajectories: Sequence[Trajectory], outcome: Outcome, exclusion: Exclusion | None
+    model: Model, trajectories: Sequence[Trajectory], outcome: Optimum, exclusion: Exclusion | None
 ) -> tuple[str, ...]:
     """Return warnings to read before trusting a model."""
     return (

@@ -42,7 +42,7 @@ class Iteration:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Optimum:
     """Result of an optimiser."""
 
     #: The best parameters found.
@@ -69,7 +69,7 @@ class Method(Protocol):
         parameters: Parameters,
         free: Bool[np.ndarray, " P"],
         progress: Callable[[Iteration], None] = ...,
-    ) -> Outcome:
+    ) -> Optimum:
         """Minimise a prediction loss."""
         ...
 
@@ -77,10 +77,10 @@ class Method(Protocol):
 def minimize_on(
     method: Method,
     loss: PredictionLoss,
-    outcome: Outcome,
+    outcome: Optimum,
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
-) -> Outcome:
+) -> Optimum:
     """Continue from an optimum with another loss, and continue counting iterations."""
 
     def renumbered(step: Iteration) -> Iteration:
@@ -97,10 +97,10 @@ def minimize_on(
 def reweighted(
     method: Method,
     loss: PredictionLoss,
-    outcome: Outcome,
+    outcome: Optimum,
     free: Bool[np.ndarray, " P"],
     progress: Callable[[Iteration], None] = lambda _: None,
-) -> tuple[PredictionLoss, Outcome]:
+) -> tuple[PredictionLoss, Optimum]:
     """Fit repeatedly, with each window weighted by how well the last fit predicts it.
 
     With s the mean squared weighted error of a window and σ² the median over all windows, a window
@@ -215,7 +215,7 @@ class LevenbergMarquardt:
         parameters: Parameters,
         free: Bool[np.ndarray, " P"],
         progress: Callable[[Iteration], None] = lambda _: None,
-    ) -> Outcome:
+    ) -> Optimum:
         """Minimise a prediction loss; see `Method.minimize`."""
         program = _StepProgram(parameters, free, monotone=self.monotone)
         delay = parameters.mask(frozenset({"transport_delay"}))
@@ -256,7 +256,7 @@ class LevenbergMarquardt:
                 damping, growth = damping * growth, 2 * growth
             history.append(Iteration(number, here.loss))
             progress(history[-1])
-        return Outcome(
+        return Optimum(
             parameters=parameters.with_vector(point),
             loss=here.loss,
             history=tuple(history),

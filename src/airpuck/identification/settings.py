@@ -41,6 +41,10 @@ Degree = Annotated[
     int | None,
     of_structure("Degree of the thrust polynomials; by default the model's", numbers.DEGREE, "N"),
 ]
+ComFrame = Annotated[
+    Literal["body", "world"],
+    of_structure("Whether the centre of mass is fixed to the body, or the world as in the paper."),
+]
 
 
 def _paper_encoder() -> PaperEncoder:

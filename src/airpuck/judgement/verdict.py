@@ -50,7 +50,7 @@ _NO_SPLIT = -0.9
 _WHOLE_ANGLE = 1.0
 
 
-Outcome = Literal[
+VerdictOutcome = Literal[
     "trusted", "not_trusted", "not_enough_excitation", "suspect_recording", "not_judged"
 ]
 
@@ -115,7 +115,7 @@ class Verdict(Result):
         "response_error_s=response_error findings parameters controller"
     )
 
-    outcome: Outcome
+    outcome: VerdictOutcome
     sentences: tuple[str, ...]
     relative_errors: dict[str, float]
     missed: Float[np.ndarray, " 3"] | None = None
@@ -205,7 +205,7 @@ def verdict(
     )
 
 
-def _headline(model: Model, outcome: Outcome, own: bool) -> str:
+def _headline(model: Model, outcome: VerdictOutcome, own: bool) -> str:
     """Describe the outcome in a sentence."""
     name = model.name
     return {
@@ -223,7 +223,7 @@ def _headline(model: Model, outcome: Outcome, own: bool) -> str:
 
 def _decided(
     evidence: Evidence, causes: Sequence[Finding]
-) -> tuple[Outcome, list[Finding], dict[str, Rehearsal]]:
+) -> tuple[VerdictOutcome, list[Finding], dict[str, Rehearsal]]:
     """Return the outcome, the findings that lead to it, and the flights that were needed."""
     model = evidence.model
     if wrong := incomplete(model):

@@ -45,10 +45,10 @@ HEARTBEATS = MessageTopic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray",
 PLANS = MessageTopic("/control/plan", "nav_msgs/msg/Path", SENSOR)
 #: Name on ``/diagnostics`` of the plan's active limits.
 PLAN_NAME = "airpuck plan"
-Level = Literal["info", "warning", "error"]
+LogLevel = Literal["info", "warning", "error"]
 #: ROS's numeric levels of an event, and of a heartbeat.
-EVENT_LEVELS: dict[Level, int] = {"info": 20, "warning": 30, "error": 40}
-_HEARTBEAT_LEVELS: dict[Level, int] = {"info": 0, "warning": 1, "error": 2}
+EVENT_LEVELS: dict[LogLevel, int] = {"info": 20, "warning": 30, "error": 40}
+_HEARTBEAT_LEVELS: dict[LogLevel, int] = {"info": 0, "warning": 1, "error": 2}
 #: A repeated event within this time is held back [s].
 _REPEATS = 1.0
 _NUMBER = re.compile(r"\d+(\.\d+)?")
@@ -98,11 +98,11 @@ class EventLog:
         #: Time at which each kind of event was last published [s].
         self._published: dict[str, float] = {}
         #: Events held back by kind: level, last text, and count.
-        self._held: dict[str, tuple[Level, str, int]] = {}
+        self._held: dict[str, tuple[LogLevel, str, int]] = {}
         #: Number of events of each level, repetitions included.
         self.counts: dict[str, int] = dict.fromkeys(EVENT_LEVELS, 0)
 
-    def log(self, level: Level, text: str, *, kind: str | None = None) -> None:
+    def log(self, level: LogLevel, text: str, *, kind: str | None = None) -> None:
         """Publish an event; by default, texts that differ only in numbers are of the same kind."""
         self.counts[level] += 1
         kind = _NUMBER.sub("#", text) if kind is None else kind
@@ -121,13 +121,13 @@ class EventLog:
         for kind, (level, text, count) in held.items():
             self._publish(level, f"{text} ({count} times)" if count > 1 else text, kind)
 
-    def heartbeat(self, level: Level, text: str, values: Mapping[str, object]) -> None:
+    def heartbeat(self, level: LogLevel, text: str, values: Mapping[str, object]) -> None:
         """Publish that the process is alive, its state, and some figures; once a second."""
         self.flush()
         self.state(level, text, values)
 
     def state(
-        self, level: Level, text: str, values: Mapping[str, object], *, name: str = ""
+        self, level: LogLevel, text: str, values: Mapping[str, object], *, name: str = ""
     ) -> None:
         """Publish a state and some figures; `name` is a part of the process."""
         message = self._states.make()
@@ -142,7 +142,7 @@ class EventLog:
         message.status = [status]
         self._states.send(message)
 
-    def _publish(self, level: Level, text: str, kind: str) -> None:
+    def _publish(self, level: LogLevel, text: str, kind: str) -> None:
         """Publish an event, and record the time."""
         now = time.monotonic()
         self._published = {k: t for k, t in self._published.items() if now - t < _REPEATS}
@@ -411,7 +411,7 @@ class PlanOutbox:
             for time, state in zip(plan.times.tolist(), plan.states[:, :3].tolist(), strict=True)
         ]
         self._paths.send(path)
-        level: Level = "info" if step.status == "optimal" else "warning"
+        level: LogLevel = "info" if step.status == "optimal" else "warning"
         figures = {"limits": ", ".join(plan.active), "bound by": plan.bound_by}
         self._events.state(level, step.status, figures, name=PLAN_NAME)
 

@@ -13,7 +13,7 @@ from airpuck.boundary.errors import InputError
 from airpuck.boundary.files import Fraction, NonNegative, Positive, checked, load_json, load_yaml
 from airpuck.craft.vehicle import Vehicle, default_vehicle
 from airpuck.model.parameters import Parameters
-from airpuck.model.quantities import Rows
+from airpuck.model.quantities import Matrix
 from airpuck.model.rungs import RUNGS
 from airpuck.model.sections import with_nominal_delay
 
@@ -28,13 +28,13 @@ _Vector = tuple[float, float, float]
 class _AuthorsValues(pydantic.BaseModel):
     """The authors' ``model_params``."""
 
-    thrust_N: Rows = pydantic.Field(alias="signal2thrust")
+    thrust_N: Matrix = pydantic.Field(alias="signal2thrust")
     mass_kg: Positive = pydantic.Field(alias="mass")
     inertia_kg_m2: float = pydantic.Field(alias="inertia")
     motor_time_constant_s: float = pydantic.Field(alias="tau")
     angle_offset_rad: float = pydantic.Field(alias="motor_angle_offset")
     center_of_mass_m: _Vector = pydantic.Field(alias="center_of_mass")
-    configuration_matrix_SI: Rows = pydantic.Field(alias="configuration_matrix")
+    configuration_matrix_SI: Matrix = pydantic.Field(alias="configuration_matrix")
 
 
 class _AuthorsSwitches(pydantic.BaseModel):

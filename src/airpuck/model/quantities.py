@@ -36,7 +36,7 @@ from airpuck.physics.hull import Hull
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
-Rows = tuple[tuple[float, ...], ...]
+Matrix = tuple[tuple[float, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def _weights(propellers: tuple[str, ...], _degree: int) -> tuple[str, ...]:
 # fmt: off
 QUANTITIES = (
     Quantity("thrust", "thrust_N", "N", "a, b, c, …",
-             "coefficients of φ, φ², φ³, … of each propeller's thrust", Rows,
+             "coefficients of φ, φ², φ³, … of each propeller's thrust", Matrix,
              labels=_coefficients, rungs=("M0", "M1", "M2", "M3", "M4"), positive=True),
     Quantity("inertia", "inertia_kg_m2", "kg m²", "I",
              "moment of inertia about the centre of mass", Positive, bounds=(1e-7, 1e4),
@@ -122,7 +122,7 @@ QUANTITIES = (
              "offset of the centre of mass from the geometric centre", Pair, bounds=(-1.0, 1.0),
              labels=("x", "y"), rungs=("M3",), in_matrix=True, shown=("mm", 1e3, ".2f")),
     Quantity("configuration_matrix", "configuration_matrix_SI", "1/kg, 1/kg, 1/(kg m)", "Π",
-             "directly learned map from thrusts to body accelerations", Rows,
+             "directly learned map from thrusts to body accelerations", Matrix,
              labels=_matrix_entries, rungs=("M4",), default=None),
     Quantity("thrust_direction", "thrust_direction_rad", "rad", "δ",
              "rotation of all thrusts against the vehicle file's directions", bounds=(-0.5, 0.5),

@@ -17,7 +17,7 @@ from airpuck.boundary.extensions import added
 from airpuck.boundary.files import Section, checked
 from airpuck.craft.vehicle import Vehicle
 from airpuck.model.parameters import Parameters, with_own
-from airpuck.model.quantities import EFFECTS, QUANTITIES, Quantity, Rows, quantity_of
+from airpuck.model.quantities import EFFECTS, QUANTITIES, Matrix, Quantity, quantity_of
 from airpuck.model.rungs import effect_named
 from airpuck.model.uncertainty import Bootstrap, Cameras, DelayJitter, Uncertainty
 from airpuck.physics.effects import Effect
@@ -241,9 +241,9 @@ class UncertaintySection(NanSection):
     #: Parameters with an uncertainty.
     labels: tuple[str, ...]
     #: In the order of the labels.
-    covariance: Rows
+    covariance: Matrix
     #: Directions that the data do not determine, one in each row.
-    undetermined: Rows = ()
+    undetermined: Matrix = ()
     #: The keys of ``[parameters]``.
     standard_errors: StandardErrors
     bootstrap: BootstrapSection | None = None
@@ -359,7 +359,7 @@ def read_uncertainty(
     )
 
 
-def _rows(rows: Rows, key: str, count: int, length: int) -> Float[np.ndarray, "count length"]:
+def _rows(rows: Matrix, key: str, count: int, length: int) -> Float[np.ndarray, "count length"]:
     """Return a matrix with one column for each label."""
     if len(rows) != count or any(len(row) != length for row in rows):
         raise InputError(

@@ -48,8 +48,8 @@ _DIGITS, _ERROR_DIGITS = 5, 4
 #: Keeps the direction finite for a craft at rest or at its place [m²/s].
 _TINY = 1e-12
 
-Arrival = Literal["rest", "any"]
-ARRIVALS: tuple[Arrival, ...] = ("rest", "any")
+TerminalCondition = Literal["rest", "any"]
+TERMINAL_CONDITIONS: tuple[TerminalCondition, ...] = ("rest", "any")
 #: Distance [m], velocity [m/s], yaw [rad].
 _State = tuple[float, tuple[float, float], float]
 
@@ -89,7 +89,7 @@ class MinimalTimes:
         """Time that players add to their reserve: the excess of the p95 error [s]."""
         return max(0.0, self.error.get("p95", 0.0) - _USUAL_ERROR)
 
-    def __call__(self, away: Any, velocity: Any, arrival: Arrival = "rest") -> Any:
+    def __call__(self, away: Any, velocity: Any, arrival: TerminalCondition = "rest") -> Any:
         """Look up shortest times, interpolated in √distance, speed and cosine of the direction.
 
         Parameters
@@ -111,7 +111,7 @@ class MinimalTimes:
         # Times are even functions of the direction and flat at 0 and π, like a cosine.
         both = np.maximum(distance * speed, _TINY)
         cosine = (away[0] * velocity[0] + away[1] * velocity[1]) / both
-        value = self.time[ARRIVALS.index(arrival)]
+        value = self.time[TERMINAL_CONDITIONS.index(arrival)]
         places = (
             _place(np.sqrt(self.distance), np.sqrt(distance)),
             _place(self.speed, speed),
@@ -180,7 +180,7 @@ def read_minimal_times(path: str | os.PathLike[str] | None = None) -> MinimalTim
     distance, speed = np.array(content.distance_m), np.array(content.speed_m_s)
     direction = np.array(content.direction_rad)
     axes = distance, speed, direction
-    shape = (len(ARRIVALS), *map(len, axes))
+    shape = (len(TERMINAL_CONDITIONS), *map(len, axes))
     flat = [t for kind in content.time_s for rows in kind for row in rows for t in row]
     if len(flat) != np.prod(shape) or min(shape) < 2 or any((np.diff(a) <= 0).any() for a in axes):
         raise InputError("does not fit its axes, which must rise", file=path, field="time_s")
@@ -332,7 +332,7 @@ def _random_states(count: int, times: MinimalTimes) -> list[_State]:
 
 
 def shortest_time(
-    model: Model, distance: float, velocity: Sequence[float], yaw: float, arrival: Arrival
+    model: Model, distance: float, velocity: Sequence[float], yaw: float, arrival: TerminalCondition
 ) -> float:
     """Plan the shortest time to a place ahead, along x; without a certificate [s]."""
     if distance == 0 and (arrival == "any" or not np.any(velocity)):

@@ -91,7 +91,7 @@ class Plan(Result):
     >>> controller = airpuck.TrackingController(model, coast.starting(2.0))  # it is a reference
     """
 
-    JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread"
+    JSON = "time_s=duration lower_bound_s=lower_bound gap reserve starts spread converged"
 
     model: Model
     time: Float[np.ndarray, " nodes"]
@@ -103,6 +103,8 @@ class Plan(Result):
     begin: float = 0.0
     via: tuple[tuple[float, ...], ...] = ()
     keep_out: tuple[tuple[float, ...], ...] = ()
+    #: True, since a plan that did not converge is an error.
+    converged: ClassVar = True
 
     def __post_init__(self) -> None:
         n, nodes = self.model.vehicle.n_propellers, np.size(self.time)
@@ -248,18 +250,6 @@ class Plan(Result):
     def gap(self) -> float | None:
         """Relative difference between duration and lower bound; None without a bound."""
         return None if self.lower_bound is None else 1 - self.lower_bound / self.duration
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields for ``--json``.
-
-        Also ``converged``: true, since a plan that did not converge is an error.
-
-        Returns
-        -------
-        dict
-            Duration, bound, and the result of each start.
-        """
-        return super().to_json() | {"converged": True}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan as TOML; `read_plan` restores every number bit for bit.

@@ -29,17 +29,8 @@ _FURTHER = {
 #: turns aside and back; each pair leads to flights more than 1 % faster than any other start
 #: (`studies/plan_search.py free-yaw`).
 _FREE = (
-    (0.0, 0.0),
-    (0.9, 0.0),
-    (-0.9, 0.0),
-    (1.8, 0.0),
-    (-1.8, 0.0),
-    (2.7, 0.0),
-    (-2.7, 0.0),
-    (1.6, -1.3),
-    (-1.6, 1.3),
-    (0.0, 1.5),
-    (0.0, -1.5),
+    *((0.0, 0.0), (0.9, 0.0), (-0.9, 0.0), (1.8, 0.0), (-1.8, 0.0), (2.7, 0.0), (-2.7, 0.0)),
+    *((1.6, -1.3), (-1.6, 1.3), (0.0, 1.5), (0.0, -1.5)),
 )
 #: A detour around a disc keeps this fraction of its radius as extra distance.
 _ROUND = 1.3

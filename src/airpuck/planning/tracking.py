@@ -1,4 +1,4 @@
-"""Tracks a plan with its own thrusts, corrected by a regulator; departs once the craft rests."""
+"""Tracks a plan with its own thrusts, corrected by a law; departs once the craft rests."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class PlanTracker(Law):
     after the plan, and for other references, an `LQR` steers.
     """
 
-    title = "the thrusts of a plan"
+    title, c_modules = "the thrusts of a plan", ("flight", "slopes")
 
     def __init__(self, model: Model, tuning: Tuning, options: LawOptions | None = None) -> None:
         options = options or LawOptions()

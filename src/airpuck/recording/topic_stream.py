@@ -72,7 +72,7 @@ _ACCEPTED = (
 )
 Decoded = Mapping[str, np.ndarray]
 #: Fields to decode, and a function that turns them into columns and values.
-Plan = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.ndarray, "N k"]]]]
+Reader = tuple[Sequence[str], Callable[[Decoded], tuple[tuple[str, ...], Float[np.ndarray, "N k"]]]]
 
 
 class Place(NamedTuple):
@@ -353,7 +353,7 @@ def _table(found: Decoded, paths: Sequence[str]) -> Float[np.ndarray, "N k"]:
     return np.stack([_at(found, place_of(path, found)) for path in paths], axis=1, dtype=np.float64)
 
 
-def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping) -> Plan:
+def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping) -> Reader:
     """Plan how commands are read from any message that holds numbers."""
     places = command_places(msgtype, fields, mapping.values)
 
@@ -371,7 +371,7 @@ def _command_plan(msgtype: str, fields: Sequence[Field], mapping: CommandMapping
     return [*(place.path for place in places), *names], convert
 
 
-def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Plan:
+def _pose_plan(usual: tuple[str, ...], mapping: PoseMapping) -> Reader:
     """Plan how poses are read, from usual fields or those that the mapping names."""
     level = len(usual) == len(COLUMNS["pose"])  # x, y, yaw
     split = 2 if level else 3

@@ -43,7 +43,7 @@ class Cell(NamedTuple):
     free: bool = False
 
 
-class Row(NamedTuple):
+class TableRow(NamedTuple):
     """One line of a table of parameters."""
 
     label: str
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 def parameter_table(
     caption: str,
     headings: Sequence[str],
-    rows: Sequence[Row],
+    rows: Sequence[TableRow],
     groups: Sequence[tuple[str, int]] = (),
 ) -> PageTable:
     """Return rows as a table of a page, with learned values in bold."""
@@ -81,7 +81,7 @@ def ladder_table(models: Sequence[Model]) -> PageTable:
             else:
                 value = np.ravel(getattr(model.parameters, quantity.name))
                 cells.append(Cell(", ".join(f"{x:.3g}" for x in value)))
-        rows.append(Row(model.name, rung.summary, cells))
+        rows.append(TableRow(model.name, rung.summary, cells))
     caption = (
         "Table 1 of the paper: free and fixed parameters of each rung. A dash: not used. Π “from "
         "the others”: by first principles."
@@ -90,7 +90,7 @@ def ladder_table(models: Sequence[Model]) -> PageTable:
     return parameter_table(caption, ["model", "", *headings], rows)
 
 
-def main_rows(models: Sequence[Model]) -> list[Row]:
+def main_rows(models: Sequence[Model]) -> list[TableRow]:
     """Tabulate the main quantities; thrusts come last."""
     listed = {q.label: q for model in models for q in main_quantities(model)}
     rows = [
@@ -101,7 +101,7 @@ def main_rows(models: Sequence[Model]) -> list[Row]:
     return sorted(rows, key=lambda row: row.label.startswith("F("))
 
 
-def coefficient_rows(models: Sequence[Model]) -> list[Row]:
+def coefficient_rows(models: Sequence[Model]) -> list[TableRow]:
     """Tabulate every thrust coefficient at the learned scale."""
     degree = max(np.shape(model.parameters.thrust)[1] for model in models)
     letters = [chr(ord("a") + power) for power in range(degree)]
@@ -114,10 +114,10 @@ def coefficient_rows(models: Sequence[Model]) -> list[Row]:
     return _rows(models, labels, "N", "thrust", coefficients, ".4f")
 
 
-def effect_rows(models: Sequence[Model]) -> list[Row]:
+def effect_rows(models: Sequence[Model]) -> list[TableRow]:
     """Tabulate the effect of each propeller at full speed, which does not depend on scale."""
 
-    def rows(label: str, unit: str, values: Callable[[Model], Any], form: str) -> list[Row]:
+    def rows(label: str, unit: str, values: Callable[[Model], Any], form: str) -> list[TableRow]:
         labels = [f"{label} {name}" for name in models[0].vehicle.propeller_names]
         return _rows(models, labels, unit, "thrust", values, form)
 
@@ -135,10 +135,10 @@ def _rows(
     quantity: str,
     values: Callable[[Model], Any],
     form: str,
-) -> list[Row]:
+) -> list[TableRow]:
     """Tabulate values derived from a parameter: a row for each value, a cell for each model."""
     columns = [_cells(model, len(labels), quantity, values, form) for model in models]
-    return [Row(label, unit, cells) for label, *cells in zip(labels, *columns, strict=True)]
+    return [TableRow(label, unit, cells) for label, *cells in zip(labels, *columns, strict=True)]
 
 
 def _cells(

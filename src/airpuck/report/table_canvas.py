@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -17,46 +17,28 @@ from airpuck.report import style
 from airpuck.report.page import packaged_text, render
 from airpuck.report.scene import PAUSE, DiscPath, FlightScene, GameScene, PlannedPath
 
-
-def _rgb(color: str) -> list[int]:
-    """Return red, green and blue of "#rrggbb", from 0 to 255."""
-    return list(bytes.fromhex(color[1:]))
-
-
-#: Colours of the canvas on light pages.
-COLORS: dict[str, Any] = {
-    "ink": style.BLACK,
-    "grey": style.GREY,
-    "asked": style.ASKED,
-    "floor": style.FLOOR,
-    "holes": style.HOLES,
-    "grid": style.GRID,
-    "rail": style.RAIL,
-    "left": style.BLUE,
-    "right": style.VERMILLION,
-    "puck": style.BLACK,
-    "mark": "#ffffff",
-    "craft": style.BLACK,
-    "inkRgb": _rgb(style.BLACK),
-    "floorRgb": _rgb(style.FLOOR),
+#: Colours of the canvas on light and on dark pages; there the craft stays white and the puck is
+#: yellow.
+_COLORS: dict[str, tuple[str, str]] = {
+    "ink": (style.BLACK, "#e8ecf0"),
+    "grey": (style.GREY, "#a3adb7"),
+    "asked": (style.ASKED, "#ea9ccb"),
+    "floor": (style.FLOOR, "#1c2329"),
+    "holes": (style.HOLES, "#36414b"),
+    "grid": (style.GRID, "#2c353e"),
+    "rail": (style.RAIL, "#5d6a76"),
+    "left": (style.BLUE, "#2b8fd6"),
+    "right": (style.VERMILLION, "#e8722a"),
+    "puck": (style.BLACK, "#f0e442"),
+    "mark": ("#ffffff", "#12161b"),
+    "craft": (style.BLACK, "#84919d"),
 }
-#: The same for dark pages, where the craft stays white and the puck is yellow.
-DARK_COLORS: dict[str, Any] = COLORS | {
-    "ink": "#e8ecf0",
-    "grey": "#a3adb7",
-    "asked": "#ea9ccb",
-    "floor": "#1c2329",
-    "holes": "#36414b",
-    "grid": "#2c353e",
-    "rail": "#5d6a76",
-    "left": "#2b8fd6",
-    "right": "#e8722a",
-    "puck": "#f0e442",
-    "mark": "#12161b",
-    "craft": "#84919d",
-    "inkRgb": _rgb("#e8ecf0"),
-    "floorRgb": _rgb("#1c2329"),
-}
+
+
+def color_scheme(name: Literal["light", "dark"]) -> dict[str, Any]:
+    """Return the colours of a scheme; ink and floor also as red, green and blue, from 0 to 255."""
+    colors = {key: dark if name == "dark" else light for key, (light, dark) in _COLORS.items()}
+    return colors | {f"{key}Rgb": [*bytes.fromhex(colors[key][1:])] for key in ("ink", "floor")}
 
 
 def craft_shape(vehicle: Vehicle) -> dict[str, Any]:
@@ -106,7 +88,7 @@ def write_animation_page(scene: FlightScene, path: Path, *, speed: float) -> Non
         "animation.html.jinja",
         craft=scene.vehicle.name,
         recording=scene.name,
-        colors=COLORS,
+        colors=color_scheme("light"),
         aspect=f"{(x1 - x0 + (0.14 if scene.game is None else 0.26)) / (y1 - y0 + 0.13):.4f}",
         motors_height=f"{2.4 + max(5.4, 1.1 * scene.vehicle.n_propellers):.2f}",
         paces=sorted({*_PACES, float(speed)}),
@@ -147,7 +129,7 @@ def flight_data(scene: FlightScene) -> dict[str, Any]:
         "view": scene.view,
         "trail": moments.TRAIL,
         "craft": craft_shape(scene.vehicle),
-        "colors": COLORS,
+        "colors": color_scheme("light"),
         "hockey": scene.game and hockey_shape(scene.game.play),
         "game": scene.game and _game(scene.game),
     }

@@ -230,7 +230,7 @@ def controller_tables(replay: Replay) -> list[PageTable]:
         return [outcomes]
     g = replay.gains
     gains = PageTable(
-        "Gains of the regulator, "
+        "Gains of the law, "
         f"{'fitted to the recorded commands' if replay.fitted else 'from the tuning'}.",
         ["position [1/s²]", "speed [1/s]", "yaw [1/s²]", "spin [1/s]"],
         [[f"{v:.2f}" for v in (g.position, g.speed, g.yaw, g.spin)]],

@@ -18,7 +18,7 @@ from airpuck.twin.plant import LONGEST_STEP, Plant
 from airpuck.twin.radio import RadioLink
 from airpuck.twin.settings import Motors, Starts, TwinSettings
 
-Command = Float[np.ndarray, " n"]
+MotorCommand = Float[np.ndarray, " n"]
 #: A packet that is late by less than this at the end of a PWM period counts as in time, since time
 #: stamps are rounded [s].
 _IN_TIME = 1e-9
@@ -35,12 +35,12 @@ class Driver:
 
     def __init__(self, kind: ActuatorKind, n: int) -> None:
         self._kind, self._driven, self._force = kind, Driven(kind, n), np.zeros(n)
-        self._later: deque[tuple[float, Command]] = deque()
+        self._later: deque[tuple[float, MotorCommand]] = deque()
         #: The command that was taken, when, and whether a packet brought it; otherwise the previous
         #: PWM period is repeated.
         self._command, self._begun, self._fresh = np.zeros(n), -math.inf, False
 
-    def next_change(self, now: float, command: Callable[[float], Command]) -> float:
+    def next_change(self, now: float, command: Callable[[float], MotorCommand]) -> float:
         """Return when a drive next changes under the current command."""
         self.drive(now, command(now))
         times = [time for time, _ in (*self._later, *self._driven.ahead)]
@@ -48,7 +48,7 @@ class Driver:
             times += [self._begun + period * _RESTARTS, self._begun + period + _IN_TIME]
         return min((time for time in times if time > now), default=math.inf)
 
-    def drive(self, now: float, command: Command) -> Command:
+    def drive(self, now: float, command: MotorCommand) -> MotorCommand:
         """Return the drives now; times must not decrease."""
         changed = self._driven.until(now)
         if self._takes(now, command):
@@ -59,7 +59,7 @@ class Driver:
             _, self._force = self._later.popleft()
         return self._force
 
-    def _takes(self, now: float, command: Command) -> bool:
+    def _takes(self, now: float, command: MotorCommand) -> bool:
         """Return whether the driver takes a command now, and remember it."""
         news, period = not np.array_equal(command, self._command), self._kind.pwm_period_s or 0.0
         early = self._fresh and now < self._begun + _RESTARTS * period
@@ -77,7 +77,7 @@ class TwoWayDriver:
         self._first_wheel = actuation.n_columns - len(actuation.wheels)
         self._wheels = actuation.spinning()
 
-    def next_change(self, now: float, command: Callable[[float], Command]) -> float:
+    def next_change(self, now: float, command: Callable[[float], MotorCommand]) -> float:
         """Return when a drive next changes under the current command."""
         self.drive(now, command(now))
         changes = [wheel.ends for wheel in self._wheels if wheel.ends > now]
@@ -85,7 +85,7 @@ class TwoWayDriver:
         event = self._thrusters.next_change(now, lambda time: command(time)[:first])
         return min([event, *changes])
 
-    def drive(self, now: float, command: Float[np.ndarray, " c"]) -> Command:
+    def drive(self, now: float, command: Float[np.ndarray, " c"]) -> MotorCommand:
         """Return the drives now; times must not decrease."""
         drives = list(self._thrusters.drive(now, command[: self._first_wheel]))
         commanded = command[self._first_wheel :].tolist()

@@ -15,7 +15,7 @@ from typing import Any
 from airpuck.boundary.errors import InputError
 from airpuck.craft.table import Table
 from airpuck.model.model_file import Model
-from airpuck.report.table_canvas import COLORS, DARK_COLORS, craft_shape
+from airpuck.report.table_canvas import color_scheme, craft_shape
 from airpuck.web.requests import Wish, listen, read_message
 from airpuck.web.server import EVENT, SCENE, STATE, THOUGHT, WISH, PageKind, serve
 
@@ -143,5 +143,5 @@ def table_of(model: Model, table: Table) -> dict[str, Any]:
         "table": [table.length_m, table.width_m],
         "view": [-x, x, -y, y],
         "craft": craft_shape(model.vehicle),
-        "schemes": {"light": COLORS, "dark": DARK_COLORS},
+        "schemes": {name: color_scheme(name) for name in ("light", "dark")},
     }

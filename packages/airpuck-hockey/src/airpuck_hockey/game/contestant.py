@@ -8,7 +8,7 @@ from typing import Any
 
 from airpuck import AirHockey, InputError, Model, Pilot, PuckState
 from airpuck.extend import UserCode, nearest, numbers_of, sheltered
-from airpuck_hockey.game.hand import HANDS, KEEPERS, Hand, HumanHand, Place
+from airpuck_hockey.game.hand import HANDS, KEEPERS, Hand, HumanHand, Point
 from airpuck_hockey.player.all_rounder import AllRounder, predecessor
 from airpuck_hockey.player.player import LEVELS, Level, Player
 from airpuck_hockey.player.tactic import Intention, Tactic, View
@@ -103,7 +103,7 @@ class _UserHand:
         self._code = code
         self._own = code.run("cannot be made", code.kind, equipment, KEEPERS["medium"], seed)
 
-    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
+    def target(self, time: float, own: Point, puck: PuckState | None, opponent: Point) -> Point:
         """Return the target of the mallet; see `Hand.target`."""
         return self._code.run("target()", self._own.target, time, own, puck, opponent)
 

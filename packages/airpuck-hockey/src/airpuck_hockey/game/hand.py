@@ -41,13 +41,13 @@ _NO_DISTANCE = 1e-9
 #: Directions of a stroke if rails block all directions towards the goal [rad].
 _AWAY = (0.6, -0.6, 1.2, -1.2, 1.5, -1.5)
 #: x, y [m].
-Place = tuple[float, float]
+Point = tuple[float, float]
 
 
 class Hand(Protocol):
     """Moves a mallet: a script, or the person at the page."""
 
-    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
+    def target(self, time: float, own: Point, puck: PuckState | None, opponent: Point) -> Point:
         """Return the target of the mallet.
 
         All arguments are in the hand's own frame: its goal is at negative x.
@@ -120,9 +120,9 @@ class GuidedHand:
 
     def __init__(self) -> None:
         #: Target of the mallet in the world's frame [m]; None keeps it where it is.
-        self.wanted: Place | None = None
+        self.wanted: Point | None = None
 
-    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
+    def target(self, time: float, own: Point, puck: PuckState | None, opponent: Point) -> Point:
         """Return the target of the mallet; see `Hand.target`."""
         return own if self.wanted is None else Frame(1).point(*self.wanted)
 
@@ -156,7 +156,7 @@ class HumanHand(ABC):
         self._together = equipment.mallet.radius_m + equipment.puck.radius_m
         # Full speed is only reached towards a target at least this far away.
         self._leash = dexterity.speed_m_s**2 / (2 * equipment.mallet.acceleration_m_s2)
-        self._seen: deque[tuple[float, PuckState | None, Place]] = deque()
+        self._seen: deque[tuple[float, PuckState | None, Point]] = deque()
         self._looks, self._wanted = 0.0, (self._home, 0.0)
         self._goes_by: list[PuckState] = []
         self._opponent = (0.0, 0.0)
@@ -171,7 +171,7 @@ class HumanHand(ABC):
         #: During a stroke: end time and direction.
         self._stroke: tuple[float, float, float] | None = None
 
-    def target(self, time: float, own: Place, puck: PuckState | None, opponent: Place) -> Place:
+    def target(self, time: float, own: Point, puck: PuckState | None, opponent: Point) -> Point:
         """Return the target of the mallet; see `Hand.target`."""
         self._seen.append((time, puck, opponent))
         while len(self._seen) > 1 and self._seen[1][0] <= time - self._dexterity.reaction_s:
@@ -215,7 +215,7 @@ class HumanHand(ABC):
         return path
 
     @abstractmethod
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Return where the mallet should go, given the predicted puck."""
 
     def aims(self) -> tuple[float, ...]:
@@ -234,7 +234,7 @@ class HumanHand(ABC):
         """Draw a new aiming error."""
         self._aim = float(self._random.normal(0.0, self._dexterity.aim_rad))
 
-    def _through(self, time: float, own: Place) -> Place | None:
+    def _through(self, time: float, own: Point) -> Point | None:
         """Return the target of the present stroke; None: there is none, or it is over."""
         if self._stroke is None:
             return None
@@ -244,7 +244,7 @@ class HumanHand(ABC):
         self._stroke = None
         return None
 
-    def _guarded(self, own: Place) -> Place:
+    def _guarded(self, own: Point) -> Point:
         """Return a place in front of the goal, on the puck's path."""
         line = max(-self._line + self._together, min(own[0], self._home))
         half = self._equipment.table.goal_width_m / 2
@@ -255,12 +255,12 @@ class HumanHand(ABC):
                 return line, max(-half, min(y, half))
         return self._waiting()
 
-    def _waiting(self) -> Place:
+    def _waiting(self) -> Point:
         """Return a place at home, on the side of the puck."""
         half = self._equipment.table.goal_width_m / 2
         return self._home, max(-half, min(self.follows * self._goes_by[0].y, half))
 
-    def _struck(self, time: float, own: Place) -> Place:
+    def _struck(self, time: float, own: Point) -> Point:
         """Return where to begin a stroke, or begin it."""
         fastest = self._dexterity.speed_m_s
         puck = self._goes_by[-1]
@@ -289,7 +289,7 @@ class HumanHand(ABC):
             return max(-self._reach[0], own[0] - _LEG), free
         return start
 
-    def _direction(self, puck: PuckState) -> Place:
+    def _direction(self, puck: PuckState) -> Point:
         """Return the direction of a stroke: at the goal, or away from a rail that is too near."""
         lead = self._line - puck.x
         angles = [math.atan2(y - puck.y, lead) for y in self.aims()]
@@ -305,7 +305,7 @@ class HumanHand(ABC):
 class ScriptedHand(HumanHand):
     """A scripted human: stops fast pucks, strikes slow ones, waits in front of its own goal."""
 
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Strike, stop the puck, or wait; see `HumanHand.decided`."""
         puck = self._goes_by[0]
         fast = math.hypot(puck.vx, puck.vy) > self.too_fast_m_s
@@ -322,7 +322,7 @@ class Keeper(HumanHand):
 
     waits_m = _IN_GOAL
 
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Cover the position where the puck will pass; see `HumanHand.decided`."""
         return self._guarded((self._home, own[1]))
 
@@ -330,7 +330,7 @@ class Keeper(HumanHand):
 class Striker(Keeper):
     """A keeper that strikes slow pucks at the open corner."""
 
-    def decided(self, time: float, own: Place) -> Place:
+    def decided(self, time: float, own: Point) -> Point:
         """Strike a slow puck in its own half, otherwise keep the goal; see `HumanHand.decided`."""
         puck = self._goes_by[0]
         if puck.x < 0.0 and math.hypot(puck.vx, puck.vy) <= self.too_fast_m_s:

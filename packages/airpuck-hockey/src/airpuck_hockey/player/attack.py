@@ -17,7 +17,7 @@ from airpuck_hockey.player.interception import (
     stays_inside,
 )
 from airpuck_hockey.player.shot import ArrivalError, Contacts, Opposed, chances, flown, struck, unit
-from airpuck_hockey.player.tactic import Kind, View
+from airpuck_hockey.player.tactic import ActionKind, View
 from airpuck_hockey.puck.prediction import PuckBelief, drawn_path, predict_puck
 
 #: Candidate contacts: times from now [s], directions [rad], speeds of the craft [m/s].
@@ -241,7 +241,7 @@ class Shoot(Searcher):
         for k in np.argsort(value)[::-1].tolist():
             if value[k] < self.least and not self.clears:
                 break
-            kind: Kind = "bank" if bounces[k] > _BANKED else "strike"
+            kind: ActionKind = "bank" if bounces[k] > _BANKED else "strike"
             when = float(time[k]), float(normal[k]), float(speed[k])
             kind = "clear" if self.clears else kind
             shots.append(PlannedContact(*when, kind, float(chance[k]), value=float(value[k])))

@@ -16,7 +16,7 @@ from airpuck import Rendezvous, SetPoint
 from airpuck.extend import Reference
 from airpuck_hockey.player.rival import STILL
 from airpuck_hockey.player.shot import unit
-from airpuck_hockey.player.tactic import Intention, Kind, View
+from airpuck_hockey.player.tactic import ActionKind, Intention, View
 from airpuck_hockey.puck.prediction import predict_path
 
 # Numbers without a source are guesses that won matches.
@@ -179,7 +179,7 @@ class PlannedContact:
     #: Speed of the craft along the normal; negative: it recedes [m/s].
     speed: float
     #: Purpose, probability of scoring, and path of the puck afterwards; see `Intention`.
-    kind: Kind = "prepare"
+    kind: ActionKind = "prepare"
     chance: float | None = None
     path: Float[np.ndarray, "N 2"] | None = None
     #: Value of a shot when it was planned, on the scale of its probability.

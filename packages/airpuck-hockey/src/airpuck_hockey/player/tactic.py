@@ -94,8 +94,8 @@ class TurnedReference:
 
 
 #: Kinds of actions of a craft.
-Kind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]
-_KINDS = get_args(Kind)
+ActionKind = Literal["defend", "clear", "strike", "bank", "prepare", "home", "free", "wait"]
+_KINDS = get_args(ActionKind)
 _CHANCE = Range(0, 1, "it is a probability")
 
 
@@ -231,7 +231,7 @@ class Intention:
     'defend'
     """
 
-    kind: Kind
+    kind: ActionKind
     reference: Reference
     meet: tuple[float, float, float] | None = None
     path: Float[np.ndarray, "N 2"] | None = None
