@@ -1,7 +1,5 @@
 """The exported controller as a pilot, and flights that compare it with Python's."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """Excitation flights on the twin, with their true velocities and the true delay of each packet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 

@@ -7,8 +7,6 @@ is written. All other exceptions, crashes of the process, timeouts, and files le
 failures. Each is reported with kind and seed, which reproduce the file.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import functools

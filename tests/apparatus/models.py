@@ -1,7 +1,5 @@
 """Craft, their models, and made-up results of fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Predictions by the plain rollout in NumPy, with commands that change between samples."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from airpuck.data.trajectory import Trajectory

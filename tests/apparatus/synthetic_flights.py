@@ -1,7 +1,5 @@
 """Small flights made up for the tests, with known truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The monitor beside flights of the twin whose faults are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

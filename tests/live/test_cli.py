@@ -1,7 +1,5 @@
 """Input that the live commands reject before they join a graph."""
 
-from __future__ import annotations
-
 import pytest
 
 from airpuck.boundary.errors import InputError

@@ -1,7 +1,5 @@
 """The flight loop on the graph, in this process; `test_processes` has it as a process."""
 
-from __future__ import annotations
-
 import os
 import signal
 from contextlib import nullcontext

@@ -4,8 +4,6 @@ Thresholds leave room for a machine that is busy with other tests; `studies/live
 strict ones.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import time

@@ -1,7 +1,5 @@
 """The guard, without a network: what idles the motors and for how long, and what does not."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exports of a known motion, written in the layouts that both makers document."""
 
-from __future__ import annotations
-
 from itertools import permutations
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Messages of other labs' craft: PX4's and the Stanford free-flyer's."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

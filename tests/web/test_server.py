@@ -1,7 +1,5 @@
 """The page server against hostile pages; the test plays the game at the other end of its pipe."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import http.client

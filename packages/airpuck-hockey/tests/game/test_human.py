@@ -1,7 +1,5 @@
 """The human at the twin's table, in this process, on the test's own clock."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """The score on a graph: the flying process detects goals and reports them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

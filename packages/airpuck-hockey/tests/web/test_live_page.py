@@ -1,7 +1,5 @@
 """The page of a game on the graph; the test plays the page server and the table."""
 
-from __future__ import annotations
-
 import json
 import math
 import multiprocessing

@@ -1,7 +1,5 @@
 """The page of a game in a real browser; only the last test plays a real game."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
